@@ -1,0 +1,52 @@
+"""Frames: what a device measured, with the pattern that was really driven."""
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.errors import DataError
+from ohmskin.scan.pattern import DrivePattern
+
+Floats = NDArray[np.float64]
+
+
+class FrameFlag(IntFlag):
+    """What a device reports about a frame beside its data."""
+
+    CLIPPED = 1  # at least one voltage left the converter's range
+    CURRENT_LIMIT = 2  # an injection ran into the source's current limit
+    FIRST = 4  # the first frame since the device started
+    OVERRUN = 8  # the device could not keep its own timing
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One scan of one drive pattern.
+
+    Args:
+        pattern: The pattern that was really driven.
+        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where the converter clipped.
+        currents: (n_inj,) measured injected currents in amperes.
+        time: Time of the last sample on the device's clock (s).
+        sequence: Number of the frame, counted by the device.
+        flags: What the device reports beside the data.
+
+    Raises:
+        DataError: If the shapes do not fit the pattern.
+    """
+
+    pattern: DrivePattern
+    voltages: Floats
+    currents: Floats
+    time: float
+    sequence: int = 0
+    flags: FrameFlag = FrameFlag(0)
+
+    def __post_init__(self) -> None:
+        for name, count in (("voltages", self.pattern.n_meas), ("currents", self.pattern.n_inj)):
+            given = np.asarray(getattr(self, name), float)
+            if given.shape != (count,):
+                raise DataError(f"frame {name} have shape {given.shape}; the pattern driven needs ({count},)")
+            object.__setattr__(self, name, given)

@@ -1,0 +1,30 @@
+"""Numbering of electrode pairs.
+
+Of L electrodes there are L (L - 1) / 2 pairs (i, j), i < j. Every four-terminal quantity is a combination of the
+two-terminal ones F_ij by polarisation, which is what makes drive patterns cheap to change:
+
+    F(ab, cd) = 1/2 (F_ad + F_bc - F_ac - F_bd)
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Ints = NDArray[np.int64]
+
+
+def n_pairs(n_elec: int) -> int:
+    """Number of pairs of `n_elec` electrodes."""
+    return n_elec * (n_elec - 1) // 2
+
+
+def all_pairs(n_elec: int) -> Ints:
+    """The pairs (n_pairs, 2) in their numbering: (0, 1), (0, 2), ..., (n_elec - 2, n_elec - 1)."""
+    return np.column_stack(np.triu_indices(n_elec, k=1)).astype(np.int64)
+
+
+def pair_index(a: ArrayLike, b: ArrayLike, n_elec: int) -> Ints:
+    """The number of each pair {a, b}, a != b."""
+    a, b = np.asarray(a), np.asarray(b)
+    i, j = np.minimum(a, b), np.maximum(a, b)
+    index: Ints = i * n_elec - i * (i + 1) // 2 + j - i - 1
+    return index

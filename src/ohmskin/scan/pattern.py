@@ -1,0 +1,150 @@
+"""Drive patterns: which electrodes inject current and between which ones the voltage is measured."""
+
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import PatternError
+from ohmskin.scan.pairs import Ints, n_pairs, pair_index
+
+
+@dataclass(frozen=True)
+class DrivePattern:
+    """A sequence of two-electrode injections, each with its measured voltages. Zero-sum by construction.
+
+    Args:
+        injections: (n_inj, 2) source and sink electrode; current enters the sheet at the source.
+        measurements: (n_meas, 3) injection number, plus and minus electrode; the voltage is V(plus) - V(minus). Sorted by
+            injection number.
+
+    Raises:
+        PatternError: If shapes or numbers are invalid, an injection has the same source and sink, a measurement has the
+            same two electrodes, or injection numbers are out of order.
+    """
+
+    injections: Ints
+    measurements: Ints
+
+    def __post_init__(self) -> None:
+        for name, width in (("injections", 2), ("measurements", 3)):
+            given = np.asarray(getattr(self, name))
+            if given.ndim != 2 or given.shape[1] != width or len(given) == 0 or given.dtype.kind not in "iu":
+                raise PatternError(f"{name} have shape {given.shape} and type {given.dtype}; need integers (n, {width}), n >= 1")
+            array = given.astype(np.int64)
+            if array.min() < 0:
+                raise PatternError(f"{name} name electrode or injection {array.min()}; numbers start at 0")
+            if len(same := np.flatnonzero(array[:, -2] == array[:, -1])):
+                raise PatternError(f"{name}[{same[0]}] uses electrode {array[same[0], -1]} twice; it needs two different ones")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        which = self.measurements[:, 0]
+        if which.max() >= len(self.injections) or (np.diff(which) < 0).any():
+            raise PatternError(f"measurements must be sorted by injection number and name injections 0..{len(self.injections) - 1}")
+
+    @property
+    def n_inj(self) -> int:
+        return len(self.injections)
+
+    @property
+    def n_meas(self) -> int:
+        return len(self.measurements)
+
+    @cached_property
+    def quadruples(self) -> Ints:
+        """Source, sink, plus, minus (n_meas, 4) of each measurement."""
+        return np.hstack([self.injections[self.measurements[:, 0]], self.measurements[:, 1:]])
+
+    @cached_property
+    def digest(self) -> int:
+        """A 32-bit checksum (CRC-32) that names this pattern on the wire and in a baseline."""
+        return zlib.crc32(self.measurements.astype("<u2").tobytes(), zlib.crc32(self.injections.astype("<u2").tobytes()))
+
+    def combination(self, n_elec: int) -> sp.csr_array:
+        """The sparse matrix (n_meas, n_pairs) that makes this pattern's rows from two-terminal quantities.
+
+        Raises:
+            PatternError: If the pattern names an electrode that is not there.
+        """
+        self.check(n_elec)
+        a, b, c, d = self.quadruples.T
+        signs = ((a, d, 0.5), (b, c, 0.5), (a, c, -0.5), (b, d, -0.5))
+        row = np.arange(self.n_meas)
+        rows, columns, values = [], [], []
+        for i, j, sign in signs:
+            distinct = i != j  # a driven electrode that is also measured: F_ii = 0
+            rows.append(row[distinct])
+            columns.append(pair_index(i[distinct], j[distinct], n_elec))
+            values.append(np.full(int(distinct.sum()), sign))
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        return sp.csr_array(entries, shape=(self.n_meas, n_pairs(n_elec)))
+
+    def check(self, n_elec: int) -> None:
+        """Raise PatternError unless every electrode named is one of `n_elec`."""
+        highest = int(max(self.injections.max(), self.measurements[:, 1:].max()))
+        if highest >= n_elec:
+            raise PatternError(f"the pattern names electrode {highest}; there are {n_elec} (0..{n_elec - 1})")
+
+    def split(self, max_injections: int) -> Iterator["DrivePattern"]:
+        """This pattern in pieces of at most `max_injections` injections, in order."""
+        for start in range(0, self.n_inj, max_injections):
+            stop = min(start + max_injections, self.n_inj)
+            low, high = np.searchsorted(self.measurements[:, 0], [start, stop])
+            yield DrivePattern(self.injections[start:stop], self.measurements[low:high] - [start, 0, 0])
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, DrivePattern)
+            and np.array_equal(self.injections, other.injections)
+            and np.array_equal(self.measurements, other.measurements)
+        )
+
+    def __hash__(self) -> int:
+        return self.digest
+
+
+def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePattern:
+    """Drive `injections` (n_inj, 2) and measure between neighbours among all other `electrodes`, in their cyclic order.
+
+    The walk starts behind the sink, so that adjacent drive gives the classical adjacent voltages. The n - 3 voltages of an
+    injection span all that can be measured without touching a driven electrode, whose contact resistance would enter.
+    """
+    pairs = np.asarray(injections)
+    order = np.asarray(electrodes)
+    if len(order) < 4:
+        raise PatternError(f"{len(order)} electrodes; need at least 4 to drive two and measure between two others")
+    measurements = []
+    for k, (source, sink) in enumerate(pairs):
+        start = np.flatnonzero(order == sink)
+        walk = np.roll(order, -int(start[0]) - 1) if len(start) else order
+        rest = walk[(walk != source) & (walk != sink)]
+        measurements.append(np.column_stack([np.full(len(rest) - 1, k), rest[:-1], rest[1:]]))
+    return DrivePattern(pairs, np.vstack(measurements))
+
+
+def skip(rings: Sequence[Sequence[int]], step: int = 1) -> DrivePattern:
+    """Drive each electrode of each ring against the one `step` places further on; measure at all other electrodes.
+
+    Raises:
+        PatternError: If `step` is not between 1 and the size of the smallest ring less one.
+    """
+    smallest = min(len(ring) for ring in rings)
+    if not 1 <= step < smallest:
+        raise PatternError(f"step {step}; it must be 1..{smallest - 1} for rings of {smallest} electrodes or more")
+    injections = [(ring[k], ring[(k + step) % len(ring)]) for ring in rings for k in range(len(ring))]
+    return measure_others(np.array(injections), [e for ring in rings for e in ring])
+
+
+def adjacent(rings: Sequence[Sequence[int]]) -> DrivePattern:
+    """Adjacent drive round each ring, voltages at all other electrodes (paper, section III-A)."""
+    return skip(rings, 1)
+
+
+def opposite(ring: Sequence[int]) -> DrivePattern:
+    """Drive each electrode of one ring against the one half-way round, once; measure at all others of the ring."""
+    half = len(ring) // 2
+    return measure_others(np.array([(ring[k], ring[k + half]) for k in range(half)]), list(ring))
