@@ -1,0 +1,6 @@
+"""What to drive next: the paper's modes and its adaptive choice."""
+
+from ohmskin.drive.modes import Mode, mode, modes
+from ohmskin.drive.optimal import OptimalDrive, pair_weights, take_turns
+
+__all__ = ["Mode", "OptimalDrive", "mode", "modes", "pair_weights", "take_turns"]

@@ -1,0 +1,78 @@
+"""Contacts: what an image says about who presses where."""
+
+from dataclasses import dataclass
+from math import erf, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.geometry import Mesh
+from ohmskin.inverse import Image
+from ohmskin.touch.regions import find_regions
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One place where the skin is touched.
+
+    Args:
+        position: (x, y) in metres.
+        extent: Area where the image exceeds half its peak (m2).
+        strength: Integral of the relative conductivity change over that area (m2); negative where conductivity fell.
+        confidence: Probability that the peak exceeds the detection threshold, given the noise (0 to 1).
+        peak: Largest relative conductivity change (1).
+        id: Stays the same from frame to frame while the contact lasts; -1 before tracking.
+    """
+
+    position: tuple[float, float]
+    extent: float
+    strength: float
+    confidence: float
+    peak: float
+    id: int = -1
+
+
+@dataclass(frozen=True)
+class ContactFinder:
+    """Finds contacts in images.
+
+    Args:
+        threshold: Smallest peak of a contact, relative conductivity change (gamma_0).
+        fraction: Smallest peak of a contact as a share of the strongest; keeps the side lobes of a strong one out.
+        dip: Depth of the saddle, as a share of the lower peak, beyond which two peaks are two contacts.
+        falls: Whether places where conductivity falls count as contacts, too.
+    """
+
+    threshold: float
+    fraction: float = 0.3
+    dip: float = 0.2
+    falls: bool = False
+
+    def find(self, image: Image, mesh: Mesh) -> list[Contact]:
+        """The contacts of an image on `mesh`, strongest peak first."""
+        signed = [(1, image.values), (-1, -image.values)] if self.falls else [(1, image.values)]
+        largest = max(float(values.max()) for _, values in signed)
+        cut = max(self.threshold, self.fraction * largest)
+        contacts = []
+        for sign, values in signed:
+            for region in find_regions(values, mesh, cut, self.dip):
+                core = region.elements[values[region.elements] > region.peak / 2]
+                mass = values[core] * mesh.areas[core]
+                x, y = mass @ mesh.centroids[core][:, :2] / mass.sum()
+                std = float(image.noise_std(region.peak_element)[0])
+                contacts.append(
+                    Contact(
+                        position=(float(x), float(y)),
+                        extent=float(mesh.areas[core].sum()),
+                        strength=sign * float(mass.sum()),
+                        confidence=0.5 * (1 + erf((region.peak - self.threshold) / (sqrt(2) * max(std, 1e-300)))),
+                        peak=sign * region.peak,
+                    )
+                )
+        return sorted(contacts, key=lambda contact: -abs(contact.peak))
+
+
+def learn_threshold(peaks: ArrayLike, margin: float = 6.0) -> float:
+    """gamma_0 of eq. (6) from the highest value of each quiet image: their mean and `margin` standard deviations."""
+    peaks = np.asarray(peaks, float)
+    return float(peaks.mean() + margin * peaks.std())

@@ -1,0 +1,208 @@
+"""The loop's side of the live page: newest frame out, commands in, never a wait."""
+
+import ipaddress
+import json
+import logging
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.view.wire import ViewError, check_setup, pack_frame, to_json, write_message
+
+log = logging.getLogger(__name__)
+
+_START_TIMEOUT = 30.0
+_STOP_TIMEOUT = 3.0
+_MOST_PENDING = 1000
+
+
+class LiveView:
+    """A page in the browser that shows the newest frame and lets its reader press a virtual skin.
+
+    A process of its own serves the page, so that no browser can slow the loop. That process asks for one frame at a time
+    (a credit) when a browser is ready to draw; frames published without a credit are dropped.
+
+    Args:
+        setup: What there is to show: skin, raster, modes, device (docs/live-page.md).
+        host: Address to listen on. Other machines can reach the page only through an address that is not loopback, and
+            such an address needs a token.
+        port: Port to listen on, or the next free one of 20 beyond it; 0 lets the system choose.
+        token: If given, the page and its socket answer only to `?token=...`, which `url` contains.
+
+    Attributes:
+        url: Where the page is.
+        port: The port that it listens on.
+        port_was_taken: Whether `port` is not the one that was asked for.
+
+    Raises:
+        ViewError: If the setup is malformed, no port is free, or the host is not loopback and there is no token.
+    """
+
+    def __init__(
+        self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
+    ) -> None:  # fmt: skip
+        if not 0 <= port <= 65535:
+            raise ViewError(f"port {port}; choose 1 to 65535, or 0 for any free port")
+        if token is not None and not (token.isascii() and token.isprintable() and 8 <= len(token) <= 256):
+            raise ViewError("the token must be 8 to 256 printable ASCII characters, such as secrets.token_urlsafe() gives")
+        if token is None and not _is_loopback(host):
+            raise ViewError(
+                f"host {host!r} can be reached from other machines, which could then press and switch this skin; "
+                "give a token, or stay with 127.0.0.1 and forward the port (ssh -L 8000:127.0.0.1:8000 robot)"
+            )
+        setup = check_setup(setup)
+        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
+        self._credits = 0
+        self._pending: list[dict[str, Any]] = []
+        self._lock = threading.Lock()  # guards _credits and _pending, held for microseconds only
+        self._outbox: queue.SimpleQueue[tuple[bytes, bytes] | None] = queue.SimpleQueue()
+        self._started = threading.Event()
+        self._greeting: dict[str, Any] = {}
+        self._closing = False
+        # A plain subprocess, unlike a spawned multiprocessing one, does not import the caller's script again, and in a
+        # session of its own it does not see the terminal's Ctrl-C.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "ohmskin.view.server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._threads = [
+            threading.Thread(target=self._write, args=(self._process.stdin,), name="ohmskin-view-out", daemon=True),
+            threading.Thread(target=self._read, args=(self._process.stdout,), name="ohmskin-view-in", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+        self._outbox.put((b"C", to_json({"host": host, "port": port, "token": token, "setup": setup}).encode()))
+        self._started.wait(_START_TIMEOUT)
+        if "port" not in self._greeting:
+            self.close()
+            why = self._greeting.get("failed", f"its process ended or gave no answer (exit code {self._process.returncode})")
+            raise ViewError(f"the live page cannot start: {why}")
+        self.port: int = self._greeting["port"]
+        self.port_was_taken = port not in (0, self.port)
+        shown = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+        self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/" + (f"?token={token}" if token else "")
+
+    def wants_frame(self) -> bool:
+        """Whether a browser waits for a frame."""
+        return self._credits > 0
+
+    def publish(self, header: Mapping[str, Any], base: NDArray, image: NDArray) -> None:
+        """Show a frame if a browser is ready for one, else drop it; never waits.
+
+        Args:
+            header: Contacts, pairs, presses, health and state of this frame (docs/live-page.md).
+            base: Image of the base scan (ny, nx) in the setup's unit, row 0 at the bottom, NaN off the skin.
+            image: Image of the whole scan (ny, nx), likewise.
+
+        Raises:
+            ViewError: If an image does not have the raster's shape.
+        """
+        with self._lock:
+            if self._credits == 0 or self._closing:
+                return
+            self._credits -= 1
+        base, image = np.asarray(base), np.asarray(image)
+        if base.shape != self._shape or image.shape != self._shape:
+            raise ViewError(f"images of shapes {base.shape} and {image.shape}; the setup's raster has (ny, nx) = {self._shape}")
+        self._outbox.put((b"F", pack_frame(header, base, image)))
+
+    def announce(self, setup: Mapping[str, Any]) -> None:
+        """Tell all browsers, now and later, that skin, raster or modes have changed.
+
+        Raises:
+            ViewError: If the setup is malformed.
+        """
+        setup = check_setup(setup)
+        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
+        self._outbox.put((b"S", to_json(setup).encode()))
+
+    def commands(self) -> list[dict[str, Any]]:
+        """What browsers asked for since the last call, checked, oldest first; never waits.
+
+        A press that was moved several times in between appears once, where it is now. Its id names browser and press.
+        """
+        with self._lock:
+            commands, self._pending = self._pending, []
+        return commands
+
+    def close(self) -> None:
+        """End the page's process; safe to call twice."""
+        with self._lock:
+            if self._closing:
+                return
+            self._closing = True
+            self._credits = 0
+        self._outbox.put(None)
+        try:
+            self._process.wait(_STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        for thread in self._threads:
+            thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _write(self, stream: IO[bytes]) -> None:
+        with suppress(OSError), stream:  # OSError: the page's process has gone, which the reading thread reports
+            while message := self._outbox.get():
+                write_message(stream, *message)
+
+    def _read(self, stream: IO[bytes]) -> None:
+        with stream:
+            for line in stream:
+                self._take(json.loads(line))
+        with self._lock:
+            self._credits = 0
+        if self._started.is_set() and not self._closing:
+            log.error("the process of the live page has ended (exit code %s); the loop goes on without it", self._process.wait())
+        self._started.set()
+        self._outbox.put(None)
+
+    def _take(self, message: dict[str, Any]) -> None:
+        with self._lock:
+            if "credit" in message:
+                self._credits = 1
+            elif "command" in message:
+                _enqueue(self._pending, message["command"])
+            else:
+                self._greeting = message
+                self._started.set()
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _enqueue(pending: list[dict[str, Any]], command: dict[str, Any]) -> None:
+    """Append a command; a press that only moved takes the place of where it was, so that a busy loop finds a short list."""
+    if command["type"] == "press":
+        for place in range(len(pending) - 1, -1, -1):
+            if pending[place]["type"] == "lift_all" or pending[place].get("id") == command["id"]:
+                if pending[place]["type"] == "press":
+                    pending[place] = command
+                    return
+                break
+    if len(pending) < _MOST_PENDING or command["type"] in ("lift", "lift_all"):
+        pending.append(command)

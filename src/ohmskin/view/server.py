@@ -1,0 +1,332 @@
+"""The page's own process: serves the page, passes frames to browsers and their commands to the loop.
+
+It reads messages from standard input and writes one JSON object per line to standard output (the other side is
+`ohmskin.view.live`), and it ends when its standard input does, be it that the loop closed it or that the loop died.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import json
+import mimetypes
+import os
+import re
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any, BinaryIO
+from urllib.parse import parse_qs
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from ohmskin.view.wire import LARGEST_COMMAND, CommandError, read_command, read_message, to_json
+
+_STATIC = Path(__file__).parent / "static"
+_PORTS = 21
+_MOST_PRESSES = 32
+_HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-cache",
+}
+
+
+class Browser:
+    """One open page: what it was sent, whether it is ready for more, which presses it holds."""
+
+    def __init__(self, name: str, channel: WebSocket) -> None:
+        self.name = name
+        self.channel = channel
+        self.wake = asyncio.Event()
+        self.setup_due = True
+        self.awaited: int | None = None  # sequence of the frame that it is drawing
+        self.seen = 0
+        self.held: set[str] = set()
+        self.refusals: list[str] = []
+
+
+class Page:
+    """Passes the newest frame to each browser that is ready for one, and their commands to `tell`."""
+
+    def __init__(self, setup: dict[str, Any], tell: Callable[[dict[str, Any]], None]) -> None:
+        self._setup = setup
+        self._tell = tell
+        self._browsers: list[Browser] = []
+        self._frame = b""
+        self._sequence = 0
+        self._arrived = 0  # frames so far; a browser that has seen fewer has something to draw
+        self._asked = False
+        self._names = 0
+
+    def take(self, kind: bytes, payload: bytes) -> None:
+        """A message of the loop: a new setup or a frame."""
+        if kind == b"S":
+            self._setup = json.loads(payload)
+            self._frame = b""  # it may not fit the new raster
+            for browser in self._browsers:
+                browser.setup_due = True
+                browser.wake.set()
+            return
+        self._asked = False
+        self._frame = payload
+        length = int.from_bytes(payload[:4], "little")
+        self._sequence = json.loads(payload[4 : 4 + length]).get("sequence", 0)
+        self._arrived += 1
+        for browser in self._browsers:
+            browser.wake.set()
+
+    async def converse(self, channel: WebSocket) -> None:
+        """One browser, from its connection to its end."""
+        await channel.accept()
+        self._names += 1
+        browser = Browser(f"b{self._names}", channel)
+        self._browsers.append(browser)
+        browser.wake.set()
+        feeding = asyncio.create_task(self._feed(browser))
+        try:
+            while True:
+                message = await channel.receive()
+                if message["type"] == "websocket.disconnect":
+                    break
+                self._hear(browser, message.get("text"))
+        finally:
+            feeding.cancel()
+            self._browsers.remove(browser)
+            for press in sorted(browser.held):
+                self._tell({"command": {"type": "lift", "id": press}})
+
+    async def _feed(self, browser: Browser) -> None:
+        # The only place that sends: a browser that does not read holds up nothing but this task.
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            while True:
+                await browser.wake.wait()
+                browser.wake.clear()
+                if browser.setup_due:
+                    browser.setup_due = False
+                    await browser.channel.send_text(to_json(self._setup | {"type": "setup", "client": browser.name}))
+                while browser.refusals:
+                    await browser.channel.send_text(to_json({"type": "refused", "message": browser.refusals.pop(0)}))
+                if browser.awaited is None and browser.seen < self._arrived and self._frame:
+                    browser.seen, browser.awaited = self._arrived, self._sequence
+                    await browser.channel.send_bytes(self._frame)
+                self._ask()
+
+    def _ask(self) -> None:
+        waiting = any(b.awaited is None and b.seen == self._arrived or not self._frame for b in self._browsers)
+        if waiting and not self._asked:
+            self._asked = True
+            self._tell({"credit": 1})
+
+    def _hear(self, browser: Browser, text: str | None) -> None:
+        try:
+            if text is None:
+                raise CommandError("commands are text, not binary")
+            command = read_command(text, self._setup)
+            if command["type"] == "ack":
+                if command["sequence"] == browser.awaited:
+                    browser.awaited = None
+                    browser.wake.set()
+                return
+            self._note_press(browser, command)
+        except CommandError as refusal:
+            if len(browser.refusals) < 8:
+                browser.refusals.append(str(refusal))
+            browser.wake.set()
+            return
+        self._tell({"command": command})
+
+    def _note_press(self, browser: Browser, command: dict[str, Any]) -> None:
+        if command["type"] == "lift_all":
+            for other in self._browsers:
+                other.held.clear()
+        if "id" not in command:
+            return
+        command["id"] = f"{browser.name}:{command['id']}"
+        if command["type"] == "lift":
+            browser.held.discard(command["id"])
+        elif command["id"] not in browser.held and len(browser.held) >= _MOST_PRESSES:
+            raise CommandError(f"at most {_MOST_PRESSES} presses at once")
+        else:
+            browser.held.add(command["id"])
+
+
+class Guard:
+    """Lets in only who may see the page: the right Host, the same Origin, the token if there is one.
+
+    A page of another site can make the reader's browser send requests here, also by pointing its own name at 127.0.0.1 (DNS
+    rebinding), but it cannot choose the Host and Origin that the browser writes.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, token: str | None) -> None:
+        self._app = app
+        self._token = token
+        # Behind a wildcard address the machine has names that nobody here knows; there the token, always required, guards.
+        self._names = None if host in ("", "0.0.0.0", "::") else {"127.0.0.1", "localhost", "::1", host.lower()}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            return
+        if why := self._refusal(scope):
+            await (_refuse_http if scope["type"] == "http" else _refuse_websocket)(why, scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+    def _refusal(self, scope: Scope) -> str:
+        headers = Headers(scope=scope)
+        host = headers.get("host", "").lower()
+        name = re.fullmatch(r"(?:\[([0-9a-f:.]+)\]|([^\[\]:/@]+))(?::\d{1,5})?", host)
+        if not name or (self._names is not None and (name[1] or name[2]) not in self._names):
+            return "This page is served under other names. Use the address that was printed when it started."
+        origin = headers.get("origin")
+        if scope["type"] == "websocket" and origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}"):
+            return "Only the page itself may open this socket."
+        if self._token is not None and scope["path"] in ("/", "/socket"):
+            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+            if not hmac.compare_digest(given.encode(), self._token.encode()):
+                return "A token is needed. Use the whole address that was printed when the page started."
+        return ""
+
+
+async def _refuse_http(why: str, scope: Scope, receive: Receive, send: Send) -> None:
+    await PlainTextResponse(why + "\n", status_code=403, headers=_HEADERS)(scope, receive, send)
+
+
+async def _refuse_websocket(why: str, scope: Scope, receive: Receive, send: Send) -> None:
+    await receive()
+    await send({"type": "websocket.close", "code": 1008, "reason": why})  # before accept, the server answers 403
+
+
+class Server(uvicorn.Server):
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield  # Ctrl-C is the loop's: it closes this process through standard input
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens on `port` or the next free one.
+
+    Raises:
+        OSError: If the host has no address here or no port is free.
+    """
+    family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", None, type=socket.SOCK_STREAM)[0]
+    for candidate in [port] if port == 0 else range(port, min(port + _PORTS, 65536)):
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        if os.name == "posix":  # elsewhere this option lets two programs share a port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((address[0], candidate))
+            listener.listen(64)
+            return listener
+        except PermissionError as refused:
+            listener.close()
+            raise OSError(f"port {candidate} may not be used ({refused.strerror}); choose one above 1023") from refused
+        except OSError as taken:
+            listener.close()
+            reason = taken
+            if taken.errno not in _TAKEN:
+                break
+    raise OSError(f"cannot listen on {host} port {port} or the {_PORTS - 1} after it: {reason.strerror}")
+
+
+_TAKEN = {48, 98, 10048}  # EADDRINUSE of BSD, Linux and Windows
+
+
+def build_app(page: Page, host: str, token: str | None) -> ASGIApp:
+    """The page, its files and its socket behind the guard."""
+
+    async def index(request: Request) -> FileResponse:
+        return FileResponse(_STATIC / "index.html")
+
+    mimetypes.add_type("text/javascript", ".js")  # some systems' tables say otherwise, and browsers insist
+    routes = [
+        Route("/", index),
+        WebSocketRoute("/socket", page.converse),
+        Mount("/static", StaticFiles(directory=_STATIC)),
+    ]
+    return Guard(Starlette(routes=routes), host, token)
+
+
+async def serve(settings: dict[str, Any], inbox: BinaryIO, tell: Callable[[dict[str, Any]], None]) -> None:
+    """Serve until the inbox ends."""
+    listener = listen(settings["host"], settings["port"])
+    page = Page(settings["setup"], tell)
+    server = Server(
+        uvicorn.Config(
+            build_app(page, settings["host"], settings["token"]),
+            log_level="warning",
+            access_log=False,
+            lifespan="off",
+            loop="asyncio",
+            http="h11",
+            proxy_headers=False,
+            server_header=False,
+            ws_max_size=LARGEST_COMMAND,
+            ws_per_message_deflate=False,  # costs more time than it saves on images of floats
+            timeout_graceful_shutdown=1,
+        )
+    )
+    loop = asyncio.get_running_loop()
+
+    def listen_to_loop() -> None:
+        with contextlib.suppress(RuntimeError):  # the event loop has ended first
+            while message := read_message(inbox):
+                loop.call_soon_threadsafe(page.take, *message)
+            loop.call_soon_threadsafe(setattr, server, "should_exit", True)
+
+    threading.Thread(target=listen_to_loop, daemon=True).start()
+    tell({"port": listener.getsockname()[1]})
+    await server.serve(sockets=[listener])
+
+
+def main() -> None:
+    """Run the page's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Standard output carries messages, so that whatever a library prints must go elsewhere.
+    outbox = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+
+    def tell(message: dict[str, Any]) -> None:
+        with contextlib.suppress(OSError):  # the loop has gone; standard input ends next
+            outbox.write(to_json(message).encode() + b"\n")
+            outbox.flush()
+
+    first = read_message(sys.stdin.buffer)
+    if first is None:
+        return
+    try:
+        asyncio.run(serve(json.loads(first[1]), sys.stdin.buffer, tell))
+    except OSError as error:
+        tell({"failed": str(error)})
+    finally:
+        # The reading thread may be blocked in standard input, whose lock interpreter shutdown would wait for.
+        with contextlib.suppress(OSError):
+            outbox.close()
+        sys.stderr.flush()
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""The messages of the live page (docs/live-page.md): how a frame is packed, what a browser may ask for."""
+
+import json
+import math
+import re
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.errors import OhmskinError
+
+LARGEST_COMMAND = 4096
+"""Bytes a browser may send in one message."""
+
+_IDENTIFIER = re.compile(r"[A-Za-z0-9_-]{1,32}")
+_PREFIX = struct.Struct("<cI")
+_LENGTH = struct.Struct("<I")
+
+
+class ViewError(OhmskinError):
+    """The live page cannot be served or was given something that it cannot show."""
+
+
+class CommandError(ValueError):
+    """A browser sent something that is not a command of this page."""
+
+
+# --- the pipe between the loop and the page's process -------------------------------------------------------------------
+
+
+def write_message(stream: BinaryIO, kind: bytes, payload: bytes) -> None:
+    """Write one message: its kind (one byte), its length, its bytes."""
+    stream.write(_PREFIX.pack(kind, len(payload)) + payload)
+    stream.flush()
+
+
+def read_message(stream: BinaryIO) -> tuple[bytes, bytes] | None:
+    """The kind and bytes of the next message; None once the other side has gone."""
+    prefix = stream.read(_PREFIX.size)
+    if len(prefix) < _PREFIX.size:
+        return None
+    kind, length = _PREFIX.unpack(prefix)
+    payload = stream.read(length)
+    return (kind, payload) if len(payload) == length else None
+
+
+# --- to the browser -----------------------------------------------------------------------------------------------------
+
+
+def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of `setup` with its type and every part that page and server rely on.
+
+    Raises:
+        ViewError: If a part is missing or cannot be written as JSON.
+    """
+    try:
+        kind = setup["skin"]["domain"]["kind"]
+        _box(setup)
+        for mode in setup["modes"]:
+            mode["name"], mode["title"], mode["available"]
+        for electrode in setup["skin"]["electrodes"]:
+            electrode["x"], electrode["y"]
+        if setup["press"] is not None:
+            for name in ("radius", "pressure"):
+                low, high, usual = setup["press"][name]
+                if not low <= usual <= high:
+                    raise ViewError(f"setup press {name} is {setup['press'][name]}; need [least, largest, usual]")
+        for name in ("x0", "y0", "pitch", "nx", "ny"):
+            setup["raster"][name]
+        plain = json.loads(to_json({"type": "setup", "unit": "mS", **setup}))
+    except (KeyError, TypeError, ValueError) as wrong:
+        raise ViewError(f"the setup of the live page is incomplete or malformed ({wrong!r}); docs/live-page.md lists it") from wrong
+    if kind not in ("rectangle", "disc"):
+        raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle' and 'disc'")
+    return dict(plain)
+
+
+def pack_frame(header: Mapping[str, Any], base: NDArray, image: NDArray) -> bytes:
+    """One frame as the browser gets it: header length, JSON header, base and image (ny, nx) as float32, little-endian."""
+    text = to_json(header).encode()
+    text += b" " * (-len(text) % 4)  # the browser maps the arrays in place, which needs multiples of 4
+    return b"".join([_LENGTH.pack(len(text)), text, base.astype("<f4").tobytes(), image.astype("<f4").tobytes()])
+
+
+def to_json(value: object) -> str:
+    """Strict JSON: NumPy values become plain ones, numbers that are not finite become null."""
+    try:
+        return json.dumps(value, separators=(",", ":"), allow_nan=False, default=_plain)
+    except ValueError:  # rare (a latency before the first frame), so that finite messages are not walked through
+        return json.dumps(_finite(value), separators=(",", ":"), allow_nan=False)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# --- from the browser ---------------------------------------------------------------------------------------------------
+
+
+def read_command(text: str, setup: Mapping[str, Any]) -> dict[str, Any]:
+    """The command that a browser sent, checked field by field against `setup`.
+
+    Raises:
+        CommandError: If it is not JSON, not a command of this page, or out of range.
+    """
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        raise CommandError("not JSON") from None
+    if not isinstance(message, dict):
+        raise CommandError("not a JSON object")
+    kind = message.get("type")
+    fields = _COMMANDS.get(kind) if isinstance(kind, str) else None
+    if fields is None:
+        raise CommandError(f"type must be one of {', '.join(_COMMANDS)}")
+    if set(message) != {"type", *fields}:
+        raise CommandError(f"{kind} needs exactly these fields: {', '.join(fields) or 'none'}")
+    return {"type": kind} | {name: check(name, message[name], setup) for name, check in fields.items()}
+
+
+def _identifier(name: str, value: object, setup: Mapping[str, Any]) -> str:
+    if not (isinstance(value, str) and _IDENTIFIER.fullmatch(value)):
+        raise CommandError(f"{name} must be 1 to 32 letters, digits, '-' or '_'")
+    return value
+
+
+def _flag(name: str, value: object, setup: Mapping[str, Any]) -> bool:
+    if not isinstance(value, bool):
+        raise CommandError(f"{name} must be true or false")
+    return value
+
+
+def _count(name: str, value: object, setup: Mapping[str, Any]) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**53:
+        raise CommandError(f"{name} must be an integer from 0 to 2^53 - 1")
+    return value
+
+
+def _mode(name: str, value: object, setup: Mapping[str, Any]) -> str:
+    choices = [str(mode["name"]) for mode in setup["modes"] if mode["available"]]
+    if not isinstance(value, str) or value not in choices:
+        raise CommandError(f"{name} must be one of {', '.join(choices)}")
+    return value
+
+
+def _place(name: str, value: object, setup: Mapping[str, Any]) -> float:
+    x_min, y_min, x_max, y_max = _box(setup)
+    return _within(name, value, *((x_min, x_max) if name == "x" else (y_min, y_max)))
+
+
+def _press_setting(name: str, value: object, setup: Mapping[str, Any]) -> float:
+    if setup["press"] is None:
+        raise CommandError("this device is not virtual; press it with a finger")
+    low, high, _ = setup["press"][name]
+    return _within(name, value, low, high)
+
+
+def _within(name: str, value: object, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CommandError(f"{name} must be a number")
+    slack = 1e-9 * max(abs(low), abs(high))  # a slider's end is not exactly the number that was sent to it
+    if not low - slack <= value <= high + slack:  # also false for NaN
+        raise CommandError(f"{name} must be from {low:g} to {high:g}")
+    return min(max(float(value), low), high)
+
+
+def _box(setup: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    domain = setup["skin"]["domain"]
+    if domain["kind"] == "disc":
+        return (-domain["radius"], -domain["radius"], domain["radius"], domain["radius"])
+    return (0.0, 0.0, domain["width"], domain["height"])
+
+
+_COMMANDS: dict[str, dict[str, Callable[[str, object, Mapping[str, Any]], object]]] = {
+    "press": {"id": _identifier, "x": _place, "y": _place, "radius": _press_setting, "pressure": _press_setting},
+    "lift": {"id": _identifier},
+    "lift_all": {},
+    "mode": {"mode": _mode},
+    "calibrate": {},
+    "pause": {"paused": _flag},
+    "demo": {"on": _flag},
+    "ack": {"sequence": _count},
+}
