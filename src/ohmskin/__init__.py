@@ -1,1 +1,103 @@
+"""ohmskin: a sense of touch from a handful of electrodes.
+
+    import ohmskin as ohm
+
+    skin = ohm.Skin.load("paper")
+    with ohm.Engine(lambda: ohm.connect("virtual:", skin=skin), skin) as engine:
+        engine.calibrate()
+        for touch in engine.touches():
+            for contact in touch.contacts:
+                print(contact)
+
+Parts are imported when they are first used, so that ``import ohmskin`` is quick.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Baseline": "scan",
+    "Contact": "touch",
+    "ContactFinder": "touch",
+    "Device": "device",
+    "Disc": "geometry",
+    "DrivePattern": "scan",
+    "Electrodes": "geometry",
+    "Engine": "engine",
+    "Frame": "scan",
+    "GaussNewton": "inverse",
+    "Image": "inverse",
+    "Mesh": "geometry",
+    "OhmskinError": "errors",
+    "Perception": "engine",
+    "Raster": "geometry",
+    "Rectangle": "geometry",
+    "Skin": "skin",
+    "Touch": "engine",
+    "Tracker": "touch",
+    "TransferModel": "forward",
+    "VirtualSkin": "skin",
+    "adjacent": "scan",
+    "connect": "device",
+    "mesh_domain": "geometry",
+    "modes": "drive",
+    "opposite": "scan",
+    "read_recording": "record",
+    "skip": "scan",
+}
+
+if TYPE_CHECKING:
+    from ohmskin.device import Device, connect
+    from ohmskin.drive import modes
+    from ohmskin.engine import Engine, Perception, Touch
+    from ohmskin.errors import OhmskinError
+    from ohmskin.forward import TransferModel
+    from ohmskin.geometry import Disc, Electrodes, Mesh, Raster, Rectangle, mesh_domain
+    from ohmskin.inverse import GaussNewton, Image
+    from ohmskin.record import read_recording
+    from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent, opposite, skip
+    from ohmskin.skin import Skin, VirtualSkin
+    from ohmskin.touch import Contact, ContactFinder, Tracker
+
+__all__ = [
+    "Baseline",
+    "Contact",
+    "ContactFinder",
+    "Device",
+    "Disc",
+    "DrivePattern",
+    "Electrodes",
+    "Engine",
+    "Frame",
+    "GaussNewton",
+    "Image",
+    "Mesh",
+    "OhmskinError",
+    "Perception",
+    "Raster",
+    "Rectangle",
+    "Skin",
+    "Touch",
+    "Tracker",
+    "TransferModel",
+    "VirtualSkin",
+    "adjacent",
+    "connect",
+    "mesh_domain",
+    "modes",
+    "opposite",
+    "read_recording",
+    "skip",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ohmskin' has no attribute {name!r}")
+    return getattr(import_module(f"ohmskin.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -36,7 +36,7 @@ class Baseline:
     Dividing by the measured current makes data of a voltage source comparable between touched and untouched.
 
     Args:
-        keys: (n,) sorted codes of the (source, sink, plus, minus) quadruples.
+        keys: (n,) sorted codes of the (source, sink, plus, minus) quadruples, electrodes of a pair in rising order.
         resistances: (n,) mean transfer resistances (ohm).
         noise: Standard deviation of a single voltage (V).
         frames: The number of quiet frames behind it.
@@ -70,8 +70,9 @@ class Baseline:
             known = np.isfinite(volts).sum(axis=0)
             with np.errstate(invalid="ignore", divide="ignore"):
                 mean = np.nansum(volts * currents, axis=0) / np.nansum(np.where(np.isnan(volts), np.nan, currents**2), axis=0)
-            keys.append(_codes(pattern))
-            means.append(mean)
+            codes, signs = _codes(pattern.quadruples)
+            keys.append(codes)
+            means.append(signs * mean)
             squares += float(np.nansum((volts - mean * currents) ** 2))
             freedom += int(np.maximum(known - 1, 0).sum())
         key, first = np.unique(np.concatenate(keys), return_index=True)
@@ -90,14 +91,14 @@ class Baseline:
         Raises:
             PatternError: If one of its measurements was never seen while the skin was quiet.
         """
-        codes = _codes(pattern)
+        codes, signs = _codes(pattern.quadruples)
         at = np.minimum(np.searchsorted(self.keys, codes), len(self.keys) - 1)
         if len(missing := np.flatnonzero(self.keys[at] != codes)):
             raise PatternError(
                 f"no quiet reference for source, sink, plus, minus = {pattern.quadruples[missing[0]].tolist()}; "
                 "calibrate with this pattern included"
             )
-        return self.resistances[at]
+        return signs * self.resistances[at]
 
     def difference(self, frame: Frame) -> Difference:
         """The change of a frame's voltages against the untouched skin at the same currents."""
@@ -111,27 +112,24 @@ class Baseline:
         Raises:
             DataError: If no measurement of the frame has its reciprocal in it.
         """
-        a, b, c, d = frame.pattern.quadruples.T
+        quadruples = frame.pattern.quadruples
         current = frame.currents[frame.pattern.measurements[:, 0]]
-        value = dict(zip(_codes(frame.pattern).tolist(), frame.voltages / current, strict=True))
-        errors = []
-        for swapped, sign in (((c, d, a, b), 1), ((d, c, a, b), -1)):
-            codes = _code(np.column_stack(swapped))
-            errors += [
-                (v / i - sign * value[code]) * i
-                for v, i, code in zip(frame.voltages, current, codes.tolist(), strict=True)
-                if code in value
-            ]
-        finite = np.array(errors)[np.isfinite(errors)]
+        codes, signs = _codes(quadruples)
+        mirrored, mirrored_signs = _codes(quadruples[:, [2, 3, 0, 1]])
+        order = np.argsort(codes)
+        at = np.minimum(np.searchsorted(codes[order], mirrored), len(codes) - 1)
+        partner = order[at]
+        paired = codes[partner] == mirrored
+        resistance = signs * frame.voltages / current
+        errors = (resistance[partner] - mirrored_signs * frame.voltages / current)[paired] * current[paired]
+        finite = errors[np.isfinite(errors)]
         if len(finite) < 4:
             raise DataError("the noise cannot be told from one quiet frame without reciprocal measurements; record at least two")
         return float(np.sqrt(np.mean(finite**2) / 2))
 
 
-def _code(quadruples: Ints) -> Ints:
-    codes: Ints = quadruples @ _SHIFT
-    return codes
-
-
-def _codes(pattern: DrivePattern) -> Ints:
-    return _code(pattern.quadruples)
+def _codes(quadruples: Ints) -> tuple[Ints, Ints]:
+    """One number for each measurement whatever the direction of its two pairs, and the sign that the direction gives it."""
+    a, b, c, d = quadruples.T
+    forward = np.column_stack([np.minimum(a, b), np.maximum(a, b), np.minimum(c, d), np.maximum(c, d)])
+    return forward @ _SHIFT, np.where((a < b) == (c < d), 1, -1)

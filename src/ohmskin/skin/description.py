@@ -96,7 +96,7 @@ class Converter:
 
 @dataclass(frozen=True)
 class Imaging:
-    """How images and contacts are made of the measurements."""
+    """How images and contacts are made of the measurements; see `GaussNewton`, `Mode` and `ContactFinder`."""
 
     mesh_size: float = _number(5.5e-3, 1e-6, 10, "m")
     amplitude: float = _number(0.1, 1e-9, 1e9)
@@ -104,6 +104,8 @@ class Imaging:
     pairs: int = _number(16, 1, 32640)
     fuse: bool = True
     falls: bool = False
+    fraction: float = _number(0.3, 0, 1)
+    dip: float = _number(0.2, 0, 1)
 
 
 @dataclass(frozen=True)

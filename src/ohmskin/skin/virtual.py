@@ -43,7 +43,7 @@ class VirtualSkin:
             SkinError: If the place is off the sheet, or radius or pressure are out of range.
         """
         press = Press((x, y), radius, pressure)
-        if self.skin.domain.depth([press.position])[0] < 0:
+        if pressure > 0 and self.skin.domain.depth([press.position])[0] < 0:
             raise SkinError(f"press at ({x:.4g}, {y:.4g}) m is off the sheet; its bounds are {self.skin.domain.bounds} m")
         if pressure > 0:
             self._presses[number] = press

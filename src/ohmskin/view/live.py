@@ -47,9 +47,7 @@ class LiveView:
         ViewError: If the setup is malformed, no port is free, or the host is not loopback and there is no token.
     """
 
-    def __init__(
-        self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None) -> None:
         if not 0 <= port <= 65535:
             raise ViewError(f"port {port}; choose 1 to 65535, or 0 for any free port")
         if token is not None and not (token.isascii() and token.isprintable() and 8 <= len(token) <= 256):
@@ -111,13 +109,13 @@ class LiveView:
         Raises:
             ViewError: If an image does not have the raster's shape.
         """
-        with self._lock:
-            if self._credits == 0 or self._closing:
-                return
-            self._credits -= 1
+        if self._credits == 0:
+            return
         base, image = np.asarray(base), np.asarray(image)
         if base.shape != self._shape or image.shape != self._shape:
             raise ViewError(f"images of shapes {base.shape} and {image.shape}; the setup's raster has (ny, nx) = {self._shape}")
+        with self._lock:
+            self._credits = 0
         self._outbox.put((b"F", pack_frame(header, base, image)))
 
     def announce(self, setup: Mapping[str, Any]) -> None:
@@ -172,7 +170,7 @@ class LiveView:
                 self._take(json.loads(line))
         with self._lock:
             self._credits = 0
-        if self._started.is_set() and not self._closing:
+        if "port" in self._greeting and not self._closing:
             log.error("the process of the live page has ended (exit code %s); the loop goes on without it", self._process.wait())
         self._started.set()
         self._outbox.put(None)

@@ -17,7 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 from urllib.parse import parse_qs
 
 import uvicorn
@@ -129,7 +129,7 @@ class Page:
                 self._ask()
 
     def _ask(self) -> None:
-        waiting = any(b.awaited is None and b.seen == self._arrived or not self._frame for b in self._browsers)
+        waiting = any(b.awaited is None and (b.seen == self._arrived or not self._frame) for b in self._browsers)
         if waiting and not self._asked:
             self._asked = True
             self._tell({"credit": 1})
@@ -269,7 +269,7 @@ def build_app(page: Page, host: str, token: str | None) -> ASGIApp:
     return Guard(Starlette(routes=routes), host, token)
 
 
-async def serve(settings: dict[str, Any], inbox: BinaryIO, tell: Callable[[dict[str, Any]], None]) -> None:
+async def serve(settings: dict[str, Any], inbox: IO[bytes], tell: Callable[[dict[str, Any]], None]) -> None:
     """Serve until the inbox ends."""
     listener = listen(settings["host"], settings["port"])
     page = Page(settings["setup"], tell)
@@ -313,19 +313,14 @@ def main() -> None:
             outbox.write(to_json(message).encode() + b"\n")
             outbox.flush()
 
-    first = read_message(sys.stdin.buffer)
+    inbox = os.fdopen(os.dup(sys.stdin.fileno()), "rb")
+    first = read_message(inbox)
     if first is None:
         return
     try:
-        asyncio.run(serve(json.loads(first[1]), sys.stdin.buffer, tell))
+        asyncio.run(serve(json.loads(first[1]), inbox, tell))
     except OSError as error:
         tell({"failed": str(error)})
-    finally:
-        # The reading thread may be blocked in standard input, whose lock interpreter shutdown would wait for.
-        with contextlib.suppress(OSError):
-            outbox.close()
-        sys.stderr.flush()
-        os._exit(0)
 
 
 if __name__ == "__main__":

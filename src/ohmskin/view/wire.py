@@ -5,7 +5,7 @@ import math
 import re
 import struct
 from collections.abc import Callable, Mapping
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +31,13 @@ class CommandError(ValueError):
 # --- the pipe between the loop and the page's process -------------------------------------------------------------------
 
 
-def write_message(stream: BinaryIO, kind: bytes, payload: bytes) -> None:
+def write_message(stream: IO[bytes], kind: bytes, payload: bytes) -> None:
     """Write one message: its kind (one byte), its length, its bytes."""
     stream.write(_PREFIX.pack(kind, len(payload)) + payload)
     stream.flush()
 
 
-def read_message(stream: BinaryIO) -> tuple[bytes, bytes] | None:
+def read_message(stream: IO[bytes]) -> tuple[bytes, bytes] | None:
     """The kind and bytes of the next message; None once the other side has gone."""
     prefix = stream.read(_PREFIX.size)
     if len(prefix) < _PREFIX.size:
@@ -59,23 +59,29 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
     try:
         kind = setup["skin"]["domain"]["kind"]
         _box(setup)
+        _require(setup, "version", "skin", "device")
+        _require(setup["skin"], "name")
+        _require(setup["raster"], "x0", "y0", "pitch", "nx", "ny")
         for mode in setup["modes"]:
-            mode["name"], mode["title"], mode["available"]
+            _require(mode, "name", "title", "available")
         for electrode in setup["skin"]["electrodes"]:
-            electrode["x"], electrode["y"]
+            _require(electrode, "x", "y")
         if setup["press"] is not None:
             for name in ("radius", "pressure"):
                 low, high, usual = setup["press"][name]
                 if not low <= usual <= high:
                     raise ViewError(f"setup press {name} is {setup['press'][name]}; need [least, largest, usual]")
-        for name in ("x0", "y0", "pitch", "nx", "ny"):
-            setup["raster"][name]
         plain = json.loads(to_json({"type": "setup", "unit": "mS", **setup}))
     except (KeyError, TypeError, ValueError) as wrong:
         raise ViewError(f"the setup of the live page is incomplete or malformed ({wrong!r}); docs/live-page.md lists it") from wrong
     if kind not in ("rectangle", "disc"):
         raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle' and 'disc'")
     return dict(plain)
+
+
+def _require(part: Mapping[str, Any], *names: str) -> None:
+    if missing := [name for name in names if name not in part]:
+        raise KeyError(f"without {', '.join(missing)}")
 
 
 def pack_frame(header: Mapping[str, Any], base: NDArray, image: NDArray) -> bytes:

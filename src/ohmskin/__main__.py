@@ -1,0 +1,5 @@
+"""``python -m ohmskin``."""
+
+from ohmskin.cli import main
+
+main()

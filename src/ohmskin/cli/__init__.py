@@ -1,0 +1,44 @@
+"""The command line: one command per module, imported when it is called."""
+
+import os
+import sys
+
+# Small dense solves are slower with several BLAS threads than with one, and they would take the virtual skin's core.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from cyclopts import App
+
+import ohmskin
+from ohmskin.errors import OhmskinError
+
+app = App(
+    name="ohmskin",
+    help="A sense of touch from a handful of electrodes. Start with: `ohmskin live`",
+    version=ohmskin.__version__,
+    result_action="return_value",
+)
+for _name, _help in {
+    "live": "Sense touches, live in the browser or on the terminal.",
+    "serve-skin": "Serve a virtual skin over TCP and a pseudo-terminal.",
+    "press": "Press a virtual skin.",
+    "scan": "Scan a device once and print what it measured.",
+    "image": "Make a picture of a recording.",
+    "info": "Show versions, skins, drivers and serial ports.",
+}.items():
+    _module = _name.replace("-", "_")
+    app.command(f"ohmskin.cli.{_module}:{_module}", name=_name, help=_help)
+
+
+def main() -> None:
+    """Run the command line. A mistake of the user gets one line on stderr and exit status 2."""
+    try:
+        app()
+    except OhmskinError as error:
+        print(f"ohmskin: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:  # the reader of our output, `head` say, has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)

@@ -1,0 +1,188 @@
+"""``ohmskin live``: the whole loop, in the browser or on the terminal."""
+
+import gc
+import json as json_module
+import os
+import signal
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+
+from ohmskin.cli.options import open_skin
+from ohmskin.device import Device
+from ohmskin.engine import Engine, Touch
+from ohmskin.errors import OhmskinError
+from ohmskin.view.session import Session
+
+_ROWS_PER_SECOND = 5
+
+
+def live(
+    *,
+    device: str = "virtual:",
+    skin: str = "",
+    mode: str = "",
+    host: str = "127.0.0.1",
+    port: int = 8000,
+    token: str = "",
+    demo: bool = True,
+    browser: bool = True,
+    headless: bool = False,
+    json: bool = False,
+    seconds: float | None = None,
+) -> None:
+    """Sense touches, live: a page in the browser, or contacts on the terminal.
+
+    Example: `ohmskin live`, or without a browser `ohmskin live --headless --seconds 10`
+
+    Parameters
+    ----------
+    device
+        Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.
+    skin
+        A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
+    mode
+        Drive mode, such as 12B, 16I or 16O; the skin's best unless given.
+    host
+        Address to serve the page at; one that others can reach needs a token.
+    port
+        Port of the page; if it is taken, the next free one.
+    token
+        Password, a part of the page's address.
+    demo
+        Let a demonstration finger wander over a virtual skin until somebody presses.
+    browser
+        Open the page in a browser if there is a display.
+    headless
+        No page: contacts as a table on the terminal.
+    json
+        No page: a line of JSON for every frame.
+    seconds
+        End after so many seconds.
+    """
+    if seconds is not None and not seconds > 0:
+        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
+    stop = _Stop()
+    say = _say if not json else lambda _: None
+    opened, description = open_skin(device, skin)
+    first: list[Device] = [opened]
+
+    def open_device() -> Device:
+        return first.pop() if first else open_skin(device, skin)[0]
+
+    with Engine(open_device, description, mode, report=say) as engine:
+        if headless or json:
+            say("calibrating: keep the skin untouched")
+            engine.calibrate()
+            _run(engine.step, stop, seconds, _print_json if json else _Table())
+            return
+        with Session(engine, device, host, port, token or None, demo) as session:
+            if session.view.port_was_taken:
+                say(f"port {port} is in use; taking the next free one")
+            say(f"open {session.view.url}   (Ctrl-C ends)")
+            if (address := getattr(opened, "address", "")) and address:
+                say(f"press from another terminal: ohmskin press 50 120 --device {address}")
+            if browser and _has_display():
+                webbrowser.open(session.view.url)
+            say("calibrating: keep the skin untouched")
+            session.calibrate()
+            _run(session.step, stop, seconds, _Arrivals())
+
+
+class _Stop:
+    """True once Ctrl-C or SIGTERM has come."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, *_: object) -> None:
+        if self._asked:  # asked twice: leave at once
+            raise KeyboardInterrupt
+        self._asked = True
+
+    def __bool__(self) -> bool:
+        return self._asked
+
+
+def _run(step: Callable[[], Touch | None], stop: _Stop, seconds: float | None, show: Callable[[Touch], None]) -> None:
+    gc.collect()
+    gc.freeze()  # a full collection of what was set up would stop the loop for many frames
+    end = float("inf") if seconds is None else time.monotonic() + seconds
+    while not stop and time.monotonic() < end:
+        if touch := step():
+            show(touch)
+
+
+class _Arrivals:
+    """A line for every contact that comes."""
+
+    def __init__(self) -> None:
+        self._newest = 0
+
+    def __call__(self, touch: Touch) -> None:
+        for contact in touch.contacts:
+            if contact.id > self._newest:
+                self._newest = contact.id
+                x, y = contact.position
+                _say(f"contact {contact.id} at ({x * 1e3:.0f}, {y * 1e3:.0f}) mm, {contact.extent * 1e4:.1f} cm2")
+
+
+class _Table:
+    """A row per contact, a few times a second; a row of dashes while nothing is touched."""
+
+    def __init__(self) -> None:
+        self._due = 0.0
+        print("    time  frames/s  latency  id    x/mm    y/mm  extent/cm2  strength/cm2  confidence")
+
+    def __call__(self, touch: Touch) -> None:
+        if touch.time < self._due:
+            return
+        self._due = max(self._due + 1 / _ROWS_PER_SECOND, touch.time)
+        health = touch.health
+        start = f"{time.strftime('%H:%M:%S')}  {health.rate:8.0f}  {health.latency_p50 * 1e3:4.1f} ms"
+        for c in touch.contacts:
+            x, y = c.position
+            print(
+                f"{start}  {c.id:2d}  {x * 1e3:6.1f}  {y * 1e3:6.1f}  {c.extent * 1e4:10.1f}  {c.strength * 1e4:12.2f}  {c.confidence:10.3f}"
+            )
+        if not touch.contacts:
+            print(f"{start}   -       -       -           -             -           -")
+        sys.stdout.flush()
+
+
+def _print_json(touch: Touch) -> None:
+    health = touch.health
+    line = {
+        "sequence": touch.sequence,
+        "time": touch.time,
+        "mode": touch.mode.name,
+        "contacts": [
+            {
+                "id": c.id,
+                "position": c.position,
+                "extent": c.extent,
+                "strength": c.strength,
+                "confidence": c.confidence,
+                "peak": c.peak,
+            }
+            for c in touch.contacts
+        ],
+        "rate": health.rate,
+        "latency_p50": health.latency_p50,
+        "latency_p99": health.latency_p99,
+        "dropped": health.dropped,
+        "noise": health.noise,
+        "waiting": health.waiting,
+    }
+    print(json_module.dumps(line), flush=True)
+
+
+def _say(message: str) -> None:
+    print(message, flush=True)
+
+
+def _has_display() -> bool:
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

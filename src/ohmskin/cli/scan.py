@@ -1,0 +1,51 @@
+"""``ohmskin scan``: one frame, as it comes from the device."""
+
+import json as json_module
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ohmskin.cli.options import open_skin
+from ohmskin.errors import PatternError
+
+
+def scan(*, device: str = "virtual:", skin: str = "", mode: str = "", json: bool = False) -> None:
+    """Scan a device once with the base pattern of a mode and print what it measured.
+
+    Example: `ohmskin scan --device tcp://127.0.0.1:7155 --mode 12B`
+
+    Parameters
+    ----------
+    device
+        Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.
+    skin
+        A skin that ships with ohmskin or a .toml file.
+    mode
+        Drive mode, such as 12B; the skin's best unless given.
+    json
+        Print JSON instead of a table.
+    """
+    opened, description = open_skin(device, skin)
+    with opened:
+        modes = description.modes
+        if mode and mode not in modes:
+            raise PatternError(f"mode {mode!r} is not possible with this skin; choose from {', '.join(modes)}")
+        pattern = opened.reference[0].pattern if opened.reference else modes[mode or list(modes)[-1]].base
+        frame = opened.scan(pattern)
+    rows = np.column_stack([pattern.quadruples, frame.currents[pattern.measurements[:, 0]], frame.voltages])
+    if json:
+        data: dict[str, Any] = {
+            "device": device,
+            "injections": pattern.injections.tolist(),
+            "measurements": pattern.measurements.tolist(),
+            "currents": frame.currents.tolist(),
+            "voltages": [value if np.isfinite(value) else None for value in frame.voltages.tolist()],
+        }
+        print(json_module.dumps(data))
+        return
+    table = Table("source", "sink", "plus", "minus", "current / mA", "voltage / mV", box=None)
+    for row in rows:
+        table.add_row(*(str(int(number)) for number in row[:4]), f"{row[4] * 1e3:.4f}", f"{row[5] * 1e3:.3f}")
+    Console().print(table)

@@ -1,0 +1,55 @@
+"""``ohmskin serve-skin``: the virtual device."""
+
+import signal
+import sys
+import threading
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from ohmskin.device.server import DeviceServer
+from ohmskin.device.virtual import VirtualInstrument
+from ohmskin.skin import Skin
+
+
+def serve_skin(
+    *,
+    skin: str = "paper",
+    host: str = "127.0.0.1",
+    port: int = 7155,
+    pty: bool = False,
+    seed: int | None = None,
+    realtime: bool = True,
+    lifeline: Annotated[bool, Parameter(show=False)] = False,
+) -> None:
+    """Serve a virtual skin: the physics twin behind the wire protocol.
+
+    Example: `ohmskin serve-skin --pty`, then `ohmskin live --device tcp://127.0.0.1:7155`
+
+    Parameters
+    ----------
+    skin
+        A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
+    host
+        Address to listen at.
+    port
+        TCP port; 0 takes a free one.
+    pty
+        Also serve on a pseudo-terminal, like a board on a serial port.
+    seed
+        Seed of the noise, to make it repeatable.
+    realtime
+        Take as long for a scan as the instrument would.
+    lifeline
+        End when standard input ends.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with DeviceServer(VirtualInstrument(Skin.load(skin), seed, realtime), host=host, port=port, pty=pty) as server:
+        print(f"virtual skin {skin!r} at {server.url}", flush=True)
+        if server.pty_path:
+            print(f"and at serial://{server.pty_path}", flush=True)
+        if lifeline:
+            threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+        stop.wait()

@@ -1,0 +1,21 @@
+"""Devices: what they can do, how to reach them, and how to serve one."""
+
+from ohmskin.device.capabilities import Capabilities, Feature
+from ohmskin.device.driver import Device
+from ohmskin.device.instrument import Instrument
+from ohmskin.device.link import Link
+from ohmskin.device.press import Press
+from ohmskin.device.registry import connect, drivers
+from ohmskin.device.server import DeviceServer
+
+__all__ = [
+    "Capabilities",
+    "Device",
+    "DeviceServer",
+    "Feature",
+    "Instrument",
+    "Link",
+    "Press",
+    "connect",
+    "drivers",
+]

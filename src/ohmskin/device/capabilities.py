@@ -1,0 +1,101 @@
+"""What a device says about itself."""
+
+import math
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+
+from ohmskin.device.layout import MAX_PACKET
+from ohmskin.errors import PatternError, ProtocolError
+from ohmskin.scan import DrivePattern
+
+
+class Feature(IntFlag):
+    """What a device can do beside scanning."""
+
+    VIRTUAL = 1  # simulated: touches can be put on it with `press`
+    CURRENT_MEASURED = 2  # the currents of a frame are measured, not nominal
+    VOLTAGE_SOURCE = 4  # it drives volts; otherwise amperes
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a device is and how much it takes at once.
+
+    Args:
+        name: Name of the device, at most 32 bytes of UTF-8.
+        n_electrodes: Number of electrodes.
+        max_injections: Most injections in one pattern.
+        max_measurements: Most measurements in one pattern.
+        pattern_slots: Patterns it remembers at once.
+        features: What it can do beside scanning.
+        excitation: Driving amplitude (V with Feature.VOLTAGE_SOURCE, otherwise A).
+        full_scale: Largest voltage it can measure (V).
+        settle_time: Waiting time after each change of injection (s).
+        conversion_time: Time of one voltage measurement (s).
+        serial: Unique number of this device.
+        firmware: Version of its software.
+        boot: A number that changes whenever it starts.
+
+    Raises:
+        ProtocolError: If a number is out of range.
+    """
+
+    name: str
+    n_electrodes: int
+    max_injections: int
+    max_measurements: int
+    pattern_slots: int = 4
+    features: Feature = Feature(0)  # noqa: RUF009  an enum does not change
+    excitation: float = 0.0
+    full_scale: float = 0.0
+    settle_time: float = 0.0
+    conversion_time: float = 0.0
+    serial: int = 0
+    firmware: tuple[int, int, int] = (0, 0, 0)
+    boot: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.name.encode()) > 32:
+            raise ProtocolError(f"device name {self.name!r} has {len(self.name.encode())} bytes; at most 32")
+        counts = (
+            ("n_electrodes", 2, 65535),
+            ("max_injections", 1, 65535),
+            ("max_measurements", 1, 65535),
+            ("pattern_slots", 1, 255),
+        )
+        for name, low, high in counts:
+            if not low <= (count := getattr(self, name)) <= high:
+                raise ProtocolError(f"{name} is {count}; it must be {low}..{high}")
+        for name in ("excitation", "full_scale", "settle_time", "conversion_time"):
+            if not (math.isfinite(value := getattr(self, name)) and value >= 0):
+                raise ProtocolError(f"{name} is {value}; it must be finite and not negative")
+        largest = 4 * self.max_injections + 6 * self.max_measurements
+        if largest > MAX_PACKET - 512:  # leaves room for header, checksum and byte stuffing
+            raise ProtocolError(f"max_injections and max_measurements make {largest} bytes; one packet holds {MAX_PACKET - 512}")
+
+    @property
+    def virtual(self) -> bool:
+        """Whether touches can be put on it with `press`."""
+        return Feature.VIRTUAL in self.features
+
+    def scan_time(self, pattern: DrivePattern) -> float:
+        """How long a scan of `pattern` takes the device (s)."""
+        return pattern.n_inj * self.settle_time + pattern.n_meas * self.conversion_time
+
+    def check(self, pattern: DrivePattern) -> None:
+        """Raise PatternError unless the device can drive `pattern` in one scan."""
+        try:
+            pattern.check(self.n_electrodes)
+        except PatternError as error:
+            raise PatternError(f"{error} on device {self.name!r}; is this the skin the pattern was made for?") from error
+        if pattern.n_inj <= self.max_injections and pattern.n_meas <= self.max_measurements:
+            return
+        per_injection = int(np.bincount(pattern.measurements[:, 0]).max())
+        fits = min(self.max_injections, self.max_measurements // per_injection)
+        advice = f"scan the pieces of pattern.split({fits})" if fits else "measure fewer voltages of each injection"
+        raise PatternError(
+            f"the pattern has {pattern.n_inj} injections and {pattern.n_meas} measurements; device {self.name!r} takes "
+            f"{self.max_injections} and {self.max_measurements} at a time; {advice}"
+        )

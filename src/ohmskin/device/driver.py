@@ -1,0 +1,110 @@
+"""What every device can do, whatever carries it."""
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self, final
+
+from ohmskin.device.capabilities import Capabilities
+from ohmskin.device.press import Press
+from ohmskin.errors import DeviceError, DeviceRefused
+from ohmskin.scan import DrivePattern, Frame
+
+
+class Device(ABC):
+    """A skin that can be scanned. Safe to use from several threads; a context manager.
+
+    A driver fills `_scan`, `_press` and `_close`; limits, timeout and locking are settled here.
+
+    Args:
+        url: The address it was opened with.
+        capabilities: What it is and how much it takes at once.
+    """
+
+    reference: Sequence[Frame] = ()  # quiet frames that come with it, so that nobody need wait for new ones
+    default_skin: str = "paper"  # the skin it most probably has
+
+    def __init__(self, url: str, capabilities: Capabilities) -> None:
+        self.url = url
+        self.capabilities = capabilities
+        self._lock = threading.Lock()
+        self._closed = False
+
+    @property
+    def dropped(self) -> int:
+        """Frames lost on the way and asked for again."""
+        return 0
+
+    @final
+    def scan(self, pattern: DrivePattern, timeout: float | None = None) -> Frame:
+        """Drive `pattern` once and measure.
+
+        Args:
+            pattern: Within the device's capabilities; larger ones are scanned piece by piece, see `DrivePattern.split`.
+            timeout: Longest time to wait (s); by default 2 s and four times what the device says it needs.
+
+        Raises:
+            PatternError: If the pattern names an electrode that is not there or is too large.
+            DeviceLost: If no frame comes in time.
+            DeviceRefused: If the device says no.
+        """
+        limit = 2.0 + 4 * self.capabilities.scan_time(pattern) if timeout is None else timeout
+        if not limit > 0:
+            raise DeviceError(f"timeout is {timeout} s; it must be positive, or None")
+        with self._lock:
+            self._check_open()
+            self.capabilities.check(pattern)
+            return self._scan(pattern, limit)
+
+    @final
+    def press(self, name: int, at: tuple[float, float], radius: float, pressure: float) -> None:
+        """Touch a virtual skin, move a touch, or lift it.
+
+        Args:
+            name: Which touch, 0..65535, among those of this connection.
+            at: Place (x, y) on the sheet (m).
+            radius: Radius (m).
+            pressure: Pressure (Pa); 0 lifts it.
+
+        Raises:
+            DeviceRefused: If a value is out of range or the skin is a real one.
+        """
+        press = Press(name, *at, radius, pressure)
+        if not self.capabilities.virtual:
+            raise DeviceRefused(f"device {self.capabilities.name!r} is not virtual; press it with a finger")
+        with self._lock:
+            self._check_open()
+            self._press(press)
+
+    @final
+    def close(self) -> None:
+        """Let go of the device. Safe twice."""
+        with self._lock:
+            if not self._closed:
+                self._closed = True
+                self._close()
+
+    @final
+    def __enter__(self) -> Self:
+        return self
+
+    @final
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise DeviceError(f"device {self.url} is closed; connect again")
+
+    @abstractmethod
+    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
+        """One frame of a pattern that the device can take."""
+
+    @abstractmethod
+    def _press(self, press: Press) -> None:
+        """Put, move or lift a touch."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go; called once."""

@@ -1,0 +1,62 @@
+"""What a server serves, and how several hosts share it."""
+
+import threading
+from typing import Protocol
+
+from ohmskin.device.capabilities import Capabilities
+from ohmskin.device.press import Press
+from ohmskin.errors import DeviceRefused
+from ohmskin.scan import DrivePattern, Frame
+
+_MOST_PRESSES = 64
+
+
+class Instrument(Protocol):
+    """Something that scans. One thread at a time calls it."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it is and how much it takes at once."""
+
+    def scan(self, pattern: DrivePattern) -> Frame:
+        """Drive `pattern` once; may block for the time of the acquisition."""
+
+    def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
+        """Put touch `number` at (x, y) (m) with a radius (m) and a pressure (Pa); 0 lifts it. Virtual instruments only."""
+
+
+class SharedInstrument:
+    """An instrument that several hosts use, one at a time. Each of them numbers its presses for itself."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        self.capabilities = instrument.capabilities
+        self._instrument = instrument
+        self._lock = threading.Lock()
+        self._numbers: dict[tuple[object, int], int] = {}  # (host, its number) -> the instrument's number
+
+    def scan(self, pattern: DrivePattern) -> Frame:
+        with self._lock:
+            return self._instrument.scan(pattern)
+
+    def press(self, host: object, press: Press) -> None:
+        """Put, move or lift a touch of a host.
+
+        Raises:
+            DeviceRefused: If too many touches are down.
+        """
+        with self._lock:
+            key = (host, press.number)
+            if key not in self._numbers:
+                if press.pressure == 0:
+                    return
+                if len(self._numbers) >= _MOST_PRESSES:
+                    raise DeviceRefused(f"{_MOST_PRESSES} presses are down, which is the most; lift one first")
+                self._numbers[key] = min(set(range(_MOST_PRESSES)).difference(self._numbers.values()))
+            number = self._numbers.pop(key) if press.pressure == 0 else self._numbers[key]
+            self._instrument.press(number, press.x, press.y, press.radius, press.pressure)
+
+    def lift(self, host: object) -> None:
+        """Lift every touch of a host."""
+        with self._lock:
+            for key in [key for key in self._numbers if key[0] is host]:
+                self._instrument.press(self._numbers.pop(key), 0.0, 0.0, 1e-3, 0.0)

@@ -1,0 +1,168 @@
+"""The messages of the wire protocol as values."""
+
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.device.capabilities import Capabilities, Feature
+from ohmskin.device.layout import Kind
+from ohmskin.device.press import Press
+from ohmskin.errors import ProtocolError
+from ohmskin.scan import DrivePattern, Frame, FrameFlag
+
+
+class ErrorCode(IntEnum):
+    """Why a device said no."""
+
+    WRONG_VERSION = 1  # the request is of another protocol version; the header of the reply tells the device's own
+    UNKNOWN_KIND = 2  # no such request
+    BAD_REQUEST = 3  # the payload is malformed or out of range
+    BAD_PATTERN = 4  # an electrode that is not there, or source and sink the same
+    TOO_LARGE = 5  # more injections, measurements, slots or presses than the device takes
+    UNKNOWN_SLOT = 6  # no pattern in this slot: the device was reset
+    DIGEST_MISMATCH = 7  # another pattern in this slot: the device was reset
+    NOT_SUPPORTED = 8  # this device cannot do that
+    BUSY = 9  # ask again in a moment
+    FAILED = 10  # the instrument failed
+
+
+@dataclass(frozen=True)
+class Hello:
+    """Begins a session: the device forgets the patterns and lifts the presses of the earlier one."""
+
+
+@dataclass(frozen=True)
+class SetPattern:
+    """Puts a drive pattern into a slot of the device."""
+
+    slot: int
+    pattern: DrivePattern
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Drives the pattern in `slot`, if its digest is the one given."""
+
+    slot: int
+    digest: int
+
+
+@dataclass(frozen=True)
+class Ack:
+    """Done. `value` is the digest of the pattern as the device computed it, 0 for a press."""
+
+    value: int = 0
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The device said no. `code` may be one that this host does not know."""
+
+    code: int
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class FrameData:
+    """A frame as it travels: the pattern driven is known by its digest only.
+
+    Args:
+        digest: CRC-32 of the pattern that was really driven.
+        number: Number of the frame.
+        time: Time of the last sample on the device's clock (us).
+        flags: FrameFlag bits.
+        currents: (n_inj,) amperes.
+        voltages: (n_meas,) volts; NaN not measured, +-inf clipped.
+    """
+
+    digest: int
+    number: int
+    time: int
+    flags: int
+    currents: NDArray[np.float32]
+    voltages: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, frame: Frame) -> Self:
+        with np.errstate(over="ignore"):  # a voltage beyond f32 arrives as inf: clipped
+            currents, voltages = frame.currents.astype(np.float32), frame.voltages.astype(np.float32)
+        microseconds = max(0, round(frame.time * 1e6))
+        return cls(frame.pattern.digest, frame.sequence & 0xFFFFFFFF, microseconds, int(frame.flags), currents, voltages)
+
+    def frame(self, pattern: DrivePattern) -> Frame:
+        """The frame, given the pattern it was asked for.
+
+        Raises:
+            ProtocolError: If the device drove another pattern.
+        """
+        told = (self.digest, len(self.currents), len(self.voltages))
+        asked = (pattern.digest, pattern.n_inj, pattern.n_meas)
+        if told != asked:
+            raise ProtocolError(
+                f"the device drove a pattern with digest, injections, measurements = {told}; asked for {asked}. "
+                "Its firmware must refuse such a scan; update it"
+            )
+        flags = FrameFlag(self.flags)
+        return Frame(pattern, self.voltages.astype(float), self.currents.astype(float), self.time * 1e-6, self.number, flags)
+
+
+Message = Hello | SetPattern | Scan | Press | Capabilities | Ack | FrameData | Refusal
+
+_KINDS: dict[type, Kind] = {
+    Hello: Kind.HELLO,
+    SetPattern: Kind.PATTERN,
+    Scan: Kind.SCAN,
+    Press: Kind.PRESS,
+    Capabilities: Kind.CAPABILITIES,
+    Ack: Kind.ACK,
+    FrameData: Kind.FRAME,
+    Refusal: Kind.ERROR,
+}
+_TYPES = {kind: message for message, kind in _KINDS.items()}
+_FIRMWARE = ("firmware_major", "firmware_minor", "firmware_patch")
+
+
+def kind_of(message: Message) -> Kind:
+    """The number of this kind of message."""
+    return _KINDS[type(message)]
+
+
+def to_fields(message: Message) -> dict[str, Any]:
+    """The fields of `layout.LAYOUTS` that carry a message."""
+    match message:
+        case SetPattern(slot, pattern):
+            return {
+                "slot": slot,
+                "n_inj": pattern.n_inj,
+                "n_meas": pattern.n_meas,
+                "injections": pattern.injections,
+                "measurements": pattern.measurements,
+            }
+        case FrameData():
+            return {**vars(message), "n_inj": len(message.currents), "n_meas": len(message.voltages)}
+        case Capabilities():
+            return {**asdict(message), **dict(zip(_FIRMWARE, message.firmware, strict=True))}
+        case _:
+            return vars(message)
+
+
+def from_fields(kind: Kind, fields: dict[str, Any]) -> Message:
+    """The message that the fields of `layout.LAYOUTS` carry.
+
+    Raises:
+        PatternError, ProtocolError, DeviceRefused: If they make no valid message.
+    """
+    match kind:
+        case Kind.PATTERN:
+            return SetPattern(fields["slot"], DrivePattern(fields["injections"], fields["measurements"]))
+        case Kind.FRAME:
+            return FrameData(**{name: value for name, value in fields.items() if name not in ("n_inj", "n_meas")})
+        case Kind.CAPABILITIES:
+            firmware = tuple(fields.pop(name) for name in _FIRMWARE)
+            return Capabilities(**{**fields, "features": Feature(fields["features"]), "firmware": firmware})
+        case _:
+            message: Message = _TYPES[kind](**fields)
+            return message

@@ -1,0 +1,46 @@
+"""Which driver serves which address."""
+
+import inspect
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from ohmskin.device.driver import Device
+from ohmskin.errors import DeviceError
+
+GROUP = "ohmskin.devices"
+DRIVERS = {
+    "replay": "ohmskin.device.replay:ReplayDevice",
+    "serial": "ohmskin.device.wire:WireDevice",
+    "tcp": "ohmskin.device.wire:WireDevice",
+    "virtual": "ohmskin.device.virtual:VirtualDevice",
+}
+
+
+def drivers() -> dict[str, str]:
+    """Scheme and `module:callable` of every driver: our own and those of installed packages (group ohmskin.devices)."""
+    return {**{entry.name: entry.value for entry in entry_points(group=GROUP)}, **DRIVERS}
+
+
+def connect(url: str, **options: Any) -> Device:
+    """Open the device at `url`, e.g. `tcp://127.0.0.1:7155` or `serial:///dev/ttyACM0`.
+
+    Args:
+        url: Scheme and address; the scheme chooses the driver.
+        options: What this driver takes beside the address.
+
+    Raises:
+        DeviceError: If there is no such driver, or it has no such option.
+        DeviceLost: If nothing answers.
+    """
+    scheme, colon, _ = url.partition(":")
+    known = drivers()
+    if not colon or scheme not in known:
+        raise DeviceError(f"no driver for {url!r}; an address begins with one of {', '.join(f'{s}:' for s in sorted(known))}")
+    opener: Callable[..., Device] = EntryPoint(scheme, known[scheme], GROUP).load()
+    parameters = list(inspect.signature(opener).parameters.values())[1:]
+    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        allowed = [parameter.name for parameter in parameters]
+        if unknown := sorted(options.keys() - set(allowed)):
+            raise DeviceError(f"{scheme}: has no option {unknown[0]!r}; it takes {', '.join(allowed) or 'none'}")
+    return opener(url, **options)

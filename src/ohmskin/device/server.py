@@ -1,0 +1,130 @@
+"""Serves an instrument to hosts over TCP and over a pseudo-terminal."""
+
+import errno
+import logging
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from types import TracebackType
+from typing import Self
+
+from ohmskin.device.instrument import Instrument, SharedInstrument
+from ohmskin.device.session import Session
+from ohmskin.device.terminal import PseudoTerminal
+from ohmskin.device.transport import SocketTransport, Transport
+from ohmskin.errors import DeviceError, DeviceLost
+
+_LOG = logging.getLogger(__name__)
+_POLL = 0.2  # s, how soon threads notice that the server closes; replies do not wait for it
+
+
+class DeviceServer:
+    """A device made of software: answers the wire protocol for an instrument.
+
+    Args:
+        instrument: What is scanned. One request at a time reaches it.
+        host: Address to listen on; hosts on other machines reach "0.0.0.0" only. There is no password.
+        port: TCP port; 0 chooses a free one.
+        pty: Whether to offer a pseudo-terminal, too.
+
+    Raises:
+        DeviceError: If the port is in use or the address is not this machine's.
+    """
+
+    def __init__(self, instrument: Instrument, host: str = "127.0.0.1", port: int = 7155, pty: bool = False) -> None:
+        self._instrument = SharedInstrument(instrument)
+        self._listener = _listen(host, port)
+        self._terminal = PseudoTerminal() if pty else None
+        self._stop = threading.Event()
+        self._threads: set[threading.Thread] = set()
+        self.url = f"tcp://{host}:{self._listener.getsockname()[1]}"
+
+    @property
+    def pty_path(self) -> str | None:
+        """The path of the pseudo-terminal, for `serial://` addresses; None if there is none."""
+        return self._terminal.path if self._terminal else None
+
+    def start(self) -> None:
+        """Answer in the background. Connections made before now have waited."""
+        self._spawn(self._accept)
+        if self._terminal:
+            self._spawn(self._serve_terminal, self._terminal)
+
+    def serve_forever(self) -> None:
+        """Answer until `close` is called elsewhere or the user interrupts."""
+        self.start()
+        try:
+            self._stop.wait()
+        except KeyboardInterrupt:
+            _LOG.info("interrupted")
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Hang up on every host, lift their presses and free the port. Safe twice."""
+        self._stop.set()
+        while alive := [thread for thread in self._threads if thread.is_alive()]:  # the accepting one may start another
+            for thread in alive:
+                thread.join()
+        self._listener.close()
+        if self._terminal:
+            self._terminal.close()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _spawn(self, work: Callable[..., None], *args: object) -> None:
+        self._threads = {thread for thread in self._threads if thread.is_alive()}
+        thread = threading.Thread(target=work, args=args, daemon=True, name=f"{self.url} {work.__name__}")
+        self._threads.add(thread)
+        thread.start()
+
+    def _accept(self) -> None:
+        self._listener.settimeout(_POLL)
+        while not self._stop.is_set():
+            try:
+                connected, (host, port, *_) = self._listener.accept()
+            except TimeoutError:
+                continue
+            except OSError as error:  # too many open files, or a host that was gone before it was greeted
+                _LOG.warning("a connection failed: %s", error)
+                self._stop.wait(_POLL)
+                continue
+            self._spawn(self._serve_socket, SocketTransport(connected, f"tcp://{host}:{port}"))
+
+    def _serve_socket(self, transport: SocketTransport) -> None:
+        with closing(transport):
+            self._converse(transport)
+
+    def _serve_terminal(self, terminal: PseudoTerminal) -> None:
+        while not self._stop.is_set():
+            if terminal.wait_for_host(_POLL):
+                self._converse(terminal)
+
+    def _converse(self, line: Transport) -> None:
+        """Answer one host until it hangs up."""
+        session = Session(self._instrument)
+        try:
+            while not self._stop.is_set():
+                if (data := line.read(_POLL)) and (replies := session.feed(data)):
+                    line.write(replies)
+        except DeviceLost as gone:
+            _LOG.info("%s", gone)
+        finally:
+            session.end()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        return socket.create_server((host, port))  # on Unix it reuses the address of a server just closed
+    except (OSError, OverflowError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            raise DeviceError(f"port {port} on {host} is in use; stop the other server, or choose another port (0: any)") from error
+        raise DeviceError(
+            f"cannot listen on {host}:{port}: {error}; use 127.0.0.1 for this machine only, 0.0.0.0 for all"
+        ) from error

@@ -1,0 +1,140 @@
+"""The virtual skin as a device: the physics twin behind the wire protocol, in a process of its own."""
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+from ohmskin.device.capabilities import Capabilities, Feature
+from ohmskin.device.driver import Device
+from ohmskin.device.press import Press
+from ohmskin.device.wire import WireDevice
+from ohmskin.errors import DeviceLost, DeviceRefused, SkinError
+from ohmskin.scan import DrivePattern, Frame
+from ohmskin.skin import Skin, VirtualSkin
+
+
+class VirtualInstrument:
+    """A `VirtualSkin` that takes the time a real instrument takes. What `ohmskin serve-skin` serves.
+
+    Args:
+        skin: What to simulate.
+        seed: Seed of the noise.
+        realtime: Whether a scan takes as long as settling and conversion do; otherwise it returns at once.
+    """
+
+    def __init__(self, skin: Skin, seed: int | None = None, realtime: bool = True) -> None:
+        self._skin = VirtualSkin(skin, seed)
+        self._realtime = realtime
+        source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
+        self.capabilities = Capabilities(
+            name=f"virtual {skin.name}"[:32],
+            n_electrodes=len(skin.electrodes),
+            max_injections=256,
+            max_measurements=4096,
+            pattern_slots=16,
+            features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | source,
+            excitation=skin.excitation.amplitude,
+            full_scale=skin.converter.full_scale,
+            settle_time=skin.converter.settle,
+            conversion_time=skin.converter.conversion,
+            serial=zlib.crc32(skin.dump().encode()),
+            boot=int.from_bytes(os.urandom(4), "little"),
+        )
+
+    def scan(self, pattern: DrivePattern) -> Frame:
+        """Scan, and take the time for it."""
+        started = time.monotonic()
+        frame = self._skin.scan(pattern)
+        if self._realtime and (left := started + self._skin.duration(pattern) - time.monotonic()) > 0:
+            time.sleep(left)
+        return replace(frame, time=time.monotonic())
+
+    def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
+        """Put, move or lift (no pressure) a touch; metres and pascals."""
+        try:
+            self._skin.press(number, x, y, radius, pressure)
+        except SkinError as error:
+            raise DeviceRefused(str(error)) from error
+
+
+class VirtualDevice(Device):
+    """Starts ``ohmskin serve-skin`` and drives it over TCP, as any other device; both end together.
+
+    Args:
+        url: ``virtual:`` and the name or file of a skin; the paper's unless given.
+        skin: The skin itself, instead of its name.
+        seed: Seed of the noise.
+        port: TCP port; a free one unless given.
+        realtime: See `VirtualInstrument`.
+
+    Raises:
+        DeviceLost: If the process does not come up.
+    """
+
+    def __init__(self, url: str, skin: Skin | None = None, seed: int | None = None, port: int = 0, realtime: bool = True) -> None:
+        source = url.partition(":")[2] or "paper"
+        command = [sys.executable, "-m", "ohmskin", "serve-skin", "--port", str(port), "--lifeline"]
+        command += ["--seed", str(seed)] if seed is not None else []
+        command += [] if realtime else ["--no-realtime"]
+        with tempfile.TemporaryDirectory() as folder:
+            if skin is not None:
+                source = str(Path(folder) / "skin.toml")
+                Path(source).write_text(skin.dump(), encoding="utf-8")
+            self._process = subprocess.Popen(
+                [*command, "--skin", source],
+                stdin=subprocess.PIPE,  # its end tells the child that we are gone, however we went
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                start_new_session=True,  # Ctrl-C is ours to handle
+            )
+            try:
+                self._inner = WireDevice(self._address())
+            except BaseException:
+                self._end_process()
+                raise
+        super().__init__(url, self._inner.capabilities)
+
+    @property
+    def address(self) -> str:
+        """Where others reach it, for `ohmskin press`."""
+        return self._inner.url
+
+    @property
+    def dropped(self) -> int:
+        return self._inner.dropped
+
+    def _address(self) -> str:
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        for line in self._process.stdout:
+            if found := re.search(r"tcp://\S+", line):
+                return found[0]
+        self._process.wait(5)
+        raise DeviceLost(f"the virtual skin did not start: {self._process.stderr.read().strip() or 'no reason given'}")
+
+    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
+        return self._inner.scan(pattern, timeout)
+
+    def _press(self, press: Press) -> None:
+        self._inner.press(press.number, (press.x, press.y), press.radius, press.pressure)
+
+    def _close(self) -> None:
+        self._inner.close()
+        self._end_process()
+
+    def _end_process(self) -> None:
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
+        try:
+            self._process.wait(2)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

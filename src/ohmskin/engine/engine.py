@@ -1,0 +1,226 @@
+"""The loop: device, perception, tracking and health, kept going whatever the device does."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+from ohmskin.device import Device
+from ohmskin.drive import Mode
+from ohmskin.engine.health import Health, HealthMonitor
+from ohmskin.engine.perception import Perception, Sight
+from ohmskin.errors import DeviceError, DeviceLost, PatternError
+from ohmskin.scan import DrivePattern, Frame
+from ohmskin.skin import Skin
+from ohmskin.touch import Contact, Tracker, Tracks
+
+_RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
+_QUIET_SCANS = 40  # of each pattern, for the baseline
+
+
+class State(Enum):
+    """What the loop is doing."""
+
+    CALIBRATING = "calibrating"
+    RUNNING = "running"
+    PAUSED = "paused"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What the skin feels now: the outcome of one cycle.
+
+    Args:
+        sequence: Number of the cycle.
+        time: Time of the last sample on the host's monotonic clock (s).
+        mode: The mode it was made in.
+        sight: Frames, images and regions behind it.
+        contacts: Tracked contacts, strongest peak first.
+        health: How the loop is doing.
+    """
+
+    sequence: int
+    time: float
+    mode: Mode
+    sight: Sight
+    contacts: tuple[Contact, ...]
+    health: Health
+
+
+class Engine:
+    """Runs the adaptive loop on any device. Calibrate it, then `step` it or iterate `touches`.
+
+    Args:
+        open_device: Opens the device; called again after it was lost.
+        skin: What the device is.
+        mode: Name of the drive mode; the best one unless given.
+        report: Called with a sentence whenever something worth telling happens.
+
+    Raises:
+        DeviceError: If the device cannot be opened or does not fit the skin.
+        PatternError: If the mode is not possible.
+    """
+
+    def __init__(
+        self, open_device: Callable[[], Device], skin: Skin, mode: str = "", report: Callable[[str], None] = lambda _: None
+    ) -> None:
+        self.skin, self._open_device, self._report = skin, open_device, report
+        self.state, self.message = State.CALIBRATING, ""
+        self.device = self._opened()
+        recorded = self.device.reference
+        self.modes = (
+            {"recorded": Mode("recorded", "the recording's own pattern", recorded[0].pattern)} if recorded else dict(skin.modes)
+        )
+        self.mode = self._named(mode or list(self.modes)[-1])
+        self._sheet = skin.transfer_model()
+        self.perception: Perception | None = None
+        self._tracker, self._tracks = Tracker(), Tracks()
+        self._monitor = HealthMonitor()
+        self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
+
+    def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
+        """Learn the quiet skin: reference data and noise, then gamma_0 of every mode. Nothing may touch it meanwhile.
+
+        Args:
+            progress: Called with the share done, 0 to 1.
+
+        Raises:
+            DeviceLost: If the device goes away. What was learned before is kept.
+        """
+        before, self.state = self.state, State.CALIBRATING
+        try:
+            quiet = list(self.device.reference) or self._quiet_frames(lambda share: progress(0.7 * share))
+            perception = Perception(self.skin, self._sheet, quiet)
+            cycles = 1 if self.device.reference else _QUIET_SCANS
+            for done, mode in enumerate(self.modes.values()):
+                progress(0.7 + 0.3 * done / len(self.modes))
+                quiet_scan = self._scan if not self.device.reference else lambda _: quiet[0]
+                perception.learn_thresholds(mode, quiet_scan, cycles)
+        except DeviceLost as error:
+            self.state = before
+            self._lose(error)
+            raise
+        self.perception, self._tracks = perception, Tracks()
+        self.state = State.RUNNING
+        progress(1.0)
+
+    def step(self) -> Touch | None:
+        """One cycle; None while there is nothing to see (paused, not calibrated, or the device is lost and sought again)."""
+        if self.state is State.LOST:
+            self._seek()
+            return None
+        if self.state is not State.RUNNING or self.perception is None:
+            time.sleep(0.01)
+            return None
+        try:
+            sight = self.perception.see(self.mode, self._scan)
+        except DeviceLost as error:
+            self._lose(error)
+            return None
+        self._tracks, contacts = self._tracker.update(self._tracks, sight.contacts)
+        self._sequence += 1
+        dropped = self._dropped_before + self.device.dropped
+        health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.perception.baseline.noise)
+        return Touch(self._sequence, self._sampled, self.mode, sight, contacts, health)
+
+    def touches(self) -> Iterator[Touch]:
+        """Cycles without end."""
+        while True:
+            if (touch := self.step()) is not None:
+                yield touch
+
+    def set_mode(self, name: str) -> None:
+        """Switch to another drive mode from the next cycle on.
+
+        Raises:
+            PatternError: If it is not possible; the message lists the choices.
+        """
+        self.mode = self._named(name)
+
+    def pause(self, paused: bool) -> None:
+        """Stop scanning, or go on."""
+        if self.state in (State.RUNNING, State.PAUSED):
+            self.state = State.PAUSED if paused else State.RUNNING
+
+    def press(self, number: int, at: tuple[float, float], radius: float, pressure: float) -> None:
+        """Press a virtual skin; see `Device.press`. Does nothing while the device is lost.
+
+        Raises:
+            DeviceRefused: If the device is a real one, or the press is out of range.
+        """
+        if self.state is not State.LOST:
+            try:
+                self.device.press(number, at, radius, pressure)
+            except DeviceLost as error:
+                self._lose(error)
+
+    def close(self) -> None:
+        """Let go of the device. Safe twice."""
+        self.device.close()
+
+    def __enter__(self) -> "Engine":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _named(self, name: str) -> Mode:
+        if name not in self.modes:
+            raise PatternError(f"mode {name!r} is not possible with this skin; choose from {', '.join(self.modes)}")
+        return self.modes[name]
+
+    def _opened(self) -> Device:
+        device = self._open_device()
+        found, expected = device.capabilities.n_electrodes, len(self.skin.electrodes)
+        if found != expected:
+            device.close()
+            raise DeviceError(f"the device has {found} electrodes, skin {self.skin.name!r} has {expected}; choose the skin that fits")
+        return device
+
+    def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:
+        patterns = [mode.base for mode in self.modes.values()]
+        patterns += [mode.optimal.complete for mode in self.modes.values() if mode.optimal]
+        pieces = [piece for pattern in dict.fromkeys(patterns) for piece in pattern.split(self.device.capabilities.max_injections)]
+        frames = []
+        for done in range(_QUIET_SCANS):
+            progress(done / _QUIET_SCANS)
+            frames += [self._scan(piece) for piece in pieces]
+        return frames
+
+    def _scan(self, pattern: DrivePattern) -> Frame:
+        asked = time.monotonic()
+        frame = self.device.scan(pattern)
+        arrived = time.monotonic()
+        self._monitor.waited(arrived - asked)
+        self._sampled = self._monitor.arrived(arrived, frame.time)
+        return frame
+
+    def _lose(self, error: DeviceLost) -> None:
+        self.state, self._retry_at = State.LOST, time.monotonic() + _RETRY_AFTER
+        self._dropped_before += self.device.dropped
+        self.device.close()
+        self._say(f"device lost: {error}; reconnecting")
+
+    def _seek(self) -> None:
+        if (wait := self._retry_at - time.monotonic()) > 0:
+            time.sleep(min(wait, 0.02))
+            return
+        self._retry_at = time.monotonic() + _RETRY_AFTER
+        known = self.device.capabilities.serial
+        try:
+            self.device = self._opened()
+        except DeviceError as error:
+            self.message = f"device lost: {error}; trying again"
+            return
+        self._monitor.reconnected()
+        self.state = State.RUNNING if self.perception else State.CALIBRATING
+        self._say("device is back")
+        self.message = ""
+        if self.device.capabilities.serial != known or self.perception is None:
+            self._say("calibrating, because this is another device than before" if self.perception else "calibrating")
+            self.calibrate()
+
+    def _say(self, message: str) -> None:
+        self.message = message
+        self._report(message)

@@ -1,0 +1,273 @@
+// The live page: takes the newest frame, draws once per screen refresh, tells the server what it has drawn.
+
+import { Range, number } from "./colour.js";
+import { Controls } from "./controls.js";
+import { Field } from "./field.js";
+import { Spark, showContacts, showFigures } from "./figures.js";
+import { Link } from "./link.js";
+import { Frame, bounds, clampTo, drawMap, drawScale, heightFor } from "./map.js";
+import { noticeFor } from "./notice.js";
+import { compose, download } from "./picture.js";
+import { drawSection } from "./section.js";
+import { Surface } from "./surface.js";
+import { Touch } from "./touch.js";
+
+const TEXT_EVERY = 100; // ms between changes of numbers, which nobody reads faster
+const SUMMARY_EVERY = 2000;
+
+const byId = (id) => document.getElementById(id);
+const domainHeight = (width) => (setup ? heightFor(setup.skin.domain, width) : width);
+
+let setup = null;
+let frame = null; // the newest: { header, base, image }
+let acknowledged = true;
+let ready = false;
+let asked = false;
+let everConnected = false;
+let refusal = { text: "", until: 0 };
+let frameTime = performance.now();
+let textTime = 0;
+let summaryTime = 0;
+let section = null; // where the cross-sections run, [x, y]
+let drawnTimes = [];
+const fields = { map: null, base: null };
+const range = new Range();
+const spark = new Spark();
+
+const surfaces = {
+  map: new Surface(byId("map"), requestDraw, domainHeight),
+  base: new Surface(byId("base"), requestDraw, domainHeight),
+  scale: new Surface(byId("scale"), requestDraw),
+  x: new Surface(byId("section-x"), requestDraw),
+  y: new Surface(byId("section-y"), requestDraw),
+  spark: new Surface(byId("spark"), requestDraw),
+};
+
+const touch = new Touch({
+  skin: () => setup?.skin,
+  virtual: () => Boolean(setup?.press),
+  frame: (canvas) => new Frame(setup.skin.domain, canvas.clientWidth, canvas.clientHeight),
+  settings: () => controls.press,
+  send: (command) => link.send(command),
+  changed: requestDraw,
+});
+touch.attach(byId("map"));
+touch.attach(byId("base"));
+
+const controls = new Controls({
+  send: (command) => link.send(command),
+  touch,
+  range,
+  header: () => frame?.header,
+  save,
+  changed: requestDraw,
+});
+
+const link = new Link({
+  onOpen() {
+    everConnected = true;
+    frameTime = performance.now();
+    requestDraw();
+  },
+  onLost() {
+    touch.forget();
+    requestDraw();
+  },
+  onSetup(message) {
+    setup = message;
+    frame = null;
+    section = null;
+    fields.map = new Field(setup.raster);
+    fields.base = new Field(setup.raster);
+    range.restart();
+    controls.showSetup(setup);
+    labelMaps();
+    for (const surface of Object.values(surfaces)) surface.fit();
+    requestDraw();
+  },
+  onFrame(message) {
+    const size = setup ? setup.raster.nx * setup.raster.ny : -1;
+    acknowledged = false;
+    if (message.image.length === size && message.base.length === size) frame = message;
+    frameTime = performance.now();
+    if (frame) spark.add(frame.header.time, frame.header.health?.rate);
+    requestDraw();
+  },
+  onRefused(text) {
+    refusal = { text: `Not done: ${text}.`, until: performance.now() + 4000 };
+    requestDraw();
+  },
+});
+
+function requestDraw() {
+  if (asked) return;
+  asked = true;
+  requestAnimationFrame(draw);
+}
+
+function draw(now) {
+  asked = false;
+  touch.flush();
+  if (setup) drawPicture(now);
+  if (now - textTime > TEXT_EVERY || !ready) showText(now);
+  else setTimeout(requestDraw, TEXT_EVERY); // the last change must not stay unsaid
+  if (frame && !acknowledged) {
+    acknowledged = true;
+    ready = true;
+    drawnTimes.push(now);
+    link.send({ type: "ack", sequence: frame.header.sequence });
+  }
+}
+
+function drawPicture(now) {
+  const theme = document.documentElement.dataset.theme;
+  if (frame) {
+    fields.map.set(frame.image);
+    fields.base.set(frame.base);
+    const [[a, b], [c, d]] = [fields.map.extremes(), fields.base.extremes()];
+    range.follow(Math.min(a, c), Math.max(b, d), frame.header.threshold ?? 0, now);
+    placeSection();
+  }
+  const scene = scenes(theme);
+  surfaces.map.draw((c, w, h) => drawMap(c, w, h, scene.felt));
+  surfaces.base.draw((c, w, h) => drawMap(c, w, h, scene.base));
+  surfaces.scale.draw((c, w, h) => drawScale(c, w, h, scene.scale));
+  if (!frame) return;
+  for (const axis of ["x", "y"]) {
+    surfaces[axis].draw((c, w, h) =>
+      drawSection(c, w, h, { ...scene.scale, skin: setup.skin, felt: fields.map, base: fields.base, at: section, axis }),
+    );
+  }
+  surfaces.spark.draw((c, w, h) => spark.draw(c, w, h, theme));
+}
+
+function scenes(theme) {
+  const header = frame?.header ?? {};
+  const presses = shownPresses(header);
+  const common = { skin: setup.skin, theme, limit: range.limit, presses, section: frame && section };
+  return {
+    felt: {
+      ...common, field: fields.map, pairs: header.injections ?? [], contacts: header.contacts ?? [],
+      cursor: touch.cursors.get(byId("map")),
+    },
+    base: {
+      ...common, field: fields.base, pairs: header.base_injections ?? [], contacts: [],
+      cursor: touch.cursors.get(byId("base")),
+    },
+    scale: { theme, range, unit: setup.unit, threshold: header.threshold ?? 0 },
+  };
+}
+
+// This page's own presses are drawn where the finger is now, not where the loop last saw them.
+function shownPresses(header) {
+  const own = `${setup.client}:`;
+  const others = (header.presses ?? []).filter((press) => !press.id.startsWith(own));
+  return [...others, ...[...touch.presses.values()].map((press) => ({ ...press, own: true }))];
+}
+
+function strongest() {
+  const contacts = frame.header.contacts ?? [];
+  return contacts.reduce((best, next) => (best && Math.abs(best.strength) >= Math.abs(next.strength) ? best : next), null);
+}
+
+function placeSection() {
+  const contact = strongest();
+  const [left, bottom, right, top] = bounds(setup.skin.domain);
+  if (contact) section = clampTo(setup.skin.domain, contact.x, contact.y);
+  else section ??= [(left + right) / 2, (bottom + top) / 2];
+}
+
+function showText(now) {
+  textTime = now;
+  const silence = (now - frameTime) / 1000;
+  if (now > refusal.until) refusal = { text: "", until: 0 };
+  const header = frame?.header;
+  const notice = noticeFor({ connected: link.connected, everConnected, setup, header, silence, refusal: refusal.text });
+  setText("notice", notice.text);
+  byId("notice").dataset.kind = notice.kind;
+  const state = link.connected ? (header?.state ?? "connecting") : everConnected ? "disconnected" : "connecting";
+  setText("state", state);
+  byId("state").dataset.state = state;
+  document.documentElement.dataset.stale = !link.connected || state === "lost";
+  if (!header) return;
+  controls.showHeader(header);
+  controls.showRange(range);
+  showFigures(header);
+  showContacts(header.contacts ?? []);
+  showReadouts();
+  const contact = strongest();
+  setText("section-of", contact ? `through contact ${contact.id}` : "no contact");
+  drawnTimes = drawnTimes.filter((time) => time > now - 1000);
+  setText("drawn", `${drawnTimes.length} drawn/s`);
+  if (now - summaryTime > SUMMARY_EVERY) {
+    summaryTime = now;
+    const count = (header.contacts ?? []).length;
+    setText("summary", count === 0 ? "no contact" : count === 1 ? "1 contact" : `${count} contacts`);
+  }
+}
+
+function showReadouts() {
+  for (const name of ["map", "base"]) {
+    const place = touch.hover.get(byId(name)) ?? touch.cursors.get(byId(name));
+    const value = place && fields[name].values ? fields[name].at(...place) : NaN;
+    const text = Number.isNaN(value)
+      ? ""
+      : `${number(1e3 * place[0], 0)}, ${number(1e3 * place[1], 0)} mm: ${number(value, digitsFor(range.limit))} ${setup.unit}`;
+    setText(`${name}-readout`, text);
+  }
+}
+
+function digitsFor(limit) {
+  return Math.max(0, 2 - Math.floor(Math.log10(limit)));
+}
+
+function setText(id, text) {
+  const place = byId(id);
+  if (place.textContent !== text) place.textContent = text;
+}
+
+function labelMaps() {
+  const keys = setup.press ? " Arrow keys move a cursor, Space presses and lifts, Escape lifts all." : "";
+  byId("map").setAttribute("aria-label", `Map of what the robot feels.${keys}`);
+  byId("base").setAttribute("aria-label", `Map of the base scan.${keys}`);
+}
+
+function save() {
+  if (!frame) return;
+  const theme = document.documentElement.dataset.theme;
+  const { header } = frame;
+  const scene = scenes(theme);
+  const now = new Date();
+  const stamp = new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 19);
+  const canvas = compose({
+    felt: { ...scene.felt, section: null, cursor: null },
+    base: { ...scene.base, section: null, cursor: null },
+    scale: scene.scale,
+    theme,
+    title: `${setup.skin.name}: change of sheet conductivity (${setup.unit})`,
+    caption: `${stamp.replace("T", "  ")}    ${header.mode}, ${controls.title(header.mode)}    frame ${header.sequence}    ohmskin ${setup.version}`,
+  });
+  download(canvas, `ohmskin-${header.mode}-${stamp.replaceAll(/[-:]/g, "").replace("T", "-")}.png`);
+}
+
+setInterval(() => {
+  if (performance.now() - frameTime > 1000) requestDraw(); // so that silence shows
+}, 500);
+document.addEventListener("visibilitychange", () => {
+  frameTime = performance.now(); // a hidden page asks for no frames
+});
+
+Object.defineProperty(window, "ohmskin", {
+  value: Object.freeze({
+    get ready() {
+      return ready && link.connected;
+    },
+    get frame() {
+      return frame?.header ?? null;
+    },
+    get setup() {
+      return setup;
+    },
+  }),
+});
+requestDraw();

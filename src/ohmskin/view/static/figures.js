@@ -1,0 +1,89 @@
+// Numbers, table and sparkline: everything of the page that is text.
+
+import { number } from "./colour.js";
+import { INK } from "./map.js";
+
+const byId = (id) => document.getElementById(id);
+
+function put(id, value, digits, factor = 1) {
+  const text = Number.isFinite(value) ? number(factor * value, digits) : "–";
+  const place = byId(id);
+  if (place.textContent !== text) place.textContent = text;
+}
+
+export function showFigures(header) {
+  const health = header.health ?? {};
+  put("rate", health.rate, 0);
+  put("p50", health.latency_p50, 1, 1e3);
+  put("p99", health.latency_p99, 1, 1e3);
+  put("waiting", health.waiting, 0, 100);
+  put("noise", health.noise, 1, 1e6);
+  put("dropped", health.dropped, 0);
+  put("sequence", header.sequence, 0);
+}
+
+/** Rows of the contact table are kept and refilled, so that nothing flickers and selections survive. */
+export function showContacts(contacts) {
+  const body = byId("contacts").tBodies[0];
+  while (body.rows.length > contacts.length) body.deleteRow(-1);
+  while (body.rows.length < contacts.length) addRow(body);
+  contacts.forEach((contact, i) => {
+    const cells = body.rows[i].cells;
+    const share = Math.min(1, Math.max(0, contact.confidence));
+    const texts = [
+      String(contact.id), number(1e3 * contact.x, 1), number(1e3 * contact.y, 1),
+      number(1e4 * contact.extent, 2), number(1e4 * contact.strength, 2),
+    ];
+    texts.forEach((text, k) => {
+      if (cells[k].textContent !== text) cells[k].textContent = text;
+    });
+    cells[5].firstChild.firstChild.style.width = `${100 * share}%`;
+    cells[5].lastChild.textContent = `${number(100 * share, 0)} %`;
+  });
+  byId("no-contacts").hidden = contacts.length > 0;
+  byId("contact-count").textContent = contacts.length ? String(contacts.length) : "";
+}
+
+function addRow(body) {
+  const row = body.insertRow();
+  for (let k = 0; k < 6; k++) row.insertCell();
+  const track = document.createElement("span");
+  track.className = "track";
+  track.append(document.createElement("span"));
+  const share = document.createElement("span");
+  share.className = "share";
+  row.cells[5].append(track, share);
+}
+
+const SPAN = 60; // seconds that the sparkline shows
+
+export class Spark {
+  constructor() {
+    this._points = [];
+  }
+
+  add(now, value) {
+    if (!Number.isFinite(value)) return;
+    this._points.push([now, value]);
+    while (this._points.length && this._points[0][0] < now - SPAN) this._points.shift();
+  }
+
+  draw(c, width, height, theme) {
+    c.clearRect(0, 0, width, height);
+    if (this._points.length < 2) return;
+    const now = this._points.at(-1)[0];
+    const most = 1.1 * Math.max(...this._points.map(([, v]) => v), 1e-9);
+    const at = ([t, v]) => [width - 2 - ((now - t) / SPAN) * (width - 4), height - 2 - (v / most) * (height - 6)];
+    c.strokeStyle = INK[theme].grid;
+    c.beginPath();
+    c.moveTo(0, height - 1.5);
+    c.lineTo(width, height - 1.5);
+    c.stroke();
+    c.strokeStyle = INK[theme].felt;
+    c.lineWidth = 1.6;
+    c.lineJoin = "round";
+    c.beginPath();
+    this._points.forEach((point, i) => (i ? c.lineTo(...at(point)) : c.moveTo(...at(point))));
+    c.stroke();
+  }
+}

@@ -1,0 +1,25 @@
+// The line under the controls: what the reader must know now, else what they could do. It is always there, so that the
+// page never jumps when it changes.
+
+const HINTS = {
+  virtual: "Press the map with mouse or finger. Shift-click leaves a press in place; drag it, or double-click it away.",
+  real: "Press the skin. This page shows what it feels.",
+};
+
+/** The notice { kind, text } for what is known; the gravest first. */
+export function noticeFor({ connected, everConnected, setup, header, silence, refusal }) {
+  if (!connected) {
+    return everConnected
+      ? { kind: "lost", text: "The page has lost its program: it has ended or the network is down. Reconnecting…" }
+      : { kind: "wait", text: "Connecting…" };
+  }
+  if (!header || !setup) return { kind: "wait", text: "Waiting for the first frame…" };
+  if (header.state === "lost") return { kind: "lost", text: header.message || "The device is lost. Reconnecting…" };
+  if (refusal) return { kind: "warn", text: refusal };
+  if (silence > 3) return { kind: "warn", text: `No new frame for ${Math.floor(silence)} s: the loop is busy or has stopped.` };
+  if (header.state === "calibrating") return { kind: "warn", text: header.message || "Calibrating: keep the skin untouched." };
+  if (header.state === "paused") return { kind: "wait", text: "Paused. The maps show the last frame." };
+  if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
+  if (header.message) return { kind: "warn", text: header.message };
+  return { kind: "hint", text: setup.press ? HINTS.virtual : HINTS.real };
+}

@@ -1,0 +1,54 @@
+// "Save PNG": both maps, the colour bar and a caption, composed for a report.
+
+import { FONT, INK, drawMap, drawScale, heightFor } from "./map.js";
+
+const RESOLUTION = 2; // pixels of the picture per pixel of its layout
+const [LARGE, SMALL, EDGE, HEAD, BAR] = [620, 420, 24, 84, 76];
+
+/** Compose the picture; scenes as for drawMap, scale as for drawScale. Gives a canvas. */
+export function compose({ felt, base, scale, title, caption, theme }) {
+  const ink = INK[theme];
+  const tall = heightFor(felt.skin.domain, LARGE);
+  const [width, height] = [LARGE + BAR + SMALL + 4 * EDGE, HEAD + tall + EDGE];
+  const canvas = document.createElement("canvas");
+  canvas.width = RESOLUTION * width;
+  canvas.height = RESOLUTION * height;
+  const c = canvas.getContext("2d");
+  c.scale(RESOLUTION, RESOLUTION);
+  c.fillStyle = ink.paper;
+  c.fillRect(0, 0, width, height);
+  c.fillStyle = ink.text;
+  c.font = `600 18px ${FONT}`;
+  c.fillText(title, EDGE + 6, 34);
+  c.fillStyle = ink.quiet;
+  c.font = `13px ${FONT}`;
+  c.fillText(caption, EDGE + 6, 56);
+  const part = (x, y, w, h, draw) => {
+    const layer = document.createElement("canvas");
+    layer.width = RESOLUTION * w;
+    layer.height = RESOLUTION * h;
+    const inner = layer.getContext("2d");
+    inner.scale(RESOLUTION, RESOLUTION);
+    draw(inner, w, h);
+    c.drawImage(layer, x, y, w, h);
+  };
+  const right = 3 * EDGE + LARGE + BAR;
+  part(EDGE, HEAD, LARGE, tall, (inner, w, h) => drawMap(inner, w, h, felt));
+  part(2 * EDGE + LARGE, HEAD, BAR, tall, (inner, w, h) => drawScale(inner, w, h, scale));
+  part(right, HEAD + 24, SMALL, heightFor(base.skin.domain, SMALL), (inner, w, h) => drawMap(inner, w, h, base));
+  c.fillStyle = ink.text;
+  c.font = `600 13px ${FONT}`;
+  c.fillText("Base scan", right + 30, HEAD + 16);
+  return canvas;
+}
+
+/** Hand the picture to the reader as a file. */
+export function download(canvas, name) {
+  canvas.toBlob((blob) => {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(blob);
+    link.download = name;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  }, "image/png");
+}
