@@ -44,7 +44,13 @@ def make_setup(domain: dict[str, Any] = SHEET, pixels: int = 64, virtual: bool =
             "domain": domain,
             "electrodes": [{"x": x, "y": y} for x, y in points.tolist()],
         },
-        "raster": {"x0": left + pitch / 2, "y0": (domain.get("radius", 0) and left) + pitch / 2, "pitch": pitch, "nx": pixels, "ny": pixels},
+        "raster": {
+            "x0": left + pitch / 2,
+            "y0": (domain.get("radius", 0) and left) + pitch / 2,
+            "pitch": pitch,
+            "nx": pixels,
+            "ny": pixels,
+        },
         "modes": MODES,
         "device": {"url": "virtual:" if virtual else "tcp://10.0.0.7:7155", "virtual": virtual},
         "unit": "mS",
@@ -113,17 +119,338 @@ class SyntheticLoop:
 
     def _header(self, sequence: int, now: float, points: list[tuple[float, float]]) -> dict[str, Any]:
         contacts = [
-            {"id": k + 1, "x": x, "y": y, "extent": 9e-4 * (1 - 0.2 * k), "strength": 1.8e-4 * (1 - 0.2 * k), "confidence": 0.94 - 0.17 * k, "peak": 1.5}
+            {
+                "id": k + 1,
+                "x": x,
+                "y": y,
+                "extent": 9e-4 * weight,
+                "strength": 1.8e-4 * weight,
+                "confidence": 0.94 * weight,
+                "peak": 1.5,
+            }
             for k, (x, y) in enumerate(points)
-        ]  # fmt: skip
+            for weight in (1 - 0.2 * k,)
+        ]
         presses = [{k: p[k] for k in ("id", "x", "y", "radius", "pressure")} | {"demo": False} for p in self.presses.values()]
-        health = {
-            "rate": 118 + 6 * np.sin(now / 3), "latency_p50": 3.4e-3, "latency_p99": 7.9e-3, "dropped": 0, "noise": 14.2e-6, "waiting": 0.62,
-        }  # fmt: skip
+        health = {"rate": 118 + 6 * np.sin(now / 3), "latency_p50": 3.4e-3, "latency_p99": 7.9e-3}
+        health |= {"dropped": 0, "noise": 14.2e-6, "waiting": 0.62}
         count = len(self.setup["skin"]["electrodes"])
         rim = 12 if self.setup["skin"]["domain"]["kind"] == "rectangle" else count
-        adaptive = [[0, 7], [3, 9], [12, 5], [14, 1], [13, 10], [2, 8], [6, 15], [4, 11]] if self.header["mode"] == "16O" and count == 16 else []
+        adaptive = (
+            [[0, 7], [3, 9], [12, 5], [14, 1], [13, 10], [2, 8], [6, 15], [4, 11]]
+            if self.header["mode"] == "16O" and count == 16
+            else []
+        )
         return {
             "sequence": sequence, "time": now, "contacts": contacts, "base_injections": [[k, (k + 1) % rim] for k in range(rim)],
-            "injections": adaptive, "presses": presses, "threshold": 0.25, "health": health, **self.header,
+            "injections": pairs if self.header["mode"] == "16O" else [], "presses": presses, "threshold": 0.25, "health": health, **self.header,
         }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
+    program = shutil.which("chromium")
+    if program is None:
+        if os.environ.get("CI"):
+            pytest.fail("needs Chromium: apt-get install chromium")
+        pytest.skip("needs Chromium: apt-get install chromium")
+    quiet = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update "
+    quiet += "--disable-sync"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=quiet.split())
+        yield browser
+        browser.close()
+
+
+class Reader:
+    """Someone at the page: opens it, and fails the test on any error in its console."""
+
+    def __init__(self, chromium: Browser, loop: SyntheticLoop, **options: Any) -> None:
+        self.loop = loop
+        self.errors: list[str] = []
+        self.context = chromium.new_context(**{"viewport": {"width": 1440, "height": 900}} | options)
+        self.page: Page = self.context.new_page()
+        self.page.on("console", lambda message: self.errors.append(message.text) if message.type in ("error", "warning") else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.goto(loop.view.url)
+        self.until(lambda: self.page.evaluate("Boolean(window.ohmskin?.ready)"))
+
+    def until(self, condition: Callable[[], Any], seconds: float = 8.0) -> Any:
+        end = time.monotonic() + seconds
+        while not (value := condition()):
+            assert time.monotonic() < end, f"this did not happen in time; heard {self.loop.heard}, errors {self.errors}"
+            self.page.wait_for_timeout(10)
+        return value
+
+    def place(self, x: float, y: float, canvas: str = "map") -> tuple[float, float]:
+        """Where on the screen a point of the skin (m) is, worked out from the layout that docs/live-page.md promises."""
+        box = self.page.locator(f"#{canvas}").bounding_box()
+        assert box is not None
+        domain = self.loop.setup["skin"]["domain"]
+        if domain["kind"] == "disc":
+            size, x, y = 2 * domain["radius"], x + domain["radius"], y + domain["radius"]
+        else:
+            size = domain["width"]
+        scale = (box["width"] - 60) / size
+        return box["x"] + 30 + scale * x, box["y"] + box["height"] - 46 - scale * y
+
+    def heard(self, kind: str) -> list[dict[str, Any]]:
+        return [command for command in self.loop.heard if command["type"] == kind]
+
+    def presses(self) -> list[tuple[float, float]]:
+        return sorted((p["x"], p["y"]) for p in self.loop.presses.values())
+
+    def close(self) -> None:
+        self.context.close()
+        assert self.errors == []
+
+
+@pytest.fixture(scope="module")
+def sheet() -> Iterator[SyntheticLoop]:
+    loop = SyntheticLoop(make_setup())
+    yield loop
+    loop.close()
+
+
+@pytest.fixture
+def reader(chromium: Browser, sheet: SyntheticLoop) -> Iterator[Reader]:
+    sheet.heard.clear()
+    sheet.header.update(state="running", message="", demo=False, mode="16O")
+    reader = Reader(chromium, sheet)
+    yield reader
+    reader.close()
+    reader_gone = time.monotonic() + 5
+    while sheet.presses and time.monotonic() < reader_gone:
+        time.sleep(0.01)
+    assert not sheet.presses, "the presses of a page that is closed are lifted"
+
+
+@pytest.mark.parametrize("canvas", ["map", "base"])
+def test_mouse_presses_drags_and_lifts_where_it_points(reader: Reader, canvas: str) -> None:
+    mouse = reader.page.mouse
+    mouse.move(*reader.place(0.05, 0.12, canvas))
+    mouse.down()
+    reader.until(reader.presses)
+    assert reader.presses()[0] == pytest.approx((0.05, 0.12), abs=1e-3)
+    press = reader.heard("press")[0]
+    assert press["radius"] == pytest.approx(0.008, rel=0.01)
+    assert press["pressure"] == pytest.approx(2e4, rel=0.02)
+    mouse.move(*reader.place(0.15, 0.03, canvas), steps=5)
+    reader.until(lambda: reader.presses() == [pytest.approx((0.15, 0.03), abs=1e-3)])
+    expect(reader.page.locator("#contacts tbody tr")).to_have_count(1)
+    cells = reader.page.locator("#contacts tbody td").all_inner_texts()
+    assert [float(cell) for cell in cells[1:3]] == pytest.approx([150, 30], abs=1)
+    mouse.up()
+    reader.until(lambda: not reader.presses())
+    assert len({command["id"] for command in reader.heard("press")}) == 1
+
+
+def test_press_off_the_skin_is_no_press_and_a_drag_stops_at_the_rim(reader: Reader) -> None:
+    mouse = reader.page.mouse
+    mouse.move(*reader.place(-0.008, 0.1))
+    mouse.down()
+    mouse.up()
+    mouse.move(*reader.place(0.1, 0.1))
+    mouse.down()
+    mouse.move(*reader.place(0.3, 0.1))
+    reader.until(lambda: reader.presses() == [pytest.approx((0.2, 0.1), abs=1e-3)])
+    mouse.up()
+    reader.until(lambda: not reader.presses())
+    assert len({command["id"] for command in reader.heard("press")}) == 1
+
+
+def test_several_held_presses_with_one_mouse(reader: Reader) -> None:
+    page = reader.page
+    page.keyboard.down("Shift")
+    for point in ((0.05, 0.05), (0.15, 0.15), (0.05, 0.15)):
+        page.mouse.click(*reader.place(*point))
+    page.keyboard.up("Shift")
+    reader.until(lambda: len(reader.presses()) == 3)
+    page.wait_for_timeout(400)
+    page.mouse.move(*reader.place(0.15, 0.15))
+    page.mouse.down()
+    page.mouse.move(*reader.place(0.15, 0.10), steps=3)
+    page.mouse.up()
+    reader.until(lambda: pytest.approx((0.15, 0.10), abs=1e-3) in reader.presses())
+    assert len(reader.presses()) == 3
+    page.wait_for_timeout(400)
+    page.mouse.dblclick(*reader.place(0.05, 0.05))
+    reader.until(lambda: len(reader.presses()) == 2)
+    page.click("#clear")
+    reader.until(lambda: not reader.presses())
+    assert reader.heard("lift_all")
+
+
+def test_hold_button_does_what_shift_does(reader: Reader) -> None:
+    reader.page.click("#hold")
+    reader.page.mouse.click(*reader.place(0.05, 0.05))
+    reader.page.mouse.click(*reader.place(0.15, 0.15))
+    reader.until(lambda: len(reader.presses()) == 2)
+    assert not reader.heard("lift")
+
+
+def test_sliders_set_the_press(reader: Reader) -> None:
+    page = reader.page
+    page.click("#hold")
+    page.mouse.click(*reader.place(0.1, 0.1))
+    page.locator("#pressure").fill("1000")
+    page.locator("#radius").fill("0")
+    reader.until(lambda: [(p["radius"], p["pressure"]) for p in reader.loop.presses.values()] == [(0.003, 1e5)])
+    expect(page.locator("#pressure-value")).to_have_text("100 kPa")
+
+
+def test_keyboard_presses_moves_and_lifts(reader: Reader) -> None:
+    page = reader.page
+    page.locator("#map").focus()
+    page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("Space")
+    reader.until(lambda: reader.presses() == [pytest.approx((0.11, 0.102), abs=1e-6)])
+    page.keyboard.press("ArrowDown")
+    reader.until(lambda: reader.presses() == [pytest.approx((0.11, 0.1), abs=1e-6)])
+    page.keyboard.press("Space")
+    reader.until(lambda: not reader.presses())
+    page.keyboard.press("Space")
+    reader.until(reader.presses)
+    page.keyboard.press("Escape")
+    reader.until(lambda: not reader.presses())
+
+
+def test_two_fingers_are_two_presses(chromium: Browser, sheet: SyntheticLoop) -> None:
+    sheet.heard.clear()
+    reader = Reader(chromium, sheet, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    session = reader.context.new_cdp_session(reader.page)
+    points = [dict(zip("xy", reader.place(*point), strict=True), id=k) for k, point in enumerate([(0.05, 0.05), (0.15, 0.15)])]
+    session.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": points})
+    reader.until(lambda: len(reader.presses()) == 2)
+    assert reader.presses() == [pytest.approx((0.05, 0.05), abs=1e-3), pytest.approx((0.15, 0.15), abs=1e-3)]
+    session.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    reader.until(lambda: not reader.presses())
+    reader.close()
+
+
+def test_buttons_command_and_show_the_state(reader: Reader) -> None:
+    page = reader.page
+    page.click('[data-mode="12B"]')
+    expect(page.locator('[data-mode="12B"]')).to_have_attribute("aria-pressed", "true")
+    expect(page.locator('[data-mode="16O"]')).to_have_attribute("aria-pressed", "false")
+    barred = page.locator('[data-mode="16I"]')
+    expect(barred).to_be_disabled()
+    expect(barred).to_have_accessible_description("needs 4 inner electrodes")
+    barred.click(force=True)
+    page.click("#calibrate")
+    page.click("#pause")
+    expect(page.locator("#state")).to_have_text("paused")
+    expect(page.locator("#pause")).to_have_text("Resume")
+    page.click("#pause")
+    expect(page.locator("#state")).to_have_text("running")
+    page.click("#demo")
+    expect(page.locator("#notice")).to_contain_text("press anywhere to take over")
+    kinds = [{k: v for k, v in command.items() if k != "type"} for command in reader.loop.heard]
+    assert kinds == [{"mode": "12B"}, {}, {"paused": True}, {"paused": False}, {"on": True}]
+
+
+def test_state_and_message_are_shown(reader: Reader) -> None:
+    page, header = reader.page, reader.loop.header
+    header.update(state="calibrating")
+    expect(page.locator("#notice")).to_contain_text("keep the skin untouched")
+    header.update(state="lost", message="device lost: cable; reconnecting")
+    expect(page.locator("#notice")).to_have_text("device lost: cable; reconnecting")
+    expect(page.locator("#state")).to_have_text("lost")
+    header.update(state="running", message="")
+    expect(page.locator("#notice")).to_have_attribute("data-kind", "hint")
+    box = page.locator("#map").bounding_box()
+    header.update(demo=True)
+    expect(page.locator("#notice")).to_have_attribute("data-kind", "demo")
+    assert page.locator("#map").bounding_box() == box, "a banner does not move the page"
+
+
+def test_map_is_drawn_right_way_up(chromium: Browser) -> None:
+    loop = SyntheticLoop(make_setup(), always=((0.05, 0.15),))
+    reader = Reader(chromium, loop)
+
+    def brightness(x: float, y: float) -> int:
+        left, top = (round(v) for v in reader.place(x, y))
+        shot = reader.page.screenshot(clip={"x": left - 2, "y": top - 2, "width": 4, "height": 4})
+        return int(np.asarray(Image.open(io.BytesIO(shot)).convert("L")).mean())
+
+    reader.page.wait_for_timeout(300)
+    try:
+        here = brightness(0.052, 0.147)
+        for x, y in ((0.052, 0.047), (0.147, 0.147), (0.147, 0.047)):
+            assert brightness(x, y) > here + 60  # on a light page zero is light
+    finally:
+        reader.close()
+        loop.close()
+
+
+def test_theme_follows_the_system_and_a_choice_is_remembered(chromium: Browser, sheet: SyntheticLoop) -> None:
+    for system, other in (("dark", "light"), ("light", "dark")):
+        reader = Reader(chromium, sheet, color_scheme=system)
+        root = reader.page.locator("html")
+        expect(root).to_have_attribute("data-theme", system)
+        reader.page.click("#theme")
+        expect(root).to_have_attribute("data-theme", other)
+        reader.page.reload()
+        expect(root).to_have_attribute("data-theme", other)
+        reader.close()
+
+
+@pytest.mark.parametrize("width", [320, 390, 800, 1100, 1280])
+def test_no_sideways_scrolling(chromium: Browser, sheet: SyntheticLoop, width: int) -> None:
+    reader = Reader(chromium, sheet, viewport={"width": width, "height": 800})
+    assert reader.page.evaluate("document.documentElement.scrollWidth") <= width
+    reader.close()
+
+
+def test_disc_and_real_skin(chromium: Browser) -> None:
+    loop = SyntheticLoop(make_setup(DISC), height=-1.2, always=((-0.03, 0.04),))
+    reader = Reader(chromium, loop)
+    try:
+        reader.page.mouse.move(*reader.place(0.05, -0.04))
+        reader.page.mouse.down()
+        reader.until(reader.presses)
+        assert reader.presses()[0] == pytest.approx((0.05, -0.04), abs=1e-3)
+        reader.page.mouse.up()
+        reader.until(lambda: not reader.presses())
+        loop.view.announce(make_setup(DISC, virtual=False))
+        expect(reader.page.locator("#pressure")).to_be_hidden()
+        reader.page.mouse.click(*reader.place(0.05, -0.04))
+        reader.page.wait_for_timeout(100)
+        assert not reader.presses()
+    finally:
+        reader.close()
+        loop.close()
+
+
+def test_saved_picture_is_a_picture(reader: Reader) -> None:
+    with reader.page.expect_download() as download:
+        reader.page.click("#save")
+    assert download.value.suggested_filename.startswith("ohmskin-16O-")
+    with Image.open(download.value.path()) as picture:
+        assert picture.format == "PNG"
+        assert picture.size[0] > 2000
+        assert len(picture.convert("RGB").resize((200, 120)).getcolors(100000) or []) > 50
+
+
+def test_page_reconnects_to_a_program_that_comes_back(chromium: Browser) -> None:
+    setup = make_setup()
+    loop = SyntheticLoop(setup)
+    port = loop.view.port
+    reader = Reader(chromium, loop)
+    loop.close()
+    expect(reader.page.locator("#state")).to_have_text("disconnected")
+    with LiveView(setup, port=port) as view:
+        assert not view.port_was_taken
+        reader.until(view.wants_frame)
+        expect(reader.page.locator("#state")).not_to_have_text("disconnected")
+    reader.errors = [error for error in reader.errors if "WebSocket connection" not in error]  # the attempts in between
+    reader.close()
+
+
+def test_test_hook_is_read_only(reader: Reader) -> None:
+    page = reader.page
+    assert page.evaluate("window.ohmskin.frame.sequence") > 0
+    assert page.evaluate("window.ohmskin.setup.skin.name") == "paper sheet"
+    page.evaluate("() => { try { window.ohmskin.ready = 1; window.ohmskin = 2 } catch {} }")
+    assert page.evaluate("window.ohmskin.ready") is True

@@ -1,4 +1,4 @@
-"""Bytes to messages and back: framing, checksum, resynchronisation. No input or output; docs/protocol.md describes it."""
+"""Bytes to messages and back: framing, checksum, resynchronisation. No input or output; docs/protocol.md describes it all."""
 
 import zlib
 from dataclasses import dataclass, replace

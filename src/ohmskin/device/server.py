@@ -16,7 +16,7 @@ from ohmskin.device.transport import SocketTransport, Transport
 from ohmskin.errors import DeviceError, DeviceLost
 
 _LOG = logging.getLogger(__name__)
-_POLL = 0.2  # s, how soon threads notice that the server closes; replies do not wait for it
+_POLL = 0.05  # s, how soon threads notice that the server closes; replies do not wait for it
 
 
 class DeviceServer:
@@ -120,10 +120,12 @@ class DeviceServer:
 
 
 def _listen(host: str, port: int) -> socket.socket:
+    if not 0 <= port <= 65535:
+        raise DeviceError(f"port {port}; it must be 1..65535, or 0 for any free one")
     try:
         return socket.create_server((host, port))  # on Unix it reuses the address of a server just closed
-    except (OSError, OverflowError) as error:
-        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
             raise DeviceError(f"port {port} on {host} is in use; stop the other server, or choose another port (0: any)") from error
         raise DeviceError(
             f"cannot listen on {host}:{port}: {error}; use 127.0.0.1 for this machine only, 0.0.0.0 for all"

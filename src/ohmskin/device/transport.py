@@ -49,7 +49,9 @@ def open_transport(url: str) -> Transport:
     if parts.scheme not in allowed:
         raise DeviceError(f"no transport {parts.scheme!r} in {url!r}; choose one of {', '.join(allowed)}")
     if unknown := options.keys() - allowed[parts.scheme]:
-        raise DeviceError(f"{url!r} has the option {min(unknown)!r}; {parts.scheme} takes {allowed[parts.scheme] or 'none'}")
+        raise DeviceError(
+            f"{url!r} has the option {min(unknown)!r}; {parts.scheme} takes {', '.join(allowed[parts.scheme]) or 'none'}"
+        )
     if parts.scheme == "tcp":
         try:
             host, port = parts.hostname, parts.port

@@ -89,9 +89,9 @@ class Converter:
     bits: int = _number(16, 4, 32)
     full_scale: float = _number(5.0, 1e-9, 1e4, "V")
     shunt: float = _number(100.0, 1e-6, 1e9, "ohm")
-    settle: float = _number(150e-6, 0, 10, "s")
+    settle: float = _number(100e-6, 0, 10, "s")
     conversion: float = _number(20e-6, 0, 10, "s")
-    time_constant: float = _number(12e-6, 0, 10, "s")
+    time_constant: float = _number(8e-6, 0, 10, "s")
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,8 @@ class Session:
                 "injections": frames[1].pattern.injections.tolist() if len(frames) > 1 else [],
                 "threshold": engine.perception.thresholds[touch.mode.name].final * scale,
                 "health": {
-                    name: getattr(touch.health, name) for name in ("rate", "latency_p50", "latency_p99", "dropped", "noise", "waiting")
+                    name: getattr(touch.health, name)
+                    for name in ("rate", "latency_p50", "latency_p99", "dropped", "noise", "waiting")
                 },
             }
         return header

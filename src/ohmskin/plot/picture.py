@@ -1,0 +1,87 @@
+"""A conductivity image, drawn with its scale, electrodes and contacts."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.image import AxesImage
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import DataError
+from ohmskin.geometry import Electrodes, Mesh, Raster
+from ohmskin.touch import Contact
+
+_COLOURS = "RdBu_r"  # red conducts better, blue worse, white is unchanged
+_PIXELS = 256
+
+
+def draw_image(
+    axes: Axes,
+    mesh: Mesh,
+    values: ArrayLike,
+    electrodes: Electrodes,
+    contacts: Sequence[Contact] = (),
+    limit: float | None = None,
+) -> AxesImage:
+    """Draw an image (n_elem,) with electrodes (numbered from 0) and contacts; axes in millimetres.
+
+    Args:
+        axes: Where to draw.
+        mesh: Mesh of the image.
+        values: Image, in any unit.
+        electrodes: Electrode layout.
+        contacts: Contacts, drawn as circles of their extent.
+        limit: Value of full colour; the largest magnitude of the image unless given.
+
+    Returns:
+        What a colour bar can be made of.
+    """
+    raster = Raster(mesh, _PIXELS)
+    pixels = raster(values)
+    full = limit or float(np.nanmax(np.abs(pixels))) or 1.0
+    half = raster.pitch / 2
+    extent = tuple(1e3 * edge for edge in (raster.x[0] - half, raster.x[-1] + half, raster.y[0] - half, raster.y[-1] + half))
+    shown = axes.imshow(pixels, origin="lower", extent=extent, cmap=_COLOURS, norm=TwoSlopeNorm(0, -full, full), interpolation="none")
+    x, y = 1e3 * electrodes.positions.T
+    axes.plot(x, y, "o", color="0.15", markersize=4, clip_on=False)
+    middle = 0.5e3 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
+    size = 1e3 * float(np.ptp(mesh.nodes, axis=0).max())
+    for number, (px, py) in enumerate(zip(x, y, strict=True)):
+        away = np.array([px, py]) - middle
+        outward = away / max(float(np.linalg.norm(away)), 1e-9) * 0.045 * size
+        axes.annotate(str(number), (px + outward[0], py + outward[1]), ha="center", va="center", fontsize=7, annotation_clip=False)
+    for contact in contacts:
+        centre = (1e3 * contact.position[0], 1e3 * contact.position[1])
+        axes.add_patch(Circle(centre, 1e3 * np.sqrt(contact.extent / np.pi), fill=False, color="black", linewidth=1.2))
+        axes.plot(*centre, "+", color="black", markersize=6)
+    margin = 0.08 * size
+    low, high = 1e3 * mesh.nodes.min(axis=0), 1e3 * mesh.nodes.max(axis=0)
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), xlabel="x / mm", ylabel="y / mm")
+    axes.set_aspect("equal")
+    axes.spines[["top", "right"]].set_visible(False)
+    return shown
+
+
+def save_picture(
+    path: str | Path, mesh: Mesh, values: ArrayLike, electrodes: Electrodes, contacts: Sequence[Contact] = (), title: str = ""
+) -> None:
+    """Save an image of relative conductivity change (n_elem,) as a picture; the file's ending chooses the format.
+
+    Raises:
+        DataError: If the file cannot be written.
+    """
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    shown = draw_image(axes, mesh, values, electrodes, contacts)
+    axes.set_title(title, fontsize=10)
+    figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.85)
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        raise DataError(f"cannot write picture {path}: {error}") from error
