@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 
 from ohmskin.device import Capabilities, Device, DeviceServer, Feature, connect, drivers, registry
+from ohmskin.device.instrument import SharedInstrument
 from ohmskin.device.layout import Kind
-from ohmskin.device.messages import FrameData, Hello
+from ohmskin.device.messages import ErrorCode, FrameData, Hello, Refusal, Scan
 from ohmskin.device.protocol import Decoder, encode
+from ohmskin.device.session import Session
 from ohmskin.device.transport import SerialTransport, open_transport
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError, ProtocolError
@@ -168,8 +170,9 @@ def test_known_patterns_are_uploaded_once(server: DeviceServer) -> None:
             device.scan(pattern)
         assert device.link.requests == 1 + 40 + 4
         device.scan(RIM)  # takes the slot of the first, which was not used for longest
-        device.scan(patterns[1])
-        assert device.link.requests == 1 + 42 + 5
+        for pattern in patterns[1:]:
+            device.scan(pattern)
+        assert device.link.requests == 1 + 44 + 5
 
 
 def test_a_bad_line_costs_retries_but_never_gives_wrong_data(server: DeviceServer) -> None:
@@ -315,9 +318,6 @@ class Forgetful:
         self.capabilities = capabilities
 
     def __call__(self, host: socket.socket) -> None:
-        from ohmskin.device.instrument import SharedInstrument
-        from ohmskin.device.session import Session
-
         session = Session(SharedInstrument(FakeSkin()))
         scans = 0
         while data := host.recv(65536):
@@ -371,6 +371,26 @@ def test_a_frame_of_another_pattern_is_refused() -> None:
 
     with stub(behave) as url, connect(url) as device, pytest.raises(ProtocolError, match="drove a pattern with digest"):
         device.scan(RIM)
+
+
+@pytest.mark.parametrize("patient", [True, False])
+def test_a_busy_device_is_asked_again(patient: bool) -> None:
+    def behave(host: socket.socket) -> None:
+        session, decoder, refusals = Session(SharedInstrument(FakeSkin())), Decoder(), 0
+        while data := host.recv(65536):
+            packets = decoder.feed(data)
+            if packets and isinstance(packets[-1].message, Scan) and (refusals < 2 or not patient):
+                refusals += 1
+                host.sendall(encode(Refusal(ErrorCode.BUSY, "relays moving"), packets[-1].sequence))
+            else:
+                host.sendall(session.feed(data))
+
+    with stub(behave) as url, connect(url) as device:
+        if patient:
+            np.testing.assert_array_equal(device.scan(RIM).voltages, voltages(RIM))
+        else:
+            with pytest.raises(DeviceLost, match="its last word was 'relays moving'"):
+                device.scan(RIM, timeout=0.3)
 
 
 def test_patterns_beyond_the_device_are_refused_with_advice(server: DeviceServer) -> None:

@@ -52,6 +52,13 @@ def view() -> Iterator[LiveView]:
         yield view
 
 
+@pytest.fixture
+def fresh() -> Iterator[LiveView]:
+    """A view of one's own, without frames and commands of other tests."""
+    with LiveView(SETUP, port=0) as view:
+        yield view
+
+
 def until(condition: Callable[[], Any], seconds: float = 5.0) -> Any:
     end = time.monotonic() + seconds
     while not (value := condition()):
@@ -157,34 +164,33 @@ def test_other_machines_need_a_token() -> None:
 # --- frames -------------------------------------------------------------------------------------------------------------
 
 
-def test_frame_arrives_as_it_was_published(view: LiveView) -> None:
-    with open_socket(view) as browser:
+def test_frame_arrives_as_it_was_published(fresh: LiveView) -> None:
+    with open_socket(fresh) as browser:
         setup = json.loads(browser.recv(5))
         assert setup["raster"] == SETUP["raster"]
-        publish(view, 7)
+        publish(fresh, 7)
         header, base, image = read_frame(browser.recv(5))
         assert header["sequence"] == 7
         np.testing.assert_array_equal(base, -IMAGE)
         np.testing.assert_array_equal(image, 7 + IMAGE)
 
 
-def test_no_browser_no_frame() -> None:
-    with LiveView(SETUP, port=0) as view:
-        assert not view.wants_frame()
-        view.publish({"sequence": 1}, IMAGE, IMAGE)  # dropped
-        with open_socket(view) as browser:
-            browser.recv(5)
-            until(view.wants_frame)
-            with pytest.raises(TimeoutError):
-                browser.recv(0.05)
+def test_no_browser_no_frame(fresh: LiveView) -> None:
+    assert not fresh.wants_frame()
+    fresh.publish({"sequence": 1}, IMAGE, IMAGE)  # dropped
+    with open_socket(fresh) as browser:
+        browser.recv(5)
+        until(fresh.wants_frame)
+        with pytest.raises(TimeoutError):
+            browser.recv(0.05)
 
 
-def test_slow_browser_gets_the_newest_frame_only() -> None:
-    with LiveView(SETUP, port=0) as view, open_socket(view) as slow, open_socket(view) as quick:
+def test_slow_browser_gets_the_newest_frame_only(fresh: LiveView) -> None:
+    with open_socket(fresh) as slow, open_socket(fresh) as quick:
         for browser in (slow, quick):
             browser.recv(5)
         for sequence in range(1, 21):
-            publish(view, sequence)
+            publish(fresh, sequence)
             assert read_frame(quick.recv(5))[0]["sequence"] == sequence
             quick.send(to_json({"type": "ack", "sequence": sequence}))
         assert read_frame(slow.recv(5))[0]["sequence"] == 1
@@ -195,15 +201,15 @@ def test_slow_browser_gets_the_newest_frame_only() -> None:
         assert read_frame(slow.recv(5))[0]["sequence"] == 20
 
 
-def test_publish_never_waits_for_a_browser_that_does_not_read(view: LiveView) -> None:
-    with open_socket(view) as browser:
+def test_publish_never_waits_for_a_browser_that_does_not_read(fresh: LiveView) -> None:
+    with open_socket(fresh) as browser:
         browser.recv(5)
-        publish(view, 1)
+        publish(fresh, 1)
         longest = 0.0
         for sequence in range(2, 2000):
             start = time.perf_counter()
-            view.wants_frame()
-            view.publish({"sequence": sequence}, IMAGE, IMAGE)
+            fresh.wants_frame()
+            fresh.publish({"sequence": sequence}, IMAGE, IMAGE)
             longest = max(longest, time.perf_counter() - start)
         assert longest < 0.05
 
@@ -238,33 +244,32 @@ def test_header_with_numpy_values_and_numbers_that_are_not_finite() -> None:
 # --- commands -----------------------------------------------------------------------------------------------------------
 
 
-def test_commands_arrive_in_order_and_ids_name_the_browser(view: LiveView) -> None:
-    view.commands()
-    with open_socket(view) as one, open_socket(view) as two:
+def test_commands_arrive_in_order_and_ids_name_the_browser(fresh: LiveView) -> None:
+    with open_socket(fresh) as one, open_socket(fresh) as two:
         names = [json.loads(browser.recv(5))["client"] for browser in (one, two)]
         one.send(to_json(PRESS))
-        until(lambda: view._pending)
+        until(lambda: fresh._pending)
         two.send(to_json(PRESS | {"x": 0.1}))
         two.send(to_json({"type": "mode", "mode": "16O"}))
-        until(lambda: len(view._pending) == 3)
-        assert view.commands() == [
+        until(lambda: len(fresh._pending) == 3)
+        assert fresh.commands() == [
             PRESS | {"id": f"{names[0]}:a"},
             PRESS | {"id": f"{names[1]}:a", "x": 0.1},
             {"type": "mode", "mode": "16O"},
         ]
-        assert view.commands() == []
+        assert fresh.commands() == []
 
 
-def test_presses_of_a_browser_that_leaves_are_lifted(view: LiveView) -> None:
-    with open_socket(view) as browser:
+def test_presses_of_a_browser_that_leaves_are_lifted(fresh: LiveView) -> None:
+    with open_socket(fresh) as browser:
         name = json.loads(browser.recv(5))["client"]
         for key in "abc":
             browser.send(to_json(PRESS | {"id": key}))
         browser.send(to_json({"type": "lift", "id": "b"}))
-        until(lambda: len(view._pending) == 4)
-        view.commands()
-    until(lambda: len(view._pending) == 2)
-    assert view.commands() == [{"type": "lift", "id": f"{name}:{key}"} for key in "ac"]
+        until(lambda: len(fresh._pending) == 4)
+        fresh.commands()
+    until(lambda: len(fresh._pending) == 2)
+    assert fresh.commands() == [{"type": "lift", "id": f"{name}:{key}"} for key in "ac"]
 
 
 REFUSED = [
@@ -312,9 +317,8 @@ def test_real_skin_cannot_be_pressed_from_the_page() -> None:
         read_command(to_json(PRESS), SETUP | {"press": None})
 
 
-def test_refused_command_is_answered_and_the_browser_stays(view: LiveView) -> None:
-    view.commands()
-    with open_socket(view) as browser:
+def test_refused_command_is_answered_and_the_browser_stays(fresh: LiveView) -> None:
+    with open_socket(fresh) as browser:
         browser.recv(5)
         browser.send(to_json(PRESS | {"x": 9}))
         answer = json.loads(browser.recv(5))
@@ -323,22 +327,22 @@ def test_refused_command_is_answered_and_the_browser_stays(view: LiveView) -> No
         browser.send(b"binary")
         assert "text" in json.loads(browser.recv(5))["message"]
         browser.send(to_json({"type": "calibrate"}))
-        until(lambda: view._pending)
-        assert view.commands() == [{"type": "calibrate"}]
+        until(lambda: fresh._pending)
+        assert fresh.commands() == [{"type": "calibrate"}]
 
 
-def test_message_that_is_too_long_ends_the_connection(view: LiveView) -> None:
-    with open_socket(view) as browser:
+def test_message_that_is_too_long_ends_the_connection(fresh: LiveView) -> None:
+    with open_socket(fresh) as browser:
         browser.recv(5)
         browser.send(" " * 5000)
         with pytest.raises(ConnectionClosed):
             browser.recv(5)
-    with open_socket(view) as browser:
+    with open_socket(fresh) as browser:
         assert json.loads(browser.recv(5))["type"] == "setup"
 
 
-def test_number_of_presses_is_limited(view: LiveView) -> None:
-    with open_socket(view) as browser:
+def test_number_of_presses_is_limited(fresh: LiveView) -> None:
+    with open_socket(fresh) as browser:
         browser.recv(5)
         for k in range(33):
             browser.send(to_json(PRESS | {"id": f"p{k}"}))

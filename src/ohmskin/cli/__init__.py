@@ -18,16 +18,16 @@ app = App(
     version=ohmskin.__version__,
     result_action="return_value",
 )
-for _name, _help in {
-    "live": "Sense touches, live in the browser or on the terminal.",
-    "serve-skin": "Serve a virtual skin over TCP and a pseudo-terminal.",
-    "press": "Press a virtual skin.",
-    "scan": "Scan a device once and print what it measured.",
-    "image": "Make a picture of a recording.",
-    "info": "Show versions, skins, drivers and serial ports.",
+for _name, (_help, _example) in {
+    "live": ("Sense touches, live in the browser or on the terminal.", "ohmskin live --headless --seconds 10"),
+    "serve-skin": ("Serve a virtual skin over TCP and a pseudo-terminal.", "ohmskin serve-skin --pty"),
+    "press": ("Press a virtual skin.", "ohmskin press 50 120 --seconds 3 --to 150 120"),
+    "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155 --mode 12B"),
+    "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
+    "info": ("Show versions, skins, drivers and serial ports.", "ohmskin info"),
 }.items():
     _module = _name.replace("-", "_")
-    app.command(f"ohmskin.cli.{_module}:{_module}", name=_name, help=_help)
+    app.command(f"ohmskin.cli.{_module}:{_module}", name=_name, help=f"{_help}\n\nExample: `{_example}`")
 
 
 def main() -> None:

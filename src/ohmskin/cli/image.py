@@ -12,8 +12,6 @@ from ohmskin.skin import Skin
 def image(file: Path, *, skin: str = "", output: Path | None = None) -> None:
     """Make a picture of a recording's frame, with its contacts.
 
-    Example: `ohmskin image recording.csv --output picture.png`
-
     Parameters
     ----------
     file

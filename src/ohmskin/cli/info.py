@@ -14,8 +14,6 @@ from ohmskin.skin import Skin, shipped_skins
 
 def info() -> None:
     """Show versions, the skins that ship, drivers and serial ports.
-
-    Example: `ohmskin info`
     """
     console = Console(highlight=False, soft_wrap=True)
     console.print(

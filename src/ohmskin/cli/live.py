@@ -34,8 +34,6 @@ def live(
 ) -> None:
     """Sense touches, live: a page in the browser, or contacts on the terminal.
 
-    Example: `ohmskin live`, or without a browser `ohmskin live --headless --seconds 10`
-
     Parameters
     ----------
     device

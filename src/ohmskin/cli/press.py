@@ -20,8 +20,6 @@ def press(
 ) -> None:
     """Press a virtual skin at (x, y) for a while, or slide to another place meanwhile.
 
-    Example: `ohmskin press 50 120 --seconds 3 --to 150 120`
-
     Parameters
     ----------
     x

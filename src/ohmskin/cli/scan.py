@@ -14,8 +14,6 @@ from ohmskin.errors import PatternError
 def scan(*, device: str = "virtual:", skin: str = "", mode: str = "", json: bool = False) -> None:
     """Scan a device once with the base pattern of a mode and print what it measured.
 
-    Example: `ohmskin scan --device tcp://127.0.0.1:7155 --mode 12B`
-
     Parameters
     ----------
     device

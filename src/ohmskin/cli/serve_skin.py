@@ -24,8 +24,6 @@ def serve_skin(
 ) -> None:
     """Serve a virtual skin: the physics twin behind the wire protocol.
 
-    Example: `ohmskin serve-skin --pty`, then `ohmskin live --device tcp://127.0.0.1:7155`
-
     Parameters
     ----------
     skin

@@ -33,7 +33,7 @@ class VirtualInstrument:
         self._realtime = realtime
         source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
         self.capabilities = Capabilities(
-            name=f"virtual {skin.name}"[:32],
+            name=f"virtual {skin.name}".encode()[:32].decode(errors="ignore"),
             n_electrodes=len(skin.electrodes),
             max_injections=256,
             max_measurements=4096,

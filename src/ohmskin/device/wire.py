@@ -78,9 +78,10 @@ class WireDevice(Device):
                 self._meet_again(deadline)
                 continue
             assert isinstance(reply, FrameData)
+            frame = reply.frame(pattern)
             self._slots[pattern] = slot
             self._slots.move_to_end(pattern)
-            return reply.frame(pattern)
+            return frame
 
     def _press(self, press: Press) -> None:
         self._ask([press], time.monotonic() + _PRESS_TIMEOUT)

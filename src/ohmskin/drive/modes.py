@@ -1,11 +1,25 @@
 """The drive modes of the paper, under its labels."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
+
+from numpy.typing import ArrayLike
 
 from ohmskin.drive.optimal import OptimalDrive
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
 from ohmskin.scan import DrivePattern, adjacent
+
+
+class AdaptiveDrive(Protocol):
+    """Chooses a drive pattern for the contacts at hand, always a part of `complete`."""
+
+    complete: DrivePattern
+
+    def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
+        """The pattern for one or several regions, each given by its anchors (3, 2) in metres."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -23,7 +37,7 @@ class Mode:
     name: str
     title: str
     base: DrivePattern
-    optimal: OptimalDrive | None = None
+    optimal: AdaptiveDrive | None = None
     fuse: bool = True
 
 

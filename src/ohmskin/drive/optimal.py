@@ -40,6 +40,15 @@ def take_turns(weights: ArrayLike, count: int) -> Ints:
     return np.asarray(in_turn[np.sort(first)[:count]], np.int64)
 
 
+def part_of(complete: DrivePattern, chosen: Ints) -> DrivePattern:
+    """Those injections (count,) of a pattern, in that order; all its injections must have equally many measurements."""
+    per_pair = complete.n_meas // complete.n_inj
+    rows = (chosen[:, None] * per_pair + np.arange(per_pair)).ravel()
+    measured = complete.measurements[rows].copy()
+    measured[:, 0] = np.repeat(np.arange(len(chosen)), per_pair)
+    return DrivePattern(complete.injections[chosen], measured)
+
+
 class OptimalDrive:
     """Chooses the drive pattern for the contacts at hand.
 
@@ -61,8 +70,4 @@ class OptimalDrive:
         """The pattern for one or several regions, each given by its anchors (3, 2) in metres. A part of `complete`."""
         weights = [pair_weights(self.electrodes.positions, anchors) for anchors in regions]
         chosen = take_turns(np.array(weights), self.pairs)
-        per_pair = self.complete.n_meas // self.complete.n_inj
-        rows = (chosen[:, None] * per_pair + np.arange(per_pair)).ravel()
-        measured = self.complete.measurements[rows].copy()
-        measured[:, 0] = np.repeat(np.arange(len(chosen)), per_pair)
-        return DrivePattern(self.complete.injections[chosen], measured)
+        return part_of(self.complete, chosen)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 
@@ -181,7 +182,8 @@ class Engine:
     def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:
         patterns = [mode.base for mode in self.modes.values()]
         patterns += [mode.optimal.complete for mode in self.modes.values() if mode.optimal]
-        pieces = [piece for pattern in dict.fromkeys(patterns) for piece in pattern.split(self.device.capabilities.max_injections)]
+        able = self.device.capabilities
+        pieces = [p for pattern in dict.fromkeys(patterns) for p in pattern.split(able.max_injections, able.max_measurements)]
         frames = []
         for done in range(_QUIET_SCANS):
             progress(done / _QUIET_SCANS)
@@ -219,7 +221,8 @@ class Engine:
         self.message = ""
         if self.device.capabilities.serial != known or self.perception is None:
             self._say("calibrating, because this is another device than before" if self.perception else "calibrating")
-            self.calibrate()
+            with suppress(DeviceLost):  # gone again: sought again
+                self.calibrate()
 
     def _say(self, message: str) -> None:
         self.message = message

@@ -61,8 +61,9 @@ class DrivePattern:
 
     @cached_property
     def digest(self) -> int:
-        """A 32-bit checksum (CRC-32) that names this pattern on the wire and in a baseline."""
-        return zlib.crc32(self.measurements.astype("<u2").tobytes(), zlib.crc32(self.injections.astype("<u2").tobytes()))
+        """A 32-bit checksum that names this pattern on the wire: CRC-32 of both counts, injections and measurements."""
+        parts = (np.array([self.n_inj, self.n_meas]), self.injections, self.measurements)
+        return zlib.crc32(b"".join(part.astype("<u2").tobytes() for part in parts))
 
     def combination(self, n_elec: int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) that makes this pattern's rows from two-terminal quantities.
@@ -89,8 +90,16 @@ class DrivePattern:
         if highest >= n_elec:
             raise PatternError(f"the pattern names electrode {highest}; there are {n_elec} (0..{n_elec - 1})")
 
-    def split(self, max_injections: int) -> Iterator["DrivePattern"]:
-        """This pattern in pieces of at most `max_injections` injections, in order."""
+    def split(self, max_injections: int, max_measurements: int = 2**31) -> Iterator["DrivePattern"]:
+        """This pattern in pieces of at most so many injections and measurements each, in order.
+
+        Raises:
+            PatternError: If one injection alone has more measurements than that.
+        """
+        most = int(np.bincount(self.measurements[:, 0]).max())
+        if most > max_measurements or max_injections < 1:
+            raise PatternError(f"an injection with {most} measurements does not fit into {max_measurements} measurements a scan")
+        max_injections = min(max_injections, max_measurements // most)
         for start in range(0, self.n_inj, max_injections):
             stop = min(start + max_injections, self.n_inj)
             low, high = np.searchsorted(self.measurements[:, 0], [start, stop])

@@ -102,15 +102,24 @@ class PressedSheet:
         self._points, self._patch = points[inside], patch[inside]
         self._at_points, self._point_area = self._interpolation((self._points, area))
 
+    @property
+    def contact_points(self) -> Floats:
+        """Points (n_points, 2) at which the patches touch the sheet when pressed (m)."""
+        return self._points
+
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under any number of presses; the last electrode is the reference."""
-        layer = self.skin.contact_layer
+        spread = self.skin.contact_layer.foam_spread
         pressure = np.zeros(len(self._points))
         for press in presses:
             distance = np.linalg.norm(self._points - press.position, axis=1)
-            reach = press.radius + layer.foam_spread
-            share = (reach - distance) / max(layer.foam_spread, 1e-12)  # the foam spreads the edge of the press
+            share = (press.radius + spread - distance) / max(spread, 1e-12)  # the foam spreads the edge of the press
             pressure += press.pressure * np.clip(share, 0.0, 1.0)
+        return self.under_pressure(pressure)
+
+    def under_pressure(self, pressure: Floats) -> Floats:
+        """(n_elec, n_elec) transfer resistances in ohms under a pressure (n_points,) in pascals at the `contact_points`."""
+        layer = self.skin.contact_layer
         touching = np.flatnonzero(pressure > 0)
         if not len(touching):
             return self.untouched

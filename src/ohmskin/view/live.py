@@ -144,6 +144,7 @@ class LiveView:
                 return
             self._closing = True
             self._credits = 0
+        self._outbox.put((b"Q", b""))  # said, not only meant by closing the pipe, of which a forked process may hold a copy
         self._outbox.put(None)
         try:
             self._process.wait(_STOP_TIMEOUT)

@@ -231,7 +231,10 @@ def listen(host: str, port: int) -> socket.socket:
     Raises:
         OSError: If the host has no address here or no port is free.
     """
-    family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", None, type=socket.SOCK_STREAM)[0]
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", None, type=socket.SOCK_STREAM)[0]
+    except OSError as unknown:
+        raise OSError(f"{host!r} is no address of this machine ({unknown.strerror})") from unknown
     for candidate in [port] if port == 0 else range(port, min(port + _PORTS, 65536)):
         listener = socket.socket(family, socket.SOCK_STREAM)
         if os.name == "posix":  # elsewhere this option lets two programs share a port
@@ -292,7 +295,7 @@ async def serve(settings: dict[str, Any], inbox: IO[bytes], tell: Callable[[dict
 
     def listen_to_loop() -> None:
         with contextlib.suppress(RuntimeError):  # the event loop has ended first
-            while message := read_message(inbox):
+            while (message := read_message(inbox)) and message[0] != b"Q":
                 loop.call_soon_threadsafe(page.take, *message)
             loop.call_soon_threadsafe(setattr, server, "should_exit", True)
 

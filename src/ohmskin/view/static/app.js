@@ -20,7 +20,7 @@ const domainHeight = (width) => (setup ? heightFor(setup.skin.domain, width) : w
 
 let setup = null;
 let frame = null; // the newest: { header, base, image }
-let acknowledged = true;
+let unacknowledged = null; // sequence of the frame that the server waits for
 let ready = false;
 let asked = false;
 let everConnected = false;
@@ -70,6 +70,7 @@ const link = new Link({
     requestDraw();
   },
   onLost() {
+    unacknowledged = null;
     touch.forget();
     requestDraw();
   },
@@ -87,10 +88,10 @@ const link = new Link({
   },
   onFrame(message) {
     const size = setup ? setup.raster.nx * setup.raster.ny : -1;
-    acknowledged = false;
+    unacknowledged = message.header.sequence;
     if (message.image.length === size && message.base.length === size) frame = message;
     frameTime = performance.now();
-    if (frame) spark.add(frame.header.time, frame.header.health?.rate);
+    spark.add(frameTime / 1000, message.header.health?.rate);
     requestDraw();
   },
   onRefused(text) {
@@ -111,11 +112,12 @@ function draw(now) {
   if (setup) drawPicture(now);
   if (now - textTime > TEXT_EVERY || !ready) showText(now);
   else setTimeout(requestDraw, TEXT_EVERY); // the last change must not stay unsaid
-  if (frame && !acknowledged) {
-    acknowledged = true;
-    ready = true;
+  if (unacknowledged !== null) {
+    // Also for a frame that a new setup has overtaken: the server sends no other before it hears of this one.
+    link.send({ type: "ack", sequence: unacknowledged });
+    unacknowledged = null;
+    ready ||= frame !== null;
     drawnTimes.push(now);
-    link.send({ type: "ack", sequence: frame.header.sequence });
   }
 }
 

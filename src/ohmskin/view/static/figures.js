@@ -63,7 +63,7 @@ export class Spark {
   }
 
   add(now, value) {
-    if (!Number.isFinite(value)) return;
+    if (!Number.isFinite(value) || now - (this._points.at(-1)?.[0] ?? -SPAN) < SPAN / 200) return;
     this._points.push([now, value]);
     while (this._points.length && this._points[0][0] < now - SPAN) this._points.shift();
   }

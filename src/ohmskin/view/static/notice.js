@@ -2,9 +2,12 @@
 // page never jumps when it changes.
 
 const HINTS = {
+  touch: "Touch the map, with several fingers if you like. “Hold presses” leaves them in place.",
   virtual: "Press the map with mouse or finger. Shift-click leaves a press in place; drag it, or double-click it away.",
   real: "Press the skin. This page shows what it feels.",
 };
+
+const finger = matchMedia("(pointer: coarse)").matches ? "touch" : "virtual";
 
 /** The notice { kind, text } for what is known; the gravest first. */
 export function noticeFor({ connected, everConnected, setup, header, silence, refusal }) {
@@ -21,5 +24,5 @@ export function noticeFor({ connected, everConnected, setup, header, silence, re
   if (header.state === "paused") return { kind: "wait", text: "Paused. The maps show the last frame." };
   if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
   if (header.message) return { kind: "warn", text: header.message };
-  return { kind: "hint", text: setup.press ? HINTS.virtual : HINTS.real };
+  return { kind: "hint", text: HINTS[setup.press ? finger : "real"] };
 }

@@ -7,6 +7,10 @@
   } catch {
     // storage may be forbidden; the system's preference then holds for this visit
   }
-  const dark = chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  const system = matchMedia("(prefers-color-scheme: dark)");
+  const show = (dark) => {
+    document.documentElement.dataset.theme = dark ? "dark" : "light";
+  };
+  show(chosen ? chosen === "dark" : system.matches);
+  if (!chosen) system.addEventListener("change", () => show(system.matches));
 })();

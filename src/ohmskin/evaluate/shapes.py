@@ -1,0 +1,83 @@
+"""What touches the skin: flat shapes that know how far a point is from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import OhmskinError
+from ohmskin.geometry.domain import Floats
+
+SHAPES = ("disc", "square", "ring", "cross", "L")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A contact of one of the `SHAPES`. Hashable, so that what it causes can be kept.
+
+    Args:
+        kind: One of `SHAPES`.
+        position: Centre of its bounding square (x, y) in metres.
+        radius: Half the side of its bounding square (m); the radius of a disc.
+        strength: What presses: pascals on a pressed skin, relative change of conductivity on a sheet of discs.
+
+    Raises:
+        OhmskinError: If the kind is unknown or a value is out of range.
+    """
+
+    kind: str
+    position: tuple[float, float]
+    radius: float
+    strength: float
+
+    def __post_init__(self) -> None:
+        if self.kind not in SHAPES:
+            raise OhmskinError(f"no contact shape {self.kind!r}; choose from {', '.join(SHAPES)}")
+        if not (np.isfinite(self.position).all() and 0 < self.radius < 10 and 0 <= self.strength < 1e9):
+            raise OhmskinError(f"{self} has a position, radius or strength that is out of range")
+
+    @property
+    def area(self) -> float:
+        """Area of the shape (m2)."""
+        r = self.radius
+        return {
+            "disc": np.pi * r**2,
+            "square": 4 * r**2,
+            "ring": np.pi * (r**2 - _inner(r) ** 2),
+            "cross": 4 * r**2 * (2 * _bar - _bar**2),
+            "L": 4 * r**2 * (2 * _bar - _bar**2),
+        }[self.kind]
+
+    def distance(self, points: ArrayLike) -> Floats:
+        """How far outside the shape points (n, 2) are (m); zero or negative inside. Exact outside, but for corners."""
+        u, v = (np.asarray(points, float) - self.position).T
+        r, half = self.radius, _bar * self.radius
+        if self.kind == "disc":
+            away: Floats = np.hypot(u, v) - r
+        elif self.kind == "square":
+            away = _box(u, v, -r, r, -r, r)
+        elif self.kind == "ring":
+            away = np.maximum(np.hypot(u, v) - r, _inner(r) - np.hypot(u, v))
+        elif self.kind == "cross":
+            away = np.minimum(_box(u, v, -r, r, -half, half), _box(u, v, -half, half, -r, r))
+        else:
+            away = np.minimum(_box(u, v, -r, -r + 2 * half, -r, r), _box(u, v, -r, r, -r, -r + 2 * half))
+        return away
+
+
+_bar = 1 / 3  # width of the bars of a cross or an L, as a share of the side of its bounding square
+
+
+def _inner(radius: float) -> float:
+    return radius / 2  # of a ring
+
+
+def _box(u: Floats, v: Floats, left: float, right: float, low: float, high: float) -> Floats:
+    x, y = np.maximum(left - u, u - right), np.maximum(low - v, v - high)
+    away: Floats = np.hypot(np.maximum(x, 0), np.maximum(y, 0)) + np.minimum(np.maximum(x, y), 0)
+    return away
+
+
+def disc(x: float, y: float, radius: float, strength: float) -> Shape:
+    """A round contact at (x, y) in metres."""
+    return Shape("disc", (float(x), float(y)), float(radius), float(strength))

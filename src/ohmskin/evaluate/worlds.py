@@ -1,0 +1,153 @@
+"""Where data come from: two models of a touched sheet, neither on the estimator's mesh.
+
+``discs``    The paper's simulation: discs of raised conductivity, point electrodes. The conductivity of each triangle is
+             the exact mean over it. The mesh has edges half as long as the estimator's.
+``pressed``  The contact-layer twin (`ohmskin.skin.PressedSheet`): floating patches pressed on the sheet, area electrodes with
+             contact impedance. The paper's physical experiments have this mechanism.
+
+Both give transfer resistances under any contacts, for the electrode layouts ``grid`` (the paper's 12 rim and 4 inner
+electrodes) and ``rim`` (16 on the rim). Data are voltages at one current, `CURRENT`, with white noise of one standard
+deviation for all methods: so many decibels below the largest voltage that the 12-electrode adjacent scan (12B) has on the
+untouched sheet of the same world. The untouched reference is taken as free of noise (in practice a mean of many frames).
+"""
+
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.overlap import disc_overlap
+from ohmskin.evaluate.shapes import Shape
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Mesh, mesh_domain
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern, adjacent
+from ohmskin.skin import PressedSheet, Skin
+
+CURRENT = 1e-3  # amperes, in every injection
+LAYOUTS = {"grid": "paper", "rim": "paper-rim16"}  # electrode layouts and the skins that have them
+WORLDS = ("discs", "pressed")
+CONTACT_STRENGTH = {"discs": 0.5, "pressed": 20e3}  # relative change of conductivity | pascals
+CONTACT_RADIUS = {"discs": 10e-3, "pressed": 8e-3}  # metres
+
+Contacts = tuple[Shape, ...]
+
+
+class Sheet(Protocol):
+    """One touched sheet with one electrode layout."""
+
+    untouched: Floats
+
+    def touched(self, contacts: Contacts) -> Floats:
+        """Transfer resistances (n_elec, n_elec) in ohms under contacts."""
+        ...
+
+
+class DiscSheet:
+    """Discs of raised conductivity on a sheet with point electrodes.
+
+    Args:
+        skin: Sheet and electrodes.
+
+    Attributes:
+        untouched: (n_elec, n_elec) transfer resistances of the sheet without discs (ohm).
+    """
+
+    def __init__(self, skin: Skin) -> None:
+        self.skin = skin
+        self.mesh: Mesh = mesh_domain(skin.domain, 0.48 * skin.imaging.mesh_size, skin.electrodes.positions)
+        self.untouched = TransferModel(self.mesh, skin.electrodes, skin.sheet.conductivity).transfer_resistance
+
+    def touched(self, contacts: Contacts) -> Floats:
+        """Transfer resistances under contacts; where discs overlap their changes add up."""
+        change = np.zeros(self.mesh.n_elem)
+        for contact in contacts:
+            if contact.kind != "disc":
+                raise OhmskinError(f"the world of discs has no {contact.kind}; press it on the world 'pressed'")
+            change += contact.strength * disc_overlap(self.mesh, contact.position, contact.radius) / self.mesh.areas
+        conductivity = self.skin.sheet.conductivity * (1 + change)
+        return TransferModel(self.mesh, self.skin.electrodes, conductivity).transfer_resistance
+
+
+class TwinSheet:
+    """Contacts pressed on the contact-layer twin.
+
+    Args:
+        skin: What to press on.
+
+    Attributes:
+        untouched: (n_elec, n_elec) transfer resistances of the untouched skin (ohm).
+    """
+
+    def __init__(self, skin: Skin) -> None:
+        self._twin = PressedSheet(skin)
+        self._spread = skin.contact_layer.foam_spread
+        self.untouched = self._twin.untouched
+
+    def touched(self, contacts: Contacts) -> Floats:
+        """Transfer resistances under contacts; the foam spreads their edges, and pressures add up."""
+        points = self._twin.contact_points
+        pressure = np.zeros(len(points))
+        for contact in contacts:
+            share = 1 - contact.distance(points) / max(self._spread, 1e-12)
+            pressure += contact.strength * np.clip(share, 0.0, 1.0)
+        return self._twin.under_pressure(pressure)
+
+
+@lru_cache(maxsize=8)
+def sheet(world: str, layout: str) -> Sheet:
+    """The sheet of a world with an electrode layout; made once per process.
+
+    Raises:
+        OhmskinError: If there is no such world.
+    """
+    skin = Skin.load(LAYOUTS[layout])
+    if world == "discs":
+        return DiscSheet(skin)
+    if world == "pressed":
+        return TwinSheet(skin)
+    raise OhmskinError(f"no world {world!r}; choose from {', '.join(WORLDS)}")
+
+
+@lru_cache(maxsize=20_000)
+def touched(world: str, layout: str, contacts: Contacts) -> Floats:
+    """Transfer resistances under contacts, kept for the next noise level, seed or method."""
+    resistance = sheet(world, layout).touched(contacts)
+    resistance.setflags(write=False)
+    return resistance
+
+
+def voltages(resistance: Floats, pattern: DrivePattern) -> Floats:
+    """Voltages (n_meas,) of a pattern at `CURRENT`, from transfer resistances (n_elec, n_elec) in ohms (V)."""
+    a, b, c, d = pattern.quadruples.T
+    volts: Floats = CURRENT * (resistance[a, c] - resistance[a, d] - resistance[b, c] + resistance[b, d])
+    return volts
+
+
+@lru_cache(maxsize=8)
+def full_scale(world: str) -> float:
+    """The voltage that noise refers to: the largest of the 12B adjacent scan on the untouched sheet of a world (V)."""
+    base = adjacent([Skin.load(LAYOUTS["grid"]).electrodes.rings[0]])
+    return float(np.abs(voltages(sheet(world, "grid").untouched, base)).max())
+
+
+def noise_volts(world: str, decibels: float) -> float:
+    """Standard deviation of one voltage (V) at a noise level in decibels below `full_scale`.
+
+    Raises:
+        OhmskinError: If the level is not finite or beyond 0 to 200 dB.
+    """
+    if not (np.isfinite(decibels) and 0 <= decibels <= 200):
+        raise OhmskinError(f"noise level is {decibels} dB; it must be 0 to 200 dB below the largest voltage")
+    return full_scale(world) * 10 ** (-decibels / 20)
+
+
+def contact(world: str, x: float, y: float, radius: float | None = None, strength: float | None = None) -> Shape:
+    """The usual contact of a world at (x, y) in metres: see `CONTACT_RADIUS` and `CONTACT_STRENGTH`."""
+    return Shape(
+        "disc",
+        (float(x), float(y)),
+        CONTACT_RADIUS[world] if radius is None else radius,
+        CONTACT_STRENGTH[world] if strength is None else strength,
+    )

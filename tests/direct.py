@@ -1,0 +1,26 @@
+"""A device without a wire, for tests of what lies above it."""
+
+from ohmskin.device import Capabilities, Device, Feature, Press
+from ohmskin.errors import DeviceLost
+from ohmskin.scan import DrivePattern, Frame
+from ohmskin.skin import VirtualSkin
+
+
+class DirectDevice(Device):
+    """A `VirtualSkin` in this process. Set `gone` to pull its plug."""
+
+    def __init__(self, virtual: VirtualSkin, serial: int = 1) -> None:
+        count = len(virtual.skin.electrodes)
+        super().__init__("direct:", Capabilities("direct", count, 24, 512, features=Feature.VIRTUAL, serial=serial))
+        self.virtual, self.gone = virtual, False
+
+    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
+        if self.gone:
+            raise DeviceLost("the plug was pulled")
+        return self.virtual.scan(pattern)
+
+    def _press(self, press: Press) -> None:
+        self.virtual.press(press.number, press.x, press.y, press.radius, press.pressure)
+
+    def _close(self) -> None:
+        pass

@@ -1,0 +1,202 @@
+"""The command line as a user types it."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_process import all_gone, children, live
+
+
+def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, cwd=cwd, timeout=timeout)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["live", "--skin", "nosuch"], "no skin named 'nosuch'; give a .toml file or one of paper"),
+        (["live", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
+        (["live", "--device", "nosuch:1"], "no driver for 'nosuch:1'"),
+        (["live", "--mode", "99Z", "--headless"], "'99Z' is not possible"),
+        (["live", "--seconds", "-1"], "must be positive"),
+        (["live", "--device", "replay:nosuch.csv"], "cannot read recording nosuch.csv"),
+        (["live", "--host", "0.0.0.0"], "token"),
+        (["press", "50", "120", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
+        (["image", "nosuch.csv"], "cannot read recording nosuch.csv"),
+        (["serve-skin", "--skin", "nosuch.toml"], "cannot read skin file nosuch.toml"),
+        (["scan", "--mode", "99Z"], "'99Z' is not possible"),
+    ],
+)
+def test_a_mistake_gets_one_clear_line_and_no_traceback(arguments: list[str], says: str) -> None:
+    result = ohmskin(*arguments)
+    assert result.returncode == 2
+    assert says in result.stderr
+    assert "Traceback" not in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("command", ["live", "serve-skin", "press", "scan", "image", "info"])
+def test_every_command_has_help_with_an_example(command: str) -> None:
+    result = ohmskin(command, "--help")
+    assert result.returncode == 0
+    assert f"ohmskin {command}" in result.stdout
+    assert "Example" in result.stdout or command == "info"
+
+
+def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "ohmskin", "serve-skin", "--port", "0", "--seed", "1"], stdout=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None
+        address = re.search(r"tcp://\S+", server.stdout.readline())
+        assert address
+        sensed = subprocess.Popen(
+            [sys.executable, "-m", "ohmskin", "live", "--json", "--seconds", "4", "--device", address[0]],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert sensed.stdout is not None
+        first = json.loads(sensed.stdout.readline())
+        assert first["mode"] == "16O"
+        assert first["contacts"] == []
+        pressed = ohmskin("press", "60", "140", "--seconds", "1.5", "--device", address[0])
+        assert (pressed.returncode, pressed.stderr) == (0, "")
+        frames = [json.loads(line) for line in sensed.stdout]
+        assert sensed.wait(20) == 0
+        sensed.stdout.close()
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(10) == 0
+    places = [contact["position"] for frame in frames for contact in frame["contacts"]]
+    assert places
+    assert np.linalg.norm(np.array(places) - [0.06, 0.14], axis=1).max() < 12e-3
+    assert not frames[-1]["contacts"]
+    numbers = [frame["sequence"] for frame in frames]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def test_headless_table_over_a_pseudo_terminal() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "ohmskin", "serve-skin", "--port", "0", "--pty"], stdout=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None
+        server.stdout.readline()
+        serial = re.search(r"serial://\S+", server.stdout.readline())
+        assert serial
+        result = ohmskin("live", "--headless", "--seconds", "1", "--device", serial[0])
+        server.terminate()
+        server.wait(10)
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    assert "extent/cm2" in lines[1]
+    assert len(lines) >= 4
+
+
+def test_scan_prints_what_was_driven_and_measured() -> None:
+    result = ohmskin("scan", "--mode", "12B", "--json")
+    data = json.loads(result.stdout)
+    assert len(data["injections"]) == 12
+    assert len(data["voltages"]) == len(data["measurements"]) == 108
+    assert all(current > 0 for current in data["currents"])
+
+
+def test_image_shows_the_targets(tank_folder: Path, tmp_path: Path) -> None:
+    (file,) = (tank_folder / "electrode01_metal_electrode05_plastic").glob("*.csv")
+    result = ohmskin("image", str(file), "--output", "picture.png", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "conducts better" in result.stdout
+    assert "conducts worse" in result.stdout
+    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_live_replays_a_recording(tank_folder: Path) -> None:
+    (file,) = (tank_folder / "electrode01_metal_electrode05_plastic_electrode09_plastic").glob("*.csv")
+    result = ohmskin("live", "--json", "--seconds", "1", "--device", f"replay:{file}")
+    frame = json.loads(result.stdout.splitlines()[-1])
+    angles = {
+        round(np.degrees(np.arctan2(c["position"][1], c["position"][0])) / 22.5) % 16: np.sign(c["strength"]) for c in frame["contacts"]
+    }
+    assert angles == {0: 1, 4: -1, 8: -1}
+
+
+def test_live_ends_cleanly_and_leaves_no_process_behind() -> None:
+    with live("--seconds", "60") as (_, process):
+        family = children(process.pid)
+        assert len(family) == 2  # the virtual skin and the page
+    assert all_gone(family)
+
+
+def test_a_killed_live_takes_its_processes_with_it() -> None:
+    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        family = children(process.pid)
+        assert family
+        process.kill()
+    assert all_gone(family)
+
+
+def test_a_page_port_in_use_gets_the_next_one() -> None:
+    with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        result = ohmskin("live", "--no-browser", "--port", str(port), "--seconds", "0.5")
+    assert f"port {port} is in use" in result.stdout
+    found = re.search(r"127\.0\.0\.1:(\d+)/", result.stdout)
+    assert found
+    assert int(found[1]) > port
+
+
+def test_a_lost_device_is_told_and_found_again() -> None:
+    def serve(port: str) -> "subprocess.Popen[str]":
+        command = [sys.executable, "-m", "ohmskin", "serve-skin", "--port", port]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+    server = serve("0")
+    assert server.stdout is not None
+    address = re.search(r"tcp://\S+:(\d+)", server.stdout.readline())
+    assert address
+    command = [sys.executable, "-m", "ohmskin", "live", "--headless", "--device", address[0]]
+    sensed = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert sensed.stdout is not None
+    os.set_blocking(sensed.stdout.fileno(), True)
+    try:
+        read_until(sensed, r"\d\d:\d\d:\d\d ")
+        server.kill()
+        server.wait()
+        server.stdout.close()
+        read_until(sensed, "device lost")
+        server = serve(address[1])
+        read_until(sensed, "device is back")
+        read_until(sensed, r"\d\d:\d\d:\d\d ")
+    finally:
+        sensed.send_signal(signal.SIGINT)
+        assert sensed.wait(10) == 0
+        sensed.stdout.close()
+        server.terminate()
+        server.wait(10)
+        assert server.stdout is not None
+        server.stdout.close()
+
+
+def read_until(process: "subprocess.Popen[str]", expression: str, seconds: float = 30) -> str:
+    assert process.stdout is not None
+    end = time.monotonic() + seconds
+    seen = []
+    for line in process.stdout:
+        seen.append(line)
+        if re.search(expression, line):
+            return line
+        if time.monotonic() > end:
+            break
+    raise AssertionError(f"no line with {expression!r} in {seen}")

@@ -1,0 +1,198 @@
+"""The adaptive loop on the physics twin, without a wire."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from direct import DirectDevice
+from ohmskin.engine import Engine, State, Touch
+from ohmskin.engine.health import HealthMonitor
+from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError
+from ohmskin.skin import Skin, VirtualSkin
+
+PLACES = [(0.05, 0.12), (0.1, 0.1), (0.03, 0.03), (0.17, 0.05), (0.08, 0.17), (0.12, 0.06), (0.16, 0.16), (0.03, 0.1), (0.1, 0.03)]
+
+
+@pytest.fixture(scope="module")
+def skin() -> Skin:
+    return Skin.load("paper")
+
+
+@pytest.fixture(scope="module")
+def calibrated(skin: Skin) -> Iterator[Engine]:
+    device = DirectDevice(VirtualSkin(skin, seed=5))
+    with Engine(lambda: device, skin) as engine:
+        engine.calibrate()
+        yield engine
+
+
+@pytest.fixture
+def engine(calibrated: Engine) -> Iterator[Engine]:
+    calibrated.set_mode("16O")
+    yield calibrated
+    for number, press in calibrated.device.virtual.presses.items():  # type: ignore[attr-defined]
+        calibrated.press(number, press.position, press.radius, 0.0)
+    run(calibrated, 8)
+
+
+def run(engine: Engine, cycles: int) -> Touch:
+    touch = None
+    for _ in range(cycles):
+        touch = engine.step()
+    assert touch is not None
+    return touch
+
+
+def miss(touch: Touch, at: tuple[float, float]) -> float:
+    return min((float(np.hypot(*np.subtract(c.position, at))) for c in touch.contacts), default=np.inf)
+
+
+@pytest.mark.parametrize("mode", ["12B", "16I", "16O"])
+def test_every_place_is_found_by_every_mode_and_by_nothing_else(engine: Engine, mode: str) -> None:
+    engine.set_mode(mode)
+    for at in PLACES:
+        engine.press(1, at, 8e-3, 20e3)
+        touch = run(engine, 10)
+        assert miss(touch, at) < 12e-3, f"{mode} at {at}: {touch.contacts}"
+        assert len(touch.contacts) == 1
+
+
+def test_nothing_is_felt_when_nothing_touches(engine: Engine) -> None:
+    assert all(not engine.step().contacts for _ in range(3000))  # type: ignore[union-attr]
+
+
+def test_two_presses_are_two_contacts_with_ids_that_stay(engine: Engine) -> None:
+    engine.press(1, (0.05, 0.05), 8e-3, 20e3)
+    engine.press(2, (0.15, 0.15), 8e-3, 20e3)
+    touch = run(engine, 10)
+    assert miss(touch, (0.05, 0.05)) < 12e-3
+    assert miss(touch, (0.15, 0.15)) < 12e-3
+    ids = {c.id for c in touch.contacts}
+    assert len(ids) == 2
+    for step in range(20):
+        engine.press(1, (0.05 + 1.5e-3 * step, 0.05), 8e-3, 20e3)
+        touch = run(engine, 1)
+        assert {c.id for c in touch.contacts} == ids
+    assert miss(touch, (0.0785, 0.05)) < 12e-3
+
+
+def test_a_harder_press_is_stronger_and_a_lifted_one_is_gone(engine: Engine) -> None:
+    strengths = []
+    for pressure in (5e3, 20e3, 50e3):
+        engine.press(1, (0.08, 0.11), 8e-3, pressure)
+        strengths.append(run(engine, 10).contacts[0].strength)
+    assert strengths[0] < strengths[1] < strengths[2]
+    engine.press(1, (0.08, 0.11), 8e-3, 0.0)
+    assert not run(engine, 6).contacts
+
+
+def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engine) -> None:
+    engine.press(1, (0.06, 0.14), 8e-3, 20e3)
+    touch = run(engine, 5)
+    base, optimal = touch.sight.frames
+    assert touch.mode.optimal is not None
+    assert base.pattern == touch.mode.base
+    assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in touch.sight.regions])
+
+
+def test_an_unknown_mode_lists_the_choices(engine: Engine) -> None:
+    with pytest.raises(PatternError, match="12B, 16I, 16O"):
+        engine.set_mode("17X")
+
+
+def test_a_pause_stops_and_resumes(engine: Engine) -> None:
+    engine.pause(True)
+    assert engine.step() is None
+    assert engine.state is State.PAUSED
+    engine.pause(False)
+    assert engine.step() is not None
+
+
+def test_a_press_off_the_sheet_is_refused(engine: Engine) -> None:
+    with pytest.raises((DeviceRefused, ValueError), match="off the sheet"):
+        engine.press(1, (0.3, 0.1), 8e-3, 20e3)
+
+
+def test_a_skin_with_other_electrodes_is_refused(skin: Skin) -> None:
+    other = Skin.parse('name = "other"\n[electrode]\nlayout = "rim"\ncount = 12\n')
+    with pytest.raises(DeviceError, match="16 electrodes.*'other' has 12"):
+        Engine(lambda: DirectDevice(VirtualSkin(skin, 0)), other)
+
+
+def test_a_lost_device_is_found_again_and_felt_again(skin: Skin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    virtual = VirtualSkin(skin, seed=7)
+    opened: list[DirectDevice] = []
+    refusals = iter([False, True, True, False])
+    told: list[str] = []
+
+    def open_device() -> DirectDevice:
+        if next(refusals):
+            raise DeviceLost("nobody there")
+        opened.append(DirectDevice(virtual))
+        return opened[-1]
+
+    with Engine(open_device, skin, report=told.append) as engine:
+        engine.calibrate()
+        engine.press(1, (0.1, 0.07), 8e-3, 20e3)
+        assert miss(run(engine, 5), (0.1, 0.07)) < 12e-3
+        opened[0].gone = True
+        assert engine.step() is None
+        assert engine.state is State.LOST
+        engine.press(1, (0.1, 0.07), 8e-3, 20e3)  # not an error while the device is away
+        assert engine.step() is None  # still away
+        assert "nobody there" in engine.message
+        assert engine.step() is None
+        assert engine.step() is None  # back, seen from the next cycle on
+        assert engine.state is State.RUNNING
+        assert miss(run(engine, 5), (0.1, 0.07)) < 12e-3  # the old baseline still holds
+    assert len(opened) == 2
+    assert any("plug was pulled" in line for line in told)
+    assert told[-1] == "device is back"
+
+
+def test_another_device_in_its_place_is_calibrated(skin: Skin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    devices = [DirectDevice(VirtualSkin(skin, seed=k), serial=k) for k in (1, 2)]
+    told: list[str] = []
+    pending = iter(devices)
+    with Engine(lambda: next(pending), skin, report=told.append) as engine:
+        engine.calibrate()
+        before = engine.perception
+        devices[0].gone = True
+        engine.step()
+        engine.step()
+        assert engine.state is State.RUNNING
+        assert engine.perception is not before
+    assert any("another device" in line for line in told)
+
+
+def test_a_device_lost_while_calibrating_keeps_what_was_known(calibrated: Engine) -> None:
+    before = calibrated.perception
+    calibrated.device.gone = True  # type: ignore[attr-defined]
+    with pytest.raises(DeviceLost):
+        calibrated.calibrate()
+    calibrated.device.gone = False  # type: ignore[attr-defined]
+    assert calibrated.perception is before
+    assert calibrated.state is State.LOST
+
+
+def test_health_counts_and_times_cycles() -> None:
+    monitor = HealthMonitor()
+    for k in range(201):
+        now = 100 + k * 0.01
+        monitor.waited(0.004)
+        health = monitor.cycle(now, sampled=now - (0.002 if k % 10 else 0.005), dropped=3, noise=1e-4)
+    assert health.rate == pytest.approx(100, rel=0.02)
+    assert health.waiting == pytest.approx(0.4, rel=0.03)
+    assert health.latency_p50 == pytest.approx(0.002)
+    assert health.latency_p99 == pytest.approx(0.005)
+    assert (health.dropped, health.noise) == (3, 1e-4)
+
+
+def test_device_time_is_tied_to_the_fastest_answer() -> None:
+    monitor = HealthMonitor()
+    assert monitor.arrived(host=50.0, device=10.0) == 50.0
+    assert monitor.arrived(host=50.999, device=11.0) == pytest.approx(50.999)
+    assert monitor.arrived(host=52.5, device=12.0) == pytest.approx(51.999)
