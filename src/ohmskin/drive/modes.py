@@ -13,9 +13,10 @@ from ohmskin.scan import DrivePattern, adjacent
 
 
 class AdaptiveDrive(Protocol):
-    """Chooses a drive pattern for the contacts at hand, always a part of `complete`."""
+    """Chooses a drive pattern for the contacts at hand, always `pairs` injections out of `complete`."""
 
     complete: DrivePattern
+    pairs: int
 
     def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
         """The pattern for one or several regions, each given by its anchors (3, 2) in metres."""

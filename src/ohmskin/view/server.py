@@ -6,6 +6,7 @@ It reads messages from standard input and writes one JSON object per line to sta
 
 import asyncio
 import contextlib
+import errno
 import hmac
 import json
 import mimetypes
@@ -249,12 +250,9 @@ def listen(host: str, port: int) -> socket.socket:
         except OSError as taken:
             listener.close()
             reason = taken
-            if taken.errno not in _TAKEN:
+            if taken.errno != errno.EADDRINUSE:
                 break
     raise OSError(f"cannot listen on {host} port {port} or the {_PORTS - 1} after it: {reason.strerror}")
-
-
-_TAKEN = {48, 98, 10048}  # EADDRINUSE of BSD, Linux and Windows
 
 
 def build_app(page: Page, host: str, token: str | None) -> ASGIApp:

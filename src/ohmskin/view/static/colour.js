@@ -91,7 +91,7 @@ export class Range {
     this.limit = 1;
     this.signed = false;
     this._quietSince = 0;
-    this._positiveSince = 0;
+    this._otherwiseSince = null; // since when the data have spoken for the other value of `signed`
     this._fresh = true;
   }
 
@@ -101,9 +101,11 @@ export class Range {
   }
 
   follow(low, high, threshold, now) {
-    const signed = -low > Math.max(0.35 * high, 1.2 * threshold);
-    if (signed || this._fresh) [this.signed, this._positiveSince] = [signed, now];
-    else if (now - this._positiveSince > 6000) this.signed = false;
+    const signed = -low > Math.max(0.4 * high, 1.2 * threshold);
+    if (signed === this.signed) this._otherwiseSince = null;
+    else this._otherwiseSince ??= now;
+    // An image undershoots for a moment when a press begins or ends; that is no reason to change the scale.
+    if (this._fresh || (this._otherwiseSince !== null && now - this._otherwiseSince > (signed ? 700 : 6000))) this.signed = signed;
     if (!this.auto) return;
     const largest = Math.max(Math.abs(low), Math.abs(high), 2 * threshold);
     if (!(largest > 0)) return;

@@ -23,11 +23,12 @@ class Slider {
     this._show();
   }
 
+  /** To two digits, as it is shown. */
   get value() {
     const [least, largest] = this._limits;
     const share = this._input.valueAsNumber / 1000;
     const value = this._ratio ? least * (largest / least) ** share : least + share * (largest - least);
-    return Math.min(largest, Math.max(least, Number(value.toPrecision(4))));
+    return Math.min(largest, Math.max(least, Number(value.toPrecision(2))));
   }
 
   _share(value) {

@@ -38,16 +38,6 @@ export class Field {
     return low <= high ? [low, high] : [0, 0];
   }
 
-  /** Where the largest absolute value is, [x, y] in metres. */
-  peak() {
-    let best = 0;
-    this.values.forEach((v, i) => {
-      if (Math.abs(v) > Math.abs(this.values[best]) || Number.isNaN(this.values[best])) best = i;
-    });
-    const { x0, y0, pitch, nx } = this.raster;
-    return [x0 + (best % nx) * pitch, y0 + Math.floor(best / nx) * pitch];
-  }
-
   /** Value between pixel centres, NaN off the skin. */
   at(x, y) {
     const { x0, y0, pitch, nx, ny } = this.raster;

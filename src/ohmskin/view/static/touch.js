@@ -107,7 +107,6 @@ export class Touch {
     const reach = REACH / this._page.frame(canvas).scale;
     const near = this._near(x, y, reach);
     if (near === null && !contains(this._page.skin().domain, x, y)) return;
-    canvas.focus({ preventScroll: true });
     canvas.setPointerCapture(event.pointerId);
     const twice = near !== null && this._lastTap.id === near && event.timeStamp - this._lastTap.time < DOUBLE;
     if (twice) {
