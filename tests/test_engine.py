@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-
 from direct import DirectDevice
+
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError
@@ -116,7 +116,7 @@ def test_a_press_off_the_sheet_is_refused(engine: Engine) -> None:
 
 def test_a_skin_with_other_electrodes_is_refused(skin: Skin) -> None:
     other = Skin.parse('name = "other"\n[electrode]\nlayout = "rim"\ncount = 12\n')
-    with pytest.raises(DeviceError, match="16 electrodes.*'other' has 12"):
+    with pytest.raises(DeviceError, match=r"16 electrodes.*'other' has 12"):
         Engine(lambda: DirectDevice(VirtualSkin(skin, 0)), other)
 
 

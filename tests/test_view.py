@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ohmskin.view import LiveView, ViewError
+from ohmskin.errors import ViewError
+from ohmskin.view import LiveView
 from ohmskin.view.live import _enqueue
 from ohmskin.view.wire import CommandError, pack_frame, read_command, to_json
 

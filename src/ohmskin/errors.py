@@ -6,6 +6,7 @@
     ├── ModelError          a forward or inverse problem that is not well posed
     ├── SkinError           a skin description that is incomplete or out of range
     ├── DataError           a recording or frame that cannot be read
+    ├── ViewError           the live page cannot be served or was given something it cannot show
     └── DeviceError         anything between the host and the skin
         ├── DeviceLost      the device does not answer or has gone; reconnecting may help
         ├── DeviceRefused   the device answered and said no
@@ -37,6 +38,10 @@ class SkinError(OhmskinError, ValueError):
 
 class DataError(OhmskinError, ValueError):
     """A recording or frame that cannot be read."""
+
+
+class ViewError(OhmskinError):
+    """The live page cannot be served or was given something it cannot show."""
 
 
 class DeviceError(OhmskinError):

@@ -34,5 +34,7 @@ def image(file: Path, *, skin: str = "", output: Path | None = None) -> None:
     for contact in sight.contacts:
         x, y = contact.position
         change = "conducts better" if contact.strength > 0 else "conducts worse"
-        print(f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {contact.extent * 1e4:5.2f} cm2  {change}, confidence {contact.confidence:.2f}")
+        print(
+            f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {contact.extent * 1e4:5.2f} cm2  {change}, confidence {contact.confidence:.2f}"
+        )
     print(f"picture: {target}")

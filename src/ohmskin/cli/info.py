@@ -13,8 +13,7 @@ from ohmskin.skin import Skin, shipped_skins
 
 
 def info() -> None:
-    """Show versions, the skins that ship, drivers and serial ports.
-    """
+    """Show versions, the skins that ship, drivers and serial ports."""
     console = Console(highlight=False, soft_wrap=True)
     console.print(
         f"ohmskin {ohmskin.__version__}, Python {platform.python_version()}, NumPy {numpy.__version__}, SciPy {scipy.__version__}"

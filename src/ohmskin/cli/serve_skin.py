@@ -49,5 +49,10 @@ def serve_skin(
         if server.pty_path:
             print(f"and at serial://{server.pty_path}", flush=True)
         if lifeline:
-            threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+            threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         stop.wait()
+
+
+def _end_with_input(stop: threading.Event) -> None:
+    sys.stdin.read()
+    stop.set()

@@ -47,7 +47,7 @@ class Capabilities:
     max_injections: int
     max_measurements: int
     pattern_slots: int = 4
-    features: Feature = Feature(0)  # noqa: RUF009  an enum does not change
+    features: Feature = Feature(0)
     excitation: float = 0.0
     full_scale: float = 0.0
     settle_time: float = 0.0

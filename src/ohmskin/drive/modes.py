@@ -58,8 +58,14 @@ def modes(electrodes: Electrodes, pairs: int = 16, fuse: bool = True) -> dict[st
     base = adjacent([rim])
     found = [Mode(f"{len(rim)}B", f"adjacent, {len(rim)} electrodes on the rim", base)]
     if len(electrodes.rings) > 1:
-        found.append(Mode(f"{total}I", f"adjacent, {len(rim)} on the rim and {total - len(rim)} inside", adjacent(electrodes.rings)))
-    found.append(Mode(f"{total}O", f"adaptive, {base.n_inj} base and {pairs} optimal injections", base, OptimalDrive(electrodes, pairs), fuse))
+        found.append(
+            Mode(f"{total}I", f"adjacent, {len(rim)} on the rim and {total - len(rim)} inside", adjacent(electrodes.rings))
+        )
+    found.append(
+        Mode(
+            f"{total}O", f"adaptive, {base.n_inj} base and {pairs} optimal injections", base, OptimalDrive(electrodes, pairs), fuse
+        )
+    )
     return {mode.name: mode for mode in found}
 
 

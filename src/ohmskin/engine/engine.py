@@ -176,7 +176,9 @@ class Engine:
         found, expected = device.capabilities.n_electrodes, len(self.skin.electrodes)
         if found != expected:
             device.close()
-            raise DeviceError(f"the device has {found} electrodes, skin {self.skin.name!r} has {expected}; choose the skin that fits")
+            raise DeviceError(
+                f"the device has {found} electrodes, skin {self.skin.name!r} has {expected}; choose the skin that fits"
+            )
         return device
 
     def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:

@@ -53,9 +53,10 @@ class TransferModel:
 
         With point electrodes the diagonal, the potential of a driven electrode, grows without bound as the mesh is refined.
         """
-        s = self.potentials[self._nodes]
+        s: Floats = self.potentials[self._nodes]
         s = s - s.mean(axis=0) - s.mean(axis=1, keepdims=True) + s.mean()
-        return (s + s.T) / 2
+        symmetric: Floats = (s + s.T) / 2
+        return symmetric
 
     def voltages(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """Voltages (n_meas,) of a pattern (V) at given injected currents, one value or (n_inj,) in amperes."""
@@ -84,8 +85,8 @@ class TransferModel:
     def sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A). J of eq. (4), with that sign."""
         driven = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)[pattern.measurements[:, 0]]
-        rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_sensitivity
-        return rows * driven[:, None]
+        rows: Floats = (pattern.combination(len(self.electrodes)) @ self.pair_sensitivity) * driven[:, None]
+        return rows
 
     def current_density(self, source: int, sink: int, current: float = 1.0) -> Floats:
         """Sheet current density (n_elem, dim) in A/m for a current from electrode `source` to electrode `sink` (A)."""

@@ -145,4 +145,5 @@ class Disc:
 
     def arc(self, points: ArrayLike) -> Floats:
         x, y = np.asarray(points, float).T
-        return np.mod(np.arctan2(y, x), 2 * np.pi) * self.radius
+        arc: Floats = np.mod(np.arctan2(y, x), 2 * np.pi) * self.radius
+        return arc

@@ -85,7 +85,8 @@ class Mesh:
         p = self.nodes[self.triangles]
         e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
         a, b, c = (np.einsum("ij,ij->i", u, v) for u, v in ((e1, e1), (e1, e2), (e2, e2)))
-        return 0.5 * np.sqrt(np.maximum(a * c - b * b, 0.0))
+        areas: Floats = 0.5 * np.sqrt(np.maximum(a * c - b * b, 0.0))
+        return areas
 
     @cached_property
     def centroids(self) -> Floats:

@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.domain import Domain, Floats
-from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.mesh import Ints, Mesh
 
 
 def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, smoothing: int = 12) -> Mesh:
@@ -38,7 +38,7 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, sm
     gap = cKDTree(kept).query(kept, k=2)[0][:, 1]
     if gap.min() < 0.1 * size:
         near = kept[gap.argmin()]
-        raise GeometryError(f"points about {near} are {gap.min():.2g} m apart, too close for a mesh size of {size:.2g} m; refine it")
+        raise GeometryError(f"points about {near} are {gap.min():.2g} m apart, too close for mesh size {size:.2g} m; refine it")
 
     lattice = _hexagonal(domain.bounds, size)
     lattice = lattice[domain.depth(lattice) > 0.5 * size]
@@ -82,9 +82,9 @@ def _hexagonal(bounds: tuple[float, float, float, float], size: float) -> Floats
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def _triangulate(nodes: Floats, size: float) -> np.ndarray:
-    triangles = Delaunay(nodes).simplices.astype(np.int64)
+def _triangulate(nodes: Floats, size: float) -> Ints:
+    triangles: Ints = Delaunay(nodes).simplices.astype(np.int64)
     p = nodes[triangles]
     e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     areas = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-    return triangles[areas > 1e-4 * size**2]  # collinear rim nodes leave empty triangles behind
+    return np.asarray(triangles[areas > 1e-4 * size**2])  # collinear rim nodes leave empty triangles behind

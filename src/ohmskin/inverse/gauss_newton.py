@@ -24,10 +24,10 @@ from scipy.linalg import cho_factor, cho_solve
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import factorise
+from ohmskin.geometry import Mesh
 from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.priors import paper_laplacian
 from ohmskin.scan import Difference, DrivePattern
-from ohmskin.geometry import Mesh
 
 Prior = Callable[[Mesh], sp.csc_array]
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.image import AxesImage
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 
@@ -46,7 +45,7 @@ def draw_image(
     full = limit or float(np.nanmax(np.abs(pixels))) or 1.0
     half = raster.pitch / 2
     extent = tuple(1e3 * edge for edge in (raster.x[0] - half, raster.x[-1] + half, raster.y[0] - half, raster.y[-1] + half))
-    shown = axes.imshow(pixels, origin="lower", extent=extent, cmap=_COLOURS, norm=TwoSlopeNorm(0, -full, full), interpolation="none")
+    shown = axes.imshow(pixels, origin="lower", extent=extent, cmap=_COLOURS, vmin=-full, vmax=full, interpolation="none")
     x, y = 1e3 * electrodes.positions.T
     axes.plot(x, y, "o", color="0.15", markersize=4, clip_on=False)
     middle = 0.5e3 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))

@@ -103,7 +103,7 @@ class DrivePattern:
         for start in range(0, self.n_inj, max_injections):
             stop = min(start + max_injections, self.n_inj)
             low, high = np.searchsorted(self.measurements[:, 0], [start, stop])
-            yield DrivePattern(self.injections[start:stop], self.measurements[low:high] - [start, 0, 0])
+            yield DrivePattern(self.injections[start:stop], self.measurements[low:high] - np.array([start, 0, 0]))
 
     def __eq__(self, other: object) -> bool:
         return (

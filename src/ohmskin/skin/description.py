@@ -6,7 +6,7 @@ ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``tank``
 
 import math
 import tomllib
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -162,7 +162,7 @@ class Skin:
             for key, value in data.items():
                 if key not in known:
                     raise SkinError(f"unknown entry {key!r}; choose from {', '.join(known)}")
-                kind = type(known[key].default)
+                kind: Any = type(known[key].default)
                 if kind is str:
                     tables[key] = value
                 elif isinstance(value, dict):
@@ -222,13 +222,13 @@ def _check(table: str, values: Any) -> None:
     """Hold each value against the type of its default and the range in its metadata."""
     for entry in fields(values):
         value, name = getattr(values, entry.name), f"{table}.{entry.name}"
-        expected = type(entry.default) if entry.default is not MISSING else float
+        expected: Any = type(entry.default)
         if expected in (bool, str):
             if not isinstance(value, expected):
                 raise SkinError(f"{name} is {value!r}; it must be {'true or false' if expected is bool else 'text'}")
-            if choices := entry.metadata.get("choices"):
-                if value not in choices:
-                    raise SkinError(f"{name} is {value!r}; choose from {', '.join(choices)}")
+            choices = entry.metadata.get("choices", (value,))
+            if value not in choices:
+                raise SkinError(f"{name} is {value!r}; choose from {', '.join(choices)}")
             continue
         low, high, unit = entry.metadata["low"], entry.metadata["high"], entry.metadata["unit"]
         if isinstance(value, bool) or not isinstance(value, int | float) or (expected is int and not isinstance(value, int)):

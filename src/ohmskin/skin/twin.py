@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from ohmskin.errors import SkinError
 from ohmskin.forward.assembly import factorise, stiffness
-from ohmskin.geometry import Mesh, mesh_domain
+from ohmskin.geometry import mesh_domain
 from ohmskin.geometry.domain import Floats
 from ohmskin.skin.description import Skin
 

@@ -53,7 +53,7 @@ def find_regions(values: Floats, mesh: Mesh, threshold: float, dip: float = 1.0)
     return regions
 
 
-@njit(cache=True, nogil=True)  # type: ignore[misc]
+@njit(cache=True, nogil=True)
 def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) -> Ints:
     """Label (n_elem,) each element above `threshold` with its peak, 0 the highest peak; -1 below the threshold.
 

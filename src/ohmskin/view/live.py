@@ -16,7 +16,8 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ohmskin.view.wire import ViewError, check_setup, pack_frame, to_json, write_message
+from ohmskin.errors import ViewError
+from ohmskin.view.wire import check_setup, pack_frame, to_json, write_message
 
 log = logging.getLogger(__name__)
 

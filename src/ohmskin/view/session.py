@@ -14,6 +14,7 @@ from ohmskin.view.demo import demo_finger
 from ohmskin.view.live import LiveView
 
 _PIXELS = 64
+_NOTE_SECONDS = 5.0
 _RADIUS = [3e-3, 20e-3, 8e-3]  # m: least, largest and usual radius of a press on the page
 _PRESSURE = [1e3, 60e3, 20e3]  # Pa, likewise
 _PAPER_SKINS = {"12B": "paper", "16B": "paper-rim16", "16I": "paper", "16O": "paper"}  # the skin for each of the paper's modes
@@ -38,7 +39,7 @@ class Session:
         self._numbers: dict[str, int] = {}  # press number of each press id of the page; 0 is the demonstration's
         self._presses: dict[str, dict[str, Any]] = {}
         self._last: Touch | None = None
-        self._note = ""
+        self._note, self._note_until = "", 0.0
         self.view = LiveView(self._setup(), host, port, token)
 
     def calibrate(self) -> None:
@@ -53,7 +54,7 @@ class Session:
             try:
                 self._obey(command)
             except DeviceError as error:
-                self._note = str(error)
+                self._note, self._note_until = str(error), time.monotonic() + _NOTE_SECONDS
         if self._demo and self._engine.state is State.RUNNING:
             self._engine.press(0, *demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from))
             self._demo_pressing = True
@@ -146,7 +147,7 @@ class Session:
             "threshold": 0.0,
             "health": {"rate": 0.0, "latency_p50": 0.0, "latency_p99": 0.0, "dropped": 0, "noise": 0.0, "waiting": 0.0},
             "state": engine.state.value,
-            "message": engine.message or self._note,
+            "message": engine.message or (self._note if time.monotonic() < self._note_until else ""),
             "demo": self._demo,
         }
         if touch and engine.perception:

@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ohmskin.errors import OhmskinError
+from ohmskin.errors import ViewError
 
 LARGEST_COMMAND = 4096
 """Bytes a browser may send in one message."""
@@ -18,10 +18,6 @@ LARGEST_COMMAND = 4096
 _IDENTIFIER = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _PREFIX = struct.Struct("<cI")
 _LENGTH = struct.Struct("<I")
-
-
-class ViewError(OhmskinError):
-    """The live page cannot be served or was given something that it cannot show."""
 
 
 class CommandError(ValueError):
