@@ -52,11 +52,22 @@ class Electrodes:
         return cls(points, rings or (tuple(range(len(points))),))
 
     @classmethod
-    def rim(cls, domain: Domain, count: int) -> "Electrodes":
-        """`count` electrodes evenly spaced along the rim of `domain`, counterclockwise from where the rim starts."""
+    def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> "Electrodes":
+        """`count` electrodes evenly spaced along the rim of `domain`.
+
+        Args:
+            domain: The sheet.
+            count: How many.
+            start: Place of the first, as a share of the rim's length counterclockwise from where the rim starts (0 to 1). On a
+                disc, 0.25 is 12 o'clock.
+            clockwise: Number them clockwise.
+        """
         if count < 4:
             raise GeometryError(f"{count} electrodes on the rim; need at least 4")
-        return cls.at(domain.rim(np.arange(count) * domain.perimeter / count))
+        if not 0 <= start < 1:
+            raise GeometryError(f"start {start} of the rim; it must be from 0 to below 1, a share of the rim's length")
+        shares = start + (-1 if clockwise else 1) * np.arange(count) / count
+        return cls.at(domain.rim(np.mod(shares, 1.0) * domain.perimeter))
 
     @classmethod
     def grid(cls, sheet: Rectangle, columns: int = 4, rows: int = 4, inset: float = 0.0) -> "Electrodes":

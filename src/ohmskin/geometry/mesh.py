@@ -153,15 +153,22 @@ class Mesh:
         if self.nodes.shape[1] != 2:
             raise GeometryError("locate() needs a flat mesh; project the points of a curved one yourself")
         points = np.asarray(points, float)
-        candidates = self.closest_elements(points, min(16, self.n_elem)).reshape(len(points), -1)
-        corner = self.nodes[self.triangles[candidates][:, :, 0]]
-        inner = np.einsum("nkvd,nkd->nkv", self.gradients[candidates][:, :, 1:], points[:, None] - corner)
-        barycentric = np.concatenate([1 - inner.sum(2, keepdims=True), inner], axis=2)
-        worst = barycentric.min(axis=2)
-        best = worst.argmax(axis=1)
-        row = np.arange(len(points))
-        element = np.where(worst[row, best] >= -1e-9, candidates[row, best], -1)
-        return element, barycentric[row, best]
+        element, barycentric = np.full(len(points), -1), np.zeros((len(points), 3))
+        reach = np.linalg.norm(self.nodes[self.triangles] - self.centroids[:, None], axis=2).max()
+        left, count = np.arange(len(points)), min(16, self.n_elem)
+        while len(left):
+            distance, candidates = (a.reshape(len(left), -1) for a in self._centroid_tree.query(points[left], k=count))
+            corner = self.nodes[self.triangles[candidates][:, :, 0]]
+            inner = np.einsum("nkvd,nkd->nkv", self.gradients[candidates][:, :, 1:], points[left][:, None] - corner)
+            weights = np.concatenate([1 - inner.sum(2, keepdims=True), inner], axis=2)
+            row, best = np.arange(len(left)), weights.min(axis=2).argmax(axis=1)
+            barycentric[left] = weights[row, best]
+            found = barycentric[left].min(axis=1) >= -1e-9
+            element[left[found]] = candidates[row, best][found]
+            # where small triangles crowd round a large one, its centroid is not among the closest: look further
+            left = left[~found & (distance[:, -1] <= reach) & (count < self.n_elem)]
+            count = min(4 * count, self.n_elem)
+        return element, barycentric
 
 
 def _signed_areas(nodes: Floats, triangles: Ints) -> Floats:

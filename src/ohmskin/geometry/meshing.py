@@ -36,6 +36,9 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, sm
     inner = fixed[~on_rim]
     kept = np.vstack([rim, inner])
     gap = cKDTree(kept).query(kept, k=2)[0][:, 1]
+    if (to_rim := depth[~on_rim].min(initial=np.inf)) < 0.1 * size:
+        near = inner[depth[~on_rim].argmin()]
+        raise GeometryError(f"point {near} is {to_rim:.2g} m away from the rim, too close for mesh size {size:.2g} m; refine it")
     if gap.min() < 0.1 * size:
         near = kept[gap.argmin()]
         raise GeometryError(f"points about {near} are {gap.min():.2g} m apart, too close for mesh size {size:.2g} m; refine it")
@@ -59,8 +62,7 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, sm
 def _rim_points(domain: Domain, size: float, fixed: Floats) -> Floats:
     """Points along the rim: the fixed ones exactly, equal steps of about `size` between them."""
     arcs = np.concatenate([domain.corners, domain.arc(fixed) if len(fixed) else [], [0.0] if not len(fixed) else []])
-    arcs = np.unique(np.round(arcs / domain.perimeter, 12)) * domain.perimeter
-    arcs = arcs[arcs < domain.perimeter * (1 - 1e-12)]
+    arcs = np.unique(np.round(arcs / domain.perimeter, 12) % 1.0) * domain.perimeter  # a full turn is the start
     steps = []
     for start, end in zip(arcs, np.append(arcs[1:], arcs[0] + domain.perimeter), strict=True):
         count = max(1, round((end - start) / size))

@@ -1,6 +1,67 @@
-"""From voltages to images: priors and estimators."""
+"""From voltages to images: priors, estimators, and how strongly to regularise."""
 
-from ohmskin.inverse.gauss_newton import GaussNewton, Image, Prior
-from ohmskin.inverse.priors import paper_laplacian
+from ohmskin.inverse.absolute import AbsoluteGaussNewton, Iterations
+from ohmskin.inverse.choice import (
+    RULES,
+    Choice,
+    choose,
+    cross_validation,
+    discrepancy,
+    evidence,
+    l_curve,
+    noise_figure,
+    physical,
+)
+from ohmskin.inverse.contacts import ContactFit, DiscContact, DiscFit
+from ohmskin.inverse.gauss_newton import GaussNewton
+from ohmskin.inverse.greit import Greit
+from ohmskin.inverse.image import Image
+from ohmskin.inverse.kalman import Belief, Kalman
+from ohmskin.inverse.modes import ImageModes
+from ohmskin.inverse.priors import (
+    PRIORS,
+    Penalty,
+    Prior,
+    graph_laplacian,
+    matern,
+    named_prior,
+    noser,
+    paper_laplacian,
+    tikhonov,
+)
+from ohmskin.inverse.sparse import SparseBayes
+from ohmskin.inverse.variation import TotalVariation
 
-__all__ = ["GaussNewton", "Image", "Prior", "paper_laplacian"]
+__all__ = [
+    "PRIORS",
+    "RULES",
+    "AbsoluteGaussNewton",
+    "Belief",
+    "Choice",
+    "ContactFit",
+    "DiscContact",
+    "DiscFit",
+    "GaussNewton",
+    "Greit",
+    "Image",
+    "ImageModes",
+    "Iterations",
+    "Kalman",
+    "Penalty",
+    "Prior",
+    "SparseBayes",
+    "TotalVariation",
+    "choose",
+    "cross_validation",
+    "discrepancy",
+    "evidence",
+    "graph_laplacian",
+    "l_curve",
+    "matern",
+    "named_prior",
+    "noise_figure",
+    "noser",
+    "paper_laplacian",
+    "physical",
+    "tikhonov",
+]

@@ -4,45 +4,27 @@ The textbook data-space form (n_meas, n_meas), with relative conductivity change
 
     x = Gamma J^T (J Gamma J^T + sigma^2 I)^-1 dv,        J = diag(I) A G,
 
-needs a new Gamma J^T whenever the drive pattern changes. Every J is a combination A of the same L (L - 1) / 2 pair
-sensitivities G, so Gamma G^T is formed once and factored into image modes B that are independent and of unit variance a
-priori: G Gamma G^T = C C^T, Gamma G^T = B^T C^T. What is left for each frame is
+needs a new Gamma J^T whenever the drive pattern changes. In the image modes B, C of `ImageModes` what is left for each frame is
 
     x = B^T u,      (H^T H + (sigma / s)^2 I) u = H^T dv,      H = diag(I) A C,
 
 which is the same image (push-through identity) from a system of at most L (L - 1) / 2 unknowns, for any pattern.
 """
 
+import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
-from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.forward.assembly import factorise
-from ohmskin.geometry import Mesh
 from ohmskin.geometry.domain import Floats
-from ohmskin.inverse.priors import paper_laplacian
-from ohmskin.scan import Difference, DrivePattern
-
-Prior = Callable[[Mesh], sp.csc_array]
-
-
-@dataclass(frozen=True)
-class Image:
-    """A reconstructed image.
-
-    Args:
-        values: (n_elem,) relative change of conductivity (1).
-        noise_std: Function from element numbers (n,) to the standard deviation (n,) that measurement noise gives the values.
-    """
-
-    values: Floats
-    noise_std: Callable[[ArrayLike], Floats] = field(repr=False)
+from ohmskin.inverse.image import Image
+from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system
+from ohmskin.inverse.positivity import nonnegative
+from ohmskin.inverse.priors import Prior, mean_diagonal, paper_laplacian, penalty_of
+from ohmskin.scan import Difference
 
 
 class GaussNewton:
@@ -54,36 +36,41 @@ class GaussNewton:
     Args:
         model: The untouched sheet.
         noise: Standard deviation of a voltage (V).
-        prior: Function from a mesh to the penalty matrix R (n_elem, n_elem).
+        prior: Function from a mesh to the penalty, or the name of one of `PRIORS`.
         amplitude: Relative conductivity change expected (1).
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
+        positive: Whether the image may be nowhere negative: pressing only raises conductivity. Costs some ten factorisations
+            a frame instead of none.
+
+    Attributes:
+        modes: The modes it works in.
 
     Raises:
-        ModelError: If noise or amplitude is not positive, or `model_error` is negative.
+        ModelError: If noise or amplitude is not positive, `model_error` is negative, or the prior is unknown.
     """
 
     def __init__(
         self,
         model: TransferModel,
         noise: float,
-        prior: Prior = paper_laplacian,
+        prior: Prior | str = paper_laplacian,
         amplitude: float = 1.0,
         model_error: float = 0.0,
+        positive: bool = False,
     ) -> None:
-        for name, value, low in (("noise", noise, 0.0), ("amplitude", amplitude, 0.0), ("model_error", model_error, -1e-300)):
-            if not (np.isfinite(value) and value > low):
-                raise ModelError(f"{name} is {value!r}; it must be finite and {'positive' if low == 0 else 'not negative'}")
+        check_positive(noise=noise, amplitude=amplitude)
+        check_share(model_error=model_error)
         self.model, self.noise, self.amplitude, self.model_error = model, noise, amplitude, model_error
-        solve = factorise(prior(model.mesh)).solve
-        relative = model.pair_sensitivity * model.conductivity  # (n_pairs, n_elem) ohms per relative change
-        smoothed = solve(relative.T).T / _mean_diagonal(solve, model.mesh.n_elem)
-        covariance = relative @ smoothed.T
-        variance, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-        kept = variance > 1e-13 * variance[-1]
-        deviation, vectors = np.sqrt(variance[kept]), vectors[:, kept]
-        self._modes: Floats = (vectors.T @ smoothed) / deviation[:, None]  # B (n_modes, n_elem)
-        self._mixing: Floats = vectors * deviation  # C (n_pairs, n_modes)
-        self._rows: dict[DrivePattern, Floats] = {}
+        self.positive = positive
+        self._penalty = penalty_of(model, prior)
+        self.modes = ImageModes.of_prior(model, self._penalty)
+
+    def with_amplitude(self, amplitude: float) -> "GaussNewton":
+        """The same estimator with another prior amplitude; costs nothing."""
+        check_positive(amplitude=amplitude)
+        other = copy.copy(self)
+        other.amplitude = amplitude
+        return other
 
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one scan, or of several fused. Channels that are not finite are left out.
@@ -91,35 +78,32 @@ class GaussNewton:
         Raises:
             DataError: If no finite datum is left.
         """
-        rows = np.vstack([self._pattern_rows(d.pattern) * d.currents[:, None] for d in differences])
-        volts = np.concatenate([d.volts for d in differences])
-        known = np.isfinite(volts) & np.isfinite(rows[:, 0])
-        if not known.all():
-            rows, volts = rows[known], volts[known]
-        if not len(volts):
-            raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        noise = float(np.hypot(self.noise, self.model_error * np.sqrt(np.mean(volts**2))))
-        normal = rows.T @ rows
-        normal[np.diag_indices_from(normal)] += (noise / self.amplitude) ** 2
-        factor = cho_factor(normal, lower=True, overwrite_a=True, check_finite=False)
-        values: Floats = cho_solve(factor, rows.T @ volts, check_finite=False) @ self._modes
-
-        def noise_std(elements: ArrayLike) -> Floats:
-            response = rows @ cho_solve(factor, self._modes[:, np.atleast_1d(elements)], check_finite=False)
-            std: Floats = self.noise * np.linalg.norm(response, axis=0)
-            return std
-
-        return Image(values, noise_std)
-
-    def _pattern_rows(self, pattern: DrivePattern) -> Floats:
-        if pattern not in self._rows:
-            if len(self._rows) >= 64:  # adaptive patterns come and go; the fixed ones are cheap to make again
-                self._rows.clear()
-            self._rows[pattern] = pattern.combination(len(self.model.electrodes)) @ self._mixing
-        return self._rows[pattern]
+        system = self.modes.system(*differences)
+        noise = float(np.hypot(self.noise, self.model_error * system.root_mean_square))
+        u, noise_std = solve_modes(self.modes, system, noise / self.amplitude, self.noise)
+        if not self.positive:
+            return Image(u @ self.modes.modes, noise_std)
+        pairs = pair_system(len(self.model.electrodes), *differences)
+        rows = pairs.rows @ self._penalty.to_unknowns(self.model.pair_sensitivity * self.model.conductivity)
+        w = nonnegative(self._penalty.normalised, rows, pairs.volts, noise / self.amplitude)
+        return Image(self._penalty.to_image(w), noise_std)
 
 
-def _mean_diagonal(solve: Callable[[Floats], Floats], n: int, probes: int = 256) -> float:
-    """Mean of the diagonal of an inverse, from random signs (Hutchinson); about one per cent off, the same every time."""
-    signs: NDArray[np.float64] = np.random.default_rng(0).choice([-1.0, 1.0], size=(n, probes))
-    return float(np.mean(signs * solve(signs)))
+_mean_diagonal = mean_diagonal
+
+
+def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, Callable[[ArrayLike], Floats]]:
+    """The u that minimises |volts - rows u|^2 + weight^2 |u|^2, and the standard deviation that noise (V) gives the image."""
+    rows = system.rows
+    normal = rows.T @ rows
+    # below a ten-millionth of the data, noise drowns in the rounding of the normal matrix
+    normal[np.diag_indices_from(normal)] += max(weight**2, 1e-14 * normal.trace())
+    factor = cho_factor(normal, lower=True, overwrite_a=True, check_finite=False)
+    u: Floats = cho_solve(factor, rows.T @ system.volts, check_finite=False)
+
+    def noise_std(elements: ArrayLike) -> Floats:
+        response = rows @ cho_solve(factor, modes.modes[:, np.atleast_1d(elements)], check_finite=False)
+        std: Floats = noise * np.linalg.norm(response, axis=0)
+        return std
+
+    return u, noise_std

@@ -120,8 +120,9 @@ class Baseline:
         at = np.minimum(np.searchsorted(codes[order], mirrored), len(codes) - 1)
         partner = order[at]
         paired = codes[partner] == mirrored
-        resistance = signs * frame.voltages / current
-        errors = (resistance[partner] - mirrored_signs * frame.voltages / current)[paired] * current[paired]
+        known = np.isfinite(frame.voltages) & np.isfinite(current) & (current != 0)
+        ohms = np.divide(frame.voltages, current, out=np.full(len(current), np.nan), where=known)
+        errors = ((signs * ohms)[partner] - mirrored_signs * ohms)[paired] * current[paired]
         finite = errors[np.isfinite(errors)]
         if len(finite) < 4:
             raise DataError("the noise cannot be told from one quiet frame without reciprocal measurements; record at least two")

@@ -138,13 +138,15 @@ def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePat
 def skip(rings: Sequence[Sequence[int]], step: int = 1) -> DrivePattern:
     """Drive each electrode of each ring against the one `step` places further on; measure at all other electrodes.
 
+    A ring of one electrode, such as the middle of a 3 x 3 grid, is measured but not driven.
+
     Raises:
-        PatternError: If `step` is not between 1 and the size of the smallest ring less one.
+        PatternError: If `step` is not between 1 and the size of the smallest driven ring less one.
     """
-    smallest = min(len(ring) for ring in rings)
+    smallest = min((len(ring) for ring in rings if len(ring) > 1), default=1)
     if not 1 <= step < smallest:
         raise PatternError(f"step {step}; it must be 1..{smallest - 1} for rings of {smallest} electrodes or more")
-    injections = [(ring[k], ring[(k + step) % len(ring)]) for ring in rings for k in range(len(ring))]
+    injections = [(ring[k], ring[(k + step) % len(ring)]) for ring in rings if len(ring) > 1 for k in range(len(ring))]
     return measure_others(np.array(injections), [e for ring in rings for e in ring])
 
 

@@ -1,10 +1,9 @@
 """The description of one skin: what it is made of, how it is driven and measured, how its images are made.
 
 It is a short TOML file with one table per dataclass below; every key may be left out where it has a default. Skins that
-ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``tank``.
+ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``tank``, ``uef2017``, ``ktc2023``.
 """
 
-import math
 import tomllib
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
@@ -43,13 +42,18 @@ class Sheet:
 
 @dataclass(frozen=True)
 class ElectrodeLayout:
-    """Where the electrodes are (``grid``: columns x rows with an inset; ``rim``: `count` round the rim) and of what kind."""
+    """Where the electrodes are (``grid``: columns x rows with an inset; ``rim``: `count` round the rim) and of what kind.
+
+    On the rim the first is at the share `start` of its length, counterclockwise from where it starts: 0.25 is 12 o'clock of a disc.
+    """
 
     layout: str = _choice("grid", "grid", "rim")
     columns: int = _number(4, 2, 32)
     rows: int = _number(4, 2, 32)
     inset: float = _number(0.0, 0, 10, "m")
     count: int = _number(16, 4, 256)
+    start: float = _number(0.0, 0, 0.999999)
+    clockwise: bool = False
     radius: float = _number(3e-3, 1e-5, 1, "m")
     contact_resistivity: float = _number(1e-4, 1e-9, 1e3, "ohm m2")
 
@@ -135,7 +139,7 @@ class Skin:
             SkinError: If there is no such file or skin, or its contents are not a valid description.
         """
         path = Path(source)
-        if path.suffix == _EXTENSION or path.exists():
+        if path.suffix == _EXTENSION or path.is_file():
             try:
                 text = path.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
@@ -154,7 +158,7 @@ class Skin:
         """
         try:
             data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except ValueError as error:  # TOMLDecodeError, or a number with thousands of digits
             raise SkinError(f"{origin} is not valid TOML: {error}") from error
         tables: dict[str, Any] = {}
         known = {entry.name: entry for entry in fields(cls)}
@@ -193,7 +197,7 @@ class Skin:
         e = self.electrode
         if e.layout == "grid":
             return Electrodes.grid(Rectangle(self.sheet.width, self.sheet.height), e.columns, e.rows, e.inset)
-        return Electrodes.rim(self.domain, e.count)
+        return Electrodes.rim(self.domain, e.count, e.start, e.clockwise)
 
     @property
     def modes(self) -> dict[str, Mode]:
@@ -233,5 +237,5 @@ def _check(table: str, values: Any) -> None:
         low, high, unit = entry.metadata["low"], entry.metadata["high"], entry.metadata["unit"]
         if isinstance(value, bool) or not isinstance(value, int | float) or (expected is int and not isinstance(value, int)):
             raise SkinError(f"{name} is {value!r}; it must be {'a whole number' if expected is int else 'a number'}")
-        if not (math.isfinite(value) and low <= value <= high):
+        if not low <= value <= high:  # false for nan, too
             raise SkinError(f"{name} is {value}; it must be {low:g} to {high:g} {unit}".rstrip())

@@ -62,10 +62,11 @@ class VirtualSkin:
         volts = self._settle(pattern, currents)
         volts, clipped = self._convert(volts + self._random.normal(0, self.skin.converter.noise, volts.shape))
         shunt = self.skin.converter.shunt
-        over_shunt, _ = self._convert(currents * shunt + self._random.normal(0, self.skin.converter.noise, currents.shape))
+        over_shunt, too_much = self._convert(currents * shunt + self._random.normal(0, self.skin.converter.noise, currents.shape))
         self._time += self.duration(pattern)
         self._sequence += 1
-        flags = (FrameFlag.CLIPPED if clipped else FrameFlag(0)) | (FrameFlag.CURRENT_LIMIT if limited else FrameFlag(0))
+        flags = FrameFlag.CLIPPED if clipped or too_much else FrameFlag(0)
+        flags |= FrameFlag.CURRENT_LIMIT if limited else FrameFlag(0)
         return Frame(pattern, volts, over_shunt / shunt, self._time, self._sequence, flags)
 
     def _drive(self, pattern: DrivePattern) -> tuple[Floats, bool]:
@@ -85,9 +86,9 @@ class VirtualSkin:
         settled = (self._resistance[source] - self._resistance[sink]) * currents[:, None]
         converter = self.skin.converter
         left = np.exp(-converter.settle / converter.time_constant) if converter.time_constant > 0 else 0.0
-        before = np.vstack([self._potentials, settled[:-1]])
-        potentials = settled + left * (before - settled)
-        self._potentials = potentials[-1]
+        potentials = np.empty_like(settled)
+        for k, target in enumerate(settled):
+            self._potentials = potentials[k] = target + left * (self._potentials - target)
         which, plus, minus = pattern.measurements.T
         voltages: Floats = potentials[which, plus] - potentials[which, minus]
         return voltages

@@ -58,7 +58,11 @@ class Session:
         if self._demo and self._engine.state is State.RUNNING:
             self._engine.press(0, *demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from))
             self._demo_pressing = True
+        was_lost = self._engine.state is State.LOST
         touch = self._engine.step()
+        if was_lost and self._engine.state is State.RUNNING:  # a virtual skin that was started anew has forgotten its presses
+            for name, press in self._presses.items():
+                self._engine.press(self._numbers[name], (press["x"], press["y"]), press["radius"], press["pressure"])
         self._last = touch or self._last
         self._publish()
         return touch

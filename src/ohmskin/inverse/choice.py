@@ -1,0 +1,231 @@
+"""How strongly to regularise: rules that choose the prior amplitude of a `GaussNewton` estimator, each with its curve.
+
+One singular value decomposition of the data's rows in image modes makes every image of every amplitude a matter of filter
+factors, so that a whole curve costs as much as one image.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import ModelError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Mesh
+from ohmskin.geometry.domain import Floats
+from ohmskin.inverse.gauss_newton import GaussNewton
+from ohmskin.inverse.modes import ImageModes, check_positive
+from ohmskin.scan import Difference
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A chosen amplitude and the curve behind it.
+
+    Args:
+        rule: Name of the rule.
+        amplitude: The prior amplitude chosen (relative conductivity change); give it to `GaussNewton.with_amplitude`.
+        amplitudes: (n,) amplitudes tried, rising.
+        curve: (n,) what the rule looks at, for each.
+        meaning: What the curve is, and what was sought on it.
+        residuals: (n,) norm of what each image leaves of the data (V); the horizontal axis of the L-curve.
+        norms: (n,) norm of each image in the metric of the prior of amplitude one; the vertical axis of the L-curve.
+    """
+
+    rule: str
+    amplitude: float
+    amplitudes: Floats = field(repr=False)
+    curve: Floats = field(repr=False)
+    meaning: str
+    residuals: Floats = field(repr=False)
+    norms: Floats = field(repr=False)
+
+
+class _Spectrum:
+    """Data in the singular vectors of their rows: all amplitudes at once."""
+
+    def __init__(self, estimator: GaussNewton, differences: tuple[Difference, ...], amplitudes: ArrayLike | None) -> None:
+        system = estimator.modes.system(*differences)
+        self.left, self.singular, self.right = np.linalg.svd(system.rows, full_matrices=False)
+        self.noise = float(np.hypot(estimator.noise, estimator.model_error * system.root_mean_square))
+        self.data = self.left.T @ system.volts
+        self.rest = max(float(system.volts @ system.volts - self.data @ self.data), 0.0)
+        self.n_data = len(system.volts)
+        if amplitudes is None:
+            amplitudes = self.noise / (self.singular[0] * np.geomspace(10.0, 1e-5, 121))
+        self.amplitudes = np.asarray(amplitudes, float)
+        if self.amplitudes.ndim != 1 or len(self.amplitudes) < 5 or not (self.amplitudes > 0).all():
+            raise ModelError("amplitudes to try must be at least five positive numbers")
+        self.amplitudes = np.sort(self.amplitudes)
+        self.weights = self.noise / self.amplitudes  # lambda
+        s, w = self.singular[None, :], self.weights[:, None]
+        self.filters = s**2 / (s**2 + w**2)
+        self.residuals = np.sqrt((((1 - self.filters) * self.data) ** 2).sum(axis=1) + self.rest)
+        self.norms = np.sqrt(((s / (s**2 + w**2) * self.data) ** 2).sum(axis=1))
+
+    def lowest(self, rule: str, curve: Floats, meaning: str) -> Choice:
+        return self.choice(rule, float(self.amplitudes[np.nanargmin(curve)]), curve, meaning)
+
+    def crossing(self, curve: Floats, level: float) -> float:
+        """The amplitude at which a curve that falls (or rises) crosses a level first, coming from strong regularisation."""
+        above = curve > level
+        k = int(np.argmax(above != above[0]))
+        x, y = np.log(self.amplitudes[k - 1 : k + 1]), np.log(curve[k - 1 : k + 1])
+        return float(np.exp(x[0] + (x[1] - x[0]) * (np.log(level) - y[0]) / (y[1] - y[0])))
+
+    def choice(self, rule: str, amplitude: float, curve: Floats, meaning: str) -> Choice:
+        return Choice(rule, amplitude, self.amplitudes, curve, meaning, self.residuals, self.norms)
+
+
+def physical(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
+    """The estimator's own amplitude: the change that a touch is known to make.
+
+    The curve is the mean squared error to be expected of the modes, which is smallest there if noise and amplitude are right.
+    """
+    at = _Spectrum(estimator, differences, amplitudes)
+    s, w = at.singular[None, :], at.weights[:, None]
+    unseen = (len(estimator.modes.modes) - len(at.singular)) * estimator.amplitude**2
+    error = ((1 - at.filters) ** 2 * estimator.amplitude**2 + (at.noise * s / (s**2 + w**2)) ** 2).sum(axis=1) + unseen
+    return at.choice("physical", estimator.amplitude, error, "expected squared error of the modes; smallest at the known amplitude")
+
+
+def cross_validation(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
+    """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data left out are foretold. Knows no noise."""
+    at = _Spectrum(estimator, differences, amplitudes)
+    curve = at.n_data * at.residuals**2 / (at.n_data - at.filters.sum(axis=1)) ** 2
+    return at.lowest("cross-validation", curve, "squared error of foretelling data left out (V2); smallest")
+
+
+def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
+    """The corner of the L-curve (Hansen 1992): largest curvature of log image norm over log residual. Knows no noise."""
+    at = _Spectrum(estimator, differences, amplitudes)
+    t = np.log(at.weights)
+    x, y = np.log(at.residuals), np.log(at.norms)
+    dx, dy = np.gradient(x, t), np.gradient(y, t)
+    bend = (dx * np.gradient(dy, t) - np.gradient(dx, t) * dy) / np.maximum((dx**2 + dy**2) ** 1.5, 1e-300)
+    bend[:2], bend[-2:] = -np.inf, -np.inf  # differences at the ends are one-sided
+    return at.choice(
+        "l-curve", float(at.amplitudes[np.argmax(bend)]), bend, "curvature of log image norm over log residual; largest"
+    )
+
+
+def discrepancy(
+    estimator: GaussNewton, *differences: Difference, safety: float = 1.0, amplitudes: ArrayLike | None = None
+) -> Choice:
+    """The discrepancy principle (Morozov): the smoothest image that fits the data as well as their noise allows.
+
+    Args:
+        estimator: Knows the noise.
+        differences: The data.
+        safety: How many times the noise the residual may be.
+        amplitudes: Amplitudes to try (n,).
+
+    Raises:
+        ModelError: If no amplitude fits the data so well: the noise or the model error is set too low for these data.
+    """
+    check_positive(safety=safety)
+    at = _Spectrum(estimator, differences, amplitudes)
+    level = safety * at.noise
+    curve = at.residuals / np.sqrt(at.n_data)
+    meaning = f"root mean square of the residual (V); falls to {level:.3g}"
+    if curve[-1] > level:
+        raise ModelError(
+            f"the data cannot be fitted to {level:.3g} V: {curve[-1]:.3g} V are left at best; raise noise, model_error or safety"
+        )
+    if curve[0] <= level:  # there is nothing in the data but noise
+        return at.choice("discrepancy", float(at.amplitudes[0]), curve, meaning)
+    return at.choice("discrepancy", at.crossing(curve, level), curve, meaning)
+
+
+def evidence(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
+    """The amplitude that makes the data most probable (MacKay 1992): prior and noise white, both Gaussian."""
+    at = _Spectrum(estimator, differences, amplitudes)
+    share = (at.singular[None, :] * at.amplitudes[:, None] / at.noise) ** 2
+    curve = ((at.data / at.noise) ** 2 / (1 + share) + np.log1p(share)).sum(axis=1) + at.rest / at.noise**2
+    return at.lowest("evidence", curve, "-2 log probability of the data, up to a constant; smallest")
+
+
+def noise_figure(
+    estimator: GaussNewton,
+    *differences: Difference,
+    goal: float = 1.0,
+    target: ArrayLike | None = None,
+    amplitudes: ArrayLike | None = None,
+) -> Choice:
+    """The amplitude with a wanted noise figure (Adler and Guardo 1996; Adler et al. 2009), whatever the data's values.
+
+    Args:
+        estimator: Whose regularisation to choose.
+        differences: Scans whose patterns and currents count.
+        goal: Noise figure wanted: signal-to-noise ratio of the data over that of the image.
+        target: Where the small target is (dim,) in metres; the middle of the sheet unless given.
+        amplitudes: Amplitudes to try (n,).
+
+    Raises:
+        ModelError: If no amplitude has this noise figure; the message says which can be had.
+    """
+    check_positive(goal=goal)
+    at = _Spectrum(estimator, differences, amplitudes)
+    mesh = estimator.model.mesh
+    signal = signal_of(estimator.model, small_target(mesh, target), differences)
+    curve = noise_figures(estimator.modes, at.left, at.singular, at.right, signal, mesh.areas, at.weights)
+    meaning = f"noise figure of a small target; {goal:g}"
+    if not curve.min() <= goal <= curve.max():
+        raise ModelError(f"noise figure {goal:g} cannot be had here; choose {curve.min():.3g} to {curve.max():.3g}")
+    return at.choice("noise figure", at.crossing(curve, goal), curve, meaning)
+
+
+def noise_figures(
+    modes: ImageModes, left: Floats, singular: Floats, right: Floats, signal: Floats, areas: Floats, weights: Floats
+) -> Floats:
+    """Noise figures (n,) of images with regularisation `weights` (n,), from the decomposition of the data's rows.
+
+    SNR of the data: mean magnitude of `signal` (n_meas,) over the noise. SNR of the image: mean magnitude of its image over
+    the mean standard deviation that noise gives it, both weighted by area.
+    """
+    basis, data = right @ modes.modes, left.T @ signal
+    share = areas / areas.sum()
+    figures = np.empty(len(weights))
+    for k, weight in enumerate(weights):
+        gain = singular / (singular**2 + weight**2)
+        image, noise = (gain * data) @ basis, np.sqrt(gain**2 @ basis**2)
+        figures[k] = np.mean(np.abs(signal)) * (share @ noise) / (share @ np.abs(image))
+    return figures
+
+
+def signal_of(model: TransferModel, change: Floats, differences: tuple[Difference, ...]) -> Floats:
+    """What a small relative change (n_elem,) does to the finite channels (n_known,) of scans (V)."""
+    pairs = (model.pair_sensitivity * model.conductivity) @ change
+    volts = np.concatenate([(d.pattern.combination(len(model.electrodes)) @ pairs) * d.currents for d in differences])
+    return np.asarray(volts[np.concatenate([np.isfinite(d.volts) & np.isfinite(d.currents) for d in differences])])
+
+
+def small_target(mesh: Mesh, position: ArrayLike | None = None) -> Floats:
+    """A relative change of one (n_elem,) about a point: within 5 % of half the sheet's longest side, three triangles at least."""
+    centre = mesh.areas @ mesh.centroids / mesh.areas.sum() if position is None else np.asarray(position, float)
+    change = np.zeros(mesh.n_elem)
+    change[mesh.closest_elements(centre[None], 3)[0]] = 1.0
+    change[np.linalg.norm(mesh.centroids - centre, axis=1) < 0.025 * np.ptp(mesh.nodes, axis=0).max()] = 1.0
+    return change
+
+
+RULES: dict[str, Callable[..., Choice]] = {
+    "physical": physical,
+    "noise figure": noise_figure,
+    "cross-validation": cross_validation,
+    "l-curve": l_curve,
+    "discrepancy": discrepancy,
+    "evidence": evidence,
+}
+
+
+def choose(rule: str, estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
+    """The amplitude by the rule of that name, with the rule's usual settings.
+
+    Raises:
+        ModelError: If there is no such rule; the message lists those there are.
+    """
+    if rule not in RULES:
+        raise ModelError(f"no rule {rule!r}; choose from {', '.join(RULES)}")
+    return RULES[rule](estimator, *differences, amplitudes=amplitudes)

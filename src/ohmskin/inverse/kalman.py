@@ -1,0 +1,137 @@
+"""Images that follow each other: the Kalman filter, exact, in the coordinates of image modes.
+
+What is outside the modes (`ImageModes`) is never seen by any datum and never correlates with what is, so the filter on the
+full image (n_elem unknowns) and the one on at most L (L - 1) / 2 modes give the same image. Each scan may have another pattern.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from ohmskin.errors import ModelError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry.domain import Floats
+from ohmskin.inverse.image import Image
+from ohmskin.inverse.modes import ImageModes, check_positive, check_share
+from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
+from ohmskin.scan import Difference
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is believed of the image now. Start with `Kalman.start`.
+
+    Args:
+        mean: (n_modes,) mean of the modes.
+        covariance: (n_modes, n_modes) of the modes.
+        noise: (n_modes, n_modes) covariance of the mean that comes of measurement noise alone.
+        modes: The modes.
+    """
+
+    mean: Floats
+    covariance: Floats = field(repr=False)
+    noise: Floats = field(repr=False)
+    modes: ImageModes = field(repr=False)
+
+    @property
+    def image(self) -> Image:
+        """The mean, as an image."""
+
+        def noise_std(elements: ArrayLike) -> Floats:
+            columns = self.modes.modes[:, np.atleast_1d(elements)]
+            return np.sqrt(np.maximum(np.einsum("me,mn,ne->e", columns, self.noise, columns, optimize=True), 0.0))
+
+        return Image(self.mean @ self.modes.modes, noise_std)
+
+
+class Kalman:
+    """Kalman filter on images of relative conductivity change.
+
+    Between scans the image forgets at a rate (``time_constant``: it keeps its prior variance), or wanders (``walk``), or both.
+
+    Args:
+        model: The untouched sheet.
+        noise: Standard deviation of a voltage (V).
+        prior: Function from a mesh to the penalty, or the name of one of `PRIORS`; also the shape of the changes.
+        amplitude: Relative conductivity change expected (1).
+        time_constant: Time over which an image is forgotten to 1/e (s); infinite for a pure random walk.
+        walk: Standard deviation by which the image wanders in a second (1).
+        period: Time between updates unless they say otherwise (s).
+        model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
+
+    Raises:
+        ModelError: If a setting is out of range or the prior is unknown.
+    """
+
+    def __init__(
+        self,
+        model: TransferModel,
+        noise: float,
+        prior: Prior | str = paper_laplacian,
+        amplitude: float = 1.0,
+        time_constant: float = np.inf,
+        walk: float = 0.0,
+        period: float = 1.0,
+        model_error: float = 0.0,
+    ) -> None:
+        check_positive(noise=noise, amplitude=amplitude, period=period)
+        check_share(walk=walk, model_error=model_error)
+        if not time_constant > 0:
+            raise ModelError(f"time_constant is {time_constant!r}; it must be positive (s), or infinite")
+        self.model, self.noise, self.amplitude, self.model_error = model, noise, amplitude, model_error
+        self.time_constant, self.walk, self.period = time_constant, walk, period
+        self.modes = ImageModes.of_prior(model, penalty_of(model, prior))
+
+    def start(self) -> Belief:
+        """The belief before anything is measured: the prior."""
+        n = self.modes.n_modes
+        return Belief(np.zeros(n), self.amplitude**2 * np.eye(n), np.zeros((n, n)), self.modes)
+
+    def predict(self, belief: Belief, elapsed: float) -> Belief:
+        """The belief some time later (s), with nothing measured since."""
+        check_share(elapsed=elapsed)
+        kept = np.exp(-elapsed / self.time_constant)
+        added = (1 - kept**2) * self.amplitude**2 + self.walk**2 * elapsed
+        covariance = kept**2 * belief.covariance
+        covariance[np.diag_indices_from(covariance)] += added
+        return Belief(kept * belief.mean, covariance, kept**2 * belief.noise, self.modes)
+
+    def update(self, belief: Belief, *differences: Difference, elapsed: float | None = None) -> Belief:
+        """The belief after one more scan, or several taken at once. Channels that are not finite are left out.
+
+        Args:
+            belief: The belief at the last update.
+            differences: The scans.
+            elapsed: Time since the last update (s); ``period`` unless given.
+
+        Raises:
+            DataError: If no finite datum is left.
+            ModelError: If the time is negative.
+        """
+        before = self.predict(belief, self.period if elapsed is None else elapsed)
+        system = self.modes.system(*differences)
+        rows, volts = system.rows, system.volts
+        if len(rows) > rows.shape[1]:
+            basis, rows = np.linalg.qr(rows)
+            volts = basis.T @ volts
+        variance = self.noise**2 + (self.model_error * system.root_mean_square) ** 2
+        cross = rows @ before.covariance
+        innovation = cross @ rows.T
+        innovation[np.diag_indices_from(innovation)] += max(variance, 1e-14 * innovation.trace())
+        factor = cho_factor(innovation, lower=True)
+        gain = cho_solve(factor, cross).T
+        root = solve_triangular(factor[0], cross, lower=True)
+        rest = np.eye(len(before.mean)) - gain @ rows
+        covariance = before.covariance - root.T @ root
+        return Belief(
+            before.mean + gain @ (volts - rows @ before.mean),
+            (covariance + covariance.T) / 2,
+            rest @ before.noise @ rest.T + self.noise**2 * gain @ gain.T,
+            self.modes,
+        )
+
+    def reconstruct(self, *differences: Difference) -> Image:
+        """The image of one frame with nothing known before: that of `GaussNewton`."""
+        return self.update(self.start(), *differences, elapsed=0.0).image

@@ -1,0 +1,132 @@
+"""Image modes: all images that electrode data can call for under a prior, in coordinates that are independent a priori.
+
+Every sensitivity is a combination of the L (L - 1) / 2 pair sensitivities G (relative conductivity). With prior covariance Gamma,
+G Gamma G^T = C C^T is factored once, and Gamma G^T = B^T C^T. An image is B^T u with u white a priori, and data are
+I A C u: whatever the pattern A and the mesh, an inverse problem has at most L (L - 1) / 2 unknowns.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ohmskin.errors import DataError, ModelError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry.domain import Floats
+from ohmskin.inverse.priors import Penalty
+from ohmskin.scan import Difference, DrivePattern
+
+_KEPT_ROWS = 64  # adaptive patterns come and go; the fixed ones are cheap to make again
+
+
+@dataclass(frozen=True)
+class System:
+    """Linear equations: volts = rows u + noise.
+
+    Args:
+        rows: (n_meas, n_unknowns) in volts.
+        volts: (n_meas,) change of voltage (V), all finite.
+    """
+
+    rows: Floats
+    volts: Floats
+
+    @property
+    def root_mean_square(self) -> float:
+        """Of the data (V)."""
+        return float(np.sqrt(np.mean(self.volts**2)))
+
+
+@dataclass(frozen=True)
+class ImageModes:
+    """Modes of the image and how data depend on them.
+
+    Args:
+        modes: B (n_modes, n_elem), relative conductivity change.
+        mixing: C (n_pairs, n_modes), two-terminal resistances (ohm) that the modes cause.
+        n_elec: Number of electrodes.
+    """
+
+    modes: Floats
+    mixing: Floats
+    n_elec: int
+    _rows: dict[DrivePattern, Floats] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of_prior(cls, model: TransferModel, penalty: Penalty) -> "ImageModes":
+        """The modes under a prior, of average variance one over the sheet."""
+        relative = model.pair_sensitivity * model.conductivity
+        smoothed = penalty.covariance(relative.T).T
+        return cls.of_products(smoothed, relative @ smoothed.T, len(model.electrodes))
+
+    @classmethod
+    def of_products(cls, smoothed: Floats, covariance: Floats, n_elec: int) -> "ImageModes":
+        """The modes for which Gamma G^T is the transpose of `smoothed` (n_pairs, n_elem), and G Gamma G^T is `covariance`."""
+        variance, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+        # variances span more decades than rounding leaves intact; a floor, unlike a cut, keeps B^T C^T = Gamma G^T exact
+        deviation = np.sqrt(np.maximum(variance, 1e-15 * variance[-1]))
+        return cls((vectors.T @ smoothed) / deviation[:, None], vectors * deviation, n_elec)
+
+    @property
+    def n_modes(self) -> int:
+        return len(self.modes)
+
+    def rows(self, pattern: DrivePattern) -> Floats:
+        """What a pattern measures of each mode at one ampere: A C (n_meas, n_modes) in ohms."""
+        if pattern not in self._rows:
+            if len(self._rows) >= _KEPT_ROWS:
+                self._rows.clear()
+            self._rows[pattern] = pattern.combination(self.n_elec) @ self.mixing
+        return self._rows[pattern]
+
+    def system(self, *differences: Difference) -> System:
+        """The equations of one scan, or of several fused. Channels that are not finite are left out.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        return finite_system([self.rows(d.pattern) * d.currents[:, None] for d in differences], differences)
+
+
+def finite_system(rows: list[Floats], differences: tuple[Difference, ...]) -> System:
+    """The equations of scans with known rows (n_meas, n_unknowns) in volts; channels that are not finite are left out.
+
+    Raises:
+        DataError: If no finite datum is left.
+    """
+    if not differences:
+        raise DataError("no scan to make an image of; give at least one")
+    stacked = np.vstack(rows)
+    volts = np.concatenate([d.volts for d in differences])
+    known = np.isfinite(volts) & np.isfinite(stacked).all(axis=1)
+    if not known.all():
+        stacked, volts = stacked[known], volts[known]
+    if not len(volts):
+        raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
+    return System(stacked, volts)
+
+
+def pair_system(n_elec: int, *differences: Difference) -> System:
+    """The equations of scans in the two-terminal resistances (n_pairs,) of all electrode pairs, no more of them than pairs.
+
+    Raises:
+        DataError: If no finite datum is left.
+    """
+    system = finite_system([d.pattern.combination(n_elec).toarray() * d.currents[:, None] for d in differences], differences)
+    if len(system.rows) <= system.rows.shape[1]:
+        return system
+    basis, triangle = np.linalg.qr(system.rows)
+    return System(triangle, basis.T @ system.volts)
+
+
+def check_positive(**settings: float) -> None:
+    """Raise ModelError unless every setting is finite and positive."""
+    for name, value in settings.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ModelError(f"{name} is {value!r}; it must be finite and positive")
+
+
+def check_share(**settings: float) -> None:
+    """Raise ModelError unless every setting is finite and not negative."""
+    for name, value in settings.items():
+        if not (np.isfinite(value) and value >= 0):
+            raise ModelError(f"{name} is {value!r}; it must be finite and not negative")

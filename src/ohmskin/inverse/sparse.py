@@ -1,0 +1,122 @@
+"""Sparse Bayesian images: as few compact contacts as explain the data."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
+
+from ohmskin.errors import ModelError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Mesh
+from ohmskin.geometry.domain import Floats
+from ohmskin.inverse.image import Image
+from ohmskin.inverse.modes import check_positive, check_share, pair_system
+from ohmskin.scan import Difference
+
+
+@dataclass(frozen=True)
+class _Atoms:
+    """What images are made of: a round blob about each triangle, and what it does to the pairs (n_pairs, n_elem)."""
+
+    image: sp.csr_array = field(repr=False)
+    response: Floats = field(repr=False)
+
+
+class SparseBayes:
+    """Sparse Bayesian learning (automatic relevance determination; Tipping 2001, in the convergent form of Wipf and Nagarajan 2008).
+
+    An image is a sum of round blobs, one about each triangle, each with a prior variance of its own. The variances are learned from
+    the data, which drives all but a few to zero.
+
+    Args:
+        model: The untouched sheet.
+        noise: Standard deviation of a voltage (V).
+        amplitude: Relative conductivity change expected (1); only where learning starts.
+        radius: Radius of a blob (m); 5 % of the sheet's longest side unless given.
+        model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
+        positive: Whether contacts only raise conductivity; blobs that would lower it are dropped.
+        rounds: Rounds of learning.
+
+    Raises:
+        ModelError: If a setting is out of range.
+    """
+
+    def __init__(
+        self,
+        model: TransferModel,
+        noise: float,
+        amplitude: float = 1.0,
+        radius: float | None = None,
+        model_error: float = 0.0,
+        positive: bool = True,
+        rounds: int = 60,
+    ) -> None:
+        radius = 0.05 * float(np.ptp(model.mesh.nodes, axis=0).max()) if radius is None else radius
+        check_positive(noise=noise, amplitude=amplitude, radius=radius)
+        check_share(model_error=model_error)
+        if rounds < 1:
+            raise ModelError(f"rounds is {rounds}; it must be at least 1")
+        self.model, self.noise, self.amplitude, self.radius = model, noise, amplitude, radius
+        self.model_error, self.positive, self.rounds = model_error, positive, rounds
+        image = blobs(model.mesh, radius)
+        self._atoms = _Atoms(image, (model.pair_sensitivity * model.conductivity) @ image)
+
+    def reconstruct(self, *differences: Difference) -> Image:
+        """The image of one scan, or of several fused. Channels that are not finite are left out.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        pairs = pair_system(len(self.model.electrodes), *differences)
+        noise = float(np.hypot(self.noise, self.model_error * pairs.root_mean_square))
+        rows = pairs.rows @ self._atoms.response
+        kept = np.arange(rows.shape[1])
+        variance = np.full(len(kept), self.amplitude**2)
+        for _ in range(self.rounds):
+            some = rows[:, kept]
+            factor = _factor(some, variance, noise)
+            weights = variance * (some.T @ cho_solve(factor, pairs.volts))
+            relevance = np.sqrt(np.einsum("me,me->e", some, cho_solve(factor, some)))
+            size = np.maximum(weights, 0.0) if self.positive else np.abs(weights)
+            variance = size / relevance
+            alive = variance > 1e-6 * max(float(variance.max()), 1e-12 * self.amplitude**2)
+            if not alive.any():
+                kept, variance = kept[:0], variance[:0]
+                break
+            kept, variance = kept[alive], variance[alive]
+        return self._image(rows[:, kept], kept, variance, noise, pairs.volts)
+
+    def _image(self, some: Floats, kept: np.ndarray, variance: Floats, noise: float, volts: Floats) -> Image:
+        image = self._atoms.image[:, kept]
+        if not len(kept):
+            return Image(np.zeros(image.shape[0]), lambda elements: np.zeros(np.size(elements)))
+        response = variance[:, None] * cho_solve(_factor(some, variance, noise), some).T  # (n_kept, n_meas)
+        weights = response @ volts
+        if self.positive:
+            weights = np.maximum(weights, 0.0)
+
+        def noise_std(elements: ArrayLike) -> Floats:
+            return np.asarray(self.noise * np.linalg.norm(image[np.atleast_1d(elements)] @ response, axis=1))
+
+        return Image(image @ weights, noise_std)
+
+
+def blobs(mesh: Mesh, radius: float) -> sp.csr_array:
+    """Round blobs (n_elem, n_elem), one a column about each triangle: 1 - (distance / radius)^2, one triangle at least."""
+    tree = cKDTree(mesh.centroids)
+    near = tree.sparse_distance_matrix(tree, radius, output_type="coo_matrix")
+    height = np.maximum(1 - (near.data / radius) ** 2, 0.0)
+    shape = (mesh.n_elem, mesh.n_elem)
+    blob = sp.csr_array((height, (near.row, near.col)), shape=shape)
+    blob.setdiag(1.0)
+    return blob
+
+
+def _factor(rows: Floats, variance: Floats, noise: float) -> tuple[Floats, bool]:
+    covariance = (rows * variance) @ rows.T
+    covariance[np.diag_indices_from(covariance)] += max(noise**2, 1e-14 * covariance.trace())
+    factor: tuple[Floats, bool] = cho_factor(covariance, lower=True, overwrite_a=True, check_finite=False)
+    return factor
