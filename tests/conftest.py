@@ -43,6 +43,15 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
+def uef_folder() -> Path:
+    """Folder of the open 2D EIT data of the University of Eastern Finland."""
+    folder = Path(__file__).parents[2] / "shared" / "data" / "uef2017"
+    if not folder.is_dir():
+        pytest.skip(f"needs the UEF recordings in {folder.parent.parent.name}/data beside the repository")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def tank_folder() -> Path:
     """Folder of the tank recordings."""
     folder = Path(__file__).parents[2] / "shared" / "data" / "tank_pyeidors"

@@ -22,7 +22,7 @@ def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "s
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["live", "--skin", "nosuch"], "no skin named 'nosuch'; give a .toml file or one of paper"),
+        (["live", "--skin", "nosuch"], "no skin named 'nosuch'; give a .toml file or one of ktc2023, paper"),
         (["live", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
         (["live", "--device", "nosuch:1"], "no driver for 'nosuch:1'"),
         (["live", "--mode", "99Z", "--headless"], "'99Z' is not possible"),

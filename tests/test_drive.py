@@ -140,7 +140,7 @@ def test_the_number_of_pairs_is_limited_by_the_electrodes(pairs: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "electrodes, names",
+    ("electrodes", "names"),
     [
         (GRID, ["12B", "16I", "16O"]),
         (Electrodes.rim(SHEET, 12), ["12B", "12O"]),
@@ -171,5 +171,5 @@ def test_adaptive_mode_takes_the_number_of_pairs_and_whether_to_fuse() -> None:
 
 
 def test_an_unknown_mode_lists_the_possible_ones() -> None:
-    with pytest.raises(PatternError, match="mode '16B' is not possible .* choose from 12B, 16I, 16O"):
+    with pytest.raises(PatternError, match=r"mode '16B' is not possible .* choose from 12B, 16I, 16O"):
         mode("16B", GRID)

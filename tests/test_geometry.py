@@ -77,7 +77,7 @@ def test_depth_is_the_distance_from_the_rim() -> None:
     assert DISC.depth([[0.03, -0.04]])[0] == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("kind, arguments", [(Rectangle, (0, 1)), (Rectangle, (1, np.nan)), (Disc, (-1,)), (Disc, (np.inf,))])
+@pytest.mark.parametrize(("kind", "arguments"), [(Rectangle, (0, 1)), (Rectangle, (1, np.nan)), (Disc, (-1,)), (Disc, (np.inf,))])
 def test_lengths_must_be_positive(kind: type, arguments: tuple[float, ...]) -> None:
     with pytest.raises(GeometryError, match="positive length"):
         kind(*arguments)
@@ -141,7 +141,7 @@ TWO = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 @pytest.mark.parametrize(
-    "nodes, triangles, message",
+    ("nodes", "triangles", "message"),
     [
         (SQUARE[:, :1], TWO, "need \\(n, 2\\) or"),
         (SQUARE.ravel(), TWO, "need \\(n, 2\\) or"),
@@ -187,7 +187,7 @@ def test_no_node_at_a_point_is_an_error_with_the_remedy() -> None:
 
 
 @pytest.mark.parametrize(
-    "size, points, message",
+    ("size", "points", "message"),
     [
         (0.0, None, "must be positive"),
         (-1.0, None, "must be positive"),
@@ -292,10 +292,10 @@ def test_rim_electrodes_are_evenly_spaced() -> None:
 
 
 @pytest.mark.parametrize(
-    "make, message",
+    ("make", "message"),
     [
         (lambda: Electrodes.at([[0, 0], [1, 0], [1, 1]]), "n >= 4"),
-        (lambda: Electrodes.at(np.zeros((4, 3))), "need \\(n, 2\\)"),
+        (lambda: Electrodes.at(np.zeros((4, 4))), "need \\(n, 2\\)"),
         (lambda: Electrodes.at([[0, 0], [1, 0], [np.inf, 1], [0, 1]]), "electrode 2 has a position"),
         (lambda: Electrodes.at([[0, 0], [1, 0], [1, 1], [0, 1e-7]]), "electrodes 0 and 3 are at the same place"),
         (lambda: Electrodes.at(SQUARE, ((0, 1, 2),)), "exactly once"),

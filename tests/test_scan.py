@@ -63,7 +63,9 @@ def test_pair_numbers_are_the_order_of_all_pairs_whatever_the_direction(n: int) 
 # --- patterns -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rings, n_inj, n_meas", [(RIM, 12, 108), ([range(16)], 16, 208), (PAPER, 16, 208), ([range(4)], 4, 4)])
+@pytest.mark.parametrize(
+    ("rings", "n_inj", "n_meas"), [(RIM, 12, 108), ([range(16)], 16, 208), (PAPER, 16, 208), ([range(4)], 4, 4)]
+)
 def test_adjacent_drive_has_the_measurements_of_the_paper(rings: list[range], n_inj: int, n_meas: int) -> None:
     pattern = adjacent(rings)
     assert (pattern.n_inj, pattern.n_meas) == (n_inj, n_meas)
@@ -81,7 +83,8 @@ def test_opposite_drive_uses_each_diameter_once() -> None:
 
 
 def test_skip_drive_goes_round_each_ring_with_its_step() -> None:
-    assert skip(PAPER, 3).injections.tolist() == [[k, (k + 3) % 12] for k in range(12)] + [[12 + k, 12 + (k + 3) % 4] for k in range(4)]
+    rim, inner = [[k, (k + 3) % 12] for k in range(12)], [[12 + k, 12 + (k + 3) % 4] for k in range(4)]
+    assert skip(PAPER, 3).injections.tolist() == rim + inner
     assert skip(PAPER, 1) == adjacent(PAPER)
 
 
@@ -91,7 +94,7 @@ def test_the_lone_electrode_in_the_middle_of_a_grid_is_measured_and_not_driven()
     assert set(pattern.measurements[:, 1:].ravel().tolist()) == set(range(9))
 
 
-@pytest.mark.parametrize("rings, step", [(RIM, 0), (RIM, 12), (PAPER, 4), (RIM, -1), ([[0], [1], [2], [3]], 1)])
+@pytest.mark.parametrize(("rings", "step"), [(RIM, 0), (RIM, 12), (PAPER, 4), (RIM, -1), ([[0], [1], [2], [3]], 1)])
 def test_a_step_that_does_not_fit_the_rings_is_refused(rings: list[range], step: int) -> None:
     with pytest.raises(PatternError, match=r"step .*; it must be 1\.\."):
         skip(rings, step)
@@ -119,7 +122,7 @@ def test_electrodes_outside_the_walk_may_be_driven() -> None:
 
 @given(injections, st.data())
 @settings(deadline=None, max_examples=60)
-def test_combination_of_pairs_is_polarisation_of_the_transfer_matrix(case: tuple[int, list[list[int]]], data: st.DataObject) -> None:
+def test_combinations_of_pairs_polarise_the_transfer_matrix(case: tuple[int, list[list[int]]], data: st.DataObject) -> None:
     n, pairs = case
     pair = st.lists(st.integers(0, n - 1), min_size=2, max_size=2, unique=True)
     measured = sorted(data.draw(st.lists(st.tuples(st.integers(0, len(pairs) - 1), pair), min_size=1, max_size=20)))
@@ -158,7 +161,7 @@ def test_patterns_do_not_change() -> None:
 
 
 @pytest.mark.parametrize(
-    "injected, measured, message",
+    ("injected", "measured", "message"),
     [
         ([[0, 1, 2]], [[0, 2, 3]], "injections have shape \\(1, 3\\)"),
         (np.empty((0, 2), int), [[0, 2, 3]], "injections have shape"),
@@ -190,7 +193,7 @@ def test_an_electrode_that_is_not_there_is_named() -> None:
 # --- frames -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("volts, currents, named", [(107, 12, "voltages"), (108, 11, "currents"), (108, 1, "currents")])
+@pytest.mark.parametrize(("volts", "currents", "named"), [(107, 12, "voltages"), (108, 11, "currents"), (108, 1, "currents")])
 def test_a_frame_fits_its_pattern(volts: int, currents: int, named: str) -> None:
     with pytest.raises(DataError, match=f"frame {named} have shape"):
         Frame(adjacent(RIM), np.zeros(volts), np.ones(currents), time=0.0)
@@ -209,7 +212,8 @@ def test_the_reference_is_the_mean_resistance_weighted_as_least_squares_has_it()
     ]
     baseline = Baseline.learn(frames)
     np.testing.assert_allclose(baseline.reference(pattern), expected, rtol=1e-12)
-    assert baseline.frames == 5
+    assert baseline.repeats == 5
+    assert baseline.difference_noise == pytest.approx(baseline.noise * np.sqrt(1.2))
     difference = baseline.difference(frames[0])
     np.testing.assert_allclose(difference.volts, frames[0].voltages - currents[0][which] * expected, atol=1e-15)
     np.testing.assert_array_equal(difference.currents, currents[0][which])
@@ -283,7 +287,8 @@ def test_without_repeats_or_reciprocal_measurements_the_noise_cannot_be_told() -
 def test_values_that_are_not_finite_are_left_out(bad: float) -> None:
     s, pattern = transfer_matrix(12), adjacent(RIM)
     quiet = [frame_of(s, pattern, noise=1e-4, seed=k) for k in range(8)]
-    holes = [Frame(f.pattern, np.where(np.arange(108) == 7 + k // 4, bad, f.voltages), f.currents, 0.0) for k, f in enumerate(quiet)]
+    lost = [np.arange(108) == 7 + k // 4 for k in range(8)]
+    holes = [Frame(pattern, np.where(at, bad, f.voltages), f.currents, 0.0) for at, f in zip(lost, quiet, strict=True)]
     baseline = Baseline.learn(holes)
     np.testing.assert_allclose(baseline.reference(pattern), four_terminal(s, pattern), atol=0.25)
     assert baseline.noise == pytest.approx(1e-4, rel=0.15)
@@ -312,3 +317,15 @@ def test_an_injection_without_a_known_current_is_left_out(current: float) -> Non
         reference = Baseline.learn(odd[:count]).reference(pattern)
         np.testing.assert_array_equal(np.isnan(reference), pattern.measurements[:, 0] == 2)
     assert not np.isfinite(Baseline.learn(quiet).difference(odd[0]).volts[18:27]).any() or current == 0
+
+
+def test_a_measurement_of_several_patterns_takes_the_mean_of_all() -> None:
+    s = transfer_matrix(12)
+    full, half = adjacent(RIM), next(adjacent(RIM).split(6))
+    frames = [frame_of(s, full, np.ones(12), 1e-3, 1), frame_of(s, half, np.ones(6), 1e-3, 2)]
+    expected = (frames[0].voltages[: half.n_meas] + frames[1].voltages) / 2
+    np.testing.assert_allclose(Baseline.learn(frames).reference(half), expected, rtol=1e-12)
+    unknown = Frame(full, np.full(full.n_meas, np.nan), np.ones(12), 0.0)
+    again = frame_of(s, half, np.ones(6), 1e-3, 3)
+    expected = (frames[1].voltages + again.voltages) / 2
+    np.testing.assert_allclose(Baseline.learn([unknown, frames[1], again]).reference(half), expected, rtol=1e-12)

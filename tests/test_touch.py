@@ -65,7 +65,7 @@ def test_a_deeper_dip_splits_less_and_nothing_is_lost(seed: int, dips: tuple[flo
 
 
 @pytest.mark.parametrize(
-    "dip, expected",
+    ("dip", "expected"),
     [(0.24, [0, 0, 1, 1]), (0.26, [0, 0, 0, 0]), (1.0, [0, 0, 0, 0])],
 )
 def test_two_peaks_are_two_where_the_saddle_lies_below_the_lower_by_the_dip(dip: float, expected: list[int]) -> None:
@@ -112,7 +112,7 @@ def test_regions_come_strongest_first() -> None:
 # --- contacts -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("height, width", [(0.3, 0.012), (1.0, 0.02)])
+@pytest.mark.parametrize(("height", "width"), [(0.3, 0.012), (1.0, 0.02)])
 def test_a_gaussian_blob_has_the_place_extent_and_strength_of_its_upper_half(height: float, width: float) -> None:
     """Above half its peak lies a disc of area 2 pi w^2 ln 2 that holds half of the integral 2 pi w^2 h."""
     (contact,) = ContactFinder(threshold=0.05).find(image(blob(0.11, 0.08, width, height)), mesh())
@@ -181,8 +181,8 @@ def contact(x: float, y: float = 0.1) -> Contact:
     return Contact((x, y), 1e-4, 1e-5, 1.0, 0.5)
 
 
-def follow(tracker: Tracker, frames: list[list[Contact]], state: Tracks = Tracks()) -> tuple[Tracks, list[tuple[Contact, ...]]]:
-    reported = []
+def follow(tracker: Tracker, frames: list[list[Contact]]) -> tuple[Tracks, list[tuple[Contact, ...]]]:
+    state, reported = Tracks(), []
     for found in frames:
         state, contacts = tracker.update(state, found)
         reported.append(contacts)
@@ -250,6 +250,14 @@ def test_a_far_contact_does_not_steal_the_match_of_a_near_one() -> None:
     state, _ = tracker.update(Tracks(), [contact(0.05), contact(0.15)])
     _, reported = tracker.update(state, [contact(0.065), contact(0.19)])
     assert [c.id for c in reported] == [1, 3]
+
+
+def test_how_far_a_new_contact_is_does_not_matter_to_the_old_ones() -> None:
+    """Sums of unlimited distances would give 0.068 to the track at 0.05, to spare the far one a longer way."""
+    tracker = Tracker(reach=0.02, confirm=1)
+    state, _ = tracker.update(Tracks(), [contact(0.05), contact(0.07)])
+    _, reported = tracker.update(state, [contact(0.068), contact(0.2)])
+    assert [c.id for c in reported] == [2, 3]
 
 
 @given(st.lists(st.lists(st.tuples(st.floats(0, 0.2), st.floats(0, 0.2)), max_size=4), max_size=25), st.integers(1, 3))

@@ -1,40 +1,72 @@
 """``ohmskin image``: a picture of a recording."""
 
+import sys
 from pathlib import Path
 
 from ohmskin.drive import Mode
 from ohmskin.engine import Perception
+from ohmskin.errors import DataError
+from ohmskin.inverse import match_model
 from ohmskin.plot import save_picture
 from ohmskin.record import read_recording
-from ohmskin.skin import Skin
+from ohmskin.scan import assess, left_out
+from ohmskin.skin import Skin, shipped_skins
 
 
-def image(file: Path, *, skin: str = "", output: Path | None = None) -> None:
-    """Make a picture of a recording's frame, with its contacts.
+def image(
+    file: Path,
+    *,
+    skin: str = "",
+    output: Path | None = None,
+    reference: Path | None = None,
+    pattern: Path | None = None,
+    frame: int = 0,
+) -> None:
+    """Make a picture of a recording's frame, with its contacts, and say what its data are worth.
 
     Parameters
     ----------
     file
-        The recording.
+        The recording: a MATLAB file of EIDORS, UEF 2017 or KTC 2023, or a table (.csv) with a pattern.
     skin
         A skin that ships with ohmskin or a .toml file; the one that fits the format unless given.
     output
         Where to put the picture; beside the recording's name in this folder unless given.
+    reference
+        File of the untouched skin, for formats that keep it apart; the usual name beside the recording unless given.
+    pattern
+        Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
+    frame
+        Which frame of the recording, from 0.
     """
-    recording = read_recording(file)
+    recording = read_recording(file, reference=reference, pattern=pattern)
+    if not 0 <= frame < len(recording.frames):
+        raise DataError(f"--frame {frame}: {file} has frames 0 to {len(recording.frames) - 1}")
+    if not (skin or recording.skin):
+        raise DataError(f"{file} does not say what was measured; name it with --skin, a .toml file or {', '.join(shipped_skins())}")
     description = Skin.load(skin or recording.skin)
-    quiet, frame = recording.quiet, recording.frames[0]
-    perception = Perception(description, description.transfer_model(), quiet)
-    mode = Mode("recorded", "the recording's own pattern", frame.pattern)
-    perception.learn_thresholds(mode, lambda _: quiet[0], len(quiet))
-    sight = perception.see(mode, lambda _: frame)
+    shown = recording.frames[frame]
+    shown.pattern.check(len(description.electrodes))
+    quality = assess(recording.quiet, [shown])
+    model = description.transfer_model()
+    perception = Perception(description, model, recording.quiet, quality)
+    missing = left_out(perception.baseline.difference(quality.clean(shown)))
+    match = match_model(model, quality.clean(recording.quiet[0]))
+    for line in [*recording.notes, *quality.report(), *([missing] if missing else []), *match.report()]:
+        print(f"# {line}", file=sys.stderr)
+    mode = Mode("recorded", "the recording's own pattern", shown.pattern)
+    perception.learn_thresholds(mode, lambda _: recording.quiet[0], len(recording.quiet))
+    sight = perception.see(mode, lambda _: shown)
     target = output or Path(file.stem + ".png")
     mesh, electrodes = perception.model.mesh, description.electrodes
-    save_picture(target, mesh, sight.image.values, electrodes, sight.contacts, file.parent.name.replace("_", " "))
+    title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
+    save_picture(target, mesh, sight.image.values, electrodes, sight.contacts, title)
     for contact in sight.contacts:
         x, y = contact.position
         change = "conducts better" if contact.strength > 0 else "conducts worse"
         print(
             f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {contact.extent * 1e4:5.2f} cm2  {change}, confidence {contact.confidence:.2f}"
         )
+    if not sight.contacts:
+        print("nothing above the threshold")
     print(f"picture: {target}")

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ohmskin.drive import Mode
+from ohmskin.errors import DataError
 from ohmskin.forward import TransferModel
 from ohmskin.inverse import GaussNewton, Image
-from ohmskin.scan import Baseline, DrivePattern, Frame
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality
 from ohmskin.skin import Skin
 from ohmskin.touch import Contact, ContactFinder, Region, find_regions, learn_threshold
 
@@ -56,6 +57,7 @@ class Perception:
         skin: Its description.
         model: Forward model of the untouched sheet as described; its conductivity is scaled to the quiet frames.
         quiet: Frames of the untouched skin, of every pattern that will be driven.
+        quality: Which electrodes to leave out or to count less, by `ohmskin.scan.assess`; all count alike unless given.
 
     Attributes:
         baseline: Reference data and noise.
@@ -63,24 +65,30 @@ class Perception:
         thresholds: gamma_0 by mode name; a mode must be here before it can `see`.
     """
 
-    def __init__(self, skin: Skin, model: TransferModel, quiet: Sequence[Frame]) -> None:
-        self.skin = skin
+    def __init__(self, skin: Skin, model: TransferModel, quiet: Sequence[Frame], quality: Quality | None = None) -> None:
+        self.skin, self.quality = skin, quality
+        if quality is not None:
+            quiet = [quality.clean(frame) for frame in quiet]
         self.baseline = Baseline.learn(quiet)
         pattern = quiet[0].pattern
         measured, modelled = self.baseline.reference(pattern), model.voltages(pattern)
+        known = np.isfinite(measured)
+        if not known.any():
+            raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
+        modelled, measured = modelled[known], measured[known]
         self.model = model.scaled(float(modelled @ modelled / (modelled @ measured)))
         # noise-free recordings exist; a ten-thousandth of the largest voltage keeps the problem well posed
         floor = 1e-4 * float(np.nanmax(np.abs(np.where(np.isfinite(quiet[0].voltages), quiet[0].voltages, np.nan))))
         imaging = skin.imaging
         self.estimator = GaussNewton(
-            self.model, max(self.baseline.noise, floor), amplitude=imaging.amplitude, model_error=imaging.model_error
+            self.model, max(self.baseline.difference_noise, floor), amplitude=imaging.amplitude, model_error=imaging.model_error
         )
         self.thresholds: dict[str, Thresholds] = {}
 
     def learn_thresholds(self, mode: Mode, scan: Scan, cycles: int = 40) -> None:
         """Learn gamma_0 of a mode from `cycles` quiet cycles; from predicted noise where `cycles` are too few to tell."""
         if cycles < _LEAST_QUIET:
-            image = self.estimator.reconstruct(self.baseline.difference(scan(mode.base)))
+            image = self.estimator.reconstruct(self._difference(scan(mode.base)))
             predicted = _SIGMAS * float(image.noise_std(np.arange(self.model.mesh.n_elem)).max())
             self.thresholds[mode.name] = Thresholds(predicted, predicted)
             return
@@ -99,7 +107,7 @@ class Perception:
     def _look(self, mode: Mode, scan: Scan, threshold: float) -> tuple[tuple[Frame, ...], Image, Image, list[Region]]:
         mesh = self.model.mesh
         frame = scan(mode.base)
-        difference = self.baseline.difference(frame)
+        difference = self._difference(frame)
         base = self.estimator.reconstruct(difference)
         strongest = float(base.values.max())
         regions = find_regions(base.values, mesh, max(threshold, self.skin.imaging.fraction * strongest), self.skin.imaging.dip)
@@ -111,9 +119,14 @@ class Perception:
             peak = mesh.centroids[int(np.argmax(base.values))]
             anchors = [mesh.centroids[mesh.closest_elements(peak[None], 3)[0]]]
         chosen = scan(mode.optimal.pattern(anchors))
-        optimal = self.baseline.difference(chosen)
+        optimal = self._difference(chosen)
         image = self.estimator.reconstruct(*([difference, optimal] if mode.fuse else [optimal]))
         return (frame, chosen), base, image, regions
+
+    def _difference(self, frame: Frame) -> Difference:
+        if self.quality is None:
+            return self.baseline.difference(frame)
+        return self.quality.weigh(self.baseline.difference(self.quality.clean(frame)))
 
     def _peak(self, image: Image) -> float:
         return float(np.abs(image.values).max() if self.skin.imaging.falls else image.values.max())

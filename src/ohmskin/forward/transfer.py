@@ -1,59 +1,102 @@
 """The forward model: from conductivity to what any drive pattern measures, and how that changes."""
 
+import copy
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.errors import ModelError
-from ohmskin.forward.assembly import factorise, stiffness
+from ohmskin.forward.assembly import assemble, factorise
+from ohmskin.forward.conductivity import Conductivity, conductivity_of
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, all_pairs
 
 
 class TransferModel:
-    """Finite-element model of a sheet with point electrodes (paper, section II-A), factorised once for all electrodes.
+    """Finite-element model of a skin with any electrodes (paper, section II-A), factorised once for all of them.
+
+    Area electrodes follow the complete electrode model, point electrodes the paper. The skin may be a flat sheet, a curved surface
+    in space or a thick body.
 
     Args:
-        mesh: The sheet; every electrode must be at a node.
+        mesh: The skin; every point electrode must be at a node.
         electrodes: Electrode layout.
-        conductivity: Sheet conductivity in siemens (per square), one value or (n_elem,).
+        conductivity: One value, (n_elem,) values, one symmetric tensor (dim, dim) or (n_elem, dim, dim) tensors in the coordinates
+            of the nodes; of a sheet in siemens (per square), of a thick skin in siemens per metre.
 
     Attributes:
+        conductivity: (n_elem,), of tensors the geometric mean of the principal conductivities.
         potentials: (n_nodes, n_elec) potential for 1 A into each electrode and out of the first (V).
+        electrode_potentials: (n_elec, n_elec) potential of each electrode (rows), likewise (V).
 
     Raises:
-        ModelError: If the conductivity is not positive and finite, or has the wrong shape.
-        GeometryError: If an electrode is not at a mesh node.
+        ModelError: If the conductivity is not positive and finite (a tensor: symmetric positive definite), or has the wrong shape.
+        GeometryError: If a point electrode is not at a mesh node or an area electrode not on the skin.
     """
 
     def __init__(self, mesh: Mesh, electrodes: Electrodes, conductivity: ArrayLike) -> None:
-        sigma = np.array(np.broadcast_to(np.asarray(conductivity, float), mesh.n_elem)) if np.ndim(conductivity) == 0 else None
-        if sigma is None:
-            sigma = np.array(conductivity, float)
-        if sigma.shape != (mesh.n_elem,):
-            raise ModelError(f"conductivity has shape {sigma.shape}; give one value or ({mesh.n_elem},), one per triangle")
-        if len(bad := np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)))):
-            raise ModelError(f"conductivity of triangle {bad[0]} is {sigma[bad[0]]}; it must be positive (siemens per square)")
-        self.mesh, self.electrodes, self.conductivity = mesh, electrodes, sigma
-        nodes = mesh.nodes_at(electrodes.positions)
-        ground, driven = nodes[0], nodes[1:]
-        free = np.delete(np.arange(mesh.n_nodes), ground)
-        load = np.zeros((mesh.n_nodes, len(driven)))
+        self._solve(mesh, electrodes, conductivity_of(mesh, conductivity))
+
+    def _solve(self, mesh: Mesh, electrodes: Electrodes, sigma: Conductivity) -> None:
+        self.mesh, self.electrodes, self.conductivity, self._shape = mesh, electrodes, sigma.values, sigma.shape
+        system = assemble(mesh, electrodes, sigma.tensors)
+        ground, driven = system.terminals[0], system.terminals[1:]
+        count = system.matrix.shape[0]
+        free = np.delete(np.arange(count), ground)
+        load = np.zeros((count, len(driven)))
         load[driven, np.arange(len(driven))] = 1.0
-        solution = factorise(stiffness(mesh, sigma)[free][:, free]).solve(load[free])
-        self.potentials: Floats = np.zeros((mesh.n_nodes, len(nodes)))
-        self.potentials[free, 1:] = solution
-        self._nodes = nodes
+        solution = np.zeros((count, len(electrodes)))
+        solution[free, 1:] = factorise(system.matrix[free][:, free]).solve(load[free])
+        self.potentials: Floats = solution[: mesh.n_nodes]
+        self.electrode_potentials: Floats = solution[system.terminals]
+        self._contacts = system.contacts
+
+    def with_conductivity(self, conductivity: ArrayLike) -> "TransferModel":
+        """The same skin with another conductivity. (n_elem,) values keep the directions of a sheet that has such."""
+        sigma = conductivity_of(self.mesh, conductivity)
+        other = object.__new__(TransferModel)
+        shape = self._shape if sigma.shape is None else sigma.shape
+        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape))
+        return other
+
+    def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
+        """The same skin with other contact impedances, one value or (n_elec,), see `Electrodes.with_contact_impedances`."""
+        other = object.__new__(TransferModel)
+        electrodes = self.electrodes.with_contact_impedances(values)
+        other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape))
+        return other
+
+    def scaled(self, factor: float) -> "TransferModel":
+        """The same model with all conductances multiplied by `factor`; costs no factorisation.
+
+        This divides contact impedances by `factor`, so that every voltage is divided by it. To keep them use `with_conductivity`.
+        """
+        if not (np.isfinite(factor) and factor > 0):
+            raise ModelError(f"conductivity factor is {factor}; it must be positive")
+        other = copy.copy(self)
+        for cached in ("transfer_resistance", "pair_sensitivity", "pair_contact_sensitivity"):
+            other.__dict__.pop(cached, None)
+        other.conductivity = self.conductivity * factor
+        other.electrodes = self.electrodes.with_contact_impedances(self.electrodes.contact_impedances / factor)
+        other.potentials = self.potentials / factor
+        other.electrode_potentials = self.electrode_potentials / factor
+        return other
+
+    @property
+    def tensors(self) -> Floats:
+        """Conductivity (n_elem,), or (n_elem, dim, dim) if the skin conducts better in some directions."""
+        return Conductivity(self.conductivity, self._shape).tensors
 
     @cached_property
     def transfer_resistance(self) -> Floats:
         """S of eq. (3), (n_elec, n_elec) in ohms: zero-mean electrode potentials for zero-sum currents.
 
-        With point electrodes the diagonal, the potential of a driven electrode, grows without bound as the mesh is refined.
+        With point electrodes the diagonal, the potential of a driven electrode, grows without bound as the mesh is refined; with
+        area electrodes it is what a driven electrode really has, contact impedance included.
         """
-        s: Floats = self.potentials[self._nodes]
+        s = self.electrode_potentials
         s = s - s.mean(axis=0) - s.mean(axis=1, keepdims=True) + s.mean()
         symmetric: Floats = (s + s.T) / 2
         return symmetric
@@ -63,44 +106,90 @@ class TransferModel:
         pattern.check(len(self.electrodes))
         a, b, c, d = pattern.quadruples.T
         s = self.transfer_resistance
-        driven = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)[pattern.measurements[:, 0]]
-        voltages: Floats = (s[a, c] - s[a, d] - s[b, c] + s[b, d]) * driven
+        voltages: Floats = (s[a, c] - s[a, d] - s[b, c] + s[b, d]) * self._driven(pattern, currents)
         return voltages
 
     @cached_property
     def pair_sensitivity(self) -> Floats:
         """dR_ij/dsigma (n_pairs, n_elem): two-terminal resistance of each electrode pair against conductivity (ohm/siemens).
 
-        Every sensitivity is a combination of these rows (`DrivePattern.combination`).
+        Every sensitivity is a combination of these rows (`DrivePattern.combination`). Where the conductivity is a tensor, against
+        its factor `conductivity`: the directions stay.
         """
-        field = np.einsum("ekd,ekl->led", self.mesh.gradients, self.potentials[self.mesh.triangles])
+        field = np.einsum("ekd,ekl->led", self.mesh.gradients, self.potentials[self.mesh.elements])
+        flux = field if self._shape is None else np.einsum("ecd,led->lec", self._shape, field)
         i, j = all_pairs(len(self.electrodes)).T
         sensitivity = np.empty((len(i), self.mesh.n_elem))
         for first in range(len(self.electrodes) - 1):
             rows = np.flatnonzero(i == first)
             difference = field[first] - field[j[rows]]
-            sensitivity[rows] = -np.einsum("ped,ped->pe", difference, difference) * self.mesh.areas
+            other = difference if flux is field else flux[first] - flux[j[rows]]
+            sensitivity[rows] = -np.einsum("ped,ped->pe", difference, other) * self.mesh.measures
+        return sensitivity
+
+    @cached_property
+    def pair_contact_sensitivity(self) -> Floats:
+        """dR_ij/dz_k (n_pairs, n_elec): two-terminal resistance of each pair against contact impedances (ohm / unit of z).
+
+        The integral of the squared current density through each contact; zero for point electrodes.
+        """
+        i, j = all_pairs(len(self.electrodes)).T
+        sensitivity = np.zeros((len(i), len(self.electrodes)))
+        for k, contact in self._contacts.items():
+            density = (self.electrode_potentials[k] - contact.at @ self.potentials) / self.electrodes.contact_impedances[k]
+            gram = density.T @ (contact.weights[:, None] * density)
+            own = np.diag(gram)
+            sensitivity[:, k] = own[i] + own[j] - 2 * gram[i, j]
         return sensitivity
 
     def sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A). J of eq. (4), with that sign."""
-        driven = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)[pattern.measurements[:, 0]]
-        rows: Floats = (pattern.combination(len(self.electrodes)) @ self.pair_sensitivity) * driven[:, None]
+        rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_sensitivity
+        return rows * self._driven(pattern, currents)[:, None]
+
+    def contact_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
+        """dV/dz (n_meas, n_elec) of a pattern at given injected currents (A), in volts per ohm m2 (disc) or ohm m (rim)."""
+        rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_contact_sensitivity
+        return rows * self._driven(pattern, currents)[:, None]
+
+    def tensor_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
+        """dV/dsigma_ab (n_meas, n_elem, dim, dim) against the entries of the conductivity tensor (V/siemens); symmetric.
+
+        A change T of the tensor of element e changes measurement m by the sum over a and b of result[m, e, a, b] T[a, b].
+        """
+        pattern.check(len(self.electrodes))
+        a, b, c, d = pattern.quadruples.T
+        field = np.einsum("ekd,ekl->led", self.mesh.gradients, self.potentials[self.mesh.elements])
+        product = np.einsum("mea,meb->meab", field[a] - field[b], field[c] - field[d])
+        symmetric = (product + product.swapaxes(2, 3)) / 2
+        rows: Floats = -symmetric * (self.mesh.measures * self._driven(pattern, currents)[:, None])[:, :, None, None]
         return rows
 
     def current_density(self, source: int, sink: int, current: float = 1.0) -> Floats:
-        """Sheet current density (n_elem, dim) in A/m for a current from electrode `source` to electrode `sink` (A)."""
+        """Current density (n_elem, dim), of a sheet in A/m, for a current from electrode `source` to electrode `sink` (A)."""
         DrivePattern(np.array([[source, sink]]), np.array([[0, source, sink]])).check(len(self.electrodes))
-        potential = (self.potentials[:, source] - self.potentials[:, sink])[self.mesh.triangles] * current
-        density: Floats = -self.conductivity[:, None] * np.einsum("ekd,ek->ed", self.mesh.gradients, potential)
+        potential = (self.potentials[:, source] - self.potentials[:, sink])[self.mesh.elements] * current
+        field = np.einsum("ekd,ek->ed", self.mesh.gradients, potential)
+        if self._shape is not None:
+            # on a surface only the tangential part flows; `field` is tangential, its flux need not be
+            field = np.einsum("ecd,ed->ec", self._shape, field)
+            if self.mesh.nodes.shape[1] != self.mesh.dim:
+                field = self._tangential(field)
+        density: Floats = -self.conductivity[:, None] * field
         return density
 
-    def scaled(self, factor: float) -> "TransferModel":
-        """The same model with all conductivities multiplied by `factor`; costs no factorisation."""
-        if not (np.isfinite(factor) and factor > 0):
-            raise ModelError(f"conductivity factor is {factor}; it must be positive")
-        other = object.__new__(TransferModel)
-        other.mesh, other.electrodes, other._nodes = self.mesh, self.electrodes, self._nodes
-        other.conductivity = self.conductivity * factor
-        other.potentials = self.potentials / factor
-        return other
+    def _tangential(self, vectors: Floats) -> Floats:
+        corners = self.mesh.nodes[self.mesh.elements]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        tangential: Floats = vectors - np.sum(vectors * normal, axis=1, keepdims=True) * normal
+        return tangential
+
+    def _driven(self, pattern: DrivePattern, currents: ArrayLike) -> Floats:
+        """The current (n_meas,) that flows during each measurement."""
+        try:
+            given = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)
+        except ValueError:
+            shape = np.shape(currents)
+            raise ModelError(f"currents have shape {shape}; give one value or ({pattern.n_inj},), one per injection") from None
+        return np.asarray(given[pattern.measurements[:, 0]])

@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 
 class Domain(Protocol):
-    """A flat, simply connected, convex shape."""
+    """A flat shape, with an outer rim and perhaps holes."""
 
     @property
     def area(self) -> float:
@@ -32,6 +32,11 @@ class Domain(Protocol):
     @property
     def corners(self) -> Floats:
         """Arc lengths (n_corners,) of rim points that a mesh must keep (m)."""
+        ...
+
+    @property
+    def holes(self) -> "tuple[Domain, ...]":
+        """What is cut out of it."""
         ...
 
     def depth(self, points: ArrayLike) -> Floats:
@@ -85,6 +90,10 @@ class Rectangle:
         w, h = self.width, self.height
         return np.array([0.0, w, w + h, 2 * w + h])
 
+    @property
+    def holes(self) -> tuple[Domain, ...]:
+        return ()
+
     def depth(self, points: ArrayLike) -> Floats:
         x, y = np.asarray(points, float).T
         depth: Floats = np.minimum.reduce([x, self.width - x, y, self.height - y])
@@ -134,6 +143,10 @@ class Disc:
     @property
     def corners(self) -> Floats:
         return np.empty(0)
+
+    @property
+    def holes(self) -> tuple[Domain, ...]:
+        return ()
 
     def depth(self, points: ArrayLike) -> Floats:
         depth: Floats = self.radius - np.linalg.norm(np.asarray(points, float), axis=-1)

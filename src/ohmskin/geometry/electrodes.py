@@ -1,6 +1,8 @@
-"""Electrode layouts: where the electrodes are and in what order a scan walks round them."""
+"""Electrode layouts: where the electrodes are, of what kind, and in what order a scan walks round them."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,25 +13,42 @@ from ohmskin.geometry.domain import Domain, Floats, Rectangle
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+class ElectrodeKind(StrEnum):
+    """How an electrode touches the skin."""
+
+    POINT = "point"  # at one mesh node; its own voltage when driven grows without bound as the mesh is refined
+    DISC = "disc"  # a disc on the sheet, cut off where it reaches beyond the rim; contact impedance in ohm m2
+    RIM = "rim"  # a stretch of the rim of a sheet; contact impedance in ohm m
+
+
+@dataclass(frozen=True, eq=False)
 class Electrodes:
-    """Electrode centres, numbered ring by ring from the rim inwards, each ring counterclockwise.
+    """Electrode centres, numbered ring by ring from the rim inwards, each ring counterclockwise; points unless said otherwise.
+
+    Kinds mix freely: `with_discs`, `with_rim_segments` and `with_points` return a changed copy.
 
     Args:
-        positions: Electrode centres (n_elec, 2) in metres.
+        positions: Electrode centres (n_elec, 2), or (n_elec, 3) in space, in metres.
         rings: Electrode numbers of each ring, the rim first. A base scan walks round the first ring.
+        kinds: Kind of each electrode (n_elec,).
+        extents: (n_elec,) radius of a disc, length along the rim of a rim segment, 0 for a point (m).
+        contact_impedances: (n_elec,) of a disc in ohm m2, of a rim segment in ohm m, 0 for a point.
 
     Raises:
-        GeometryError: If positions are not finite, not distinct, fewer than four, or not all named once by `rings`.
+        GeometryError: If positions are not finite, not distinct, fewer than four, or not all named once by `rings`; if a kind is
+            unknown; if an extent or contact impedance is not positive or given for a point; if discs overlap.
     """
 
     positions: Floats
     rings: tuple[tuple[int, ...], ...]
+    kinds: tuple[ElectrodeKind, ...] = ()
+    extents: Floats = ()  # type: ignore[assignment]
+    contact_impedances: Floats = ()  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, float)
-        if positions.ndim != 2 or positions.shape[1] != 2 or len(positions) < 4:
-            raise GeometryError(f"electrode positions have shape {positions.shape}; need (n, 2) with n >= 4")
+        if positions.ndim != 2 or positions.shape[1] not in (2, 3) or len(positions) < 4:
+            raise GeometryError(f"electrode positions have shape {positions.shape}; need (n, 2), or (n, 3) in space, with n >= 4")
         if not np.isfinite(positions).all():
             raise GeometryError(f"electrode {int(np.argmin(np.isfinite(positions).all(1)))} has a position that is not finite")
         gaps = np.linalg.norm(positions[:, None] - positions[None], axis=-1) + np.diag(np.full(len(positions), np.inf))
@@ -41,6 +60,90 @@ class Electrodes:
             raise GeometryError(f"rings {self.rings} must name each of the {len(positions)} electrodes exactly once")
         positions.setflags(write=False)
         object.__setattr__(self, "positions", positions)
+        self._check_areas(gaps)
+
+    def _check_areas(self, gaps: Floats) -> None:
+        count = len(self.positions)
+        try:
+            kinds = tuple(ElectrodeKind(kind) for kind in self.kinds) or (ElectrodeKind.POINT,) * count
+        except ValueError as error:
+            raise GeometryError(f"{error}; choose from {', '.join(ElectrodeKind)}") from None
+        if len(kinds) != count:
+            raise GeometryError(f"{len(kinds)} electrode kinds for {count} electrodes; give one each")
+        object.__setattr__(self, "kinds", kinds)
+        area = self.are_areas
+        for name, unit in (("extents", "m"), ("contact_impedances", "ohm m2 for a disc, ohm m on the rim")):
+            given = getattr(self, name)
+            values = np.array(given, float) if len(given) else np.zeros(count)
+            if values.shape != (count,):
+                raise GeometryError(f"electrode {name} have shape {values.shape}; give ({count},)")
+            wrong = np.where(area, ~(np.isfinite(values) & (values > 0)), values != 0)
+            if wrong.any():
+                k = int(np.argmax(wrong))
+                allowed = f"positive ({unit})" if area[k] else "0 for a point; use with_discs() or with_rim_segments()"
+                raise GeometryError(f"{name}[{k}] of a {kinds[k]} electrode is {values[k]:g}; it must be {allowed}")
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        radius = np.where([kind == ElectrodeKind.DISC for kind in kinds], self.extents, 0.0)
+        if (gaps < radius[:, None] + radius).any():
+            a, b = np.argwhere(gaps < radius[:, None] + radius)[0]
+            raise GeometryError(
+                f"electrodes {a} and {b} overlap: {gaps[a, b]:.3g} m apart with radii {radius[a]:.3g} and {radius[b]:.3g} m; "
+                "make them smaller or move one"
+            )
+
+    @property
+    def are_areas(self) -> NDArray[np.bool_]:
+        """Which electrodes (n_elec,) have an extent and a contact impedance."""
+        return np.array([kind != ElectrodeKind.POINT for kind in self.kinds])
+
+    def with_discs(self, radius: ArrayLike, contact_impedance: ArrayLike, which: Iterable[int] | None = None) -> "Electrodes":
+        """A copy in which the electrodes `which` (all, if None) are discs.
+
+        Args:
+            radius: One value or one for each of `which` (m).
+            contact_impedance: Resistance times area of the contact, likewise (ohm m2).
+            which: Electrode numbers.
+        """
+        return self._with(ElectrodeKind.DISC, radius, contact_impedance, which)
+
+    def with_rim_segments(
+        self, length: ArrayLike, contact_impedance: ArrayLike, which: Iterable[int] | None = None
+    ) -> "Electrodes":
+        """A copy in which the electrodes `which` (all, if None) are stretches of the rim, centred at their positions.
+
+        Args:
+            length: Along the rim, one value or one for each of `which` (m).
+            contact_impedance: Resistance times length of the contact, likewise (ohm m).
+            which: Electrode numbers.
+        """
+        return self._with(ElectrodeKind.RIM, length, contact_impedance, which)
+
+    def with_points(self, which: Iterable[int] | None = None) -> "Electrodes":
+        """A copy in which the electrodes `which` (all, if None) are points."""
+        return self._with(ElectrodeKind.POINT, 0.0, 0.0, which)
+
+    def with_contact_impedances(self, values: ArrayLike) -> "Electrodes":
+        """A copy with other contact impedances, one value for all area electrodes or (n_elec,), 0 for points."""
+        given = np.asarray(values, float)
+        return replace(self, contact_impedances=np.where(self.are_areas, given, 0.0) if given.ndim == 0 else given)
+
+    def mapped(self, move: Callable[[Floats], ArrayLike]) -> "Electrodes":
+        """The same electrodes with positions moved by `move`, as by `Mesh.mapped`."""
+        return replace(self, positions=np.asarray(move(self.positions), float))
+
+    def _with(self, kind: ElectrodeKind, extent: ArrayLike, impedance: ArrayLike, which: Iterable[int] | None) -> "Electrodes":
+        numbers = np.arange(len(self)) if which is None else np.fromiter(which, np.int64)
+        if len(numbers) and not (numbers.min() >= 0 and numbers.max() < len(self)):
+            raise GeometryError(f"electrodes {numbers.tolist()} to change; there are {len(self)} (0..{len(self) - 1})")
+        kinds, extents, impedances = list(self.kinds), self.extents.copy(), self.contact_impedances.copy()
+        for number in numbers:
+            kinds[number] = kind
+        try:
+            extents[numbers], impedances[numbers] = extent, impedance
+        except ValueError:
+            raise GeometryError(f"give one size and contact impedance, or one for each of {len(numbers)} electrodes") from None
+        return replace(self, kinds=tuple(kinds), extents=extents, contact_impedances=impedances)
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -1,7 +1,9 @@
-"""Triangle meshes, checked at the door."""
+"""Meshes of triangles or tetrahedra, checked at the door."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from math import factorial
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,51 +16,62 @@ from ohmskin.geometry.domain import Floats
 
 Ints = NDArray[np.int64]
 
+_NOUNS = {2: ("triangle", "triangles", "edge", "area"), 3: ("tetrahedron", "tetrahedra", "face", "volume")}
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Mesh:
-    """A connected mesh of triangles. Clockwise triangles of a flat mesh are turned round and counted in `flipped`.
+    """A connected mesh of simplices: triangles of a flat sheet or of a curved surface in space, or tetrahedra of a thick skin.
+
+    Clockwise triangles of a flat mesh and inverted tetrahedra are turned round and counted in `flipped`.
 
     Args:
-        nodes: Node coordinates (n_nodes, 2), or (n_nodes, 3) for a curved surface, in metres.
-        triangles: Node numbers (n_elem, 3).
+        nodes: Node coordinates (n_nodes, 2), or (n_nodes, 3) in space, in metres.
+        elements: Node numbers (n_elem, 3) of triangles or (n_elem, 4) of tetrahedra.
 
     Raises:
-        GeometryError: If shapes, numbers or coordinates are invalid, a triangle has no area, a node is unused, or the
+        GeometryError: If shapes, numbers or coordinates are invalid, an element has no area or volume, a node is unused, or the
             mesh falls into several parts.
     """
 
     nodes: Floats
-    triangles: Ints
+    elements: Ints
     flipped: int = 0
 
     def __post_init__(self) -> None:
-        nodes, triangles = np.array(self.nodes, float), np.array(self.triangles)
+        nodes, elements = np.array(self.nodes, float), np.array(self.elements)
         if nodes.ndim != 2 or nodes.shape[1] not in (2, 3):
             raise GeometryError(f"mesh nodes have shape {nodes.shape}; need (n, 2) or (n, 3)")
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0 or triangles.dtype.kind not in "iu":
-            raise GeometryError(f"triangles have shape {triangles.shape} and type {triangles.dtype}; need integers (n, 3)")
+        corners = elements.shape[1] if elements.ndim == 2 else 0
+        if corners not in (3, 4) or len(elements) == 0 or elements.dtype.kind not in "iu":
+            raise GeometryError(
+                f"elements have shape {elements.shape} and type {elements.dtype}; need integers (n, 3) for triangles or (n, 4) "
+                "for tetrahedra"
+            )
+        if corners == 4 and nodes.shape[1] == 2:
+            raise GeometryError("elements of four nodes are tetrahedra and need nodes (n, 3); split quadrilaterals into triangles")
+        noun, nouns, facet, measure = _NOUNS[corners - 1]
         if not np.isfinite(nodes).all():
             raise GeometryError(f"mesh node {int(np.argmin(np.isfinite(nodes).all(1)))} is not finite")
-        triangles = triangles.astype(np.int64)
-        if triangles.min() < 0 or triangles.max() >= len(nodes):
-            raise GeometryError(f"triangles name nodes {triangles.min()}..{triangles.max()}; there are {len(nodes)} nodes")
-        if len(unused := np.setdiff1d(np.arange(len(nodes)), triangles)):
-            raise GeometryError(f"{len(unused)} mesh nodes belong to no triangle (first: {unused[0]}); remove them")
-        if nodes.shape[1] == 2:
-            clockwise = _signed_areas(nodes, triangles) < 0
-            triangles[clockwise] = triangles[clockwise][:, [0, 2, 1]]
-            object.__setattr__(self, "flipped", int(clockwise.sum()))
+        elements = elements.astype(np.int64)
+        if elements.min() < 0 or elements.max() >= len(nodes):
+            raise GeometryError(f"{nouns} name nodes {elements.min()}..{elements.max()}; there are {len(nodes)} nodes")
+        if len(unused := np.setdiff1d(np.arange(len(nodes)), elements)):
+            raise GeometryError(f"{len(unused)} mesh nodes belong to no {noun} (first: {unused[0]}); remove them")
+        if nodes.shape[1] == corners - 1:
+            inverted = np.linalg.det(_edges(nodes, elements)) < 0
+            elements[inverted, -2:] = elements[inverted, -2:][:, ::-1]
+            object.__setattr__(self, "flipped", int(inverted.sum()))
         nodes.setflags(write=False)
-        triangles.setflags(write=False)
+        elements.setflags(write=False)
         object.__setattr__(self, "nodes", nodes)
-        object.__setattr__(self, "triangles", triangles)
-        scale = np.ptp(nodes, axis=0).max() ** 2
-        if len(bad := np.flatnonzero(self.areas <= 1e-12 * scale)):
-            raise GeometryError(f"triangle {bad[0]} has no area (nodes {triangles[bad[0]].tolist()}); remove degenerate triangles")
+        object.__setattr__(self, "elements", elements)
+        longest = np.linalg.norm(nodes[elements] - nodes[np.roll(elements, 1, axis=1)], axis=2).max(axis=1)
+        if len(bad := np.flatnonzero(self.measures <= 1e-10 * longest**self.dim)):
+            raise GeometryError(f"{noun} {bad[0]} has no {measure} (nodes {elements[bad[0]].tolist()}); remove degenerate {nouns}")
         parts, _ = connected_components(self.adjacency, directed=False)
         if parts > 1:
-            raise GeometryError(f"the mesh falls into {parts} parts that share no edge; join them or keep one")
+            raise GeometryError(f"the mesh falls into {parts} parts that share no {facet}; join them or keep one")
 
     @property
     def n_nodes(self) -> int:
@@ -66,57 +79,84 @@ class Mesh:
 
     @property
     def n_elem(self) -> int:
-        return len(self.triangles)
+        return len(self.elements)
+
+    @property
+    def dim(self) -> int:
+        """2 for triangles, 3 for tetrahedra; `nodes.shape[1]` is the dimension of the space around."""
+        return int(self.elements.shape[1]) - 1
+
+    @property
+    def noun(self) -> str:
+        """What one element is called."""
+        return _NOUNS[self.dim][0]
+
+    @property
+    def triangles(self) -> Ints:
+        return self.elements
+
+    @property
+    def areas(self) -> Floats:
+        return self.measures
 
     @cached_property
     def gradients(self) -> Floats:
-        """Gradients (n_elem, 3, dim) of the three linear shape functions in each triangle (1/m)."""
-        p = self.nodes[self.triangles]
-        e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-        a, b, c = (np.einsum("ij,ij->i", u, v) for u, v in ((e1, e1), (e1, e2), (e2, e2)))
-        det = (a * c - b * b)[:, None]
-        g1 = (c[:, None] * e1 - b[:, None] * e2) / det
-        g2 = (a[:, None] * e2 - b[:, None] * e1) / det
-        return np.stack([-g1 - g2, g1, g2], axis=1)
+        """Gradients (n_elem, dim + 1, dim of space) of the linear shape functions in each element, tangential to it (1/m)."""
+        edges = _edges(self.nodes, self.elements)
+        gram = np.einsum("eid,ejd->eij", edges, edges)
+        inner = np.linalg.solve(gram, edges)
+        return np.concatenate([-inner.sum(axis=1, keepdims=True), inner], axis=1)
 
     @cached_property
-    def areas(self) -> Floats:
-        """Triangle areas (n_elem,) in m2."""
-        p = self.nodes[self.triangles]
-        e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-        a, b, c = (np.einsum("ij,ij->i", u, v) for u, v in ((e1, e1), (e1, e2), (e2, e2)))
-        areas: Floats = 0.5 * np.sqrt(np.maximum(a * c - b * b, 0.0))
-        return areas
+    def measures(self) -> Floats:
+        """Areas (n_elem,) of triangles in m2, volumes of tetrahedra in m3."""
+        edges = _edges(self.nodes, self.elements)
+        if edges.shape[1] == edges.shape[2]:
+            return np.asarray(np.abs(np.linalg.det(edges)) / factorial(self.dim))
+        return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2)
 
     @cached_property
     def centroids(self) -> Floats:
-        """Triangle centroids (n_elem, dim) in metres."""
-        centroids: Floats = self.nodes[self.triangles].mean(axis=1)
+        """Centroids (n_elem, dim of space) in metres."""
+        centroids: Floats = self.nodes[self.elements].mean(axis=1)
         return centroids
 
     @cached_property
+    def _facets(self) -> Ints:
+        """Nodes (n_elem, dim + 1, dim) of each element's facets: facet k joins corners k, k + 1, ..., all but k - 1."""
+        corners = self.dim + 1
+        return self.elements[:, (np.arange(corners)[:, None] + np.arange(self.dim)) % corners]
+
+    @cached_property
     def neighbours(self) -> Ints:
-        """The triangle (n_elem, 3) beyond each edge (edge k joins corners k and k+1), -1 on the rim."""
-        edges = np.sort(np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        """The element (n_elem, dim + 1) beyond each facet, -1 on the rim. Facet k joins corners k, k + 1, ..., all but k - 1."""
+        facets = np.sort(self._facets.reshape(-1, self.dim), axis=1)
+        _, facet, count = np.unique(facets, axis=0, return_inverse=True, return_counts=True)
         if count.max() > 2:
-            raise GeometryError("an edge belongs to more than two triangles; remove repeated or crossing triangles")
-        order = np.argsort(edge.ravel(), kind="stable")
+            _, nouns, facet_name, _ = _NOUNS[self.dim]
+            name = ("an " if self.dim == 2 else "a ") + facet_name
+            raise GeometryError(f"{name} belongs to more than two {nouns}; remove repeated or crossing {nouns}")
+        order = np.argsort(facet.ravel(), kind="stable")
         first = np.cumsum(count) - count
         two = first[count == 2]
-        neighbours = np.full(len(edges), -1, dtype=np.int64)
-        neighbours[order[two]] = order[two + 1] // 3
-        neighbours[order[two + 1]] = order[two] // 3
-        return neighbours.reshape(-1, 3)
+        neighbours = np.full(len(facets), -1, dtype=np.int64)
+        neighbours[order[two]] = order[two + 1] // (self.dim + 1)
+        neighbours[order[two + 1]] = order[two] // (self.dim + 1)
+        return neighbours.reshape(-1, self.dim + 1)
 
     @cached_property
     def adjacency(self) -> sp.csr_array:
-        """Triangles that share an edge: a symmetric 0/1 matrix (n_elem, n_elem)."""
-        row = np.repeat(np.arange(self.n_elem), 3)
+        """Elements that share a facet: a symmetric 0/1 matrix (n_elem, n_elem)."""
+        row = np.repeat(np.arange(self.n_elem), self.dim + 1)
         column = self.neighbours.ravel()
         inside = column >= 0
         ones = np.ones(int(inside.sum()))
         return sp.csr_array((ones, (row[inside], column[inside])), shape=(self.n_elem, self.n_elem))
+
+    @cached_property
+    def boundary(self) -> Ints:
+        """Nodes (n_facets, dim) of the facets of one element only: edges of a sheet's rim, faces of a thick skin."""
+        return self._facets[self.neighbours < 0]
 
     @cached_property
     def _node_tree(self) -> cKDTree:
@@ -126,53 +166,77 @@ class Mesh:
     def _centroid_tree(self) -> cKDTree:
         return cKDTree(self.centroids)
 
+    def mapped(self, move: Callable[[Floats], ArrayLike]) -> "Mesh":
+        """The same elements with nodes moved by `move`, from (n_nodes, dim) to (n_nodes, 2 or 3): a sheet laid round a link."""
+        return Mesh(np.asarray(move(self.nodes), float), self.elements)
+
     def nodes_at(self, points: ArrayLike, tolerance: float = 1e-7) -> Ints:
         """Numbers (n,) of the nodes at `points` (n, dim).
 
         Raises:
             GeometryError: If a point has no node within `tolerance` metres.
         """
-        distance, node = self._node_tree.query(np.asarray(points, float))
+        points = self._points(points)
+        distance, node = self._node_tree.query(points)
         if len(far := np.flatnonzero(distance > tolerance)):
             raise GeometryError(
-                f"point {far[0]} at {np.asarray(points)[far[0]]} is {distance[far[0]]:.3g} m away from the nearest mesh node; "
+                f"point {far[0]} at {points[far[0]]} is {distance[far[0]]:.3g} m away from the nearest mesh node; "
                 "make the mesh with these points (mesh_domain(..., points=...))"
             )
         return np.asarray(node, np.int64)
 
     def closest_elements(self, points: ArrayLike, count: int = 3) -> Ints:
-        """Numbers (n, count) of the triangles whose centroids are closest to `points` (n, dim)."""
-        return np.asarray(self._centroid_tree.query(np.asarray(points, float), k=count)[1], np.int64)
+        """Numbers (n, count) of the elements whose centroids are closest to `points` (n, dim)."""
+        return np.asarray(self._centroid_tree.query(self._points(points), k=count)[1], np.int64)
 
     def locate(self, points: ArrayLike) -> tuple[Ints, Floats]:
-        """The triangle (n,) that holds each of `points` (n, 2), -1 outside, and the barycentric coordinates (n, 3) there.
+        """The element (n,) that holds each of `points` (n, dim), -1 outside, and the barycentric coordinates (n, dim + 1) there.
 
         Raises:
             GeometryError: If the mesh is a surface in space.
         """
-        if self.nodes.shape[1] != 2:
+        if self.nodes.shape[1] != self.dim:
             raise GeometryError("locate() needs a flat mesh; project the points of a curved one yourself")
-        points = np.asarray(points, float)
-        element, barycentric = np.full(len(points), -1), np.zeros((len(points), 3))
-        reach = np.linalg.norm(self.nodes[self.triangles] - self.centroids[:, None], axis=2).max()
+        points = self._points(points)
+        element, barycentric = np.full(len(points), -1), np.zeros((len(points), self.dim + 1))
+        reach = np.linalg.norm(self.nodes[self.elements] - self.centroids[:, None], axis=2).max()
         left, count = np.arange(len(points)), min(16, self.n_elem)
         while len(left):
             distance, candidates = (a.reshape(len(left), -1) for a in self._centroid_tree.query(points[left], k=count))
-            corner = self.nodes[self.triangles[candidates][:, :, 0]]
+            corner = self.nodes[self.elements[candidates][:, :, 0]]
             inner = np.einsum("nkvd,nkd->nkv", self.gradients[candidates][:, :, 1:], points[left][:, None] - corner)
             weights = np.concatenate([1 - inner.sum(2, keepdims=True), inner], axis=2)
             row, best = np.arange(len(left)), weights.min(axis=2).argmax(axis=1)
             barycentric[left] = weights[row, best]
             found = barycentric[left].min(axis=1) >= -1e-9
             element[left[found]] = candidates[row, best][found]
-            # where small triangles crowd round a large one, its centroid is not among the closest: look further
+            # where small elements crowd round a large one, its centroid is not among the closest: look further
             left = left[~found & (distance[:, -1] <= reach) & (count < self.n_elem)]
             count = min(4 * count, self.n_elem)
         return element, barycentric
 
+    def interpolation(self, points: ArrayLike) -> tuple[sp.csr_array, NDArray[np.bool_]]:
+        """Rows (n_inside, n_nodes) from nodal values to those of `points` (n, dim) that lie on the mesh, and which (n,) do.
 
-def _signed_areas(nodes: Floats, triangles: Ints) -> Floats:
-    p = nodes[triangles]
-    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    areas: Floats = 0.5 * (e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-    return areas
+        Raises:
+            GeometryError: If the mesh is a surface in space.
+        """
+        element, barycentric = self.locate(points)
+        inside = element >= 0
+        count = int(inside.sum())
+        row = np.repeat(np.arange(count), self.dim + 1)
+        column = self.elements[element[inside]].ravel()
+        return sp.csr_array((barycentric[inside].ravel(), (row, column)), shape=(count, self.n_nodes)), inside
+
+    def _points(self, points: ArrayLike) -> Floats:
+        given = np.asarray(points, float)
+        if given.ndim != 2 or given.shape[1] != self.nodes.shape[1]:
+            raise GeometryError(f"points have shape {given.shape}; this mesh needs (n, {self.nodes.shape[1]})")
+        return given
+
+
+def _edges(nodes: Floats, elements: Ints) -> Floats:
+    """Vectors (n_elem, dim, dim of space) from the first corner to the others."""
+    corners = nodes[elements]
+    edges: Floats = corners[:, 1:] - corners[:, :1]
+    return edges

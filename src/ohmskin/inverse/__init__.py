@@ -29,6 +29,7 @@ from ohmskin.inverse.priors import (
     paper_laplacian,
     tikhonov,
 )
+from ohmskin.inverse.quality import ModelMatch, match_model
 from ohmskin.inverse.sparse import SparseBayes
 from ohmskin.inverse.variation import TotalVariation
 
@@ -47,6 +48,7 @@ __all__ = [
     "ImageModes",
     "Iterations",
     "Kalman",
+    "ModelMatch",
     "Penalty",
     "Prior",
     "SparseBayes",
@@ -57,6 +59,7 @@ __all__ = [
     "evidence",
     "graph_laplacian",
     "l_curve",
+    "match_model",
     "matern",
     "named_prior",
     "noise_figure",

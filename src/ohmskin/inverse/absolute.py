@@ -168,18 +168,17 @@ class AbsoluteGaussNewton:
         return w if self._to_image is None else np.asarray(self._to_image @ w)
 
     def _at(self, w: Floats, rows: Floats, volts: Floats, noise: float) -> _Point:
-        conductivity = self.model.conductivity * np.exp(self._change(w))
-        model = TransferModel(self.model.mesh, self.model.electrodes, conductivity) if w.any() else self.model
+        model = self.model.with_conductivity(self.model.conductivity * np.exp(self._change(w))) if w.any() else self.model
         left = volts - rows @ pair_resistances(model)
         return _Point(w, model, left, float(left @ left) / noise**2 + self._penalty.cost(w))
 
     def _jacobian(self, point: _Point, rows: Floats) -> Floats:
         """By the unknowns: (n_meas, n_unknowns) in volts."""
         by_log = point.model.pair_sensitivity * point.model.conductivity
-        return rows @ (by_log if self._to_image is None else by_log @ self._to_image)
+        return np.asarray(rows @ (by_log if self._to_image is None else by_log @ self._to_image))
 
     def _search(self, point: _Point, wanted: Floats, rows: Floats, volts: Floats, noise: float) -> _Point | None:
-        """The first point on the way to those wanted, the step halved each time, at which the cost falls; None if it does nowhere."""
+        """The first point on the way to those wanted, the step halved each time, where the cost falls; None if nowhere."""
         way = wanted - point.w
         step = min(1.0, 3.0 / max(float(np.abs(way).max()), 1e-300))  # a factor of twenty in conductivity at most
         for _ in range(8):

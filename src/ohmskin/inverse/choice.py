@@ -169,7 +169,7 @@ def noise_figure(
     at = _Spectrum(estimator, differences, amplitudes)
     mesh = estimator.model.mesh
     signal = signal_of(estimator.model, small_target(mesh, target), differences)
-    curve = noise_figures(estimator.modes, at.left, at.singular, at.right, signal, mesh.areas, at.weights)
+    curve = noise_figures(estimator.modes, at.left, at.singular, at.right, signal, mesh.measures, at.weights)
     meaning = f"noise figure of a small target; {goal:g}"
     if not curve.min() <= goal <= curve.max():
         raise ModelError(f"noise figure {goal:g} cannot be had here; choose {curve.min():.3g} to {curve.max():.3g}")
@@ -203,7 +203,7 @@ def signal_of(model: TransferModel, change: Floats, differences: tuple[Differenc
 
 def small_target(mesh: Mesh, position: ArrayLike | None = None) -> Floats:
     """A relative change of one (n_elem,) about a point: within 5 % of half the sheet's longest side, three triangles at least."""
-    centre = mesh.areas @ mesh.centroids / mesh.areas.sum() if position is None else np.asarray(position, float)
+    centre = mesh.measures @ mesh.centroids / mesh.measures.sum() if position is None else np.asarray(position, float)
     change = np.zeros(mesh.n_elem)
     change[mesh.closest_elements(centre[None], 3)[0]] = 1.0
     change[np.linalg.norm(mesh.centroids - centre, axis=1) < 0.025 * np.ptp(mesh.nodes, axis=0).max()] = 1.0

@@ -49,7 +49,8 @@ class ContactFit:
         contacts: Strongest first (strength times area).
         chi_square: Squared residuals over the noise's variance; about `n_data` less the parameters when all is explained.
         n_data: Number of independent data.
-        criteria: The information criterion of 0, 1, 2, ... contacts as far as tried; the lowest was taken.
+        criteria: The information criterion of 0, 1, 2, ... contacts as far as tried; the lowest was taken. Infinite where the
+            weakest contact is too weak to count.
         covariance: (n_params, n_params) of all contacts together: position, radius, strength of the first, the second, ...
         image: The contacts, drawn.
     """
@@ -80,8 +81,8 @@ class DiscFit:
     """Fits discs to the data by Levenberg-Marquardt, and says how many there are.
 
     A disc more is sought where it explains most of what is left of the data, or by splitting one that is there; it stays if it
-    lowers the Bayesian information criterion. Small discs act on the data by strength times area; the prior of the radius
-    settles the rest, and the covariances say so.
+    lowers the Bayesian information criterion and is not too weak. Small discs act on the data by strength times area; the
+    prior of the radius settles the rest, and the covariances say so.
 
     Args:
         model: The untouched sheet.
@@ -91,6 +92,8 @@ class DiscFit:
         ratio_factor: Factor by which the conductivity in a contact may well differ from the sheet's (above 1).
         most: Most contacts to look for.
         count: Exact number of contacts, if it is known.
+        fraction: Least effect of a contact (effective change times area) as a share of the strongest's; keeps out what the model
+            gets wrong of a strong one.
         model_error: Error of the model as a share of the root mean square of the data; added to the noise (1).
         positive: Whether contacts only raise conductivity.
 
@@ -107,19 +110,20 @@ class DiscFit:
         ratio_factor: float = 3.0,
         most: int = 4,
         count: int | None = None,
+        fraction: float = 0.1,
         model_error: float = 0.0,
         positive: bool = True,
     ) -> None:
         radius = 0.05 * float(np.ptp(model.mesh.nodes, axis=0).max()) if radius is None else radius
         check_positive(noise=noise, radius=radius)
-        check_share(model_error=model_error)
+        check_share(model_error=model_error, fraction=fraction)
         for name, value in (("radius_factor", radius_factor), ("ratio_factor", ratio_factor)):
             if not (np.isfinite(value) and value > 1):
                 raise ModelError(f"{name} is {value!r}; it must be finite and above 1")
         if (count is not None and count < 1) or most < 1:
             raise ModelError(f"cannot look for {count if count is not None else most} contacts; at least 1")
         self.model, self.noise, self.radius, self.model_error, self.positive = model, noise, radius, model_error, positive
-        self.most, self.count = most if count is None else count, count
+        self.most, self.count, self.fraction = most if count is None else count, count, fraction
         self._response = DiscResponse(model)
         self._spread = np.log([radius_factor, ratio_factor])
         self._candidates = self._response.at_triangles(radius)
@@ -148,6 +152,11 @@ class DiscFit:
             best = min((self._refine(system, start) for start in self._starts(system, states[-1])), key=lambda state: state.cost)
             states.append(best)
             criteria.append(best.cost + number * (dim + 1) * np.log(len(system.volts)))
+            effects = np.abs(effective_change(best.params[:, -1], self._response.dim)[0]) * np.exp(
+                self._response.dim * best.params[:, -2]
+            )
+            if effects.min() < self.fraction * effects.max():
+                criteria[-1] = np.inf
             if self.count is None and criteria[-1] > criteria[-2]:
                 break
         return self._result(system, states[int(np.argmin(criteria)) if self.count is None else self.count], tuple(criteria))
@@ -222,7 +231,7 @@ class DiscFit:
         order = np.argsort(-np.abs(strength) * radius**2)
         scale = np.ones((n, width))
         scale[:, -2], scale[:, -1] = radius, 1 + strength
-        inverse = np.linalg.inv(state.slopes.T @ state.slopes) if n else np.zeros((0, 0))
+        inverse = _inverse(state.slopes.T @ state.slopes)
         covariance = inverse * np.outer(scale.ravel(), scale.ravel())
         place = (order[:, None] * width + np.arange(width)).ravel()
         covariance = covariance[np.ix_(place, place)]
@@ -234,6 +243,9 @@ class DiscFit:
         return ContactFit(contacts, state.chi_square, len(system.volts), criteria, covariance, self._draw(contacts, covariance))
 
     def _draw(self, contacts: tuple[DiscContact, ...], covariance: Floats) -> Image:
+        if not contacts:
+            return Image(np.zeros(self.model.mesh.n_elem), lambda elements: np.zeros(np.size(elements)))
+
         def draw(shift: Floats) -> Floats:
             params = [np.array([*c.position, c.radius, c.strength]) for c in contacts]
             moved = np.reshape(params, (len(contacts), -1)) + shift.reshape(len(contacts), -1)
@@ -246,8 +258,14 @@ class DiscFit:
             std = np.sqrt(np.diag(covariance))
             step = 0.1 * np.maximum(std, 1e-12)
             slopes = [(draw(row) - draw(-row))[np.atleast_1d(elements)] / (2 * np.sum(row)) for row in np.diag(step)]
-            if not slopes:
-                return np.zeros(np.size(elements))
             return np.asarray(np.sqrt(np.einsum("pe,pq,qe->e", slopes, covariance, slopes)))
 
         return Image(values, noise_std)
+
+
+def _inverse(normal: Floats) -> Floats:
+    """Inverse of a normal matrix; zero in directions that parameters cannot take, such as off a curved surface."""
+    scale = np.sqrt(np.diag(normal))
+    scale = np.where(scale > 0, scale, 1.0)
+    inverse: Floats = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    return inverse

@@ -19,12 +19,14 @@ class Discs:
     """Sample points of a mesh, fine enough to say how much of each triangle a disc covers. Discs in space are balls.
 
     Args:
-        points: (n_points, dim) in metres.
+        mesh: The mesh.
+        points: (n_points, dim of space) in metres.
         sizes: (n_points,) area each stands for (m2; volume in space, m3).
         element: (n_points,) the triangle each lies in.
         edge: Width over which the edge of a disc is softened, the distance of neighbouring points (m).
     """
 
+    mesh: Mesh
     points: Floats
     sizes: Floats
     element: np.ndarray
@@ -34,14 +36,14 @@ class Discs:
     @classmethod
     def on(cls, mesh: Mesh) -> "Discs":
         """Sample points on a mesh: a centred lattice in each triangle."""
-        cells = mesh.triangles
+        cells = mesh.elements
         corners = cells.shape[1]
         lattice = np.array([c for c in product(range(_STEPS), repeat=corners) if sum(c) == _STEPS - 1])
         weights = (lattice + 1 / corners) / _STEPS
         points = np.einsum("qc,ecd->eqd", weights, mesh.nodes[cells]).reshape(-1, mesh.nodes.shape[1])
-        sizes = np.repeat(mesh.areas / len(weights), len(weights))
+        sizes = np.repeat(mesh.measures / len(weights), len(weights))
         edge = float(np.median(sizes)) ** (1 / (corners - 1))
-        return cls(points, sizes, np.repeat(np.arange(mesh.n_elem), len(weights)), edge, cKDTree(points))
+        return cls(mesh, points, sizes, np.repeat(np.arange(mesh.n_elem), len(weights)), edge, cKDTree(points))
 
     def cover(self, position: Floats, radius: float) -> tuple[np.ndarray, Floats]:
         """Which triangles (n,) a disc covers, and by how much: (dim + 2, n) areas, their derivatives by position, and by radius."""
@@ -57,6 +59,14 @@ class Discs:
         rows = np.vstack([share, (slope[:, None] * direction).T, slope]) * self.sizes[near]
         elements, which = np.unique(self.element[near], return_inverse=True)
         return elements, np.stack([np.bincount(which, row, len(elements)) for row in rows])
+
+    def tangent(self, position: Floats) -> Floats:
+        """Projector (dim of space, dim of space) onto the sheet at a position: a contact on a curved surface moves along it."""
+        if self.mesh.dim == len(position):
+            return np.eye(len(position))
+        corners = self.mesh.nodes[self.mesh.elements[self.element[self._tree.query(position)[1]]]]
+        axes = np.linalg.qr((corners[1:] - corners[0]).T)[0]
+        return np.asarray(axes @ axes.T)
 
     def onto(self, position: Floats) -> Floats:
         """The position itself, or the closest sample point where it is off the sheet."""
@@ -78,15 +88,16 @@ class DiscResponse:
     def __init__(self, model: TransferModel) -> None:
         self.model = model
         self.discs = Discs.on(model.mesh)
-        self.dim = model.mesh.triangles.shape[1] - 1
-        self._density: Floats = model.pair_sensitivity * (model.conductivity / model.mesh.areas)  # ohms per square metre
+        self.dim = model.mesh.dim
+        self._density: Floats = model.pair_sensitivity * (model.conductivity / model.mesh.measures)  # ohms per square metre
 
     def __call__(self, position: Floats, radius: float, log_ratio: float) -> tuple[Floats, Floats]:
-        """Change of pair resistances (n_pairs,) in ohms, and its derivatives (n_pairs, n_dim + 2) by position, log radius, log ratio."""
+        """Change of pair resistances (n_pairs,) in ohms; derivatives (n_pairs, dim + 2) by position, log radius, log ratio."""
         elements, cover = self.discs.cover(position, radius)
         unit = self.integral(elements, cover.T)
         factor, slope = effective_change(log_ratio, self.dim)
-        derivatives = np.column_stack([factor * unit[:, 1:-1], factor * radius * unit[:, -1], slope * unit[:, 0]])
+        moves = unit[:, 1:-1] @ self.discs.tangent(position)
+        derivatives = np.column_stack([factor * moves, factor * radius * unit[:, -1], slope * unit[:, 0]])
         return factor * unit[:, 0], derivatives
 
     def integral(self, elements: np.ndarray, areas: Floats) -> Floats:
@@ -98,7 +109,7 @@ class DiscResponse:
         values = np.zeros(self.model.mesh.n_elem)
         for position, radius, strength in zip(positions, radii, strengths, strict=True):
             elements, cover = self.discs.cover(position, radius)
-            values[elements] += strength * cover[0] / self.model.mesh.areas[elements]
+            values[elements] += strength * cover[0] / self.model.mesh.measures[elements]
         return values
 
     def at_triangles(self, radius: float) -> Floats:

@@ -34,8 +34,8 @@ class Training:
 class Greit:
     """GREIT images on the triangles of any domain; put them on a `Raster` for pixels.
 
-    The matrix that brings the training targets closest to their desired images, noise considered, is Y D^T (D D^T + w^2 I)^-1. D and Y
-    are trained once in pair coordinates, whatever the pattern; w is set for each pattern so that the noise figure is as wanted.
+    The matrix that brings the training targets closest to their desired images, noise considered, is Y D^T (D D^T + w^2 I)^-1.
+    D and Y are trained once in pair coordinates, whatever the pattern; w is set for each pattern for the noise figure wanted.
 
     Args:
         model: The untouched sheet.
@@ -55,7 +55,7 @@ class Greit:
         noise: float,
         noise_figure: float = 1.0,
         target_radius: float | None = None,
-        blur: float = 2.0,
+        blur: float = 3.0,
         spacing: float | None = None,
     ) -> None:
         extent = float(np.ptp(model.mesh.nodes, axis=0).max())
@@ -101,7 +101,7 @@ class Greit:
         signal = signal_of(self.model, small_target(self.model.mesh), differences)
 
         def figure(weight: ArrayLike) -> Floats:
-            return noise_figures(self.modes, left, singular, right, signal, self.model.mesh.areas, np.atleast_1d(weight))
+            return noise_figures(self.modes, left, singular, right, signal, self.model.mesh.measures, np.atleast_1d(weight))
 
         weights = singular[0] * np.geomspace(1e2, 1e-6, 33)
         figures = figure(weights)
@@ -136,5 +136,5 @@ def train(model: TransferModel, radius: float, blur: float, spacing: float) -> T
         distance = np.linalg.norm(mesh.centroids - place, axis=1) / wide
         blob = np.where(distance < 1, 0.5 * (1 + np.cos(np.pi * np.minimum(distance, 1.0))), 0.0)
         blob[elements] = np.maximum(blob[elements], 1e-12)  # a mesh coarser than the blob still has something to show
-        desired[:, k] = blob * cover[0].sum() / (blob @ mesh.areas)
+        desired[:, k] = blob * cover[0].sum() / (blob @ mesh.measures)
     return Training(places, responses, desired)

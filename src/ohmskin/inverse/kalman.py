@@ -41,7 +41,7 @@ class Belief:
 
         def noise_std(elements: ArrayLike) -> Floats:
             columns = self.modes.modes[:, np.atleast_1d(elements)]
-            return np.sqrt(np.maximum(np.einsum("me,mn,ne->e", columns, self.noise, columns, optimize=True), 0.0))
+            return np.asarray(np.sqrt(np.maximum(np.einsum("me,mn,ne->e", columns, self.noise, columns, optimize=True), 0.0)))
 
         return Image(self.mean @ self.modes.modes, noise_std)
 

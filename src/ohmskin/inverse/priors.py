@@ -20,7 +20,6 @@ Total variation and sparsity are not quadratic: they have estimators of their ow
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 import scipy.sparse as sp
@@ -53,7 +52,7 @@ class Penalty:
     def __post_init__(self) -> None:
         n = self.matrix.shape[0]
         if self.matrix.shape != (n, n) or (self.image is not None and self.image.shape[1] != n):
-            raise ModelError(f"a penalty of shape {self.matrix.shape} does not fit its image of shape {np.shape(self.image)}")
+            raise ModelError(f"a penalty of shape {self.matrix.shape} does not fit its image")
 
     @cached_property
     def normalised(self) -> sp.csc_array:
@@ -62,7 +61,8 @@ class Penalty:
 
     @cached_property
     def _solve(self) -> Callable[[Floats], Floats]:
-        return factorise(self.matrix).solve
+        solve: Callable[[Floats], Floats] = factorise(self.matrix).solve
+        return solve
 
     def covariance(self, columns: Floats) -> Floats:
         """The prior covariance, scaled to an average variance of one, times `columns` (n_elem, n)."""
@@ -107,7 +107,7 @@ def paper_laplacian(mesh: Mesh) -> sp.csc_array:
     Triangles at the rim have fewer neighbours but the same diagonal, so the matrix is positive definite and the image is
     pulled to zero at the rim.
     """
-    return sp.csc_array(3 * sp.eye_array(mesh.n_elem) - mesh.adjacency)
+    return sp.csc_array((mesh.dim + 1) * sp.eye_array(mesh.n_elem) - mesh.adjacency)
 
 
 def graph_laplacian(mesh: Mesh) -> Penalty:
@@ -136,7 +136,7 @@ def tikhonov(mesh: Mesh, patch: float = 0.01) -> Penalty:
     """
     if not 0 < patch <= 1:
         raise ModelError(f"patch is {patch}; it must be a share of the sheet above 0 and up to 1")
-    return Penalty(sp.csc_array(sp.diags_array(mesh.areas / (patch * mesh.areas.sum()))), mean_variance=1.0)
+    return Penalty(sp.csc_array(sp.diags_array(mesh.measures / (patch * mesh.measures.sum()))), mean_variance=1.0)
 
 
 def noser(model: TransferModel, pattern: DrivePattern | None = None, exponent: float = 0.5) -> Prior:
@@ -167,8 +167,9 @@ def noser(model: TransferModel, pattern: DrivePattern | None = None, exponent: f
 def matern(length: float) -> Prior:
     """A smooth Gaussian random field with a correlation length, the same on every mesh (Lindgren, Rue and Lindstroem 2011).
 
-    The field solves (kappa^2 - Laplace) w = white noise in linear finite elements, which has Matern covariance of smoothness 1 in
-    the plane (1/2 in space). A Robin condition at the rim (Roininen, Huttunen and Lasanen 2014) keeps the variance there from doubling.
+    The field solves (kappa^2 - Laplace) w = white noise in linear finite elements, which has Matern covariance of smoothness 1
+    in the plane (1/2 in space), variance one. A Robin condition at the rim (Roininen, Huttunen and Lasanen 2014) keeps the
+    variance there from doubling. Where the mesh is coarse for the length, means over triangles vary less.
 
     Args:
         length: Distance at which the correlation has fallen to about 0.14 (m); sqrt(8 nu) / kappa.
@@ -180,15 +181,14 @@ def matern(length: float) -> Prior:
         raise ModelError(f"correlation length is {length!r}; it must be positive (m)")
 
     def prior(mesh: Mesh) -> Penalty:
-        cells, dim = mesh.triangles, mesh.triangles.shape[1] - 1
+        cells, dim = mesh.elements, mesh.dim
         edge = float(np.median(np.linalg.norm(mesh.nodes[cells[:, 0]] - mesh.nodes[cells[:, 1]], axis=1)))
         if length < edge:
             raise ModelError(f"correlation length {length:.3g} m is below the mesh's edges of {edge:.3g} m; refine the mesh")
         smoothness = 2 - dim / 2
         kappa = np.sqrt(8 * smoothness) / length
-        mass = np.bincount(cells.ravel(), np.repeat(mesh.areas / (dim + 1), dim + 1), mesh.n_nodes)
-        rim, size = _rim_faces(mesh)
-        leak = np.bincount(rim.ravel(), np.repeat(size / dim, dim), mesh.n_nodes) * kappa / 1.42
+        mass = np.bincount(cells.ravel(), np.repeat(mesh.measures / (dim + 1), dim + 1), mesh.n_nodes)
+        leak = np.bincount(mesh.boundary.ravel(), np.repeat(_rim_sizes(mesh) / dim, dim), mesh.n_nodes) * kappa / 1.42
         operator = sp.csc_array(stiffness(mesh, np.ones(mesh.n_elem)) + sp.diags_array(kappa**2 * mass + leak))
         variance = 1 / (4 * np.pi * kappa**2) if dim == 2 else 1 / (8 * np.pi * kappa)  # far from the rim
         precision = sp.csc_array(operator @ sp.diags_array(variance / mass) @ operator)
@@ -199,24 +199,19 @@ def matern(length: float) -> Prior:
 
 def triangle_means(mesh: Mesh) -> sp.csr_array:
     """From values at nodes to their means over triangles: a sparse matrix (n_elem, n_nodes)."""
-    corners = mesh.triangles.shape[1]
+    corners = mesh.elements.shape[1]
     row = np.repeat(np.arange(mesh.n_elem), corners)
-    share = np.full(mesh.triangles.size, 1 / corners)
-    return sp.csr_array((share, (row, mesh.triangles.ravel())), shape=(mesh.n_elem, mesh.n_nodes))
+    share = np.full(mesh.elements.size, 1 / corners)
+    return sp.csr_array((share, (row, mesh.elements.ravel())), shape=(mesh.n_elem, mesh.n_nodes))
 
 
-def _rim_faces(mesh: Mesh) -> tuple[np.ndarray, Floats]:
-    """Faces (n, dim) that belong to one cell only, by their nodes, and their lengths or areas (n,)."""
-    cells = mesh.triangles
-    width = cells.shape[1]
-    faces = np.sort(np.vstack([cells[:, list(corners)] for corners in combinations(range(width), width - 1)]), axis=1)
-    unique, count = np.unique(faces, axis=0, return_counts=True)
-    rim = unique[count == 1]
-    corner = mesh.nodes[rim]
-    a = corner[:, 1] - corner[:, 0]
-    if width == 3:
-        return rim, np.asarray(np.linalg.norm(a, axis=1))
-    return rim, np.asarray(np.linalg.norm(np.cross(a, corner[:, 2] - corner[:, 0]), axis=1) / 2)
+def _rim_sizes(mesh: Mesh) -> Floats:
+    """Lengths, or areas in space, (n_facets,) of the facets of `Mesh.boundary`."""
+    corners = mesh.nodes[mesh.boundary]
+    side = corners[:, 1] - corners[:, 0]
+    if mesh.dim == 2:
+        return np.asarray(np.linalg.norm(side, axis=1))
+    return np.asarray(np.linalg.norm(np.cross(side, corners[:, 2] - corners[:, 0]), axis=1) / 2)
 
 
 PRIORS: dict[str, Callable[[TransferModel], Prior]] = {

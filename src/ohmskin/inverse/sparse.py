@@ -26,7 +26,7 @@ class _Atoms:
 
 
 class SparseBayes:
-    """Sparse Bayesian learning (automatic relevance determination; Tipping 2001, in the convergent form of Wipf and Nagarajan 2008).
+    """Sparse Bayesian learning (automatic relevance determination, Tipping 2001; as Wipf and Nagarajan 2008 make it converge).
 
     An image is a sum of round blobs, one about each triangle, each with a prior variance of its own. The variances are learned from
     the data, which drives all but a few to zero.

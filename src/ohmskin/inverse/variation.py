@@ -45,12 +45,12 @@ class Variation:
 
     def _slopes(self, w: Floats) -> Floats:
         """Length of the gradient in each triangle (n_elem,), rounded off (1/m)."""
-        gradient = np.einsum("ekd,ek->ed", self.mesh.gradients, w[self.mesh.triangles])
+        gradient = np.einsum("ekd,ek->ed", self.mesh.gradients, w[self.mesh.elements])
         return np.asarray(np.sqrt(np.einsum("ed,ed->e", gradient, gradient) + self._step**2))
 
     def cost(self, w: Floats) -> float:
         """Of a nodal field (n_nodes,): twice its variation over amplitude times outline, and the ridge."""
-        return float(2 * self.mesh.areas @ self._slopes(w) / (self.amplitude * self.outline) + self._ridge @ w**2)
+        return float(2 * self.mesh.measures @ self._slopes(w) / (self.amplitude * self.outline) + self._ridge @ w**2)
 
     def matrix(self, w: Floats) -> sp.csc_array:
         """The sparse matrix (n_nodes, n_nodes) of the quadratic penalty with the gradient that `cost` has at a nodal field."""
@@ -60,8 +60,8 @@ class Variation:
     @property
     def _ridge(self) -> Floats:
         """A sheet that is all at the amplitude costs one: variation alone leaves the mean free."""
-        corners = self.mesh.triangles.shape[1]
-        shares = np.bincount(self.mesh.triangles.ravel(), np.repeat(self.mesh.areas / corners, corners), self.mesh.n_nodes)
+        corners = self.mesh.elements.shape[1]
+        shares = np.bincount(self.mesh.elements.ravel(), np.repeat(self.mesh.measures / corners, corners), self.mesh.n_nodes)
         return np.asarray(shares / (shares.sum() * self.amplitude**2))
 
 

@@ -1,16 +1,12 @@
 """Recordings: frames on disk, with the quiet ones that they are compared to."""
 
-import csv
-import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from ohmskin.errors import DataError
-from ohmskin.scan import DrivePattern, Frame, adjacent
-from ohmskin.scan.frame import Floats
+from ohmskin.record import eidors, kuopio, table
+from ohmskin.record.matfile import is_mat, load_variables
+from ohmskin.scan import Frame
 
 _LARGEST_FILE = 64 * 2**20
 
@@ -22,55 +18,69 @@ class Recording:
     Args:
         quiet: Frames of the untouched skin.
         frames: Frames to look at, in order.
-        skin: The shipped skin description that fits the format.
+        skin: The shipped skin description that fits the format; empty if the file does not tell.
+        notes: What was left out or assumed on reading, in plain words.
     """
 
     quiet: tuple[Frame, ...]
     frames: tuple[Frame, ...]
     skin: str
+    notes: tuple[str, ...] = ()
 
 
-def read_recording(path: str | Path) -> Recording:
-    """Read a recording.
+def read_recording(
+    path: str | Path, *, reference: str | Path | None = None, pattern: str | Path | None = None, driven: bool = False
+) -> Recording:
+    """Read a recording. What it is, is told by its contents:
 
-    So far one format is known, the tank measurements of the PyEIDORS project: a CSV file with a row for each adjacent
-    measurement and the columns Re, Im of a reference frame and Re, Im of a frame with targets, in volts; the real parts
-    are used. The current is read from the file name (``..._55uA_...``).
+    - MATLAB files of the University of Eastern Finland (UEF 2017; variables CurrentPattern, MeasPattern, Uel) and of the
+      Kuopio Tomography Challenge 2023 (Inj, Mpat, Uel, Uelref), each a file per state of the tank (`ohmskin.record.kuopio`);
+    - MATLAB files made with EIDORS: a stimulation struct or plain matrices, and data (`ohmskin.record.eidors`);
+    - text tables with a pattern, beside them or in the same file (`ohmskin.record.table`);
+    - the text tables of the PyEIDORS tank: four columns, adjacent measurements.
+
+    Args:
+        path: The file.
+        reference: A file of the same kind with the untouched skin, for formats that keep it apart; the usual name beside
+            `path` unless given.
+        pattern: A table of electrodes, for text tables without one; ``NAME.pattern.csv`` beside ``NAME.csv`` unless given.
+        driven: Keep voltages measured at a driven electrode. They need a complete electrode model and are left out otherwise.
 
     Raises:
-        DataError: If the file cannot be read or is not such a table.
+        DataError: If a file cannot be read, is damaged, or says what cannot be represented here.
     """
     path = Path(path)
+    content = _content(path)
+    if is_mat(content[:8]):
+        if pattern is not None:
+            raise DataError(f"{path} is a MATLAB file, which holds its own pattern; leave pattern={str(pattern)!r} out")
+        variables = load_variables(content, str(path))
+        if kuopio.is_kuopio(variables):
+            other = Path(reference) if reference is not None else kuopio.usual_reference(path, variables)
+            at_rest = load_variables(_content(other), str(other)) if other is not None else None
+            return Recording(*kuopio.read(variables, at_rest, str(path), str(other), driven))
+        if reference is not None:
+            raise DataError(f"{path} holds its own reference; leave reference={str(reference)!r} out")
+        return Recording(*eidors.read(variables, str(path), driven))
+    if reference is not None:
+        raise DataError(f"{path} is a text table, which holds its own reference column; leave reference={str(reference)!r} out")
+    beside = path.with_name(path.stem + ".pattern.csv")
+    other = Path(pattern) if pattern is not None else beside if beside.is_file() else None
+    description = _text(_content(other), other) if other is not None else None
+    return Recording(*table.read(_text(content, path), description, path, other, driven))
+
+
+def _content(path: Path) -> bytes:
     try:
         if path.stat().st_size > _LARGEST_FILE:
-            raise DataError(f"{path} has {path.stat().st_size} bytes; recordings of this format have at most {_LARGEST_FILE}")
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"cannot read recording {path}: {error}") from error
-    table = _table(path, rows)
-    pattern = _adjacent_pattern(path, len(table))
-    microamperes = re.search(r"_([0-9.]+)uA_", path.name)
-    current = float(microamperes[1]) * 1e-6 if microamperes else 1.0
-    currents = np.full(pattern.n_inj, current)
-    reference, target = (Frame(pattern, table[:, column], currents, time=0.0) for column in (0, 2))
-    return Recording((reference,), (target,), skin="tank")
+            raise DataError(f"{path} has {path.stat().st_size} bytes; recordings of others have at most {_LARGEST_FILE}")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise error if isinstance(error, DataError) else DataError(f"cannot read recording {path}: {error}") from error
 
 
-def _table(path: Path, rows: list[list[str]]) -> Floats:
-    for number, row in enumerate(rows, 1):
-        if len(row) != 4:
-            raise DataError(f"{path}, row {number}: {len(row)} columns; expected 4 (Re, Im reference, Re, Im with targets, volts)")
+def _text(content: bytes, path: Path) -> str:
     try:
-        return np.array(rows, float).reshape(-1, 4)
-    except ValueError as error:
-        raise DataError(f"{path}: {error}; every entry must be a number in volts") from error
-
-
-def _adjacent_pattern(path: Path, n_rows: int) -> DrivePattern:
-    """Adjacent drive of n electrodes has n (n - 3) voltages; here each is V(k) - V(k + 1) for the current k + 1 -> k."""
-    n_elec = round((3 + math.sqrt(9 + 4 * n_rows)) / 2)
-    if n_elec < 4 or n_elec * (n_elec - 3) != n_rows:
-        raise DataError(f"{path} has {n_rows} rows; adjacent data of n electrodes have n (n - 3), such as 208 for n = 16")
-    pattern = adjacent([range(n_elec)])
-    return DrivePattern(pattern.injections[:, ::-1], pattern.measurements)
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"cannot read recording {path}: {error}; it is neither a MATLAB file nor text") from error

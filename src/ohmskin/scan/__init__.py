@@ -1,9 +1,12 @@
 """What is measured: drive patterns, the frames that come of them, and the untouched reference."""
 
+from ohmskin.scan.assessment import assess
 from ohmskin.scan.baseline import Baseline, Difference
 from ohmskin.scan.frame import Frame, FrameFlag
+from ohmskin.scan.network import NetworkFit, reciprocity_residuals
 from ohmskin.scan.pairs import all_pairs, n_pairs, pair_index
 from ohmskin.scan.pattern import DrivePattern, adjacent, measure_others, opposite, skip
+from ohmskin.scan.quality import Quality, Verdict, left_out
 
 __all__ = [
     "Baseline",
@@ -11,11 +14,17 @@ __all__ = [
     "DrivePattern",
     "Frame",
     "FrameFlag",
+    "NetworkFit",
+    "Quality",
+    "Verdict",
     "adjacent",
     "all_pairs",
+    "assess",
+    "left_out",
     "measure_others",
     "n_pairs",
     "opposite",
     "pair_index",
+    "reciprocity_residuals",
     "skip",
 ]

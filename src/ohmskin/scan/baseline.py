@@ -1,6 +1,5 @@
 """The untouched skin: reference data and noise, learned from quiet frames."""
 
-from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from ohmskin.scan.pattern import DrivePattern
 _SHIFT = np.int64(1) << np.arange(48, -1, -16, dtype=np.int64)  # electrode numbers fit 15 bits
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Difference:
     """Voltage changes of one frame against the untouched skin (paper, eq. 4).
 
@@ -29,7 +28,7 @@ class Difference:
     volts: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Baseline:
     """Reference transfer resistances of every measurement seen while nothing touched the skin.
 
@@ -39,13 +38,13 @@ class Baseline:
         keys: (n,) sorted codes of the (source, sink, plus, minus) quadruples, electrodes of a pair in rising order.
         resistances: (n,) mean transfer resistances (ohm).
         noise: Standard deviation of a single voltage (V).
-        frames: The number of quiet frames behind it.
+        repeats: How often each of them was measured, at least.
     """
 
     keys: Ints
     resistances: Floats
     noise: float
-    frames: int
+    repeats: int
 
     @classmethod
     def learn(cls, frames: Iterable[Frame]) -> "Baseline":
@@ -57,33 +56,36 @@ class Baseline:
         Raises:
             DataError: If there is no frame, or too few finite values to tell the noise.
         """
-        by_pattern: dict[DrivePattern, list[Frame]] = defaultdict(list)
-        for frame in frames:
-            by_pattern[frame.pattern].append(frame)
-        if not by_pattern:
+        frames = list(frames)
+        if not frames:
             raise DataError("no quiet frames to learn the baseline from; scan the untouched skin first")
-        keys, means, squares, freedom = [], [], 0.0, 0
-        for pattern, group in by_pattern.items():
-            which = pattern.measurements[:, 0]
-            currents = np.stack([frame.currents[which] for frame in group])
-            volts = np.where(np.isfinite(volts := np.stack([frame.voltages for frame in group])), volts, np.nan)
-            known = np.isfinite(volts).sum(axis=0)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                mean = np.nansum(volts * currents, axis=0) / np.nansum(np.where(np.isnan(volts), np.nan, currents**2), axis=0)
-            codes, signs = _codes(pattern.quadruples)
-            keys.append(codes)
-            means.append(signs * mean)
-            squares += float(np.nansum((volts - mean * currents) ** 2))
-            freedom += int(np.maximum(known - 1, 0).sum())
-        key, first = np.unique(np.concatenate(keys), return_index=True)
-        resistances = np.concatenate(means)[first]
-        count = sum(len(group) for group in by_pattern.values())
-        baseline = cls(key, resistances, 0.0, count)
-        if freedom > 0 and squares > 0:
-            noise = float(np.sqrt(squares / freedom))
+        signed = [(frame, *_codes(frame.pattern.quadruples)) for frame in frames]
+        keys, which = np.unique(np.concatenate([codes for _, codes, _ in signed]), return_inverse=True)
+        volts = np.concatenate([signs * frame.voltages for frame, _, signs in signed])
+        currents = np.concatenate([frame.currents[frame.pattern.measurements[:, 0]] for frame in frames])
+        known = np.isfinite(volts) & np.isfinite(currents)
+        which, volts, currents = which[known], volts[known], currents[known]
+        repeats = np.bincount(which, minlength=len(keys))
+        squares = np.bincount(which, currents**2, minlength=len(keys))
+        products = np.bincount(which, volts * currents, minlength=len(keys))
+        resistances = np.divide(products, squares, out=np.full(len(keys), np.nan), where=squares > 0)
+        scatter = float(np.nansum((volts - resistances[which] * currents) ** 2))
+        freedom = int(np.maximum(repeats - 1, 0).sum())
+        if freedom > 0 and scatter > 0:
+            noise = float(np.sqrt(scatter / freedom))
         else:
-            noise = float(np.mean([baseline.reciprocity_error(group[0]) for group in by_pattern.values()]))
-        return cls(key, resistances, noise, count)
+            blank = cls(keys, resistances, 0.0, 1)
+            noise = float(np.mean([blank.reciprocity_error(frame) for frame in {f.pattern: f for f in frames}.values()]))
+        return cls(keys, resistances, noise, int(max(1, repeats.min())))
+
+    @property
+    def difference_noise(self) -> float:
+        """Standard deviation of a difference (V): that of a voltage, and that of the reference it is taken from.
+
+        With a single quiet frame the noise comes from reciprocity; most of that error is the same in both frames of a
+        difference and cancels, so it is taken as it is.
+        """
+        return self.noise * float(np.sqrt(1 + 1 / self.repeats)) if self.repeats > 1 else self.noise
 
     def reference(self, pattern: DrivePattern) -> Floats:
         """Untouched transfer resistances (n_meas,) of a pattern (ohm).
@@ -119,7 +121,7 @@ class Baseline:
         order = np.argsort(codes)
         at = np.minimum(np.searchsorted(codes[order], mirrored), len(codes) - 1)
         partner = order[at]
-        paired = codes[partner] == mirrored
+        paired = (codes[partner] == mirrored) & (codes != mirrored)  # a two-terminal measurement is its own mirror
         known = np.isfinite(frame.voltages) & np.isfinite(current) & (current != 0)
         ohms = np.divide(frame.voltages, current, out=np.full(len(current), np.nan), where=known)
         errors = ((signs * ohms)[partner] - mirrored_signs * ohms)[paired] * current[paired]

@@ -21,7 +21,7 @@ class FrameFlag(IntFlag):
     OVERRUN = 8  # the device could not keep its own timing
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One scan of one drive pattern.
 

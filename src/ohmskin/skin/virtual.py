@@ -74,7 +74,8 @@ class VirtualSkin:
         source, sink = pattern.injections.T
         excitation, r = self.skin.excitation, self._resistance
         if excitation.source == "current":
-            return np.full(pattern.n_inj, excitation.amplitude), False
+            currents = np.full(pattern.n_inj, excitation.amplitude)
+            return np.minimum(currents, excitation.current_limit), excitation.amplitude > excitation.current_limit
         pair = r[source, source] + r[sink, sink] - 2 * r[source, sink]
         series = excitation.resistance + 2 * excitation.multiplexer_resistance + self.skin.converter.shunt
         currents = excitation.amplitude / (pair + series)

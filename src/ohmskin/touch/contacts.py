@@ -55,7 +55,10 @@ class ContactFinder:
         cut = max(self.threshold, self.fraction * largest)
         contacts = []
         for sign, values in signed:
-            for region in find_regions(values, mesh, cut, self.dip):
+            # flooded from half the cut, so that the extent at half the peak is not cut short
+            for region in find_regions(values, mesh, cut / 2, self.dip):
+                if region.peak <= cut:
+                    continue
                 core = region.elements[values[region.elements] > region.peak / 2]
                 mass = values[core] * mesh.areas[core]
                 x, y = mass @ mesh.centroids[core][:, :2] / mass.sum()

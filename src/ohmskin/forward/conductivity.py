@@ -1,0 +1,74 @@
+"""Conductivity as given, checked: one value, one per element, or tensors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import ModelError
+from ohmskin.geometry import Mesh
+from ohmskin.geometry.domain import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Conductivity:
+    """The conductivity of each element: how much, and in which directions.
+
+    Args:
+        values: (n_elem,) geometric mean of the principal conductivities; of a sheet in siemens (per square), of a thick skin in
+            siemens per metre.
+        shape: (n_elem, dim, dim) tensors of which `values` is the factor, with determinant 1 within the element; None if isotropic.
+    """
+
+    values: Floats
+    shape: Floats | None = None
+
+    @property
+    def tensors(self) -> Floats:
+        """(n_elem,) values or (n_elem, dim, dim) tensors, as assembly takes them."""
+        return self.values if self.shape is None else self.values[:, None, None] * self.shape
+
+
+def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
+    """Check what was given: one value, (n_elem,) values, one (dim, dim) tensor or (n_elem, dim, dim) tensors.
+
+    Tensors are in the coordinates of the nodes; on a surface in space only their part tangential to it counts.
+
+    Raises:
+        ModelError: If a value is not positive and finite, a tensor not symmetric positive definite, or the shape is wrong.
+    """
+    sigma, n, dim = np.array(given, float), mesh.n_elem, mesh.nodes.shape[1]
+    if sigma.shape == (dim, dim):
+        sigma = np.array(np.broadcast_to(sigma, (n, dim, dim)))
+    if sigma.ndim == 0:
+        sigma = np.full(n, sigma)
+    if sigma.shape == (n,):
+        if len(bad := np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)))):
+            raise ModelError(f"conductivity of {mesh.noun} {bad[0]} is {sigma[bad[0]]}; it must be positive ({_unit(mesh)})")
+        return Conductivity(sigma)
+    if sigma.shape != (n, dim, dim):
+        raise ModelError(
+            f"conductivity has shape {sigma.shape}; give one value or ({n},), one per {mesh.noun}, or tensors ({dim}, {dim}) or "
+            f"({n}, {dim}, {dim})"
+        )
+    finite = np.isfinite(sigma).all(axis=(1, 2))
+    scale = np.abs(np.where(finite[:, None, None], sigma, 0)).max(axis=(1, 2))
+    symmetric = np.abs(sigma - sigma.transpose(0, 2, 1)).max(axis=(1, 2)) <= 1e-12 * scale
+    corners = mesh.nodes[mesh.elements]
+    edges = corners[:, 1:] - corners[:, :1]
+    # orthonormal directions within each element, so that determinants there are those of the tangential part
+    frames = np.linalg.qr(edges.transpose(0, 2, 1))[0]
+    with np.errstate(invalid="ignore"):
+        within = np.einsum("eda,edc,ecb->eab", frames, np.where(finite[:, None, None], sigma, -1), frames)
+        principal = np.linalg.eigvalsh(within)
+    if len(bad := np.flatnonzero(~(finite & symmetric & (principal[:, 0] > 0)))):
+        raise ModelError(
+            f"conductivity tensor of {mesh.noun} {bad[0]} is {sigma[bad[0]].tolist()}; it must be symmetric positive definite "
+            f"({_unit(mesh)})"
+        )
+    values = np.exp(np.log(principal).mean(axis=1))
+    return Conductivity(values, sigma / values[:, None, None])
+
+
+def _unit(mesh: Mesh) -> str:
+    return "siemens per square" if mesh.dim == 2 else "siemens per metre"

@@ -1,0 +1,197 @@
+"""What drives the electrodes: given currents, given voltages, and a source with resistance in its path.
+
+All of it is algebra on the transfer resistances S, and so are its derivatives: for currents c and d that sum to zero,
+
+    c . dS d = -1/2 sum_{i<j} (c_i d_j + c_j d_i) dR_ij,
+
+so that the derivative by anything (conductivity, contact impedance) is a matrix by pairs times the sensitivity of the pairs.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import ModelError
+from ohmskin.forward.transfer import TransferModel
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern, all_pairs
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Currents and potentials of all electrodes, for any number of excitations.
+
+    The derivatives by the two-terminal resistances R_ij, `..._by_pairs`, give the sensitivity to anything: times
+    `TransferModel.pair_sensitivity` that to conductivity, times `TransferModel.pair_contact_sensitivity` that to contact impedance.
+
+    Args:
+        currents: (n_drive, n_elec) into the skin (A).
+        potentials: (n_drive, n_elec) of the electrodes (V); of given currents with mean zero, of given voltages as those are.
+        current_weights: (n_drive, n_elec, n_elec) a with dI = a . dS I for each electrode; zero-sum.
+        potential_weights: Likewise for potentials.
+    """
+
+    currents: Floats
+    potentials: Floats
+    current_weights: Floats
+    potential_weights: Floats
+
+    @cached_property
+    def currents_by_pairs(self) -> Floats:
+        """d currents / d R_ij (n_drive, n_elec, n_pairs) in A/ohm."""
+        return by_pairs(self.current_weights, self.currents[:, None])
+
+    @cached_property
+    def potentials_by_pairs(self) -> Floats:
+        """d potentials / d R_ij (n_drive, n_elec, n_pairs) in V/ohm."""
+        return by_pairs(self.potential_weights, self.currents[:, None])
+
+
+def by_pairs(c: Floats, d: Floats) -> Floats:
+    """The rows (..., n_pairs) that make c . dS d of dR_ij, for zero-sum c and d (..., n_elec)."""
+    i, j = all_pairs(c.shape[-1]).T
+    rows: Floats = -(c[..., i] * d[..., j] + c[..., j] * d[..., i]) / 2
+    return rows
+
+
+def drive_currents(model: TransferModel, currents: ArrayLike) -> Response:
+    """The response to given currents into all electrodes, such as trigonometric patterns.
+
+    Args:
+        model: The skin.
+        currents: (n_drive, n_elec) in amperes, each row summing to zero.
+
+    Raises:
+        ModelError: If the currents do not fit the electrodes, are not finite, or a row does not sum to zero.
+    """
+    given, n_elec = np.array(currents, float), len(model.electrodes)
+    if given.ndim != 2 or given.shape[1] != n_elec:
+        raise ModelError(f"currents have shape {given.shape}; give (n_drive, {n_elec}), one for each electrode")
+    if not np.isfinite(given).all():
+        raise ModelError(
+            f"currents of excitation {int(np.argmin(np.isfinite(given).all(1)))} are not finite; give 0 for no current"
+        )
+    excess = np.abs(given.sum(axis=1)) - 1e-9 * np.abs(given).sum(axis=1)
+    if (excess > 0).any():
+        k = int(np.argmax(excess))
+        raise ModelError(f"currents of excitation {k} sum to {given[k].sum():.3g} A; what goes in must come out, so make it 0")
+    centred = np.eye(n_elec) - 1 / n_elec
+    weights = np.broadcast_to(centred, (len(given), n_elec, n_elec))
+    return Response(given, given @ model.transfer_resistance, np.zeros_like(weights), weights)
+
+
+def drive_voltages(model: TransferModel, voltages: ArrayLike, resistance: ArrayLike = 0.0) -> Response:
+    """The response to given voltages at some electrodes; the others carry no current (Dirichlet through the contacts).
+
+    Args:
+        model: The skin, with area electrodes where it is driven.
+        voltages: (n_drive, n_elec) in volts, NaN at electrodes that are not driven.
+        resistance: In series between the source and each driven electrode, one value or (n_elec,) in ohms.
+
+    Raises:
+        ModelError: If voltages or resistances do not fit, fewer than two electrodes are driven, or one of them is a point.
+    """
+    given, n_elec = np.array(voltages, float), len(model.electrodes)
+    if given.ndim != 2 or given.shape[1] != n_elec:
+        raise ModelError(f"voltages have shape {given.shape}; give (n_drive, {n_elec}), NaN where an electrode is not driven")
+    if np.isinf(given).any():
+        raise ModelError("a voltage is infinite; give NaN where an electrode is not driven")
+    series = np.array(np.broadcast_to(np.asarray(resistance, float), n_elec)) if np.size(resistance) in (1, n_elec) else None
+    if series is None or not (np.isfinite(series) & (series >= 0)).all():
+        raise ModelError(
+            f"series resistance is {np.asarray(resistance)}; give one value or ({n_elec},), finite and not negative (ohm)"
+        )
+    s = model.transfer_resistance
+    currents, potentials = np.zeros_like(given), np.empty_like(given)
+    by_current, by_potential = np.zeros((len(given), n_elec, n_elec)), np.zeros((len(given), n_elec, n_elec))
+    for k, row in enumerate(given):
+        driven = np.flatnonzero(np.isfinite(row))
+        if len(driven) < 2:
+            raise ModelError(f"excitation {k} gives {len(driven)} electrodes a voltage; current flows between two or more")
+        _refuse_points(model, driven)
+        count = len(driven)
+        bordered = np.ones((count + 1, count + 1))
+        bordered[:count, :count] = s[np.ix_(driven, driven)] + np.diag(series[driven])
+        bordered[count, count] = 0
+        inverse = np.linalg.inv(bordered)
+        solution = inverse @ np.append(row[driven], 0.0)
+        currents[k, driven] = solution[:count]
+        potentials[k] = s[:, driven] @ solution[:count] + solution[count]
+        by_current[k][np.ix_(driven, driven)] = -inverse[:count, :count]
+        by_potential[k] = np.eye(n_elec)
+        by_potential[k][:, driven] -= s[:, driven] @ inverse[:count, :count] + inverse[count, :count]
+    return Response(currents, potentials, by_current, by_potential)
+
+
+@dataclass(frozen=True)
+class VoltageSource:
+    """A voltage source that drives one pair of electrodes after the other through resistance in its path (the paper's).
+
+    The current of a pair is amplitude / (R_pair + resistance), so a touch changes it, too.
+
+    Args:
+        amplitude: Voltage of the source (V).
+        resistance: All that is in series: source, both multiplexers, shunt (ohm).
+
+    Raises:
+        ModelError: If the amplitude is zero or not finite, or the resistance negative or not finite.
+    """
+
+    amplitude: float
+    resistance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.amplitude) or self.amplitude == 0:
+            raise ModelError(f"source amplitude is {self.amplitude} V; it must be finite and not zero")
+        if not (np.isfinite(self.resistance) and self.resistance >= 0):
+            raise ModelError(f"source resistance is {self.resistance} ohm; it must be finite and not negative")
+
+    def currents(self, model: TransferModel, pattern: DrivePattern) -> Floats:
+        """The current (n_inj,) of each injection of a pattern (A).
+
+        Raises:
+            ModelError: If a driven electrode is a point, whose own resistance is that of the mesh.
+        """
+        pattern.check(len(model.electrodes))
+        _refuse_points(model, np.unique(pattern.injections))
+        i, j = pattern.injections.T
+        s = model.transfer_resistance
+        currents: Floats = self.amplitude / (s[i, i] + s[j, j] - 2 * s[i, j] + self.resistance)
+        return currents
+
+    def voltages(self, model: TransferModel, pattern: DrivePattern) -> Floats:
+        """Voltages (n_meas,) of a pattern (V)."""
+        return model.voltages(pattern, self.currents(model, pattern))
+
+    def by_pairs(self, model: TransferModel, pattern: DrivePattern) -> Floats:
+        """d voltages / d R_ij (n_meas, n_pairs) in V/ohm, with the current left to change.
+
+        J_V = I (J_m - R_m / (R_pair + resistance) J_pair). Times `TransferModel.pair_sensitivity` it is dV/dsigma.
+        """
+        currents = self.currents(model, pattern)
+        n_elec, which = len(model.electrodes), pattern.measurements[:, 0]
+        share = model.voltages(pattern) * currents[which] / self.amplitude
+        a, b = pattern.injections.T
+        own = DrivePattern(pattern.injections, np.column_stack([np.arange(pattern.n_inj), a, b])).combination(n_elec)
+        rows: Floats = pattern.combination(n_elec).toarray() - share[:, None] * own.toarray()[which]
+        return rows * currents[which, None]
+
+    def sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
+        """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens), with the current left to change."""
+        rows: Floats = self.by_pairs(model, pattern) @ model.pair_sensitivity
+        return rows
+
+    def contact_sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
+        """dV/dz (n_meas, n_elec) of a pattern, in volts per ohm m2 (disc) or ohm m (rim), with the current left to change."""
+        rows: Floats = self.by_pairs(model, pattern) @ model.pair_contact_sensitivity
+        return rows
+
+
+def _refuse_points(model: TransferModel, driven: np.ndarray) -> None:
+    if len(points := driven[~model.electrodes.are_areas[driven]]):
+        raise ModelError(
+            f"electrode {points[0]} is a point, whose own resistance grows without bound as the mesh is refined; give it an area "
+            "(Electrodes.with_discs, with_rim_segments) to drive it by a voltage"
+        )

@@ -1,0 +1,249 @@
+"""Local changes of a skin as exact updates of low rank: nothing is factorised again.
+
+If the conductance matrix of the skin changes by a symmetric M at a few nodes only, then with the Green's matrix G of the unchanged
+skin at these nodes and the potentials X that the electrodes cause there (Woodbury)
+
+    R = R_0 - X^T M (I + G M)^-1 X,
+
+exactly, at the cost of a dense system in these nodes, whatever the size of the mesh.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from ohmskin.errors import ModelError
+from ohmskin.forward.assembly import assemble, factorise, local_stiffness
+from ohmskin.forward.transfer import TransferModel
+from ohmskin.geometry.domain import Floats
+from ohmskin.geometry.mesh import Ints
+
+_BLOCK = 256  # columns solved at once
+
+
+class LocalUpdate:
+    """Transfer resistances of a skin that changes at some of its nodes.
+
+    Args:
+        model: The unchanged skin.
+        nodes: (n,) nodes at which it may change; all unless given. Memory is 8 n^2 bytes.
+
+    Attributes:
+        model: The unchanged skin.
+        nodes: (n,) the nodes.
+        green: (n, n) potential at each node for 1 A into each node and out of the first electrode (V).
+        caused: (n, n_elec) potential at each node for 1 A into each electrode and out of the first, less its mean over the
+            electrodes (V).
+
+    Raises:
+        ModelError: If `nodes` are not distinct nodes of the mesh.
+    """
+
+    def __init__(self, model: TransferModel, nodes: ArrayLike | None = None) -> None:
+        mesh = model.mesh
+        chosen = np.arange(mesh.n_nodes) if nodes is None else np.unique(np.asarray(nodes))
+        if chosen.dtype.kind not in "iu" or not len(chosen) or chosen[0] < 0 or chosen[-1] >= mesh.n_nodes:
+            raise ModelError(f"nodes to update must be integers within 0..{mesh.n_nodes - 1}, one at least")
+        self.model, self.nodes = model, chosen.astype(np.int64)
+        system = assemble(mesh, model.electrodes, model.tensors)
+        count = system.matrix.shape[0]
+        free = np.delete(np.arange(count), system.terminals[0])
+        factor = factorise(system.matrix[free][:, free])
+        place = np.full(count, -1)
+        place[free] = np.arange(len(free))
+        rows = place[self.nodes]
+        self.green: Floats = np.zeros((len(chosen), len(chosen)))
+        inside = np.flatnonzero(rows >= 0)  # the first electrode, if it is a point, is a node of no potential
+        for start in range(0, len(inside), _BLOCK):
+            block = inside[start : start + _BLOCK]
+            load = np.zeros((len(free), len(block)))
+            load[rows[block], np.arange(len(block))] = 1.0
+            self.green[np.ix_(inside, block)] = factor.solve(load)[rows[inside]]
+        # for currents that sum to zero any multiple of ones may be taken off; this makes the result zero-mean as S is
+        caused = model.potentials[self.nodes]
+        self.caused: Floats = np.ascontiguousarray(caused - caused.mean(axis=1, keepdims=True))
+        self._resistance = model.transfer_resistance
+
+    def transfer_resistance(self, nodes: Ints, change: Floats) -> Floats:
+        """(n_elec, n_elec) transfer resistances in ohms, as `TransferModel.transfer_resistance`.
+
+        Args:
+            nodes: (m,) nodes that change, distinct and among `self.nodes`.
+            change: (m, m) symmetric change of the conductance matrix at these nodes, with rows that sum to zero (siemens).
+
+        Raises:
+            ModelError: If nodes or the shape are wrong, or the changed skin no longer conducts.
+        """
+        rows = np.searchsorted(self.nodes, nodes)
+        if (rows >= len(self.nodes)).any() or (self.nodes[np.minimum(rows, len(self.nodes) - 1)] != nodes).any():
+            raise ModelError("some nodes to change are not among those chosen for the update; choose them when making it")
+        if change.shape != (len(rows), len(rows)) or len(np.unique(rows)) != len(rows):
+            raise ModelError(f"change has shape {change.shape}; need ({len(rows)}, {len(rows)}) for that many distinct nodes")
+        return self._resistance - low_rank_change(self.green[np.ix_(rows, rows)], self.caused[rows], change)
+
+    def with_conductivity(self, elements: ArrayLike, conductivity: ArrayLike) -> Floats:
+        """(n_elec, n_elec) transfer resistances in ohms when some elements (m,) get another conductivity (m,), siemens.
+
+        Where the conductivity is a tensor, its directions stay. Costs a dense system in the elements' nodes.
+
+        Raises:
+            ModelError: If an element is named twice or not there, or a conductivity is not positive.
+        """
+        where, given = np.atleast_1d(np.asarray(elements)), np.atleast_1d(np.asarray(conductivity, float))
+        mesh = self.model.mesh
+        if where.ndim != 1 or where.dtype.kind not in "iu" or len(np.unique(where)) != len(where):
+            raise ModelError("elements to change must be distinct integers (m,)")
+        if len(where) and not (where.min() >= 0 and where.max() < mesh.n_elem):
+            raise ModelError(f"elements {where.min()}..{where.max()} to change; there are {mesh.n_elem}")
+        given = np.array(np.broadcast_to(given, where.shape)) if given.size == 1 else given
+        if given.shape != where.shape or not (np.isfinite(given) & (given > 0)).all():
+            raise ModelError(f"give one positive conductivity or ({len(where)},), one for each element to change")
+        tensors = self.model.tensors[where]
+        factor = given / self.model.conductivity[where] - 1
+        local = local_stiffness(mesh, tensors, where) * factor[:, None, None]
+        nodes, at = np.unique(mesh.elements[where], return_inverse=True)
+        at = at.reshape(len(where), -1)
+        change = np.zeros((len(nodes), len(nodes)))
+        np.add.at(change, (at[:, :, None], at[:, None, :]), local)
+        return self.transfer_resistance(nodes, change)
+
+
+def low_rank_change(green: Floats, caused: Floats, change: Floats) -> Floats:
+    """X^T M (I + G M)^-1 X for Green's matrix G (m, m), potentials X (m, n_elec) and change M (m, m)."""
+    try:
+        drop = caused.T @ change @ np.linalg.solve(np.eye(len(change)) + green @ change, caused)
+    except np.linalg.LinAlgError:
+        raise ModelError("the change leaves a part of the skin without conductance; change it less") from None
+    symmetric: Floats = (drop + drop.T) / 2
+    return symmetric
+
+
+class FloatingPatches:
+    """A skin with a layer of floating conductors that are pressed on it and short it where they touch.
+
+    Each patch is a conductor of one potential and no net current, joined to the skin at its points by conductances that the
+    pressure makes. Any press is exact on the mesh of the model: electrodes and patches are the same thing to the skin, but
+    electrodes stay and are factorised in, and patches come and go as an update of low rank.
+
+    Args:
+        model: The untouched skin.
+        points: (n_points, dim) where the patches can touch it (m). Points off the mesh are left out, see `kept`.
+        patches: (n_points,) number of the patch that each point belongs to.
+
+    Attributes:
+        kept: (n_points,) which of the given points lie on the mesh.
+        points, patches: Those points and their patches.
+        update: The local update it makes.
+
+    Raises:
+        ModelError: If shapes do not fit or no point lies on the mesh.
+    """
+
+    def __init__(self, model: TransferModel, points: ArrayLike, patches: ArrayLike) -> None:
+        where, owner = np.asarray(points, float), np.asarray(patches)
+        if owner.shape != (len(where),) or owner.dtype.kind not in "iu":
+            raise ModelError(
+                f"patches have shape {owner.shape} and type {owner.dtype}; need integers ({len(where)},), one per point"
+            )
+        element, weights = model.mesh.locate(where)
+        self.kept: NDArray[np.bool_] = element >= 0
+        if not self.kept.any():
+            raise ModelError("no point of a patch lies on the mesh; give points in its coordinates (m)")
+        self.points, self.patches = where[self.kept], owner[self.kept].astype(np.int64)
+        corners = model.mesh.elements[element[self.kept]]
+        self.update = LocalUpdate(model, np.unique(corners))
+        self._corners: Ints = np.searchsorted(self.update.nodes, corners)
+        self._weights: Floats = np.ascontiguousarray(weights[self.kept])
+
+    @property
+    def model(self) -> TransferModel:
+        """The untouched skin."""
+        return self.update.model
+
+    def transfer_resistance(self, conductance: ArrayLike) -> Floats:
+        """(n_elec, n_elec) transfer resistances in ohms, as `TransferModel.transfer_resistance`.
+
+        Args:
+            conductance: (n_points,) between skin and patch at each of `points`, 0 where they do not touch (siemens).
+
+        Raises:
+            ModelError: If a conductance is negative or not finite, or there is not one for each point.
+        """
+        joint = np.asarray(conductance, float)
+        if joint.shape != (len(self.points),):
+            raise ModelError(f"conductances have shape {joint.shape}; give ({len(self.points)},), one for each point on the mesh")
+        if not (joint.min() >= 0 and joint.max() < np.inf):
+            raise ModelError("a patch conductance is negative or not finite; give 0 where a patch does not touch")
+        touching = np.flatnonzero(joint)
+        if not len(touching):
+            return self.model.transfer_resistance
+        rows, change = patch_change(
+            self._corners[touching], self._weights[touching], joint[touching], self.patches[touching], len(self.update.nodes)
+        )
+        green = gathered(self.update.green, rows)
+        return self.model.transfer_resistance - low_rank_change(green, self.update.caused[rows], change)
+
+
+@njit(cache=True, nogil=True)
+def patch_change(corners: Ints, weights: Floats, joint: Floats, patches: Ints, n_nodes: int) -> tuple[Ints, Floats]:
+    """What floating patches add to the conductance matrix: the nodes (m,) concerned and M (m, m) in siemens.
+
+    M = sum over patches of A^T (diag(g) - g g^T / sum(g)) A, with A the interpolation to the points of the patch.
+
+    Args:
+        corners, weights: (n, k) nodes and barycentric coordinates of each touching point.
+        joint: (n,) conductance of each (siemens).
+        patches: (n,) the patch of each.
+        n_nodes: Number of nodes there are.
+    """
+    place = np.full(n_nodes, -1, np.int64)
+    nodes = np.empty(corners.size, np.int64)
+    count = 0
+    for p in range(corners.shape[0]):
+        for k in range(corners.shape[1]):
+            node = corners[p, k]
+            if place[node] < 0:
+                place[node] = count
+                nodes[count] = node
+                count += 1
+    change = np.zeros((count, count))
+    order = np.argsort(patches)
+    drawn = np.zeros(count)
+    start = 0
+    while start < len(order):
+        stop = start
+        total = 0.0
+        while stop < len(order) and patches[order[stop]] == patches[order[start]]:
+            p = order[stop]
+            total += joint[p]
+            for k in range(corners.shape[1]):
+                a = place[corners[p, k]]
+                drawn[a] += joint[p] * weights[p, k]
+                for other in range(corners.shape[1]):
+                    change[a, place[corners[p, other]]] += joint[p] * weights[p, k] * weights[p, other]
+            stop += 1
+        own = np.empty((stop - start) * corners.shape[1], np.int64)
+        n_own = 0
+        for q in range(start, stop):
+            for k in range(corners.shape[1]):
+                a = place[corners[order[q], k]]
+                if drawn[a] != 0.0 and not (own[:n_own] == a).any():
+                    own[n_own] = a
+                    n_own += 1
+        for x in range(n_own):
+            for y in range(n_own):
+                change[own[x], own[y]] -= drawn[own[x]] * drawn[own[y]] / total
+        for x in range(n_own):
+            drawn[own[x]] = 0.0
+        start = stop
+    return nodes[:count], change
+
+
+@njit(cache=True, nogil=True)
+def gathered(matrix: Floats, rows: Ints) -> Floats:
+    """matrix[rows][:, rows]."""
+    part = np.empty((len(rows), len(rows)))
+    for a in range(len(rows)):
+        for b in range(len(rows)):
+            part[a, b] = matrix[rows[a], rows[b]]
+    return part

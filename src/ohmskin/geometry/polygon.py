@@ -1,0 +1,153 @@
+"""Sheets cut to any shape, with holes."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import GeometryError
+from ohmskin.geometry.domain import Floats
+
+
+class Polygon:
+    """A polygon, perhaps with polygonal holes. The rim is the outer outline, counterclockwise from the first corner given.
+
+    Args:
+        outline: Corners (n, 2) in metres, in order, the first not repeated. Turned round if they run clockwise.
+        holes: Corners (n, 2) of each hole, likewise.
+
+    Attributes:
+        vertices: Corners (n, 2) of the outline, counterclockwise (m).
+        holes: The holes, as polygons.
+
+    Raises:
+        GeometryError: If an outline has less than three corners, repeats one or crosses itself, or a hole is not inside, crosses
+            the outline or overlaps another hole.
+    """
+
+    def __init__(self, outline: ArrayLike, holes: Sequence[ArrayLike] = ()) -> None:
+        vertices = np.array(outline, float)
+        if vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 3:
+            raise GeometryError(f"polygon corners have shape {vertices.shape}; need (n, 2) with n >= 3")
+        if not np.isfinite(vertices).all():
+            raise GeometryError(f"polygon corner {int(np.argmin(np.isfinite(vertices).all(1)))} is not finite")
+        extent = np.ptp(vertices, axis=0).max()
+        steps = np.linalg.norm(np.roll(vertices, -1, axis=0) - vertices, axis=1)
+        if steps.min() <= 1e-9 * extent:
+            k = int(np.argmin(steps))
+            raise GeometryError(f"polygon corners {k} and {(k + 1) % len(vertices)} are at the same place; remove one")
+        if _signed_area(vertices) < 0:
+            vertices = np.roll(vertices[::-1], 1, axis=0)
+        vertices.setflags(write=False)
+        self.vertices: Floats = vertices
+        if (crossing := _first_crossing(self._sides, self._sides)) is not None:
+            raise GeometryError(f"polygon sides {crossing[0]} and {crossing[1]} cross; order the corners along the outline")
+        self.holes: tuple[Polygon, ...] = tuple(Polygon(hole) for hole in holes)
+        for k, hole in enumerate(self.holes):
+            if (Polygon.depth(_without_holes(self), hole.vertices) <= 0).any() or _first_crossing(self._sides, hole._sides):
+                raise GeometryError(f"hole {k} is not inside the outline; move it")
+            for j, other in enumerate(self.holes[:k]):
+                apart = not _first_crossing(other._sides, hole._sides)
+                if not apart or other.depth(hole.vertices[:1])[0] > 0 or hole.depth(other.vertices[:1])[0] > 0:
+                    raise GeometryError(f"holes {j} and {k} overlap; join them to one")
+
+    def __repr__(self) -> str:
+        return f"Polygon({len(self.vertices)} corners, {len(self.holes)} holes)"
+
+    @cached_property
+    def _sides(self) -> Floats:
+        """Ends (n, 2, 2) of the outline's sides."""
+        return np.stack([self.vertices, np.roll(self.vertices, -1, axis=0)], axis=1)
+
+    @cached_property
+    def _knots(self) -> Floats:
+        """Arc lengths (n + 1,) of the corners, from 0 to the perimeter."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._sides[:, 1] - self._sides[:, 0], axis=1))])
+
+    @property
+    def area(self) -> float:
+        """Area without the holes (m2)."""
+        return float(_signed_area(self.vertices)) - sum(hole.area for hole in self.holes)
+
+    @property
+    def perimeter(self) -> float:
+        """Length of the outer rim (m)."""
+        return float(self._knots[-1])
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        (x0, y0), (x1, y1) = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        return float(x0), float(y0), float(x1), float(y1)
+
+    @property
+    def corners(self) -> Floats:
+        return self._knots[:-1]
+
+    def depth(self, points: ArrayLike) -> Floats:
+        points = np.asarray(points, float)
+        distance = np.sqrt(_squared_distances(points, self._sides)[0].min(axis=1))
+        depth: Floats = np.where(_inside(points, self._sides), distance, -distance)
+        for hole in self.holes:
+            depth = np.minimum(depth, -hole.depth(points))
+        return depth
+
+    def rim(self, arc: ArrayLike) -> Floats:
+        s = np.mod(np.asarray(arc, float), self.perimeter)
+        closed = np.vstack([self.vertices, self.vertices[:1]])
+        return np.column_stack([np.interp(s, self._knots, closed[:, k]) for k in range(2)])
+
+    def arc(self, points: ArrayLike) -> Floats:
+        squared, along = _squared_distances(np.asarray(points, float), self._sides)
+        side = squared.argmin(axis=1)
+        share = along[np.arange(len(side)), side]
+        arc: Floats = np.mod(self._knots[side] + share * np.diff(self._knots)[side], self.perimeter)
+        return arc
+
+
+def _without_holes(polygon: Polygon) -> Polygon:
+    bare = object.__new__(Polygon)
+    bare.vertices, bare.holes = polygon.vertices, ()
+    return bare
+
+
+def _signed_area(vertices: Floats) -> float:
+    (x, y), (u, v) = vertices.T, np.roll(vertices, -1, axis=0).T
+    return float(np.sum(x * v - u * y) / 2)
+
+
+def _squared_distances(points: Floats, sides: Floats) -> tuple[Floats, Floats]:
+    """Squared distances (n_points, n_sides), and the share (0 to 1) of the side at which its closest point is."""
+    start, step = sides[:, 0], sides[:, 1] - sides[:, 0]
+    offset = points[:, None] - start
+    share = np.clip(np.einsum("psd,sd->ps", offset, step) / np.sum(step**2, axis=1), 0.0, 1.0)
+    return np.sum((offset - share[..., None] * step) ** 2, axis=2), share
+
+
+def _inside(points: Floats, sides: Floats) -> np.ndarray:
+    """Whether a ray from each point (n,) crosses the sides an odd number of times."""
+    (x, y), (x0, y0), (x1, y1) = points.T[:, :, None], sides[:, 0].T, sides[:, 1].T
+    straddles = (y0 <= y) != (y1 <= y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossed = straddles & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return np.asarray(np.sum(crossed, axis=1) % 2 == 1)
+
+
+def _first_crossing(a: Floats, b: Floats) -> tuple[int, int] | None:
+    """Two sides of a and b that have a point in common, neighbours of the same outline excepted."""
+
+    def turn(p: Floats, q: Floats, r: Floats) -> Floats:
+        u, v = q - p, r - p
+        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+    (p, q), (r, s) = (a[:, None, 0], a[:, None, 1]), (b[None, :, 0], b[None, :, 1])
+    crossed = (turn(p, q, r) * turn(p, q, s) <= 0) & (turn(r, s, p) * turn(r, s, q) <= 0)
+    low = np.maximum(np.minimum(p, q), np.minimum(r, s))
+    high = np.minimum(np.maximum(p, q), np.maximum(r, s))
+    crossed &= (low <= high).all(axis=2)  # for sides on one line: their boxes meet
+    if a is b:
+        n = len(a)
+        gap = (np.arange(n)[:, None] - np.arange(n)) % n
+        crossed &= (gap != 0) & (gap != 1) & (gap != n - 1)
+    hits = np.argwhere(crossed)
+    return (int(hits[0, 0]), int(hits[0, 1])) if len(hits) else None

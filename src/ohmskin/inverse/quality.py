@@ -1,0 +1,76 @@
+"""How well a quiet frame fits the model of the untouched sheet: its conductivity, a constant error, and what is left.
+
+Reciprocity (`ohmskin.scan.assess`) cannot see an error that all measurements share, such as the converter's offset: a sheet could
+be like that. The model can.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.errors import DataError
+from ohmskin.forward import TransferModel
+from ohmskin.scan import Frame
+
+_UNLIKE = 0.3  # share of the data that fits no scale of the model, above which its description is doubtful
+_OFFSET = 0.2  # constant error, as a share of the data, worth a warning
+
+
+@dataclass(frozen=True)
+class ModelMatch:
+    """A quiet frame against the model.
+
+    Args:
+        scale: What the model's conductivity must be multiplied by (1).
+        offset: Voltage that is added to every measurement (V).
+        misfit: Share of the data left over with scale and offset fitted (1).
+        plain_misfit: Share left over with the scale alone (1).
+        signal: Root mean square of the data (V).
+    """
+
+    scale: float
+    offset: float
+    misfit: float
+    plain_misfit: float
+    signal: float
+
+    def report(self) -> list[str]:
+        """Warnings in plain words; empty if the frame fits."""
+        warnings = []
+        if abs(self.offset) > _OFFSET * self.signal and self.misfit < 0.5 * self.plain_misfit:
+            share = 100 * abs(self.offset) / self.signal
+            warnings.append(
+                f"a constant {1e3 * self.offset:.3g} mV seems to be added to every voltage ({share:.0f} % of the signal): "
+                "differences to a reference cancel it, absolute images would not"
+            )
+        if self.misfit > _UNLIKE:
+            warnings.append(
+                f"{100 * self.misfit:.0f} % of the quiet voltages do not fit the skin's description at any conductivity; "
+                "check the electrodes' order, their start and direction, and the shape"
+            )
+        return warnings
+
+
+def match_model(model: TransferModel, frame: Frame) -> ModelMatch:
+    """Hold a quiet frame against the model of the untouched sheet.
+
+    Raises:
+        DataError: If the frame has fewer than three known values.
+        PatternError: If it names electrodes that the model does not have.
+    """
+    modelled = model.voltages(frame.pattern, np.where(np.isfinite(frame.currents), frame.currents, 0.0))
+    known = np.isfinite(frame.voltages) & (modelled != 0)
+    if known.sum() < 3:
+        raise DataError(f"{int(known.sum())} known values cannot be held against a model; need at least 3")
+    modelled, measured = modelled[known], frame.voltages[known]
+    both = np.column_stack([modelled, np.ones_like(modelled)])
+    scale, offset = np.linalg.lstsq(both, measured, rcond=None)[0]
+    plain = float(modelled @ measured / (modelled @ modelled))
+    size = float(np.linalg.norm(measured)) or 1.0
+    return ModelMatch(
+        scale=float(1 / scale) if scale != 0 else float("inf"),
+        offset=float(offset),
+        misfit=float(np.linalg.norm(measured - both @ [scale, offset])) / size,
+        plain_misfit=float(np.linalg.norm(measured - plain * modelled)) / size,
+        signal=size / np.sqrt(len(measured)),
+    )

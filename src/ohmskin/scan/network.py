@@ -1,0 +1,102 @@
+"""What any sheet must obey: a resistive network with one terminal per electrode, whatever its shape and wherever it is pressed.
+
+Every measurement of such a network is a combination of the two-terminal resistances of its electrode pairs
+(`DrivePattern.combination`). A pattern with more measurements than these combinations span measures something twice: reciprocal
+pairs R(ab, cd) = R(cd, ab), loops of voltages that must add up to nothing, currents that add up to another injection. What is
+left of the data after the best such network is a reciprocity error in this wide sense; it needs no model of the sheet.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.scan.frame import Floats
+from ohmskin.scan.pattern import DrivePattern
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """How far data are from any network.
+
+    Args:
+        squares: Sum of the squared residuals (V2).
+        freedom: Number of measurements less the number of combinations they span, over all columns of data; 0 where nothing
+            was measured twice.
+    """
+
+    squares: float
+    freedom: int
+
+    @property
+    def rms(self) -> float:
+        """Standard deviation of one voltage about the network (V); NaN where nothing was measured twice."""
+        return float(np.sqrt(self.squares / self.freedom)) if self.freedom > 0 else float("nan")
+
+
+class NetworkFit:
+    """Fits the network to data of one pattern, with any of its measurements left out.
+
+    Args:
+        pattern: The pattern driven.
+        currents: (n_meas,) current behind each measurement (A).
+        volts: (n_meas,) or (n_meas, n_frames) data (V); NaN where they are not known.
+    """
+
+    def __init__(self, pattern: DrivePattern, currents: Floats, volts: Floats) -> None:
+        self.pattern = pattern
+        self.n_elec = int(pattern.quadruples.max()) + 1
+        volts = volts.reshape(pattern.n_meas, -1)
+        self.known = np.isfinite(volts).all(axis=1) & np.isfinite(currents)
+        self._rows = pattern.combination(self.n_elec).toarray() * np.where(self.known, currents, 0.0)[:, None]
+        self._rows /= max(float(np.abs(self._rows).max(initial=0.0)), 1e-300)  # currents of microamperes square badly
+        self._volts = np.where(self.known[:, None], volts, 0.0)
+        self._known_misfits: dict[bytes, Misfit] = {}
+        self._involved = np.zeros((pattern.n_meas, self.n_elec), bool)
+        self._involved[np.arange(pattern.n_meas)[:, None], pattern.quadruples] = True
+
+    def without(self, electrodes: list[int]) -> np.ndarray:
+        """Whether each measurement (n_meas,) is known and uses none of `electrodes`."""
+        kept: np.ndarray = self.known & ~self._involved[:, electrodes].any(axis=1)
+        return kept
+
+    def with_only(self, electrode: int) -> np.ndarray:
+        """Whether each measurement (n_meas,) is known and uses `electrode`."""
+        kept: np.ndarray = self.known & self._involved[:, electrode]
+        return kept
+
+    def residuals(self, kept: np.ndarray) -> Floats:
+        """Data less the network that fits the `kept` measurements best, (n_meas, n_frames) in volts; NaN for the others."""
+        rows = self._rows[kept]
+        left = np.full(self._volts.shape, np.nan)
+        left[kept] = self._volts[kept] - rows @ np.linalg.lstsq(rows, self._volts[kept], rcond=1e-10)[0]
+        return left
+
+    def misfit(self, kept: np.ndarray) -> Misfit:
+        """The misfit of the `kept` measurements (n_meas,). Quick: no residual is formed, and it is remembered."""
+        key = kept.tobytes()
+        if key not in self._known_misfits:
+            self._known_misfits[key] = self._misfit(kept)
+        return self._known_misfits[key]
+
+    def _misfit(self, kept: np.ndarray) -> Misfit:
+        rows, volts = self._rows[kept], self._volts[kept]
+        values, vectors = np.linalg.eigh(rows.T @ rows)
+        spanned = values > 1e-10 * max(float(values[-1]), 1e-300)
+        explained = vectors[:, spanned].T @ (rows.T @ volts)
+        squares = float((volts**2).sum() - (explained**2 / values[spanned][:, None]).sum())
+        floor = 1e-13 * float((volts**2).sum())  # what rounding leaves
+        return Misfit(max(squares, floor), volts.shape[1] * int(kept.sum() - spanned.sum()))
+
+
+def reciprocity_residuals(pattern: DrivePattern, currents: Floats, volts: Floats) -> Floats:
+    """Residual (n_meas,) of each measurement about the best network (V); NaN where it is not known.
+
+    For adjacent drive and measurement it is half the difference of each reciprocal pair.
+
+    Args:
+        pattern: The pattern driven.
+        currents: (n_inj,) injected currents (A).
+        volts: (n_meas,) voltages (V).
+    """
+    fit = NetworkFit(pattern, currents[pattern.measurements[:, 0]], volts)
+    return fit.residuals(fit.known)[:, 0]

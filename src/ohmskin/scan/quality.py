@@ -1,0 +1,119 @@
+"""Data quality: what the data say about the electrodes they came from, and how to allow for it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ohmskin.scan.baseline import Difference
+from ohmskin.scan.frame import Floats, Frame
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is wrong with one electrode.
+
+    Args:
+        electrode: Its number, from 0.
+        kind: ``open``, ``shorted``, ``missing``, ``clipped``, ``noisy`` or ``drifting``.
+        weight: What its measurements count in an image: 0 not at all, otherwise their error is 1 / weight times the others'.
+        words: The finding in plain words.
+    """
+
+    electrode: int
+    kind: str
+    weight: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What the data say about themselves.
+
+    Args:
+        n_elec: Number of electrodes.
+        verdicts: One for each electrode that is not in order, by number.
+        noise: Standard deviation of one voltage about the mean of repeated quiet frames (V); NaN without repeats.
+        reciprocity: Standard deviation of one voltage about the best network, usable electrodes only (V); NaN where the
+            pattern measures nothing twice.
+        signal: Root mean square of the quiet voltages (V).
+        errors: (n_elec,) reciprocity error of the measurements each electrode takes part in (V); NaN where it is not known.
+        values: How many values there are in all.
+        missing: How many of them are NaN.
+        clipped: How many are infinite: the converter was at the end of its range.
+    """
+
+    n_elec: int
+    verdicts: tuple[Verdict, ...]
+    noise: float
+    reciprocity: float
+    signal: float
+    errors: Floats
+    values: int
+    missing: int
+    clipped: int
+
+    @property
+    def bad(self) -> tuple[int, ...]:
+        """Electrodes whose measurements are of no use."""
+        return tuple(verdict.electrode for verdict in self.verdicts if verdict.weight == 0)
+
+    @property
+    def weights(self) -> Floats:
+        """Weight (n_elec,) of each electrode, 0 to 1."""
+        weights = np.ones(self.n_elec)
+        for verdict in self.verdicts:
+            weights[verdict.electrode] = verdict.weight
+        return weights
+
+    def clean(self, frame: Frame) -> Frame:
+        """The frame with every value that a bad electrode took part in left out (NaN)."""
+        used = np.isin(frame.pattern.quadruples, self.bad).any(axis=1)
+        return replace(frame, voltages=np.where(used, np.nan, frame.voltages)) if used.any() else frame
+
+    def weigh(self, difference: Difference) -> Difference:
+        """The difference with bad electrodes left out and doubtful ones counted less.
+
+        A measurement with twice the error weighs as one at half the current: current and voltage are scaled together, so that
+        all have the same noise again and every estimator takes them as they are.
+        """
+        weight = self.weights[difference.pattern.quadruples].min(axis=1)
+        volts = np.where(weight > 0, difference.volts * weight, np.nan)
+        return replace(difference, currents=difference.currents * weight, volts=volts)
+
+    def report(self) -> list[str]:
+        """The findings in plain words, a line each; the first is a summary."""
+        used = [v.electrode for v in self.verdicts]
+        state = f"{len(used)} of {self.n_elec} electrodes not in order" if used else f"all {self.n_elec} electrodes in order"
+        noise = [f"noise {volts_in_words(self.noise)} from repeats"] if np.isfinite(self.noise) else []
+        if np.isfinite(self.reciprocity):
+            share = f" ({100 * self.reciprocity / self.signal:.2g} % of the signal)" if self.signal > 0 else ""
+            noise.append(f"reciprocity error {volts_in_words(self.reciprocity)}{share}")
+        else:
+            noise.append("reciprocity unknown: the pattern measures nothing twice")
+        lines = ["data quality: " + "; ".join([state, *noise])]
+        if self.missing or self.clipped:
+            part = 100 * (self.missing + self.clipped) / self.values
+            lines.append(f"{self.missing} values missing and {self.clipped} clipped of {self.values} ({part:.2g} %), left out")
+        lines += [f"electrode {v.electrode}: {v.words}" for v in self.verdicts]
+        return lines
+
+
+def left_out(difference: Difference) -> str:
+    """How many measurements of a difference are not known, and at which electrodes; empty if all are."""
+    unknown = ~(np.isfinite(difference.volts) & np.isfinite(difference.currents))
+    if not unknown.any():
+        return ""
+    quadruples = difference.pattern.quadruples
+    used = np.unique(quadruples)
+    share = np.array([unknown[(quadruples == e).any(axis=1)].mean() for e in used])
+    hit = [int(e) for e in used[share >= 0.999]] or [int(e) for e in used[share >= 0.9 * share.max()]]
+    which = ", ".join(str(e) for e in hit)
+    return f"{int(unknown.sum())} of {len(unknown)} measurements left out, most at electrode{'s' if len(hit) > 1 else ''} {which}"
+
+
+def volts_in_words(value: float) -> str:
+    """A voltage with a unit that suits it."""
+    for factor, unit in ((1.0, "V"), (1e3, "mV"), (1e6, "uV")):
+        if value * factor >= 1:
+            return f"{value * factor:.3g} {unit}"
+    return f"{value * 1e9:.3g} nV"

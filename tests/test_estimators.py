@@ -1,0 +1,687 @@
+"""Estimators: each against the dense mathematics it stands for, and against what it promises of contacts."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from ohmskin.errors import DataError, ModelError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
+from ohmskin.inverse import (
+    PRIORS,
+    AbsoluteGaussNewton,
+    DiscFit,
+    GaussNewton,
+    Greit,
+    Image,
+    Kalman,
+    SparseBayes,
+    TotalVariation,
+    matern,
+    noise_figure,
+)
+from ohmskin.inverse.choice import small_target
+from ohmskin.inverse.discs import DiscResponse, Discs, effective_change
+from ohmskin.inverse.priors import graph_laplacian, penalty_of
+from ohmskin.inverse.variation import Variation
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, measure_others, opposite
+
+SHEET = Rectangle(0.2, 0.2)
+GRID = Electrodes.grid(SHEET)
+PATTERN = adjacent(GRID.rings)
+CURRENT, NOISE = 1e-3, 3e-4
+AT = (0.06, 0.13)
+
+
+@cache
+def model(size: float = 0.012) -> TransferModel:
+    return TransferModel(mesh_domain(SHEET, size, GRID.positions), GRID, 1.83e-3)
+
+
+@cache
+def fine() -> TransferModel:
+    """Where the data come from: another, finer mesh."""
+    return model(0.0045)
+
+
+@cache
+def voltages(*contacts: tuple[float, float, float, float], pattern: DrivePattern = PATTERN) -> np.ndarray:
+    """Voltages (V) under discs (x, y, radius, strength)."""
+    if not contacts:
+        return fine().voltages(pattern, CURRENT)
+    values = DiscResponse(fine()).image(*(np.array(part) for part in ([c[:2] for c in contacts], *np.array(contacts)[:, 2:].T)))
+    return TransferModel(fine().mesh, GRID, fine().conductivity * (1 + values)).voltages(pattern, CURRENT)
+
+
+def touch(
+    *contacts: tuple[float, float, float, float], seed: int = 0, noise: float = NOISE, pattern: DrivePattern = PATTERN
+) -> Difference:
+    volts = voltages(*contacts, pattern=pattern) - voltages(pattern=pattern)
+    return Difference(
+        pattern, np.full(pattern.n_meas, CURRENT), volts + noise * np.random.default_rng(seed).normal(size=len(volts))
+    )
+
+
+def place(image: Image, mesh) -> np.ndarray:
+    """Centroid of what is above half the peak (m)."""
+    mass = np.where(image.values > image.values.max() / 2, image.values, 0) * mesh.areas
+    return mass @ mesh.centroids / mass.sum()
+
+
+@cache
+def jacobian() -> np.ndarray:
+    return model().sensitivity(PATTERN, CURRENT) * model().conductivity
+
+
+ESTIMATORS = {
+    "Gauss-Newton": lambda **k: GaussNewton(model(), NOISE, "matern", amplitude=0.2, **k),
+    "positive Gauss-Newton": lambda **k: GaussNewton(model(), NOISE, "matern", amplitude=0.2, positive=True, **k),
+    "GREIT": lambda **k: Greit(model(), NOISE, **k),
+    "total variation": lambda **k: TotalVariation(model(), NOISE, amplitude=0.5, outline=0.01, **k),
+    "Kalman": lambda **k: Kalman(model(), NOISE, "matern", amplitude=0.2, **k),
+    "sparse": lambda **k: SparseBayes(model(), NOISE, amplitude=0.5, **k),
+    "discs": lambda **k: DiscFit(model(), NOISE, radius=0.012, **k),
+}
+
+
+@cache
+def made(name: str):
+    return ESTIMATORS[name]()
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_a_touch_is_found_where_it_is_and_has_the_right_sign(name: str) -> None:
+    image = made(name).reconstruct(touch((*AT, 0.012, 0.5)))
+    assert image.values.shape == (model().mesh.n_elem,)
+    assert np.linalg.norm(place(image, model().mesh) - AT) < 0.01
+    assert image.values.max() > 0.05
+    std = image.noise_std([int(image.values.argmax()), 5])
+    assert (std >= 0).all()
+    assert 0 < std[0] < 1
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_channels_that_are_not_finite_are_left_out_as_if_never_measured(name: str) -> None:
+    full = touch((*AT, 0.012, 0.5))
+    lost = np.arange(PATTERN.n_meas) % 7 == 3
+    holed = Difference(PATTERN, full.currents, np.where(lost, np.nan, full.volts))
+    kept = Difference(DrivePattern(PATTERN.injections, PATTERN.measurements[~lost]), full.currents[~lost], full.volts[~lost])
+    expected = made(name).reconstruct(kept).values
+    np.testing.assert_allclose(made(name).reconstruct(holed).values, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_two_scans_fused_are_one_long_scan(name: str) -> None:
+    whole = touch((*AT, 0.012, 0.5))
+    cut = np.searchsorted(PATTERN.measurements[:, 0], 7)
+    parts = [
+        Difference(DrivePattern(PATTERN.injections[:7], PATTERN.measurements[:cut]), whole.currents[:cut], whole.volts[:cut]),
+        Difference(
+            DrivePattern(PATTERN.injections[7:], PATTERN.measurements[cut:] - [7, 0, 0]), whole.currents[cut:], whole.volts[cut:]
+        ),
+    ]
+    expected = made(name).reconstruct(whole).values
+    np.testing.assert_allclose(made(name).reconstruct(*parts).values, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_nothing_finite_is_an_error_and_not_an_image(name: str) -> None:
+    with pytest.raises(DataError, match="no finite measurement"):
+        made(name).reconstruct(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), np.full(PATTERN.n_meas, np.nan)))
+    with pytest.raises(DataError, match="give at least one"):
+        made(name).reconstruct()
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_estimators_work_on_a_disc_with_rim_electrodes(name: str) -> None:
+    """Another domain, another layout, a pattern that is neither adjacent nor complete."""
+    electrodes = Electrodes.rim(Disc(0.1), 12)
+    round_model = TransferModel(mesh_domain(Disc(0.1), 0.012, electrodes.positions), electrodes, 1.0)
+    pattern = opposite(range(12))
+    rise = np.linalg.norm(round_model.mesh.centroids - (0.03, -0.04), axis=1) < 0.015
+    touched = TransferModel(round_model.mesh, electrodes, 1.0 + 0.5 * rise)
+    difference = Difference(pattern, np.full(pattern.n_meas, 1.0), touched.voltages(pattern) - round_model.voltages(pattern))
+    kind = type(made(name))
+    estimator = kind(round_model, 1e-4) if kind is not DiscFit else DiscFit(round_model, 1e-4, model_error=0.05)
+    found = place(estimator.reconstruct(difference), round_model.mesh)
+    # opposite drive measured on the rim cannot tell a place from its mirror image through the centre
+    assert min(np.linalg.norm(found - (0.03, -0.04)), np.linalg.norm(found)) < 0.02
+
+
+@cache
+def bent() -> TransferModel:
+    """The sheet laid round a cylinder of 80 mm radius."""
+
+    def move(points: np.ndarray) -> np.ndarray:
+        return np.column_stack([0.08 * np.sin(points[:, 0] / 0.08), points[:, 1], 0.08 * np.cos(points[:, 0] / 0.08)])
+
+    return TransferModel(model().mesh.mapped(move), Electrodes.at(move(GRID.positions), GRID.rings), 1.83e-3)
+
+
+@cache
+def thick() -> TransferModel:
+    """A block of tetrahedra, 0.2 x 0.2 x 0.04 m, electrodes on its upper side."""
+    axes = np.linspace(0, 0.2, 13), np.linspace(0, 0.2, 13), np.linspace(0, 0.04, 4)
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(nodes)).reshape(13, 13, 4)
+    cells = []
+    for path in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):  # six to a cube, along its diagonal
+        at, corners = np.zeros(3, int), [np.zeros(3, int)]
+        for axis in path:
+            at = at + np.eye(3, dtype=int)[axis]
+            corners.append(at)
+        cells.append(np.stack([number[i : i + 12, j : j + 12, k : k + 3].ravel() for i, j, k in corners], axis=1))
+    places = np.column_stack([(GRID.positions / 0.2 * 12).round() / 12 * 0.2, np.full(16, 0.04)])
+    return TransferModel(Mesh(nodes, np.vstack(cells)), Electrodes.at(places, GRID.rings), 0.05)
+
+
+@pytest.mark.parametrize("name", [*ESTIMATORS, "iterated"])
+@pytest.mark.parametrize("skin", [bent, thick], ids=["bent", "thick"])
+def test_estimators_work_on_curved_and_thick_skins(name: str, skin) -> None:
+    """A contact on a cylinder and one inside a block of tetrahedra are found where they are."""
+    element = int(skin().mesh.closest_elements([[0.054, 0.125, 0.058] if skin is bent else [0.085, 0.115, 0.03]], 1)[0])
+    at = skin().mesh.centroids[element]
+    inside = np.linalg.norm(skin().mesh.centroids - at, axis=1) < 0.02
+    touched = skin().with_conductivity(skin().conductivity * (1 + inside))
+    quiet, volts = (sheet.voltages(PATTERN, CURRENT) for sheet in (skin(), touched))
+    noise = 3e-3 * float(np.std(volts - quiet))
+    if name == "iterated":
+        image = AbsoluteGaussNewton(skin(), noise, "matern", amplitude=0.3).reconstruct(frame(volts))
+    else:
+        settings = {"radius": 0.02, "model_error": 0.05} if name == "discs" else {}
+        settings |= {"positive": True} if name.startswith("positive") else {}
+        prior = {"prior": "matern"} if name in ("Gauss-Newton", "positive Gauss-Newton", "Kalman") else {}
+        estimator = type(made(name))(skin(), noise, **settings, **prior)
+        image = estimator.reconstruct(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), volts - quiet))
+    assert np.linalg.norm(place(image, skin().mesh) - at) < 0.02
+    assert image.noise_std([element])[0] >= 0
+
+
+def test_a_disc_on_a_curved_surface_moves_along_it() -> None:
+    fit = DiscFit(bent(), 1e-4, radius=0.02)
+    at = bent().mesh.centroids[bent().mesh.closest_elements([[0.054, 0.125, 0.058]], 1)[0]].ravel()
+    change, _ = fit._response(at, 0.018, 0.5)
+    contact = fit.fit(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), CURRENT * PATTERN.combination(16) @ change)).contacts[0]
+    assert np.linalg.norm(contact.position - at) < 0.002
+    across = at * [1, 0, 1] / np.linalg.norm(at[[0, 2]])
+    variance = contact.covariance[:3, :3]
+    assert across @ variance @ across < 0.05 * np.trace(variance)  # it cannot leave the surface
+
+
+# positivity
+
+
+def test_the_positive_image_is_the_non_negative_least_squares_of_the_stacked_system() -> None:
+    """Lawson and Hanson's active set on data and penalty in one, dense, under a prior without unknowns of its own."""
+    estimator = GaussNewton(model(), NOISE, "paper", amplitude=0.2, positive=True)
+    difference = touch((*AT, 0.012, 0.5))
+    root = np.linalg.cholesky(penalty_of(model(), "paper").normalised.toarray()).T
+    stacked = np.vstack([jacobian() / NOISE, root / 0.2])
+    expected = nnls(stacked, np.concatenate([difference.volts / NOISE, np.zeros(len(root))]), maxiter=10_000)[0]
+    image = estimator.reconstruct(difference).values
+    assert (image >= 0).all()
+    assert 0 < np.mean(image == 0) < 1  # the bound does hold something
+    np.testing.assert_allclose(image, expected, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize("name", ["positive Gauss-Newton", "sparse", "discs"])
+def test_what_only_raises_conductivity_never_lowers_it(name: str) -> None:
+    assert made(name).reconstruct(touch((*AT, 0.012, -0.5))).values.min() >= 0
+    assert made(name).reconstruct(touch((*AT, 0.012, 0.5))).values.min() >= 0
+    assert TotalVariation(model(), NOISE, 0.5, outline=0.01, positive=True).reconstruct(touch((*AT, 0.012, 0.5))).values.min() >= 0
+
+
+# total variation
+
+
+def test_a_positive_variation_image_is_positive_however_early_it_stops() -> None:
+    for rounds in (1, 2, 30):
+        image = TotalVariation(model(), NOISE, 0.5, outline=0.01, positive=True, rounds=rounds).reconstruct(
+            touch((*AT, 0.012, 0.5))
+        )
+        assert image.values.min() >= 0
+
+
+def test_total_variation_is_sharper_than_a_quadratic_prior_on_a_block() -> None:
+    """Of a block's edge, the share of the area whose value is neither that of the block nor that of the sheet."""
+    mesh = model(0.008).mesh
+    block = (np.abs(mesh.centroids - (0.08, 0.12)) < 0.03).all(axis=1)
+    volts = model(0.008).sensitivity(PATTERN, CURRENT) @ (0.3 * block * model(0.008).conductivity)
+    difference = Difference(
+        PATTERN, np.full(PATTERN.n_meas, CURRENT), volts + 1e-4 * np.random.default_rng(0).normal(size=len(volts))
+    )
+
+    def between(image: Image) -> float:
+        top = np.quantile(image.values, 0.97)
+        return float(np.mean((image.values > 0.25 * top) & (image.values < 0.75 * top)))
+
+    def error(image: Image) -> float:
+        return float(np.linalg.norm(image.values - 0.3 * block))
+
+    quadratic = [GaussNewton(model(0.008), 1e-4, prior, amplitude).reconstruct(difference)
+                 for prior in (graph_laplacian, "matern") for amplitude in (0.03, 0.1, 0.3)]  # fmt: skip
+    sharp = TotalVariation(model(0.008), 1e-4, amplitude=0.3).reconstruct(difference)
+    assert between(sharp) < 0.75 * min(between(image) for image in quadratic)
+    assert error(sharp) < 0.9 * min(error(image) for image in quadratic)
+
+
+def test_lagged_diffusivity_ends_where_the_cost_is_least() -> None:
+    estimator = TotalVariation(model(), NOISE, amplitude=0.5, outline=0.01, rounds=200)
+    difference = touch((*AT, 0.012, 0.5))
+    means = estimator._means
+    rows = jacobian() @ means
+    w = np.linalg.lstsq(means.toarray(), estimator.reconstruct(difference).values, rcond=None)[0]
+    variation = Variation(model().mesh, 0.5, 0.01)
+
+    def cost(w: np.ndarray) -> float:
+        return float(np.sum((difference.volts - rows @ w) ** 2) / NOISE**2) + variation.cost(w)
+
+    least, rng = cost(w), np.random.default_rng(0)
+    ways = [rng.normal(size=len(w)) for _ in range(10)] + [w, np.ones(len(w)), variation.matrix(w).diagonal()]
+    for way in ways:
+        step = 0.02 * np.abs(w).max() * way / np.abs(way).max()
+        assert cost(w + step) > least
+        assert cost(w - step) > least
+
+
+def test_the_quadratic_penalty_touches_the_variation() -> None:
+    """Same gradient at the field, never below it elsewhere: what makes every round of lagged diffusivity lower the cost."""
+    rng = np.random.default_rng(0)
+    variation = Variation(model().mesh, 0.5, 0.01)
+    w, other = (rng.normal(size=model().mesh.n_nodes) for _ in range(2))
+    slope = (variation.cost(w + 1e-6 * other) - variation.cost(w - 1e-6 * other)) / 2e-6
+    assert slope == pytest.approx(2 * other @ variation.matrix(w) @ w, rel=1e-6)
+    matrix = variation.matrix(w)
+    for size in (0.1, 1.0, 3.0):
+        moved = w + size * other
+        assert variation.cost(moved) <= variation.cost(w) + moved @ matrix @ moved - w @ matrix @ w + 1e-9
+
+
+def test_total_variation_without_an_outline_fits_as_well_as_the_noise_allows() -> None:
+    difference = touch((*AT, 0.012, 0.5))
+    image = TotalVariation(model(), NOISE, amplitude=0.5).reconstruct(difference)
+    left = difference.volts - jacobian() @ image.values
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(NOISE, rel=0.1)
+
+
+# Kalman
+
+
+def scans(count: int) -> list[Difference]:
+    """A touch that moves, under patterns that change."""
+    patterns = [adjacent([GRID.rings[0]]), opposite(range(12)), measure_others([[12, 14], [13, 15], [0, 12]], range(16))]
+    return [touch((0.05 + 0.004 * k, 0.13, 0.012, 0.5), seed=k, pattern=patterns[k % 3]) for k in range(count)]
+
+
+@pytest.mark.parametrize(("time_constant", "walk"), [(0.5, 0.0), (np.inf, 0.3), (1.0, 0.2), (np.inf, 0.0)])
+def test_the_filter_in_modes_is_the_filter_on_the_full_image(time_constant: float, walk: float) -> None:
+    """Mean, standard deviation and what noise alone moves, over six scans of three patterns, against n_elem x n_elem matrices."""
+    amplitude, period, mesh = 0.2, 0.1, model(0.02).mesh
+    estimator = Kalman(model(0.02), NOISE, "paper", amplitude, time_constant, walk, period)
+    gamma = np.linalg.inv(penalty_of(model(0.02), "paper").normalised.toarray())
+    x, p, n = np.zeros(mesh.n_elem), amplitude**2 * gamma, np.zeros_like(gamma)
+    belief = estimator.start()
+    kept = np.exp(-period / time_constant)
+    for difference in scans(6):
+        x, n = kept * x, kept**2 * n
+        p = kept**2 * p + ((1 - kept**2) * amplitude**2 + walk**2 * period) * gamma
+        rows = model(0.02).sensitivity(difference.pattern, CURRENT) * model(0.02).conductivity
+        gain = p @ rows.T @ np.linalg.inv(rows @ p @ rows.T + NOISE**2 * np.eye(len(rows)))
+        rest = np.eye(mesh.n_elem) - gain @ rows
+        x, p, n = x + gain @ (difference.volts - rows @ x), rest @ p, rest @ n @ rest.T + NOISE**2 * gain @ gain.T
+        belief = estimator.update(belief, difference)
+        np.testing.assert_allclose(belief.image.values, x, atol=1e-7 * np.abs(x).max())
+    some = np.arange(0, mesh.n_elem, 11)
+    np.testing.assert_allclose(belief.image.noise_std(some), np.sqrt(np.diag(n)[some]), rtol=1e-5)
+
+
+def test_without_change_the_filter_becomes_the_image_of_all_scans_together() -> None:
+    estimator, static = Kalman(model(), NOISE, "matern", 0.2), GaussNewton(model(), NOISE, "matern", 0.2)
+    differences = scans(7)
+    belief = estimator.start()
+    for difference in differences:
+        belief = estimator.update(belief, difference)
+    expected = static.reconstruct(*differences)
+    np.testing.assert_allclose(belief.image.values, expected.values, atol=1e-7 * np.abs(expected.values).max())
+    np.testing.assert_allclose(belief.image.noise_std([3, 40]), expected.noise_std([3, 40]), rtol=1e-5)
+
+
+def test_unseen_for_long_the_belief_returns_to_the_prior() -> None:
+    estimator = Kalman(model(), NOISE, "matern", 0.2, time_constant=0.5)
+    seen = estimator.update(estimator.start(), scans(1)[0])
+    later = estimator.predict(seen, elapsed=20.0)
+    assert np.abs(later.image.values).max() < 1e-9
+    np.testing.assert_allclose(later.covariance, estimator.start().covariance, atol=1e-9)
+
+
+def test_four_injections_a_scan_followed_beat_sixteen_looked_at_alone() -> None:
+    """A touch that walks 2 mm a scan: the filter remembers what the scan did not ask."""
+    injections = np.array([(k, (k + 5) % 12) for k in range(12)] + [(12, 14), (13, 15), (12, 13), (14, 15)])
+    whole, quarters = measure_others(injections, range(16)), [measure_others(injections[k::4], range(16)) for k in range(4)]
+    estimator = Kalman(model(), NOISE, "matern", 0.2, time_constant=15.0, period=1.0)
+    belief, errors = estimator.start(), []
+    for k in range(16):
+        at = (0.06 + 0.002 * k, 0.1)
+        part, full = (touch((*at, 0.012, 0.5), seed=k, pattern=pattern) for pattern in (quarters[k % 4], whole))
+        belief = estimator.update(belief, part)
+        images = belief.image, estimator.reconstruct(part), estimator.reconstruct(full)
+        errors.append([np.linalg.norm(place(image, model().mesh) - at) for image in images])
+    followed, single, complete = np.mean(errors[4:], axis=0)
+    assert followed < 0.6 * single
+    assert followed < 0.9 * complete
+
+
+# GREIT
+
+
+@pytest.mark.parametrize("goal", [0.7, 1.5])
+def test_greit_attains_its_noise_figure_under_real_noise(goal: float) -> None:
+    greit = Greit(model(), NOISE, noise_figure=goal)
+    signal = jacobian() @ small_target(model().mesh)
+    currents, areas, rng = np.full(PATTERN.n_meas, CURRENT), model().mesh.areas, np.random.default_rng(0)
+    noisy = [greit.reconstruct(Difference(PATTERN, currents, NOISE * rng.normal(size=len(signal)))).values for _ in range(400)]
+    image = greit.reconstruct(Difference(PATTERN, currents, signal)).values
+    figure = (np.mean(np.abs(signal)) / NOISE) / ((areas @ np.abs(image)) / (areas @ np.std(noisy, axis=0)))
+    assert figure == pytest.approx(goal, rel=0.03)
+
+
+def test_greit_is_the_trained_matrix() -> None:
+    """Y D^T (D D^T + w^2 I)^-1 with the responses D and desired images Y of its training."""
+    greit, difference = made("GREIT"), touch((*AT, 0.012, 0.5))
+    data = CURRENT * PATTERN.combination(16) @ greit.training.responses
+    weight = greit._weight((difference,))
+    matrix = greit.training.desired @ data.T @ np.linalg.inv(data @ data.T + weight**2 * np.eye(len(data)))
+    expected = matrix @ difference.volts
+    np.testing.assert_allclose(greit.reconstruct(difference).values, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_greit_shows_equal_touches_more_alike_than_any_quadratic_prior() -> None:
+    """At equal noise figure, over 81 places: less spread of the peak, and less ringing beside it, than Gauss-Newton images."""
+    areas, currents, response = model().mesh.areas, np.full(PATTERN.n_meas, CURRENT), DiscResponse(model())
+    line = np.linspace(0.03, 0.17, 9)
+    targets = [
+        response.image(np.array([at]), np.array([0.01]), np.array([1.0]))
+        for at in np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    ]
+
+    def figures(estimator: GaussNewton | Greit) -> tuple[float, float]:
+        peaks, ringing = [], []
+        for target in targets:
+            values = estimator.reconstruct(Difference(PATTERN, currents, jacobian() @ target)).values
+            core = values > values.max() / 2
+            peaks.append(values.max())
+            ringing.append(areas[~core] @ np.abs(values[~core]) / (areas[core] @ values[core]))
+        return float(np.std(peaks) / np.mean(peaks)), float(np.mean(ringing))
+
+    greit = figures(Greit(model(), NOISE, noise_figure=2.0))
+    for prior in PRIORS:
+        gauss = GaussNewton(model(), NOISE, prior, 0.2)
+        tuned = figures(gauss.with_amplitude(noise_figure(gauss, touch(), goal=2.0).amplitude))
+        assert greit[0] < 0.8 * tuned[0]
+        assert greit[1] < 0.9 * tuned[1]
+
+
+# absolute
+
+
+def frame(volts: np.ndarray) -> Frame:
+    return Frame(PATTERN, volts, np.full(PATTERN.n_inj, CURRENT), 0.0)
+
+
+def test_iterating_finds_the_conductivity_that_one_step_misses() -> None:
+    """A strong contact on the model's own mesh, next to no noise: the strength that a single step underrates."""
+    inside = np.linalg.norm(model().mesh.centroids - AT, axis=1) < 0.025
+    touched = TransferModel(model().mesh, GRID, model().conductivity * (1 + 4.0 * inside))
+    volts = touched.voltages(PATTERN, CURRENT)
+    one = GaussNewton(model(), 1e-5, "matern", 1.0).reconstruct(
+        Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), volts - model().voltages(PATTERN, CURRENT)))  # fmt: skip
+    many = AbsoluteGaussNewton(model(), 1e-5, "matern", 1.0).iterate(frame(volts))
+    assert many.converged
+    assert (np.diff(many.costs) < 0).all()
+    assert many.residual < 1.5
+    truth = 4.0 * inside
+    assert np.linalg.norm(many.image.values - truth) < 0.65 * np.linalg.norm(one.values - truth)
+    assert many.image.values[inside].mean() > 2.7  # smoothed
+    assert one.values[inside].mean() < 1.5
+
+
+def test_log_conductivity_keeps_an_insulator_positive() -> None:
+    inside = np.linalg.norm(model().mesh.centroids - AT, axis=1) < 0.025
+    touched = TransferModel(model().mesh, GRID, model().conductivity * np.where(inside, 0.02, 1.0))
+    iterations = AbsoluteGaussNewton(model(), 1e-4, "matern", 1.0).iterate(frame(touched.voltages(PATTERN, CURRENT)))
+    assert iterations.image.values.min() > -1
+    assert np.median(iterations.image.values[inside]) < -0.85
+
+
+def test_steps_that_would_raise_the_cost_are_shortened() -> None:
+    """Without smoothness, full steps towards an insulator overshoot: here some are halved, and the cost falls in every round."""
+    inside = np.linalg.norm(model().mesh.centroids - AT, axis=1) < 0.025
+    volts = model().with_conductivity(model().conductivity * np.where(inside, 0.02, 1.0)).voltages(PATTERN, CURRENT)
+    iterations = AbsoluteGaussNewton(model(), 1e-3, "tikhonov", 1.0, rounds=30).iterate(frame(volts))
+    assert (np.diff(iterations.costs) < 0).all()
+    assert iterations.converged
+    assert iterations.residual < 1
+
+
+@pytest.mark.parametrize("settings", [{"prior": "paper"}, {"prior": "matern"}, {"outline": 0.02}])
+def test_the_absolute_image_is_where_the_cost_is_least(settings: dict) -> None:
+    """No direction in log conductivity lowers |V - V(x)|^2 / noise^2 + penalty, with the forward model solved anew."""
+    estimator = AbsoluteGaussNewton(model(), 3e-3, amplitude=0.5, tolerance=1e-9, rounds=60, **settings)
+    data = frame(voltages((*AT, 0.02, 1.0)) - voltages() + model().voltages(PATTERN, CURRENT))
+    rows, volts = estimator._equations((data,))
+    image = estimator.reconstruct(data).values
+    w = np.log1p(image)
+    if estimator._to_image is not None:
+        w = np.linalg.lstsq(estimator._to_image.toarray(), w, rcond=None)[0]
+    least, rng = estimator._at(w, rows, volts, 3e-3).cost, np.random.default_rng(0)
+    for way in [rng.normal(size=len(w)) for _ in range(6)] + [w, np.ones(len(w))]:
+        for step in (1e-2, -1e-2):
+            assert estimator._at(w + step * way / np.abs(way).max(), rows, volts, 3e-3).cost > least - 1e-6
+
+
+def test_a_baseline_takes_off_what_the_model_gets_wrong() -> None:
+    """A sheet that conducts 5 % better than the model, and another mesh: without the untouched frame all of that is imaged."""
+    quiet, touched = voltages() / 1.05, voltages((*AT, 0.012, 0.5)) / 1.05
+    baseline = Baseline.learn([frame(quiet)] * 2)
+    far = np.linalg.norm(model().mesh.centroids - AT, axis=1) > 0.05
+    with_it, without = (
+        AbsoluteGaussNewton(model(), 3e-4, "matern", 0.3, baseline=b).reconstruct(frame(touched)) for b in (baseline, None)
+    )
+    assert np.linalg.norm(place(with_it, model().mesh) - AT) < 0.006
+    assert abs(with_it.values[far].mean()) < 0.005
+    assert without.values[far].mean() > 0.03
+
+
+# sparse
+
+
+def test_sparse_images_are_of_few_compact_contacts() -> None:
+    difference = touch((0.06, 0.13, 0.012, 0.5), (0.14, 0.07, 0.012, 0.5))
+    image = made("sparse").reconstruct(difference)
+    smooth = made("Gauss-Newton").reconstruct(difference)
+
+    def support(image: Image) -> float:
+        return float(np.mean(np.abs(image.values) > 0.1 * image.values.max()))
+
+    assert support(image) < 0.08
+    assert support(image) < 0.4 * support(smooth)
+    for at in ((0.06, 0.13), (0.14, 0.07)):
+        near = np.linalg.norm(model().mesh.centroids - at, axis=1) < 0.03
+        mass = np.where(near, image.values, 0) * model().mesh.areas
+        assert np.linalg.norm(mass @ model().mesh.centroids / mass.sum() - at) < 0.008
+
+
+@pytest.mark.parametrize("name", ["sparse", "discs"])
+def test_noise_alone_is_no_contact(name: str) -> None:
+    empty = [made(name).reconstruct(touch(seed=seed)).values.max() for seed in range(20)]
+    assert np.median(empty) < 0.15
+    if name == "discs":
+        assert np.mean(np.array(empty) == 0) >= 0.8
+
+
+# discs
+
+
+@pytest.mark.parametrize(
+    ("ratio", "dim", "expected"), [(1.0, 2, 0.0), (3.0, 2, 1.0), (1e9, 2, 2.0), (1e-9, 2, -2.0), (1e9, 3, 3.0)]
+)
+def test_the_effective_change_is_that_of_a_disc_in_a_uniform_field(ratio: float, dim: int, expected: float) -> None:
+    assert effective_change(np.log(ratio), dim)[0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("strength", [4.0, 0.5, -0.8])
+def test_the_effective_change_holds_for_strong_contacts(strength: float) -> None:
+    """Against the factorised model. To first order in the change the response errs by a quarter to threefold."""
+    sheet = model(0.003)
+    response, disc = DiscResponse(sheet), (np.array([[0.09, 0.11]]), np.array([0.02]), np.array([strength]))
+    change, _ = response(disc[0][0], 0.02, np.log1p(strength))
+    predicted = CURRENT * PATTERN.combination(16) @ change
+    touched = TransferModel(sheet.mesh, GRID, sheet.conductivity * (1 + response.image(*disc)))
+    exact = touched.voltages(PATTERN, CURRENT) - sheet.voltages(PATTERN, CURRENT)
+    assert np.linalg.norm(predicted - exact) < 0.04 * np.linalg.norm(exact)
+    linear = predicted * strength / effective_change(np.log1p(strength))[0]
+    assert np.linalg.norm(linear - exact) > 0.2 * np.linalg.norm(exact)
+
+
+def test_the_slopes_of_a_response_are_its_differences() -> None:
+    response = DiscResponse(model())
+    point = np.array([0.071, 0.123, np.log(0.013), 0.3])
+    _, slopes = response(point[:2], np.exp(point[2]), point[3])
+    for k, step in enumerate([1e-7, 1e-7, 1e-5, 1e-5]):
+        ends = [response(q[:2], np.exp(q[2]), q[3])[0] for q in (point + step * np.eye(4)[k], point - step * np.eye(4)[k])]
+        np.testing.assert_allclose(slopes[:, k], (ends[0] - ends[1]) / (2 * step), atol=1e-4 * np.abs(slopes[:, k]).max())
+
+
+def test_the_cover_of_a_disc_is_its_area() -> None:
+    discs = Discs.on(model().mesh)
+    for at, radius in (((0.1, 0.1), 0.03), ((0.07, 0.05), 0.015)):
+        assert discs.cover(np.array(at), radius)[1][0].sum() == pytest.approx(np.pi * radius**2, rel=0.02)
+    assert discs.cover(np.array([0.0, 0.1]), 0.03)[1][0].sum() == pytest.approx(np.pi * 0.03**2 / 2, rel=0.02)
+
+
+def test_the_stated_covariance_of_a_disc_is_that_of_its_scatter() -> None:
+    """Discs drawn from the fit's own prior of radius and ratio, data of its own response, sixty seeds.
+
+    A small disc acts by its effective change times its area, m; radius and strength trade off along a curve. So the squared
+    error over the covariance is taken in position, log radius and m, where it averages to four. Each parameter alone is within
+    its standard deviation two times in three.
+    """
+    fit = DiscFit(model(), NOISE, radius=0.015, radius_factor=1.3, ratio_factor=1.6, count=1)
+    rng, distances, within = np.random.default_rng(0), [], []
+
+    def moment(log_radius: float, log_ratio: float) -> float:
+        return float(effective_change(log_ratio)[0] * np.exp(2 * log_radius))
+
+    for _ in range(60):
+        at = rng.uniform(0.04, 0.16, 2)
+        log_radius, log_ratio = np.log(0.015) + np.log(1.3) * rng.normal(), 0.0
+        while log_ratio < 0.2:
+            log_ratio = np.log(1.6) * rng.normal()
+        change, _ = fit._response(at, np.exp(log_radius), log_ratio)
+        volts = CURRENT * PATTERN.combination(16) @ change + NOISE * rng.normal(size=PATTERN.n_meas)
+        contact = fit.fit(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), volts)).contacts[0]
+        found = np.log(contact.radius), np.log1p(contact.strength)
+        wrong = np.array([*(contact.position - at), found[0] - log_radius, moment(*found) - moment(log_radius, log_ratio)])
+        by = np.diag([1, 1, 1 / contact.radius, 0])
+        by[3, 2], by[3, 3] = (
+            2 * moment(*found) / contact.radius,
+            contact.radius**2 * effective_change(found[1])[1] / (1 + contact.strength),
+        )
+        distances.append(wrong @ np.linalg.solve(by @ contact.covariance @ by.T, wrong))
+        parameters = np.array(
+            [*(contact.position - at), contact.radius - np.exp(log_radius), contact.strength - np.expm1(log_ratio)]
+        )
+        within.append(np.abs(parameters) < contact.std)
+    assert np.mean(distances) == pytest.approx(4.0, abs=3 * np.sqrt(8 / 60))
+    np.testing.assert_allclose(np.mean(within, axis=0), 0.683, atol=3 * np.sqrt(0.683 * 0.317 / 60))
+
+
+def test_the_fit_beats_the_centroid() -> None:
+    """Twelve touches, data of another mesh: mean error of the disc against that of the linear image."""
+    fit, gauss = DiscFit(model(0.0065), 2e-4, radius=0.01), GaussNewton(model(0.0065), 2e-4, "matern", 0.1)
+    errors = []
+    for seed, at in enumerate(np.random.default_rng(3).uniform(0.03, 0.17, (12, 2))):
+        difference = touch((*at, 0.01, 0.5), seed=seed, noise=2e-4)
+        found = fit.fit(difference)
+        assert len(found.contacts) == 1
+        errors.append(
+            [np.linalg.norm(p - at) for p in (found.contacts[0].position, place(gauss.reconstruct(difference), model(0.0065).mesh))]
+        )
+    disc, centroid = np.mean(errors, axis=0)
+    assert disc < 0.0015
+    assert disc < 0.5 * centroid
+
+
+@pytest.mark.parametrize(
+    "contacts",
+    [
+        ((0.06, 0.13, 0.012, 0.5),),
+        ((0.06, 0.13, 0.012, 0.5), (0.14, 0.07, 0.012, 0.4)),
+        ((0.085, 0.1, 0.01, 0.5), (0.115, 0.1, 0.01, 0.5)),
+        ((0.05, 0.05, 0.012, 0.5), (0.15, 0.05, 0.012, 0.5), (0.1, 0.15, 0.012, 0.5)),
+    ],
+)
+def test_the_number_of_contacts_is_found(contacts: tuple) -> None:
+    """The third case stands 30 mm apart, where a linear image at this noise shows one blob."""
+    fit = DiscFit(model(0.0065), 2e-4, radius=0.011, model_error=0.01)
+    result = fit.fit(touch(*contacts, noise=2e-4))
+    assert len(result.contacts) == len(contacts)
+    for contact in contacts:
+        assert min(np.linalg.norm(found.position - contact[:2]) for found in result.contacts) < 0.004
+    assert result.chi_square < 2 * result.n_data
+    assert len(result.covariance) == 4 * len(contacts)
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance))[:4], result.contacts[0].std)
+    assert int(np.argmin(result.criteria)) == len(contacts)
+
+
+def test_an_insulating_contact_can_be_fitted_when_asked() -> None:
+    fit = DiscFit(model(0.0065), 2e-4, radius=0.015, positive=False)
+    contact = fit.fit(touch((0.08, 0.12, 0.015, -0.6), noise=2e-4)).contacts[0]
+    assert np.linalg.norm(contact.position - (0.08, 0.12)) < 0.002
+    assert -1 < contact.strength < -0.3
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Greit(model(), NOISE, blur=0.5), "blur is 0.5; .* at least 1"),
+        (
+            lambda: Greit(model(), NOISE, noise_figure=1e4).reconstruct(touch()),
+            "noise figure 10000 cannot be had with this scan; choose",
+        ),
+        (lambda: Greit(model(), -1.0), "noise is -1.0; it must be finite and positive"),
+        (lambda: TotalVariation(model(), NOISE, outline=0.0), "outline is 0.0"),
+        (lambda: TotalVariation(model(), NOISE, rounds=0), "rounds is 0"),
+        (lambda: Kalman(model(), NOISE, time_constant=0.0), "time_constant is 0.0; it must be positive"),
+        (lambda: Kalman(model(), NOISE, walk=-1.0), "walk is -1.0; it must be finite and not negative"),
+        (lambda: Kalman(model(), NOISE, prior="tv"), "no prior 'tv'; choose from paper, laplacian"),
+        (lambda: made("Kalman").update(made("Kalman").start(), touch(), elapsed=-1.0), "elapsed is -1.0"),
+        (lambda: SparseBayes(model(), NOISE, radius=np.nan), "radius is nan"),
+        (lambda: SparseBayes(model(), NOISE, rounds=0), "rounds is 0"),
+        (lambda: DiscFit(model(), NOISE, radius_factor=1.0), "radius_factor is 1.0; it must be finite and above 1"),
+        (lambda: DiscFit(model(), NOISE, count=0), "cannot look for 0 contacts"),
+        (lambda: AbsoluteGaussNewton(model(), NOISE, rounds=0), "rounds is 0"),
+        (lambda: AbsoluteGaussNewton(model(), NOISE, "tv"), "no prior 'tv'"),
+        (lambda: AbsoluteGaussNewton(model(), NOISE, outline=-1.0), "outline is -1.0"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(make, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        make()
+
+
+def test_absolute_images_need_a_frame_with_something_in_it() -> None:
+    estimator = AbsoluteGaussNewton(model(), NOISE)
+    with pytest.raises(DataError, match="give at least one"):
+        estimator.reconstruct()
+    with pytest.raises(DataError, match="no finite measurement"):
+        estimator.reconstruct(frame(np.full(PATTERN.n_meas, np.nan)))
+
+
+def test_matern_can_be_given_as_a_function_too() -> None:
+    named, made_here = (
+        GaussNewton(model(), NOISE, prior, 0.2).reconstruct(touch((*AT, 0.012, 0.5))).values for prior in ("matern", matern(0.03))
+    )
+    np.testing.assert_allclose(named, made_here, rtol=1e-9)
