@@ -11,7 +11,18 @@ from ohmskin.engine.health import HealthMonitor
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError
 from ohmskin.skin import Skin, VirtualSkin
 
-PLACES = [(0.05, 0.12), (0.1, 0.1), (0.03, 0.03), (0.17, 0.05), (0.08, 0.17), (0.12, 0.06), (0.16, 0.16), (0.03, 0.1), (0.1, 0.03), (0.155, 0.105)]
+PLACES = [
+    (0.05, 0.12),
+    (0.1, 0.1),
+    (0.03, 0.03),
+    (0.17, 0.05),
+    (0.08, 0.17),
+    (0.12, 0.06),
+    (0.16, 0.16),
+    (0.03, 0.1),
+    (0.1, 0.03),
+    (0.155, 0.105),
+]
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from ohmskin.inverse import (
 )
 from ohmskin.inverse.choice import small_target
 from ohmskin.inverse.discs import DiscResponse, Discs, effective_change
+from ohmskin.inverse.modes import System, pair_system
 from ohmskin.inverse.priors import graph_laplacian, penalty_of
 from ohmskin.inverse.variation import Variation
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, measure_others, opposite
@@ -513,6 +514,15 @@ def test_sparse_images_are_of_few_compact_contacts() -> None:
         assert np.linalg.norm(mass @ model().mesh.centroids / mass.sum() - at) < 0.008
 
 
+def test_what_is_only_raised_is_learned_as_such() -> None:
+    """One contact lowers conductivity, against the assumption: blobs that only rise leave less of the data than a signed image
+    does that is cut off at zero (1.8 and 2.2 times the noise).
+    """
+    difference = touch((0.06, 0.13, 0.012, 0.5), (0.14, 0.07, 0.012, -0.3))
+    left = difference.volts - jacobian() @ made("sparse").reconstruct(difference).values
+    assert np.sqrt(np.mean(left**2)) < 2.0 * NOISE
+
+
 @pytest.mark.parametrize("name", ["sparse", "discs"])
 def test_noise_alone_is_no_contact(name: str) -> None:
     empty = [made(name).reconstruct(touch(seed=seed)).values.max() for seed in range(20)]
@@ -634,6 +644,36 @@ def test_the_number_of_contacts_is_found(contacts: tuple) -> None:
     assert len(result.covariance) == 4 * len(contacts)
     np.testing.assert_allclose(np.sqrt(np.diag(result.covariance))[:4], result.contacts[0].std)
     assert int(np.argmin(result.criteria)) == len(contacts)
+
+
+def test_close_contacts_are_found_by_splitting_one() -> None:
+    """24 mm apart, more than one disc can be moved out of: starting from the first disc and the rest alone errs by 9 to 15 mm."""
+    contacts = (0.058, 0.12, 0.01, 0.5), (0.082, 0.12, 0.01, 0.5)
+    result = DiscFit(model(0.0065), 2e-4, radius=0.01, model_error=0.003, count=2).fit(touch(*contacts, noise=2e-4))
+    for contact in contacts:
+        assert min(np.linalg.norm(found.position - contact[:2]) for found in result.contacts) < 0.003
+
+
+def test_contacts_come_strongest_first_and_the_too_weak_not_at_all() -> None:
+    """Effects of 20 : 5 : 1 at next to no noise; the weakest is below a tenth of the strongest."""
+    contacts = (0.05, 0.05, 0.012, 0.05), (0.15, 0.06, 0.012, 1.0), (0.1, 0.15, 0.012, 0.25)
+    difference = touch(*contacts, noise=2e-5)
+    strongest, second = (DiscFit(model(0.0065), 2e-5, radius=0.012, model_error=0.002).fit(difference)).contacts
+    assert np.linalg.norm(strongest.position - (0.15, 0.06)) < 0.002
+    assert np.linalg.norm(second.position - (0.1, 0.15)) < 0.002
+    everything = DiscFit(model(0.0065), 2e-5, radius=0.012, model_error=0.002, fraction=0.0).fit(difference)
+    assert min(np.linalg.norm(found.position - (0.05, 0.05)) for found in everything.contacts) < 0.005
+
+
+def test_a_contact_that_only_raises_conductivity_is_not_fitted_to_a_fall() -> None:
+    """Started on top of a fall, the strength stops at zero; allowed to fall, it does."""
+    difference = touch((0.08, 0.12, 0.015, -0.6), noise=2e-4)
+    start = np.array([[0.08, 0.12, np.log(0.015), 0.1]])
+    for positive in (True, False):
+        fit = DiscFit(model(0.0065), 2e-4, radius=0.015, positive=positive)
+        pairs = pair_system(16, difference)
+        found = fit._refine(System(pairs.rows / 2e-4, pairs.volts / 2e-4), start).params[0, -1]
+        assert (found >= 0) == positive
 
 
 def test_an_insulating_contact_can_be_fitted_when_asked() -> None:

@@ -18,23 +18,29 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOMES = {
+    "AbsoluteGaussNewton": "inverse",
     "Baseline": "scan",
     "Contact": "touch",
     "ContactFinder": "touch",
     "Device": "device",
     "Disc": "geometry",
+    "DiscFit": "inverse",
     "DrivePattern": "scan",
     "Electrodes": "geometry",
     "Engine": "engine",
     "Frame": "scan",
     "GaussNewton": "inverse",
+    "Greit": "inverse",
     "Image": "inverse",
+    "Kalman": "inverse",
     "Mesh": "geometry",
     "OhmskinError": "errors",
     "Perception": "engine",
     "Raster": "geometry",
     "Rectangle": "geometry",
     "Skin": "skin",
+    "SparseBayes": "inverse",
+    "TotalVariation": "inverse",
     "Touch": "engine",
     "Tracker": "touch",
     "TransferModel": "forward",
@@ -55,30 +61,36 @@ if TYPE_CHECKING:
     from ohmskin.errors import OhmskinError
     from ohmskin.forward import TransferModel
     from ohmskin.geometry import Disc, Electrodes, Mesh, Raster, Rectangle, mesh_domain
-    from ohmskin.inverse import GaussNewton, Image
+    from ohmskin.inverse import AbsoluteGaussNewton, DiscFit, GaussNewton, Greit, Image, Kalman, SparseBayes, TotalVariation
     from ohmskin.record import read_recording
     from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent, opposite, skip
     from ohmskin.skin import Skin, VirtualSkin
     from ohmskin.touch import Contact, ContactFinder, Tracker
 
 __all__ = [
+    "AbsoluteGaussNewton",
     "Baseline",
     "Contact",
     "ContactFinder",
     "Device",
     "Disc",
+    "DiscFit",
     "DrivePattern",
     "Electrodes",
     "Engine",
     "Frame",
     "GaussNewton",
+    "Greit",
     "Image",
+    "Kalman",
     "Mesh",
     "OhmskinError",
     "Perception",
     "Raster",
     "Rectangle",
     "Skin",
+    "SparseBayes",
+    "TotalVariation",
     "Touch",
     "Tracker",
     "TransferModel",

@@ -23,7 +23,7 @@ from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system
 from ohmskin.inverse.positivity import nonnegative
-from ohmskin.inverse.priors import Prior, mean_diagonal, paper_laplacian, penalty_of
+from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
 from ohmskin.scan import Difference
 
 
@@ -87,9 +87,6 @@ class GaussNewton:
         rows = pairs.rows @ self._penalty.to_unknowns(self.model.pair_sensitivity * self.model.conductivity)
         w = nonnegative(self._penalty.normalised, rows, pairs.volts, noise / self.amplitude)
         return Image(self._penalty.to_image(w), noise_std)
-
-
-_mean_diagonal = mean_diagonal
 
 
 def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, Callable[[ArrayLike], Floats]]:

@@ -97,7 +97,7 @@ def finite_system(rows: list[Floats], differences: tuple[Difference, ...]) -> Sy
         raise DataError("no scan to make an image of; give at least one")
     stacked = np.vstack(rows)
     volts = np.concatenate([d.volts for d in differences])
-    known = np.isfinite(volts) & np.isfinite(stacked).all(axis=1)
+    known = np.isfinite(volts) & np.isfinite(stacked[:, 0])  # a current that is not finite spoils its whole row
     if not known.all():
         stacked, volts = stacked[known], volts[known]
     if not len(volts):
