@@ -24,6 +24,7 @@ for _name, (_help, _example) in {
     "press": ("Press a virtual skin.", "ohmskin press 50 120 --seconds 3 --to 150 120"),
     "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155 --mode 12B"),
     "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
+    "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick --output out/paper"),
     "info": ("Show versions, skins, drivers and serial ports.", "ohmskin info"),
 }.items():
     _module = _name.replace("-", "_")

@@ -143,9 +143,8 @@ class _Table:
         start = f"{time.strftime('%H:%M:%S')}  {health.rate:8.0f}  {health.latency_p50 * 1e3:4.1f} ms"
         for c in touch.contacts:
             x, y = c.position
-            print(
-                f"{start}  {c.id:2d}  {x * 1e3:6.1f}  {y * 1e3:6.1f}  {c.extent * 1e4:10.1f}  {c.strength * 1e4:12.2f}  {c.confidence:10.3f}"
-            )
+            place = f"{x * 1e3:6.1f}  {y * 1e3:6.1f}"
+            print(f"{start}  {c.id:2d}  {place}  {c.extent * 1e4:10.1f}  {c.strength * 1e4:12.2f}  {c.confidence:10.3f}")
         if not touch.contacts:
             print(f"{start}   -       -       -           -             -           -")
         sys.stdout.flush()

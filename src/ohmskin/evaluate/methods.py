@@ -190,7 +190,7 @@ class _Desk:
 
     @cached_property
     def model(self) -> TransferModel:
-        return _scaled_model(self._world, self._layout)
+        return scaled_model(self._world, self._layout)
 
     @cached_property
     def raster(self) -> Raster:
@@ -205,8 +205,8 @@ class _Desk:
 
 
 @lru_cache(maxsize=8)
-def _scaled_model(world: str, layout: str) -> TransferModel:
-    """The estimator's model, its conductivity fitted to the untouched sheet as a calibration does."""
+def scaled_model(world: str, layout: str) -> TransferModel:
+    """The estimator's model of a layout, its conductivity fitted to the untouched sheet as a calibration does."""
     skin = _skin(layout)
     model, pattern = skin.transfer_model(), next(iter(skin.modes.values())).base
     measured, modelled = worlds.voltages(worlds.sheet(world, layout).untouched, pattern) / CURRENT, model.voltages(pattern)
@@ -215,7 +215,7 @@ def _scaled_model(world: str, layout: str) -> TransferModel:
 
 @lru_cache(maxsize=8)
 def _raster(world: str, layout: str) -> Raster:
-    return Raster(_scaled_model(world, layout).mesh, PIXELS)
+    return Raster(scaled_model(world, layout).mesh, PIXELS)
 
 
 @lru_cache(maxsize=4)

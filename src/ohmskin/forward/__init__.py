@@ -1,7 +1,18 @@
-"""From conductivity to voltages: finite elements, electrode models, sensitivity."""
+"""From conductivity to voltages: finite elements, electrode models, excitations, calibration, sensitivity."""
 
+from ohmskin.forward.calibration import BackgroundFit, fit_background
 from ohmskin.forward.excitation import Response, VoltageSource, drive_currents, drive_voltages
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import FloatingPatches, LocalUpdate
 
-__all__ = ["FloatingPatches", "LocalUpdate", "Response", "TransferModel", "VoltageSource", "drive_currents", "drive_voltages"]
+__all__ = [
+    "BackgroundFit",
+    "FloatingPatches",
+    "LocalUpdate",
+    "Response",
+    "TransferModel",
+    "VoltageSource",
+    "drive_currents",
+    "drive_voltages",
+    "fit_background",
+]

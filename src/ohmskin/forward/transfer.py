@@ -61,10 +61,9 @@ class TransferModel:
         other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape))
         return other
 
-    def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
-        """The same skin with other contact impedances, one value or (n_elec,), see `Electrodes.with_contact_impedances`."""
+    def with_electrodes(self, electrodes: Electrodes) -> "TransferModel":
+        """The same skin with other electrodes, or other contact impedances of these (`Electrodes.with_contact_impedances`)."""
         other = object.__new__(TransferModel)
-        electrodes = self.electrodes.with_contact_impedances(values)
         other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape))
         return other
 

@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble, factorise, local_stiffness
+from ohmskin.forward.contact import Surface
 from ohmskin.forward.transfer import TransferModel
+from ohmskin.geometry import Mesh
 from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.mesh import Ints
 
@@ -131,7 +133,7 @@ class FloatingPatches:
         patches: (n_points,) number of the patch that each point belongs to.
 
     Attributes:
-        kept: (n_points,) which of the given points lie on the mesh.
+        kept: (n_points,) which of the given points lie on the mesh; in space, within a quarter of an edge of its surface.
         points, patches: Those points and their patches.
         update: The local update it makes.
 
@@ -145,12 +147,13 @@ class FloatingPatches:
             raise ModelError(
                 f"patches have shape {owner.shape} and type {owner.dtype}; need integers ({len(where)},), one per point"
             )
-        element, weights = model.mesh.locate(where)
-        self.kept: NDArray[np.bool_] = element >= 0
+        if where.ndim != 2 or where.shape[1] != model.mesh.nodes.shape[1]:
+            raise ModelError(f"patch points have shape {where.shape}; this mesh needs (n, {model.mesh.nodes.shape[1]})")
+        corners, weights, self.kept = _on_skin(model.mesh, where)
         if not self.kept.any():
             raise ModelError("no point of a patch lies on the mesh; give points in its coordinates (m)")
         self.points, self.patches = where[self.kept], owner[self.kept].astype(np.int64)
-        corners = model.mesh.elements[element[self.kept]]
+        corners = corners[self.kept]
         self.update = LocalUpdate(model, np.unique(corners))
         self._corners: Ints = np.searchsorted(self.update.nodes, corners)
         self._weights: Floats = np.ascontiguousarray(weights[self.kept])
@@ -182,6 +185,19 @@ class FloatingPatches:
         )
         green = gathered(self.update.green, rows)
         return self.model.transfer_resistance - low_rank_change(green, self.update.caused[rows], change)
+
+
+def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+    """Nodes (n, k) and barycentric coordinates (n, k) of points on the skin, and which (n,) are on it."""
+    if mesh.nodes.shape[1] == 2:
+        element, weights = mesh.locate(points)
+        return mesh.elements[element], weights, element >= 0
+    surface = Surface(mesh)
+    triangle, weights, distance = surface.project(points)
+    nodes = surface.triangles[triangle]
+    corners = mesh.nodes[nodes]
+    edge = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    return nodes, weights, distance <= edge / 4
 
 
 @njit(cache=True, nogil=True)

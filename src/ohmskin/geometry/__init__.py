@@ -2,9 +2,27 @@
 
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
+from ohmskin.geometry.files import read_mesh, write_mesh
+from ohmskin.geometry.graded import mesh_graded, mesh_surface
 from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.meshing import mesh_domain
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import Raster
+from ohmskin.geometry.thick import thicken
 
-__all__ = ["Disc", "Domain", "ElectrodeKind", "Electrodes", "Mesh", "Polygon", "Raster", "Rectangle", "mesh_domain"]
+__all__ = [
+    "Disc",
+    "Domain",
+    "ElectrodeKind",
+    "Electrodes",
+    "Mesh",
+    "Polygon",
+    "Raster",
+    "Rectangle",
+    "mesh_domain",
+    "mesh_graded",
+    "mesh_surface",
+    "read_mesh",
+    "thicken",
+    "write_mesh",
+]

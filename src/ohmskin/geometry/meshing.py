@@ -1,4 +1,4 @@
-"""Meshing of convex flat domains, with chosen points exactly at nodes."""
+"""Meshing of flat domains in even triangles, with chosen points exactly at nodes."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -6,22 +6,29 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.domain import Domain, Floats
+from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.mesh import Ints, Mesh
+from ohmskin.geometry.polygon import Polygon
 
 
-def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, smoothing: int = 12) -> Mesh:
-    """A quality triangle mesh of a convex domain: a hexagonal lattice joined to the rim by Delaunay and smoothed.
+def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | None = None, smoothing: int = 12) -> Mesh:
+    """A quality triangle mesh of a domain: a hexagonal lattice joined to rim and holes by Delaunay and smoothed.
+
+    All edges are about equally long. For a mesh that is finer at the electrodes see `mesh_graded`.
 
     Args:
         domain: What to mesh.
         size: Edge length aimed at (m).
-        points: Points (n, 2) in metres that become nodes exactly, on the rim or inside (electrodes).
+        points: Points (n, 2) in metres that become nodes exactly, on the rim or inside; or electrodes, whose centres become nodes,
+            of rim segments the ends.
         smoothing: Rounds of moving free nodes to the mean of their neighbours.
 
     Raises:
-        GeometryError: If `size` is not positive or too fine, or a point lies outside the domain or closer than a tenth of
-            `size` to another or to the rim.
+        GeometryError: If `size` is not positive, too fine or too coarse for the shape, or a point lies outside the domain or closer
+            than a tenth of `size` to another or to the rim.
     """
+    if isinstance(points, Electrodes):
+        points = key_points(domain, points)
     if not (np.isfinite(size) and 0 < size <= domain.perimeter / 8):
         raise GeometryError(f"mesh size {size!r} m; it must be positive and at most {domain.perimeter / 8:.3g} m")
     if domain.area / size**2 > 4e6:
@@ -32,7 +39,7 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, sm
     if len(outside := np.flatnonzero(~(depth >= -tolerance))):
         raise GeometryError(f"point {outside[0]} at {fixed[outside[0]]} lies outside the domain {domain}; move it inside")
     on_rim = depth < tolerance
-    rim = _rim_points(domain, size, fixed[on_rim])
+    rim = _rim_points(domain, size, fixed, tolerance)
     inner = fixed[~on_rim]
     kept = np.vstack([rim, inner])
     gap = cKDTree(kept).query(kept, k=2)[0][:, 1]
@@ -48,29 +55,80 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | None = None, sm
     if len(inner):
         lattice = lattice[cKDTree(inner).query(lattice)[0] > 0.6 * size]
     nodes = np.vstack([kept, lattice])
-    triangles = _triangulate(nodes, size)
+    triangles = _triangulate(nodes, size, domain)
     for _ in range(smoothing):
         edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
         ends = np.concatenate([edges, edges[:, ::-1]])
         degree = np.bincount(ends[:, 0], minlength=len(nodes))
         mean = np.stack([np.bincount(ends[:, 0], nodes[ends[:, 1], k], len(nodes)) for k in range(2)], axis=1) / degree[:, None]
         nodes[len(kept) :] = mean[len(kept) :]
-        triangles = _triangulate(nodes, size)
-    return Mesh(nodes, triangles)
+        triangles = _triangulate(nodes, size, domain)
+    mesh = Mesh(nodes, triangles)
+    if isinstance(domain, Polygon):
+        _check_rim(mesh, domain, size)
+    return mesh
 
 
-def _rim_points(domain: Domain, size: float, fixed: Floats) -> Floats:
-    """Points along the rim: the fixed ones exactly, equal steps of about `size` between them."""
-    arcs = np.concatenate([domain.corners, domain.arc(fixed) if len(fixed) else [], [0.0] if not len(fixed) else []])
-    arcs = np.unique(np.round(arcs / domain.perimeter, 12) % 1.0) * domain.perimeter  # a full turn is the start
+def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
+    """Points (n, 2) that a mesh should have as nodes: centres of point and disc electrodes, ends of rim segments (m).
+
+    Raises:
+        GeometryError: If the electrodes are not in the plane, or the centre of a rim segment is not on the rim.
+    """
+    if electrodes.positions.shape[1] != 2:
+        raise GeometryError("electrodes in space do not fit a flat domain; mesh the flat sheet and move both with mapped()")
+    found: list[Floats] = []
+    for k, (kind, centre) in enumerate(zip(electrodes.kinds, electrodes.positions, strict=True)):
+        if kind != ElectrodeKind.RIM:
+            found.append(centre[None])
+            continue
+        loops = (domain, *domain.holes)
+        loop = min(loops, key=lambda loop: abs(float(loop.depth(centre[None])[0])))
+        arc = float(loop.arc(centre[None])[0])
+        if (off := float(np.linalg.norm(loop.rim([arc])[0] - centre))) > 1e-6 * domain.perimeter:
+            raise GeometryError(f"rim electrode {k} at {centre} is {off:.2g} m away from the rim; move it or use with_discs()")
+        half = float(electrodes.extents[k]) / 2
+        found.append(loop.rim([arc - half, arc + half]))
+    # neighbours that touch share an end
+    points = np.vstack(found)
+    first = cKDTree(points).query(points, k=min(2, len(points)), distance_upper_bound=1e-9 * domain.perimeter)[1]
+    first = first.reshape(len(points), -1)
+    keep = [i for i in range(len(points)) if not any(j < i for j in first[i] if j < len(points))]
+    return np.asarray(points[keep])
+
+
+def _check_rim(mesh: Mesh, domain: Domain, size: float) -> None:
+    """Delaunay keeps a rim only if its edges are short against its distance from anything else."""
+    missing = abs(mesh.measures.sum() - domain.area)
+    if (
+        missing > 1e-9 * domain.area
+        or len(mesh.neighbours) - 2 * mesh.n_nodes + (mesh.neighbours < 0).sum() != 2 * len(domain.holes) - 2
+    ):
+        raise GeometryError(
+            f"a mesh of size {size:.2g} m does not follow the outline of {domain}; choose a finer one, or mesh_graded() (gmsh)"
+        )
+
+
+def _rim_points(domain: Domain, size: float, fixed: Floats, tolerance: float) -> Floats:
+    """Points along rim and holes: those of the fixed ones that lie there exactly, equal steps of about `size` between them."""
+    loops = []
+    for loop in (domain, *domain.holes):
+        own = fixed[np.linalg.norm(loop.rim(loop.arc(fixed)) - fixed, axis=1) < tolerance] if len(fixed) else fixed
+        loops.append(_loop_points(loop, size, own))
+    return np.vstack(loops)
+
+
+def _loop_points(loop: Domain, size: float, fixed: Floats) -> Floats:
+    arcs = np.concatenate([loop.corners, loop.arc(fixed) if len(fixed) else [], [0.0] if not len(fixed) else []])
+    arcs = np.unique(np.round(arcs / loop.perimeter, 12) % 1.0) * loop.perimeter  # a full turn is the start
     steps = []
-    for start, end in zip(arcs, np.append(arcs[1:], arcs[0] + domain.perimeter), strict=True):
+    for start, end in zip(arcs, np.append(arcs[1:], arcs[0] + loop.perimeter), strict=True):
         count = max(1, round((end - start) / size))
         steps.append(start + (end - start) * np.arange(count) / count)
-    rim = domain.rim(np.concatenate(steps))
+    rim = loop.rim(np.concatenate(steps))
     if len(fixed):  # the arc length of a fixed point is rounded; the point itself must not be
         distance, nearest = cKDTree(rim).query(fixed)
-        assert distance.max() < 1e-8 * domain.perimeter
+        assert distance.max() < 1e-8 * loop.perimeter
         rim[nearest] = fixed
     return rim
 
@@ -84,9 +142,12 @@ def _hexagonal(bounds: tuple[float, float, float, float], size: float) -> Floats
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def _triangulate(nodes: Floats, size: float) -> Ints:
+def _triangulate(nodes: Floats, size: float, domain: Domain) -> Ints:
     triangles: Ints = Delaunay(nodes).simplices.astype(np.int64)
     p = nodes[triangles]
     e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     areas = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-    return np.asarray(triangles[areas > 1e-4 * size**2])  # collinear rim nodes leave empty triangles behind
+    triangles = triangles[areas > 1e-4 * size**2]  # collinear rim nodes leave empty triangles behind
+    if isinstance(domain, Polygon):  # may be hollow; the others are convex
+        triangles = triangles[domain.depth(nodes[triangles].mean(axis=1)) > 0]
+    return triangles

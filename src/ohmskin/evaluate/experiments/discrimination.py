@@ -1,0 +1,116 @@
+"""Figure 8: how close two contacts may be and still be told from one."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.evaluate.discs import DiscModel, DiscTest
+from ohmskin.evaluate.methods import bench, method, scaled_model
+from ohmskin.evaluate.result import Result
+from ohmskin.evaluate.shapes import Shape, disc
+from ohmskin.evaluate.worlds import LAYOUTS, Contacts
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import mesh_domain
+from ohmskin.skin import Skin
+
+RADIUS = 5e-3  # metres; two weights 12 mm apart, as in the paper, cannot be much larger
+STRENGTH = {"discs": 2.0, "pressed": 12.5e3}  # relative change: 10 mm and +50 % together | pascals: 100 g on this area
+
+
+@dataclass(frozen=True)
+class Area:
+    """Where a pair of contacts is centred (x, y) in metres, and the direction from one to the other (radians)."""
+
+    position: tuple[float, float]
+    angle: float
+
+    def pair(self, distance: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two places, `distance` metres apart."""
+        (x, y), dx, dy = self.position, distance / 2 * np.cos(self.angle), distance / 2 * np.sin(self.angle)
+        return (float(x - dx), float(y - dy)), (float(x + dx), float(y + dy))
+
+
+def areas(count: int = 3, seed: int = 2022, width: float = 0.2, margin: float = 0.015) -> tuple[Area, ...]:
+    """Areas drawn at random, once, such that contacts 60 mm apart are at least `margin` metres from the rim."""
+    random = np.random.default_rng(seed)
+    found: list[Area] = []
+    while len(found) < count:
+        x, y = random.uniform(margin, width - margin, 2)
+        area = Area((round(float(x), 4), round(float(y), 4)), round(float(random.uniform(0, np.pi)), 4))
+        if all(margin <= value <= width - margin for place in area.pair(60e-3) for value in place):
+            found.append(area)
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Discrimination:
+    """Two contacts at falling distances in one area, and single contacts there for the rate of false twos.
+
+    Args:
+        distances: Between the two contacts (m).
+    """
+
+    world: str
+    decibels: float
+    amplitude: float
+    seeds: int
+    area: Area
+    distances: tuple[float, ...]
+    methods: tuple[str, ...] = ("16I", "16O", "16O+")
+
+    def run(self) -> Result:
+        """Results, for pairs (n_methods, n_distances, n_seeds) and, with prefix ``single_``, for the four `singles`
+        (n_methods, 4, n_seeds): ``dip``, whether the image has two contacts, parted by a dip, each closer to its own true
+        contact than half their distance (for singles: whether there is more than one contact at all); ``statistic``, the
+        fall of chi-square from one disc to two; ``near``, whether the two discs are each closer to its own true contact
+        than half their distance; ``chi_square``, that of the fitted truth over its degrees of freedom.
+        """
+        pairs = self._rates([tuple(self._press(at) for at in self.area.pair(d)) for d in self.distances])
+        return pairs | {f"single_{name}": array for name, array in self._rates(self._singles()).items()}
+
+    def _press(self, at: tuple[float, float], times: float = 1.0) -> Shape:
+        return disc(*at, RADIUS, times * STRENGTH[self.world])
+
+    def _singles(self) -> list[Contacts]:
+        """In the middle, with the strength of one and of two, and 15 mm either way."""
+        middle, (left, right) = self.area.position, self.area.pair(30e-3)
+        return [(self._press(middle),), (self._press(middle, 2.0),), (self._press(left),), (self._press(right),)]
+
+    def _rates(self, cases: list[Contacts]) -> Result:
+        table = bench(self.world, self.decibels, self.amplitude)
+        shape = (len(self.methods), len(cases), self.seeds)
+        dip, near = np.zeros(shape, bool), np.zeros(shape, bool)
+        statistic, chi_square = np.zeros(shape), np.zeros(shape)
+        for m, key in enumerate(self.methods):
+            responses = _responses(self.world, method(key).layout)
+            for c, contacts in enumerate(cases):
+                for seed in range(self.seeds):
+                    view = table.see(key, contacts, seed)
+                    found = view.contacts
+                    dip[m, c, seed] = len(found) > 1 if len(contacts) == 1 else _told([f.position for f in found], contacts)
+                    test = DiscTest(responses, table.noise, view.differences)
+                    one = test.one()
+                    two = test.two(one)
+                    statistic[m, c, seed] = one.chi_square - two.chi_square
+                    freedom = sum(len(d.volts) for d in view.differences) - 3 * len(contacts)
+                    chi_square[m, c, seed] = (one if len(contacts) == 1 else two).chi_square / freedom
+                    near[m, c, seed] = len(contacts) == 2 and _told(two.positions, contacts)
+        return {"dip": dip, "statistic": statistic, "near": near, "chi_square": chi_square}
+
+
+def _told(found: ArrayLike, contacts: Contacts) -> bool:
+    """Whether two of the places found (n, 2) lie closer to one true contact each than half the distance between these."""
+    found = np.asarray(found, float).reshape(-1, 2)
+    truth = np.array([contact.position for contact in contacts])
+    half = np.linalg.norm(truth[0] - truth[1]) / 2
+    return bool((np.linalg.norm(found[:, None] - truth, axis=2) < half).any(axis=0).all())
+
+
+@lru_cache(maxsize=4)
+def _responses(world: str, layout: str) -> DiscModel:
+    """Disc responses of a model scaled as the estimator's, on a mesh of its own between the estimator's and the world's."""
+    skin = Skin.load(LAYOUTS[layout])
+    mesh = mesh_domain(skin.domain, 0.7 * skin.imaging.mesh_size, skin.electrodes.positions)
+    return DiscModel(TransferModel(mesh, skin.electrodes, scaled_model(world, layout).conductivity[0]), RADIUS)

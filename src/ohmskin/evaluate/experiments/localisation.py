@@ -1,0 +1,85 @@
+"""Figure 7: where single contacts seem to be, at 81 places."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ohmskin.evaluate.methods import METHODS, bench
+from ohmskin.evaluate.result import Result
+from ohmskin.evaluate.worlds import contact
+from ohmskin.geometry.domain import Floats
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """Single contacts on a lattice of side x side places over the sheet, in steps of its width over side + 1."""
+
+    world: str
+    decibels: float
+    amplitude: float
+    seeds: int
+    side: int = 9
+    methods: tuple[str, ...] = METHODS
+
+    def run(self) -> Result:
+        """Results: ``truth`` (n_places, 2) and ``estimate`` (n_methods, n_seeds, n_places, 2) in metres (`View.place`)."""
+        table = bench(self.world, self.decibels, self.amplitude)
+        truth = places(self.side)
+        estimate = np.empty((len(self.methods), self.seeds, len(truth), 2))
+        for p, (x, y) in enumerate(truth):
+            contacts = (contact(self.world, x, y),)
+            for m, key in enumerate(self.methods):
+                for seed in range(self.seeds):
+                    estimate[m, seed, p] = table.see(key, contacts, seed).place
+        return {"truth": truth, "estimate": estimate}
+
+
+@dataclass(frozen=True)
+class MatchedLocalisation:
+    """`Localisation` at the noise level at which one method's mean error has a given value.
+
+    The level is found by that method alone, in steps of `step` dB: the one at which its mean error comes closest.
+    """
+
+    world: str
+    amplitude: float
+    seeds: int
+    error: float = 13.01e-3  # metres; the paper's adjacent drive
+    by: str = "16I"
+    side: int = 9
+    step: float = 0.25
+    methods: tuple[str, ...] = METHODS
+
+    def run(self) -> Result:
+        """Results of `Localisation`, and ``decibels`` () and ``matched`` (), the level and the mean error there (m)."""
+        trial = Localisation(self.world, 0.0, self.amplitude, self.seeds, self.side, (self.by,))
+        seen: dict[int, float] = {}
+
+        def mean(level: int) -> float:
+            if level not in seen:
+                seen[level] = float(np.mean(errors(replace(trial, decibels=level * self.step).run())))
+            return seen[level]
+
+        low, high = round(10 / self.step), round(80 / self.step)
+        while high - low > 1:  # the error falls as the noise does
+            middle = (low + high) // 2
+            low, high = (middle, high) if mean(middle) > self.error else (low, middle)
+        level = min(low, high, key=lambda k: abs(mean(k) - self.error))
+        result = Localisation(self.world, level * self.step, self.amplitude, self.seeds, self.side, self.methods).run()
+        return result | {"decibels": np.array(level * self.step), "matched": np.array(mean(level))}
+
+
+def places(side: int, width: float = 0.2) -> Floats:
+    """Places (side * side, 2) on a lattice over a square sheet (m)."""
+    steps = width * np.arange(1, side + 1) / (side + 1)
+    return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+
+
+def errors(result: Result) -> Floats:
+    """Distances (n_methods, n_seeds, n_places) between estimate and truth in metres.
+
+    An image without anything positive has no estimate; the sheet's centre is taken, the best guess without data.
+    """
+    estimate = np.where(np.isfinite(result["estimate"]), result["estimate"], 0.1)
+    distance: Floats = np.linalg.norm(estimate - result["truth"], axis=-1)
+    return distance

@@ -1,0 +1,110 @@
+"""Which experiments make up the reproduction: one place that names every position, size, noise level and count."""
+
+from dataclasses import dataclass
+from typing import Self
+
+from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.experiments import (
+    Discrimination,
+    Localisation,
+    MatchedLocalisation,
+    Merits,
+    PressedShapes,
+    Sections,
+    Touches,
+)
+from ohmskin.evaluate.experiments.discrimination import areas
+from ohmskin.evaluate.result import Experiment
+from ohmskin.evaluate.shapes import SHAPES, Shape
+from ohmskin.evaluate.worlds import WORLDS, Contacts, contact
+
+FIGURES = ("fig3", "fig4", "fig5", "table1", "fig6", "fig7", "fig8", "sweep")
+
+UPPER_LEFT = (0.05, 0.15)  # metres; the paper's upper left position, whose coordinates it does not give
+SINGLE = {"upper left": UPPER_LEFT, "centre": (0.10, 0.10), "near the rim": (0.17, 0.10), "lower right": (0.14, 0.05)}
+SEVERAL = {
+    "two": ((0.05, 0.10), (0.15, 0.10)),
+    "three": ((0.05, 0.14), (0.15, 0.14), (0.10, 0.05)),
+    "four": ((0.05, 0.05), (0.15, 0.05), (0.05, 0.15), (0.15, 0.15)),
+}
+DISTANCES = tuple(d / 1000 for d in (*range(60, 30, -5), *range(30, 7, -1)))  # by 5 mm, then by 1 mm
+DISTANCES_QUICK = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.01)
+SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE = (0.10, 0.10), 0.03, 20e3
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How thoroughly to reproduce.
+
+    Args:
+        noise: Noise levels (dB); the first is that of the figures and of Table I, all make the sweep.
+        amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the sweep.
+        seeds: Noise seeds of every experiment; the single touch of Fig. 5 and Table I, which is cheap, has ten times as many.
+        fine_noise: Level of the second, quieter run of Fig. 8 (dB).
+        distances: Of the two contacts of Fig. 8 (m).
+        side: Places along a side of the sheet in Fig. 7 and in the sweep.
+
+    Raises:
+        OhmskinError: If a list is empty or a value is out of range.
+    """
+
+    noise: tuple[float, ...] = (45.0, 30.0, 35.0, 40.0, 50.0, 55.0, 60.0)
+    amplitude: tuple[float, ...] = (0.1, 0.05, 0.2)
+    seeds: int = 20
+    fine_noise: float = 60.0
+    distances: tuple[float, ...] = DISTANCES
+    side: int = 9
+
+    def __post_init__(self) -> None:
+        if not self.noise or any(not 0 <= level <= 200 for level in self.noise):
+            raise OhmskinError(f"noise levels are {self.noise}; give one or more of 0 to 200 dB")
+        if not self.amplitude or any(not 0 < value <= 100 for value in self.amplitude):
+            raise OhmskinError(f"prior amplitudes are {self.amplitude}; give one or more, above 0 and at most 100")
+        if not 1 <= self.seeds <= 100_000:
+            raise OhmskinError(f"seeds are {self.seeds}; it must be 1 to 100000")
+
+    @classmethod
+    def quick(cls) -> Self:
+        """Few seeds and levels: what takes a minute or two on two cores."""
+        return cls(noise=(45.0, 35.0, 55.0), amplitude=(0.1,), seeds=5, distances=DISTANCES_QUICK)
+
+
+def cases(world: str, places: dict[str, tuple[float, float]]) -> tuple[Contacts, ...]:
+    """One contact at each of the places (m)."""
+    return tuple((contact(world, *place),) for place in places.values())
+
+
+def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, Experiment]]:
+    """The experiments of each figure by name: ``world``, ``world/area/dB`` or, in the sweep, ``what/world/dB/amplitude``.
+
+    Args:
+        settings: How thoroughly.
+        only: Figures wanted, of `FIGURES`; all unless given.
+
+    Raises:
+        OhmskinError: If a figure is unknown.
+    """
+    if unknown := [name for name in only if name not in FIGURES]:
+        raise OhmskinError(f"no figure {unknown[0]!r}; choose from {', '.join(FIGURES)}")
+    db, s, n = settings.noise[0], settings.amplitude[0], settings.seeds
+    found: dict[str, dict[str, Experiment]] = {name: {} for name in FIGURES}
+    for world in WORLDS:
+        single = cases(world, SINGLE)
+        several = tuple(tuple(contact(world, *place) for place in places) for places in SEVERAL.values())
+        found["fig3"][world] = Touches(world, db, s, n, single)
+        found["fig4"][world] = Touches(world, db, s, n, several)
+        found["fig5"][world] = Sections(world, db, s, 10 * n, single[0][0])
+        found["table1"][world] = Merits(world, db, s, 10 * n, single[0][0])
+        found["fig7"][world] = MatchedLocalisation(world, s, n, side=settings.side)
+        for level in dict.fromkeys((db, settings.fine_noise)):
+            for number, area in enumerate(areas()):
+                name = f"{world}/{level:g}/{number}"
+                found["fig8"][name] = Discrimination(world, level, s, n, area, settings.distances)
+        for level in settings.noise:
+            for amplitude in settings.amplitude:
+                where = f"{world}/{level:g}/{amplitude:g}"
+                found["sweep"][f"localisation/{where}"] = Localisation(world, level, amplitude, n, settings.side)
+                found["sweep"][f"merits/{where}"] = Merits(world, level, amplitude, 10 * n, single[0][0])
+    shapes = tuple(Shape(kind, SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE) for kind in SHAPES)
+    found["fig6"]["pressed"] = PressedShapes(db, s, n, shapes)
+    return {name: found[name] for name in FIGURES if not only or name in only}

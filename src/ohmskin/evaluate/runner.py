@@ -1,0 +1,127 @@
+"""Runs experiments: here, on all cores, or on a Dask cluster; what is already in the cache is not run again."""
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.cache import Cache, fingerprint, key
+from ohmskin.evaluate.result import Experiment, Result
+
+SCHEDULER_TIMEOUT = "10s"
+
+Progress = Callable[[Experiment, bool], None]  # the experiment that is done, and whether it came from the cache
+
+
+def run_experiments(
+    tasks: Iterable[Experiment],
+    cache: Cache | None = None,
+    jobs: int | None = None,
+    scheduler: str = "",
+    fresh: bool = False,
+    progress: Progress = lambda task, cached: None,
+) -> dict[Experiment, Result]:
+    """The results of experiments, each kept as soon as it is there.
+
+    Args:
+        tasks: What to run; equal ones are run once.
+        cache: Where results are kept and looked for.
+        jobs: Processes; as many as there are cores unless given. 1 runs everything in this process.
+        scheduler: Address of a Dask scheduler, such as ``tcp://host:8786``, to run on its workers instead.
+        fresh: Whether to run even what is in the cache.
+        progress: Called after each experiment.
+
+    Raises:
+        OhmskinError: If `jobs` is not positive, a worker process dies, or the cluster cannot be used.
+    """
+    if jobs is not None and jobs < 1:
+        raise OhmskinError(f"--jobs is {jobs}; it must be 1 or more")
+    wanted = list(dict.fromkeys(tasks))
+    results: dict[Experiment, Result] = {}
+    for task in wanted:
+        if cache and not fresh and (kept := cache.load(task)) is not None:
+            results[task] = kept
+            progress(task, True)
+    missing = [task for task in wanted if task not in results]
+    for task, result in _spread(missing, jobs or os.cpu_count() or 1, scheduler):
+        if cache:
+            cache.save(task, result)
+        results[task] = result
+        progress(task, False)
+    return {task: results[task] for task in wanted}
+
+
+def _spread(tasks: list[Experiment], jobs: int, scheduler: str) -> Iterator[tuple[Experiment, Result]]:
+    if not tasks:
+        return iter(())
+    if scheduler:
+        return _on_cluster(tasks, scheduler)
+    if jobs == 1:
+        return ((task, task.run()) for task in tasks)
+    return _on_cores(tasks, jobs)
+
+
+def _on_cores(tasks: list[Experiment], jobs: int) -> Iterator[tuple[Experiment, Result]]:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers inherit it; each has one core
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), multiprocessing.get_context("spawn"), initializer=_die_with_parent)
+    try:
+        futures: dict[Future[Result], Experiment] = {pool.submit(_run, task): task for task in tasks}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    except BrokenProcessPool as error:
+        raise OhmskinError(
+            "a worker process died. From the command line it may want memory: run again with fewer --jobs to go on. "
+            "A script must start its run below: if __name__ == '__main__':"
+        ) from error
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in list((pool._processes or {}).values()):  # no public way to stop a running task
+            process.terminate()
+
+
+def _run(task: Experiment) -> Result:
+    return task.run()
+
+
+def _die_with_parent() -> None:
+    """End this worker when the process that started it is killed, which could not tell it so."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _on_cluster(tasks: list[Experiment], scheduler: str) -> Iterator[tuple[Experiment, Result]]:
+    try:
+        import distributed
+    except ImportError as error:
+        raise OhmskinError("--scheduler needs dask.distributed; install it: pip install 'ohmskin[cluster]'") from error
+    try:
+        dask: Any = distributed  # without type information
+        client = dask.Client(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise OhmskinError(f"no Dask scheduler answers at {scheduler}: {error}; start one: dask scheduler") from error
+    with client:
+        try:
+            versions = client.run(fingerprint)
+        except ImportError as error:
+            raise OhmskinError(f"a worker of {scheduler} cannot import ohmskin: {error}; install this version there") from error
+        if not versions:
+            raise OhmskinError(f"the Dask scheduler at {scheduler} has no workers; start some: dask worker {scheduler}")
+        for worker, version in versions.items():
+            if version != fingerprint():
+                raise OhmskinError(
+                    f"worker {worker} has ohmskin {version}, here is {fingerprint()}; install the same version there"
+                )
+        futures = {client.submit(_run, task, key=key(task), pure=False): task for task in tasks}
+        for future in dask.as_completed(list(futures), loop=client.loop):
+            yield futures[future], future.result()

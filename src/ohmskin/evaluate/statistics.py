@@ -1,0 +1,56 @@
+"""Medians over noise seeds, with intervals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.geometry.domain import Floats
+
+RESAMPLES = 2000
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value, usually a median, with the limits of its 95 % interval (percentile bootstrap over seeds)."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self, scale: float = 1.0, digits: int = 3) -> str:
+        """The three numbers times `scale`, such as ``1.23 (1.1-1.4)``."""
+        numbers = [f"{value * scale:.{digits}g}" for value in (self.value, self.low, self.high)]
+        return f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
+
+
+def median(values: ArrayLike) -> Estimate:
+    """The median of values (n_seeds,) and its interval; infinite and missing values count as the largest."""
+    values = np.where(np.isfinite(v := np.asarray(values, float)), v, np.inf)
+    if not len(values) or not np.isfinite(values).any():
+        return Estimate(np.nan, np.nan, np.nan)
+    middles = _medians(values)
+    low, high = np.quantile(middles, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], method="nearest")
+    return Estimate(float(np.quantile(values, 0.5, method="averaged_inverted_cdf")), float(low), float(high))
+
+
+def _medians(values: Floats) -> Floats:
+    drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
+    middles: Floats = np.quantile(values[drawn], 0.5, axis=1, method="nearest")
+    return middles
+
+
+def fewer(a: ArrayLike, b: ArrayLike) -> float:
+    """How sure it is that the median of a (n_seeds,) is below that of b, paired by seed: share of bootstrap resamples."""
+    a, b = (np.where(np.isfinite(v := np.asarray(values, float)), v, 1e300) for values in (a, b))
+    drawn = np.random.default_rng(0).integers(0, len(a), (RESAMPLES, len(a)))
+    return float(np.mean(np.median(a[drawn], axis=1) < np.median(b[drawn], axis=1)))
+
+
+def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
+    """The mean of a (n_seeds,) over the mean of b, and its interval, seeds drawn in pairs."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    drawn = np.random.default_rng(0).integers(0, len(a), (RESAMPLES, len(a)))
+    low, high = np.quantile(a[drawn].mean(axis=1) / b[drawn].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Estimate(float(a.mean() / b.mean()), float(low), float(high))

@@ -1,0 +1,182 @@
+"""Conductivity calibration: background and contact impedances from a measured frame of the untouched skin."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import ModelError
+from ohmskin.forward.transfer import TransferModel
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern
+
+BACKGROUNDS = {"scale": 0, "linear": 1, "quadratic": 2}  # degree of the polynomial that the log-conductivity changes by
+CONTACTS = ("keep", "common", "each")
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundFit:
+    """A model fitted to a frame of the untouched skin.
+
+    Args:
+        model: The model with what was fitted.
+        names: (n_params,) of the parameters: "background 0", ..., "contact 3" or "contacts".
+        log_values: (n_params,) fitted: coefficients of the background's basis; logarithms of the factors on contact impedances.
+        covariance: (n_params, n_params) of `log_values`.
+        residual: Root mean square of what is left (V).
+        rounds: Gauss-Newton steps taken.
+    """
+
+    model: TransferModel
+    names: tuple[str, ...]
+    log_values: Floats
+    covariance: Floats
+    residual: float
+    rounds: int
+
+    @property
+    def log_std(self) -> Floats:
+        """(n_params,) standard deviations of `log_values`: relative ones of what they scale."""
+        std: Floats = np.sqrt(np.diag(self.covariance))
+        return std
+
+    @property
+    def factors(self) -> Floats:
+        """(n_params,) exp(log_values): the factor on the conductivity, for "scale", and on contact impedances."""
+        factors: Floats = np.exp(self.log_values)
+        return factors
+
+    def __str__(self) -> str:
+        lines = [f"{n}: factor {f:.4g} +- {f * s:.2g}" for n, f, s in zip(self.names, self.factors, self.log_std, strict=True)]
+        return "\n".join([*lines, f"residual {self.residual:.3g} V rms after {self.rounds} rounds"])
+
+
+def fit_background(
+    model: TransferModel,
+    pattern: DrivePattern,
+    voltages: ArrayLike,
+    currents: ArrayLike = 1.0,
+    *,
+    background: str | ArrayLike = "scale",
+    contacts: str = "keep",
+    noise: float | None = None,
+    max_rounds: int = 30,
+) -> BackgroundFit:
+    """Fit conductivity and contact impedances of the untouched skin to a measured frame, by Gauss-Newton in their logarithms.
+
+    Args:
+        model: Where to start.
+        pattern: What was driven.
+        voltages: (n_meas,) measured (V); what is not finite is left out.
+        currents: Measured currents, one value or (n_inj,) in amperes.
+        background: What the log-conductivity may change by: a constant ("scale"), or a "linear" or "quadratic" polynomial in the
+            coordinates, relative to the skin's middle and half its largest extent; or a basis (n_elem, n_params) of one's own.
+        contacts: "keep" the contact impedances, fit a "common" factor, or one for "each" area electrode. Only voltages at driven
+            electrodes tell them well.
+        noise: Standard deviation of a voltage (V); the residual's unless given.
+        max_rounds: Gauss-Newton steps at most.
+
+    Raises:
+        ModelError: If an option is unknown, data are too few or do not determine a parameter, or the fit does not converge.
+    """
+    basis, names = _basis(model, background)
+    if contacts not in CONTACTS:
+        raise ModelError(f"contacts is {contacts!r}; choose from {', '.join(CONTACTS)}")
+    areas = np.flatnonzero(model.electrodes.are_areas)
+    if contacts != "keep" and not len(areas):
+        raise ModelError("point electrodes have no contact impedance to fit; use contacts='keep', or area electrodes")
+    spread = np.zeros((len(model.electrodes), {"keep": 0, "common": 1, "each": len(areas)}[contacts]))
+    if contacts == "each":
+        spread[areas, np.arange(len(areas))] = 1.0
+        names = (*names, *(f"contact {k}" for k in areas))
+    elif contacts == "common":
+        spread[areas, 0] = 1.0
+        names = (*names, "contacts")
+    measured = np.asarray(voltages, float)
+    if measured.shape != (pattern.n_meas,):
+        raise ModelError(f"voltages have shape {measured.shape}; the pattern needs ({pattern.n_meas},)")
+    if noise is not None and not (np.isfinite(noise) and noise > 0):
+        raise ModelError(f"noise is {noise} V; it must be positive and finite, or None to tell it from the residual")
+    known = np.isfinite(measured)
+    if known.sum() < len(names) + (noise is None):
+        raise ModelError(f"{known.sum()} finite voltages do not determine {len(names)} parameters; measure more or fit less")
+
+    n_basis, start = basis.shape[1], model
+    values, rounds = np.zeros(len(names)), 0
+    predicted = model.voltages(pattern, currents)[known]
+    while True:
+        rounds += 1
+        rows = np.hstack([
+            model.sensitivity(pattern, currents)[known] @ (model.conductivity[:, None] * basis),
+            model.contact_sensitivity(pattern, currents)[known] @ (model.electrodes.contact_impedances[:, None] * spread),
+        ])  # fmt: skip
+        _check_rank(rows, names)
+        step = np.linalg.lstsq(rows, measured[known] - predicted, rcond=None)[0]
+        misfit, share = np.linalg.norm(measured[known] - predicted), 1.0
+        step /= max(1.0, float(np.abs(step).max()))  # at most a factor of e at once
+        while True:
+            tried = values + share * step
+            other = _moved(start, basis @ tried[:n_basis], spread @ tried[n_basis:])
+            foreseen = other.voltages(pattern, currents)[known]
+            if np.linalg.norm(measured[known] - foreseen) <= misfit * (1 + 1e-12) or share < 1e-4:
+                break
+            share /= 2
+        values, model, predicted = tried, other, foreseen
+        if np.abs(share * step).max() < 1e-9 or share < 1e-4:
+            break
+        if rounds == max_rounds:
+            raise ModelError(f"the background did not settle in {max_rounds} rounds; fit fewer parameters, or start closer")
+    left = measured[known] - predicted
+    spare = max(1, len(left) - len(names))
+    variance = float(left @ left) / spare if noise is None else noise**2
+    covariance = variance * np.linalg.inv(rows.T @ rows)
+    return BackgroundFit(model, names, values, covariance, float(np.sqrt(np.mean(left**2))), rounds)
+
+
+def _moved(model: TransferModel, log_conductivity: Floats, log_contact: Floats) -> TransferModel:
+    if log_contact.any():
+        electrodes = model.electrodes.with_contact_impedances(model.electrodes.contact_impedances * np.exp(log_contact))
+        model = model.with_electrodes(electrodes)
+    if not log_conductivity.any():
+        return model
+    return model.with_conductivity(model.conductivity * np.exp(log_conductivity))
+
+
+def _basis(model: TransferModel, background: str | ArrayLike) -> tuple[Floats, tuple[str, ...]]:
+    """The basis (n_elem, n_params) of the log-conductivity and its names."""
+    mesh = model.mesh
+    if isinstance(background, str):
+        if background not in BACKGROUNDS:
+            raise ModelError(
+                f"background is {background!r}; choose from {', '.join(BACKGROUNDS)}, or give a basis (n_elem, n_params)"
+            )
+        low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+        x = (mesh.centroids - (low + high) / 2) / ((high - low).max() / 2)
+        columns, names = [np.ones(mesh.n_elem)], ["background"]
+        axes = "xyz"[: x.shape[1]]
+        if BACKGROUNDS[background] >= 1:
+            columns += list(x.T)
+            names += [f"background {a}" for a in axes]
+        if BACKGROUNDS[background] >= 2:
+            for i in range(len(axes)):
+                for j in range(i, len(axes)):
+                    columns.append(x[:, i] * x[:, j])
+                    names.append(f"background {axes[i]}{axes[j]}")
+        return np.column_stack(columns), tuple(names)
+    basis = np.asarray(background, float)
+    if basis.ndim != 2 or basis.shape[0] != mesh.n_elem or basis.shape[1] == 0 or not np.isfinite(basis).all():
+        raise ModelError(f"background basis has shape {basis.shape}; give finite numbers ({mesh.n_elem}, n_params)")
+    return basis, tuple(f"background {k}" for k in range(basis.shape[1]))
+
+
+def _check_rank(rows: Floats, names: tuple[str, ...]) -> None:
+    size = np.linalg.norm(rows, axis=0)
+    if (size <= 1e-12 * size.max()).any():
+        raise ModelError(
+            f"the data do not depend on {names[int(np.argmin(size))]!r}; measure at driven electrodes, or do not fit it"
+        )
+    singular, right = np.linalg.svd(rows / size)[1:]
+    if singular[-1] < 1e-9 * singular[0]:
+        mixed = np.argsort(-np.abs(right[-1]))[:2]
+        pair = f"{names[mixed[0]]!r} from {names[mixed[1]]!r}"
+        raise ModelError(f"the data do not tell {pair}; measure more, at driven electrodes, too, or fit less")

@@ -1,0 +1,76 @@
+"""Meshes from and to files of other programs, by meshio (extra ``mesh``): Gmsh, STL, VTK, Abaqus, ..."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.errors import GeometryError
+from ohmskin.geometry.extra import optional
+from ohmskin.geometry.mesh import Mesh
+
+
+def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
+    """A mesh of tetrahedra if the file has any, of triangles otherwise. Nodes at one place are joined, unused ones dropped.
+
+    Args:
+        path: Any format that meshio reads, told by its ending.
+        scale: Metres per unit of the file: 1e-3 for millimetres.
+
+    Raises:
+        GeometryError: If meshio is not installed, the file cannot be read, or it holds no mesh that can be used.
+    """
+    meshio = optional("meshio")
+    if not (np.isfinite(scale) and scale > 0):
+        raise GeometryError(f"scale is {scale!r} metres per unit; it must be positive")
+    if not Path(path).is_file():
+        raise GeometryError(f"no mesh file {path}; check the path")
+    try:
+        with np.errstate(over="ignore"):  # its STL reader tells binary files by a product that may overflow
+            data = meshio.read(path)
+    except (Exception, SystemExit) as error:  # its readers raise anything, and exit on unknown endings
+        raise GeometryError(f"cannot read mesh file {path}: {error or 'unknown format'}; use one that meshio reads") from error
+    cells = data.cells_dict
+    kind = next((kind for kind in ("tetra", "triangle") if kind in cells), None)
+    if kind is None:
+        raise GeometryError(
+            f"mesh file {path} has {', '.join(cells) or 'no cells'}; need triangles or tetrahedra of straight edges"
+        )
+    nodes, elements = scale * np.asarray(data.points, float), np.asarray(cells[kind], np.int64)
+    step = 1e-9 * max(float(np.ptp(nodes, axis=0).max()), 1e-300)
+    _, first, same = np.unique(np.round((nodes - nodes.min(axis=0)) / step), axis=0, return_index=True, return_inverse=True)
+    used, elements = np.unique(first[same.ravel()][elements], return_inverse=True)
+    nodes, elements = nodes[used], elements.reshape(-1, 4 if kind == "tetra" else 3)
+    if kind == "triangle" and nodes.shape[1] == 3 and np.ptp(nodes[:, 2]) == 0:
+        nodes = nodes[:, :2]
+    return Mesh(nodes, elements)
+
+
+def write_mesh(path: str | Path, mesh: Mesh, fields: Mapping[str, ArrayLike] | None = None) -> None:
+    """Write a mesh, with values by element or by node beside it, to any format that meshio writes; its ending names it.
+
+    Args:
+        path: The file, such as ``image.vtu`` for ParaView.
+        mesh: The mesh; flat ones get z = 0.
+        fields: Values (n_elem, ...) or (n_nodes, ...) by name.
+
+    Raises:
+        GeometryError: If meshio is not installed, a field fits neither elements nor nodes, or the format is unknown.
+    """
+    meshio = optional("meshio")
+    kind = "triangle" if mesh.dim == 2 else "tetra"
+    nodes = mesh.nodes if mesh.nodes.shape[1] == 3 else np.column_stack([mesh.nodes, np.zeros(mesh.n_nodes)])
+    by_node, by_cell = {}, {}
+    for name, given in (fields or {}).items():
+        values = np.asarray(given, float)
+        if values.ndim and len(values) == mesh.n_elem:
+            by_cell[name] = [values]
+        elif values.ndim and len(values) == mesh.n_nodes:
+            by_node[name] = values
+        else:
+            raise GeometryError(f"field {name!r} has shape {values.shape}; need ({mesh.n_elem}, ...) or ({mesh.n_nodes}, ...)")
+    try:
+        meshio.Mesh(nodes, [(kind, mesh.elements.astype(np.int32))], point_data=by_node, cell_data=by_cell).write(path)
+    except (Exception, SystemExit) as error:  # its writers raise anything
+        raise GeometryError(f"cannot write mesh file {path}: {error or 'unknown format'}; try .vtu, .msh or .stl") from error
