@@ -49,7 +49,7 @@ class Settings:
     """
 
     noise: tuple[float, ...] = (45.0, 30.0, 35.0, 40.0, 50.0, 55.0, 60.0)
-    amplitude: tuple[float, ...] = (0.1, 0.05, 0.2)
+    amplitude: tuple[float, ...] = (0.1, 0.03, 0.3)
     seeds: int = 20
     fine_noise: float = 60.0
     distances: tuple[float, ...] = DISTANCES

@@ -130,8 +130,16 @@ def _claims(claims: Sequence[Claim]) -> str:
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<div class='wide'><table class='numbers'><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+def _cell(text: str) -> str:
+    """A cell; the interval of a number goes below it."""
+    value, bracket, interval = text.partition(" (")
+    if bracket and value[-1:].isdigit():
+        return f"{escape(value)}<br><small>{escape(interval.rstrip(')'))}</small>"
+    return escape(text)
 
 
 def _table1(done: Reproduction, world: str) -> str:

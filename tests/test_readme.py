@@ -1,0 +1,49 @@
+"""What README.md shows is so: its Python runs, its links lead somewhere, its commands exist."""
+
+import re
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+
+
+def test_the_loop_prints_the_contact_it_pressed(capsys: pytest.CaptureFixture[str]) -> None:
+    endless = "engine.touches()"
+    assert endless in SNIPPETS[0]
+    exec(SNIPPETS[0].replace(endless, f"islice({endless}, 30)"), {"islice": islice})
+    printed = re.findall(r"position=\(([\d.]+), ([\d.]+)\)", capsys.readouterr().out)
+    assert printed
+    x, y = map(float, printed[-1])
+    assert abs(x - 0.05) < 0.012
+    assert abs(y - 0.12) < 0.012
+
+
+def test_the_mathematics_has_the_shapes_it_claims() -> None:
+    names: dict[str, object] = {}
+    exec(SNIPPETS[1], names)
+    assert names["voltages"].shape == (208,)  # type: ignore[attr-defined]
+    assert names["jacobian"].shape == (208, names["model"].mesh.n_elem)  # type: ignore[attr-defined]
+
+
+def test_every_link_leads_somewhere() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    for page in pages:
+        for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.name} links to {link}"
+
+
+def test_every_command_exists() -> None:
+    from ohmskin.cli import app
+
+    commands = re.findall(r"^\.venv/bin/ohmskin ([\w-]+)", README, re.MULTILINE)
+    assert len(commands) >= 6
+    for command in commands:
+        assert command in app
+    targets = re.findall(r"^make (\w+)", README, re.MULTILINE)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert targets == ["live", "test"]
+    assert all(f"\n{target}:" in makefile for target in targets)
