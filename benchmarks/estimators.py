@@ -75,7 +75,7 @@ def main() -> None:
                     else:
                         data = Frame(pattern, volts, currents, 0.0) if isinstance(estimator, AbsoluteGaussNewton) else difference
                         values = estimator.reconstruct(data).values
-                        mass = np.where(values > values.max() / 2, values, 0) * model.mesh.areas
+                        mass = np.where(values > values.max() / 2, values, 0) * model.mesh.measures
                         found = mass @ model.mesh.centroids / mass.sum()
                     took += perf_counter() - start
                     errors.append(1e3 * float(np.linalg.norm(found - place)))

@@ -17,7 +17,7 @@ import ohmskin as ohm
 def felt(skin: ohm.Skin, pattern: ohm.DrivePattern) -> tuple[ohm.TransferModel, np.ndarray]:
     """What a touch of 1 cm2 that raises conductivity by 10 % changes, root mean square over the scan (V at 1 mA)."""
     model = skin.transfer_model()
-    change = 1e-3 * model.sensitivity(pattern) * 0.1 * model.conductivity * 1e-4 / model.mesh.areas
+    change = 1e-3 * model.sensitivity(pattern) * 0.1 * model.conductivity * 1e-4 / model.mesh.measures
     return model, np.sqrt(np.mean(change**2, axis=0))
 
 

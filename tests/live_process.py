@@ -35,6 +35,25 @@ def live(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
         process.stdout.close()
 
 
+@contextmanager
+def serving(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """The last address that `ohmskin serve-skin` prints, and its process, which must end cleanly when asked."""
+    command = [sys.executable, "-m", "ohmskin", "serve-skin", "--port", "0", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        lines = [process.stdout.readline() for _ in range(1 + ("--pty" in arguments))]
+        found = re.search(r"(tcp|serial)://\S+", lines[-1])
+        assert found, lines
+        yield found[0], process
+        process.terminate()
+        assert process.wait(20) == 0
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
 def children(pid: int) -> list[int]:
     """Process numbers of all that descend from a process."""
     import psutil

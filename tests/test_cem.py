@@ -192,7 +192,7 @@ def test_the_current_through_each_contact_is_what_was_driven() -> None:
     """Of the drops across the contacts alone: independent of the elements' equations."""
     model = mixed()
     for k in AREAS:
-        contact = model._contacts[int(k)]
+        contact = model.contacts[int(k)]
         drop = model.electrode_potentials[k] - contact.at @ model.potentials
         through = contact.weights @ drop / model.electrodes.contact_impedances[k]
         expected = np.eye(16)[k] - (k == 0)  # 1 A into each electrode and out of the first
@@ -213,7 +213,7 @@ def test_power_in_is_power_lost_in_sheet_and_contacts() -> None:
 def test_discs_keep_their_share_of_area_at_rim_and_corner() -> None:
     electrodes = Electrodes.grid(SHEET).with_discs(4e-3, 1e-4)
     model = TransferModel(mesh_domain(SHEET, 0.012), electrodes, S)
-    extent = np.array([model._contacts[k].extent for k in range(16)])
+    extent = np.array([model.contacts[k].extent for k in range(16)])
     share = np.array([1 / 4, 1 / 2, 1 / 2] * 4 + [1.0] * 4)
     np.testing.assert_allclose(extent, share * np.pi * 16e-6, rtol=1e-12)
 
@@ -224,7 +224,7 @@ def test_rim_segments_bend_round_corners_and_keep_their_length(length: float) ->
     mesh = mesh_domain(SHEET, 0.0123, [[0.05, 0.2], [0.1, 0.1]])
     model = TransferModel(mesh, electrodes, S)
     for k, bends in ((0, length > 0.006), (1, length > 0.2)):
-        contact = model._contacts[k]
+        contact = model.contacts[k]
         assert contact.extent == pytest.approx(length, rel=1e-12)
         points = contact.at @ mesh.nodes
         np.testing.assert_allclose(SHEET.depth(points), 0, atol=1e-12)
@@ -251,7 +251,7 @@ def along(seed: int, model: TransferModel):
         return model.with_conductivity(model.conductivity + t * ds)
 
     def by_contact(t: float) -> TransferModel:
-        return model.with_electrodes(model.electrodes.with_contact_impedances(model.electrodes.contact_impedances + t * dz))
+        return model.with_contact_impedances(model.electrodes.contact_impedances + t * dz)
 
     return (ds, by_conductivity), (dz, by_contact)
 

@@ -126,7 +126,7 @@ def test_the_noise_figure_wanted_is_that_of_real_noise(goal: float) -> None:
     noisy = [fitted.reconstruct(Difference(PATTERN, CURRENTS, NOISE * rng.normal(size=len(signal)))).values for _ in range(400)]
     image = fitted.reconstruct(Difference(PATTERN, CURRENTS, signal)).values
     of_data = np.mean(np.abs(signal)) / NOISE
-    of_image = (mesh.areas @ np.abs(image)) / (mesh.areas @ np.std(noisy, axis=0))
+    of_image = (mesh.measures @ np.abs(image)) / (mesh.measures @ np.std(noisy, axis=0))
     assert of_data / of_image == pytest.approx(goal, rel=0.03)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_process import all_gone, children, live
+from live_process import all_gone, children, live, serving
 
 
 def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "subprocess.CompletedProcess[str]":
@@ -52,28 +52,21 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
 
 
 def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "ohmskin", "serve-skin", "--port", "0", "--seed", "1"], stdout=subprocess.PIPE, text=True
-    ) as server:
-        assert server.stdout is not None
-        address = re.search(r"tcp://\S+", server.stdout.readline())
-        assert address
-        sensed = subprocess.Popen(
-            [sys.executable, "-m", "ohmskin", "live", "--json", "--seconds", "4", "--device", address[0]],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert sensed.stdout is not None
-        first = json.loads(sensed.stdout.readline())
-        assert first["mode"] == "16O"
-        assert first["contacts"] == []
-        pressed = ohmskin("press", "60", "140", "--seconds", "1.5", "--device", address[0])
-        assert (pressed.returncode, pressed.stderr) == (0, "")
-        frames = [json.loads(line) for line in sensed.stdout]
-        assert sensed.wait(20) == 0
-        sensed.stdout.close()
-        server.send_signal(signal.SIGTERM)
-        assert server.wait(10) == 0
+    with serving("--seed", "1") as (address, _):
+        command = [sys.executable, "-m", "ohmskin", "live", "--json", "--device", address]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as sensed:
+            assert sensed.stdout is not None
+            try:
+                frames = [json.loads(sensed.stdout.readline())]
+                pressed = ohmskin("press", "60", "140", "--seconds", "1.5", "--device", address)
+                time.sleep(1)
+            finally:
+                sensed.terminate()
+            frames += [json.loads(line) for line in sensed.stdout]
+        assert sensed.returncode == 0
+    assert (pressed.returncode, pressed.stderr) == (0, "")
+    assert frames[0]["mode"] == "16O"
+    assert frames[0]["contacts"] == []
     places = [contact["position"] for frame in frames for contact in frame["contacts"]]
     assert places
     assert np.linalg.norm(np.array(places) - [0.06, 0.14], axis=1).max() < 12e-3
@@ -83,16 +76,9 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
 
 
 def test_headless_table_over_a_pseudo_terminal() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "ohmskin", "serve-skin", "--port", "0", "--pty"], stdout=subprocess.PIPE, text=True
-    ) as server:
-        assert server.stdout is not None
-        server.stdout.readline()
-        serial = re.search(r"serial://\S+", server.stdout.readline())
-        assert serial
-        result = ohmskin("live", "--headless", "--seconds", "1", "--device", serial[0])
-        server.terminate()
-        server.wait(10)
+    with serving("--pty") as (address, _):
+        assert address.startswith("serial://")
+        result = ohmskin("live", "--headless", "--seconds", "1", "--device", address)
     assert result.returncode == 0, result.stderr
     lines = result.stdout.splitlines()
     assert "extent/cm2" in lines[1]

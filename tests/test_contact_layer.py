@@ -77,18 +77,19 @@ def test_pressed_patches_are_the_system_assembled_in_one_piece(electrodes: str) 
         expected = directly(model, at[on], joint[on], patches.patches[on])
         found = patches.transfer_resistance(joint)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-        assert np.abs(found - model.transfer_resistance).max() > 1e-2 * np.abs(expected).max()
+        assert np.abs(found - model.transfer_resistance).max() > 3e-3 * np.abs(expected).max()
 
 
 def test_a_thick_skin_can_be_pressed_on_its_face() -> None:
     flat = mesh_domain(SHEET, 0.025, GRID.positions)
     body = thicken(flat, 0.01, 2)
     electrodes = GRID.mapped(lambda p: np.column_stack([p, np.zeros(len(p))]))
-    model = TransferModel(body, electrodes.with_discs(6e-3, 1e-4, range(8)), S / 0.01)
+    model = TransferModel(body, electrodes.with_discs(6e-3, 1e-4, range(12, 16)), S / 0.01)
     points, owner = lattice(0.03, 2)
     patches = FloatingPatches(model, np.column_stack([points, np.zeros(len(points))]), owner)
     inside = (points >= -1e-9).all(1) & (points <= 0.2 + 1e-9).all(1)
     assert (patches.kept >= inside).all()
+    assert FloatingPatches(model, [[0.1, 0.1, 0.0], [0.1, 0.1, 0.02]], [0, 0]).kept.tolist() == [True, False]
     joint = random_press(patches, 1, 30)
     rows, weights = patches._corners, patches._weights
     at = np.zeros((len(joint), body.n_nodes))
@@ -178,6 +179,8 @@ def test_thousands_of_presses_take_a_second() -> None:
         (lambda m: LocalUpdate(m, range(9)).with_conductivity([0, 0], [S, S]), "distinct integers"),
         (lambda m: LocalUpdate(m, range(9)).with_conductivity([9999], [S]), "elements 9999..9999 to change"),
         (lambda m: LocalUpdate(m, range(9)).with_conductivity([3], [-S]), "positive conductivity"),
+        (lambda m: LocalUpdate(m, range(9)).transfer_resistance(np.arange(2), np.eye(2)), "rows that sum to zero"),
+        (lambda m: LocalUpdate(m, range(9)).transfer_resistance(np.arange(2), np.full((2, 2), np.nan)), "must be finite"),
         (lambda m: LocalUpdate(m, range(9)).transfer_resistance(np.arange(3), np.eye(2)), r"change has shape \(2, 2\)"),
     ],
 )
@@ -203,8 +206,8 @@ NOISE = 1e-4
 
 
 @cache
-def start() -> TransferModel:
-    mesh = mesh_domain(SHEET, 0.012, GRID.positions)
+def start(size: float = 0.012) -> TransferModel:
+    mesh = mesh_domain(SHEET, size, GRID.positions)
     return TransferModel(mesh, GRID.with_discs(5e-3, 1e-3), S)
 
 
@@ -216,11 +219,7 @@ def measured(truth: TransferModel, pattern: DrivePattern, seed: int | None = Non
 def test_scale_and_contacts_are_recovered_exactly_without_noise() -> None:
     factors = np.random.default_rng(0).uniform(0.2, 5, 16)
     z = start().electrodes.contact_impedances * factors
-    truth = (
-        start()
-        .with_electrodes(start().electrodes.with_contact_impedances(z))
-        .with_conductivity(np.full(start().mesh.n_elem, 2.2 * S))
-    )
+    truth = start().with_contact_impedances(z).with_conductivity(np.full(start().mesh.n_elem, 2.2 * S))
     fit = fit_background(start(), TWO_WIRE, measured(truth, TWO_WIRE), 1e-3, contacts="each")
     assert fit.factors[0] == pytest.approx(2.2, rel=1e-8)
     np.testing.assert_allclose(fit.factors[1:], factors, rtol=1e-6)
@@ -241,7 +240,7 @@ def test_a_quadratic_background_is_recovered() -> None:
 
 def test_standard_deviations_are_those_of_repeated_noise() -> None:
     """Errors over their predicted deviations have mean square one, to four deviations of that of 60 x 2 numbers."""
-    truth = start().with_conductivity(np.full(start().mesh.n_elem, 1.3 * S))
+    truth = start(0.03)
     for noise in (NOISE, None):
         scores = []
         for seed in range(60):
@@ -251,11 +250,11 @@ def test_standard_deviations_are_those_of_repeated_noise() -> None:
 
 
 def test_missing_data_are_left_out_of_a_fit() -> None:
-    volts = measured(start(), EVERYTHING) / 1.5
+    volts = measured(start().with_conductivity(np.full(start().mesh.n_elem, 1.5 * S)), EVERYTHING)
     volts[::3] = np.nan
     volts[1::7] = np.inf
     fit = fit_background(start(), EVERYTHING, volts, 1e-3)
-    assert fit.factors[0] == pytest.approx(1.5, rel=2e-3)
+    assert fit.factors[0] == pytest.approx(1.5, rel=1e-9)
     assert "background: factor 1.5" in str(fit)
 
 
@@ -271,7 +270,6 @@ def test_a_basis_of_ones_own_is_fitted() -> None:
     [
         ({"background": "cubic"}, "'cubic'; choose from scale, linear, quadratic, or give a basis"),
         ({"background": np.ones(3)}, r"basis has shape \(3,\)"),
-        ({"background": np.ones((936, 2))}, "do not tell 'background 0' from 'background 1'|basis has shape"),
         ({"contacts": "all"}, "'all'; choose from keep, common, each"),
         ({"noise": -1.0}, "noise is -1.0 V"),
         ({"voltages": np.ones(3)}, r"voltages have shape \(3,\)"),
@@ -288,7 +286,7 @@ def test_impossible_fits_are_refused(options: dict, message: str) -> None:
 
 def test_what_data_do_not_determine_is_named() -> None:
     same = np.ones((start().mesh.n_elem, 2))
-    with pytest.raises(ModelError, match="do not tell 'background [01]' from 'background [01]'; measure more"):
+    with pytest.raises(ModelError, match=r"do not tell 'background [01]' from 'background [01]'; measure more"):
         fit_background(start(), EVERYTHING, measured(start(), EVERYTHING), 1e-3, background=same)
     nothing = np.column_stack([np.ones(start().mesh.n_elem), np.zeros(start().mesh.n_elem)])
     with pytest.raises(ModelError, match="do not depend on 'background 1'"):

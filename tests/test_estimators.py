@@ -67,7 +67,7 @@ def touch(
 
 def place(image: Image, mesh) -> np.ndarray:
     """Centroid of what is above half the peak (m)."""
-    mass = np.where(image.values > image.values.max() / 2, image.values, 0) * mesh.areas
+    mass = np.where(image.values > image.values.max() / 2, image.values, 0) * mesh.measures
     return mass @ mesh.centroids / mass.sum()
 
 
@@ -381,7 +381,7 @@ def test_four_injections_a_scan_followed_beat_sixteen_looked_at_alone() -> None:
 def test_greit_attains_its_noise_figure_under_real_noise(goal: float) -> None:
     greit = Greit(model(), NOISE, noise_figure=goal)
     signal = jacobian() @ small_target(model().mesh)
-    currents, areas, rng = np.full(PATTERN.n_meas, CURRENT), model().mesh.areas, np.random.default_rng(0)
+    currents, areas, rng = np.full(PATTERN.n_meas, CURRENT), model().mesh.measures, np.random.default_rng(0)
     noisy = [greit.reconstruct(Difference(PATTERN, currents, NOISE * rng.normal(size=len(signal)))).values for _ in range(400)]
     image = greit.reconstruct(Difference(PATTERN, currents, signal)).values
     figure = (np.mean(np.abs(signal)) / NOISE) / ((areas @ np.abs(image)) / (areas @ np.std(noisy, axis=0)))
@@ -400,7 +400,7 @@ def test_greit_is_the_trained_matrix() -> None:
 
 def test_greit_shows_equal_touches_more_alike_than_any_quadratic_prior() -> None:
     """At equal noise figure, over 81 places: less spread of the peak, and less ringing beside it, than Gauss-Newton images."""
-    areas, currents, response = model().mesh.areas, np.full(PATTERN.n_meas, CURRENT), DiscResponse(model())
+    areas, currents, response = model().mesh.measures, np.full(PATTERN.n_meas, CURRENT), DiscResponse(model())
     line = np.linspace(0.03, 0.17, 9)
     targets = [
         response.image(np.array([at]), np.array([0.01]), np.array([1.0]))
@@ -510,7 +510,7 @@ def test_sparse_images_are_of_few_compact_contacts() -> None:
     assert support(image) < 0.4 * support(smooth)
     for at in ((0.06, 0.13), (0.14, 0.07)):
         near = np.linalg.norm(model().mesh.centroids - at, axis=1) < 0.03
-        mass = np.where(near, image.values, 0) * model().mesh.areas
+        mass = np.where(near, image.values, 0) * model().mesh.measures
         assert np.linalg.norm(mass @ model().mesh.centroids / mass.sum() - at) < 0.008
 
 

@@ -31,9 +31,9 @@ def test_overlap_of_each_triangle_against_counted_points() -> None:
     mesh, centre, radius = mesh_domain(Rectangle(0.1, 0.1), 12e-3), np.array([0.043, 0.058]), 0.02
     random = np.random.default_rng(1)
     weights = random.dirichlet((1, 1, 1), size=4000)
-    points = np.einsum("pk,ekd->epd", weights, mesh.nodes[mesh.triangles])
+    points = np.einsum("pk,ekd->epd", weights, mesh.nodes[mesh.elements])
     share = (np.linalg.norm(points - centre, axis=2) < radius).mean(axis=1)
-    assert disc_overlap(mesh, centre, radius).toarray()[0] / mesh.areas == pytest.approx(share, abs=0.03)
+    assert disc_overlap(mesh, centre, radius).toarray()[0] / mesh.measures == pytest.approx(share, abs=0.03)
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -77,7 +77,7 @@ def test_a_disc_changes_resistances_as_the_estimators_linear_model_says() -> Non
     weak = worlds.contact("discs", 0.07, 0.12, strength=1e-3)
     change = worlds.touched("discs", "grid", (weak,)) - worlds.sheet("discs", "grid").untouched
     pattern = adjacent(Skin.load("paper").electrodes.rings)
-    share = disc_overlap(model.mesh, weak.position, weak.radius).toarray()[0] / model.mesh.areas
+    share = disc_overlap(model.mesh, weak.position, weak.radius).toarray()[0] / model.mesh.measures
     linear = worlds.CURRENT * model.sensitivity(pattern) @ (1e-3 * model.conductivity * share)
     measured = worlds.voltages(change, pattern)
     assert np.linalg.norm(measured - linear) < 0.05 * np.linalg.norm(linear)

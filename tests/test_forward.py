@@ -129,7 +129,7 @@ def test_current_through_any_cut_is_the_injected_current(source: int, sink: int)
     mesh, current = model().mesh, 3e-3
     j = model().current_density(source, sink, current)
     flux = np.zeros(mesh.n_nodes)  # int j . grad N_i, the current that leaves into node i's cell
-    np.add.at(flux, mesh.triangles, -np.einsum("ed,ekd,e->ek", j, mesh.gradients, mesh.areas))
+    np.add.at(flux, mesh.elements, -np.einsum("ed,ekd,e->ek", j, mesh.gradients, mesh.measures))
     nodes = mesh.nodes_at(GRID.positions)
     expected = np.zeros(mesh.n_nodes)
     expected[nodes[source]], expected[nodes[sink]] = current, -current
@@ -140,7 +140,7 @@ def test_current_flows_from_source_to_sink() -> None:
     """Total current across the sheet, int j dA = I (x_sink - x_source) for insulated rims (a discrete identity, too)."""
     for source, sink in ((0, 6), (12, 14), (4, 9)):
         j = model().current_density(source, sink, 2e-3)
-        moment = model().mesh.areas @ j
+        moment = model().mesh.measures @ j
         assert moment == pytest.approx(2e-3 * (GRID.positions[sink] - GRID.positions[source]), abs=1e-13)
 
 
@@ -148,7 +148,7 @@ def test_current_flows_from_source_to_sink() -> None:
 def test_power_dissipated_in_the_sheet_is_voltage_times_current(source: int, sink: int) -> None:
     current = 4e-3
     j = model().current_density(source, sink, current)
-    power = np.sum((j**2).sum(1) / model().conductivity * model().mesh.areas)
+    power = np.sum((j**2).sum(1) / model().conductivity * model().mesh.measures)
     voltage = model().voltages(DrivePattern([[source, sink]], [[0, source, sink]]), current)[0]
     assert power == pytest.approx(voltage * current, rel=1e-11)
 
@@ -207,7 +207,7 @@ def test_voltages_and_sensitivity_are_those_of_pyeit_on_the_same_mesh() -> None:
     ours = model()
     mesh = PyEITMesh(
         node=np.column_stack([ours.mesh.nodes, np.zeros(ours.mesh.n_nodes)]),
-        element=np.array(ours.mesh.triangles),
+        element=np.array(ours.mesh.elements),
         perm=np.array(ours.conductivity),
         el_pos=ours.mesh.nodes_at(GRID.positions),
         ref_node=0,

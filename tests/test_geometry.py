@@ -24,7 +24,7 @@ LAYOUTS = {
 
 def smallest_angle(mesh: Mesh) -> float:
     """In degrees."""
-    p = mesh.nodes[mesh.triangles]
+    p = mesh.nodes[mesh.elements]
     smallest = 180.0
     for k in range(3):
         u, v = p[:, (k + 1) % 3] - p[:, k], p[:, (k + 2) % 3] - p[:, k]
@@ -40,18 +40,18 @@ def test_electrodes_are_nodes_of_a_mesh_without_slivers(name: str, size: float) 
     mesh = mesh_domain(domain, size, electrodes.positions)
     np.testing.assert_array_equal(mesh.nodes[mesh.nodes_at(electrodes.positions, tolerance=0)], electrodes.positions)
     assert smallest_angle(mesh) > 25
-    assert mesh.areas.max() < 2.5 * np.sqrt(3) / 4 * size**2
+    assert mesh.measures.max() < 2.5 * np.sqrt(3) / 4 * size**2
 
 
 @pytest.mark.parametrize("domain", [SHEET, OBLONG])
 def test_triangle_areas_add_up_to_the_rectangle(domain: Rectangle) -> None:
     mesh = mesh_domain(domain, 0.013)
-    assert mesh.areas.sum() == pytest.approx(domain.area, rel=1e-13)
+    assert mesh.measures.sum() == pytest.approx(domain.area, rel=1e-13)
     assert domain.area == domain.width * domain.height
 
 
 def test_triangle_areas_converge_to_the_disc_as_the_square_of_the_mesh_size() -> None:
-    error = [1 - mesh_domain(DISC, size).areas.sum() / (np.pi * 0.01) for size in (0.02, 0.01, 0.005)]
+    error = [1 - mesh_domain(DISC, size).measures.sum() / (np.pi * 0.01) for size in (0.02, 0.01, 0.005)]
     assert np.log2(error[:-1] / np.array(error[1:])) == pytest.approx([2, 2], abs=0.1)
 
 
@@ -89,15 +89,15 @@ def test_lengths_must_be_positive(kind: type, arguments: tuple[float, ...]) -> N
 def test_shape_functions_have_the_gradients_of_linear_interpolation() -> None:
     mesh = mesh_domain(SHEET, 0.02)
     field = mesh.nodes @ [3.0, -5.0] + 2
-    np.testing.assert_allclose(np.einsum("ekd,ek->ed", mesh.gradients, field[mesh.triangles]), [[3, -5]] * mesh.n_elem, atol=1e-11)
+    np.testing.assert_allclose(np.einsum("ekd,ek->ed", mesh.gradients, field[mesh.elements]), [[3, -5]] * mesh.n_elem, atol=1e-11)
     np.testing.assert_allclose(mesh.gradients.sum(1), 0, atol=1e-11)
 
 
 def test_a_surface_in_space_has_the_gradients_and_areas_of_its_flat_original() -> None:
     flat = mesh_domain(SHEET, 0.03)
     turn, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
-    tilted = Mesh(np.column_stack([flat.nodes, np.zeros(flat.n_nodes)]) @ turn.T + [1, 2, 3], flat.triangles)
-    np.testing.assert_allclose(tilted.areas, flat.areas, rtol=1e-10)
+    tilted = Mesh(np.column_stack([flat.nodes, np.zeros(flat.n_nodes)]) @ turn.T + [1, 2, 3], flat.elements)
+    np.testing.assert_allclose(tilted.measures, flat.measures, rtol=1e-10)
     expected = np.concatenate([flat.gradients, np.zeros((flat.n_elem, 3, 1))], axis=2) @ turn.T
     np.testing.assert_allclose(tilted.gradients, expected, atol=1e-8)
     assert tilted.flipped == 0
@@ -105,14 +105,14 @@ def test_a_surface_in_space_has_the_gradients_and_areas_of_its_flat_original() -
 
 def test_clockwise_triangles_are_turned_and_counted() -> None:
     mesh = mesh_domain(SHEET, 0.03)
-    again = Mesh(mesh.nodes, mesh.triangles)
+    again = Mesh(mesh.nodes, mesh.elements)
     assert again.flipped == 0
-    turned = np.array(mesh.triangles)
+    turned = np.array(mesh.elements)
     turned[[2, 5, 11]] = turned[[2, 5, 11]][:, ::-1]
     repaired = Mesh(mesh.nodes, turned)
     assert repaired.flipped == 3
-    assert (_twice_signed_area(repaired.nodes, repaired.triangles) > 0).all()
-    np.testing.assert_array_equal(np.sort(repaired.triangles), np.sort(mesh.triangles))
+    assert (_twice_signed_area(repaired.nodes, repaired.elements) > 0).all()
+    np.testing.assert_array_equal(np.sort(repaired.elements), np.sort(mesh.elements))
 
 
 def _twice_signed_area(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -124,9 +124,9 @@ def test_neighbours_share_two_nodes_and_the_rim_has_none() -> None:
     mesh = mesh_domain(SHEET, 0.02)
     for e in range(mesh.n_elem):
         for k, other in enumerate(mesh.neighbours[e]):
-            edge = {int(mesh.triangles[e, k]), int(mesh.triangles[e, (k + 1) % 3])}
+            edge = {int(mesh.elements[e, k]), int(mesh.elements[e, (k + 1) % 3])}
             if other >= 0:
-                assert edge <= set(mesh.triangles[other].tolist())
+                assert edge <= set(mesh.elements[other].tolist())
                 assert e in mesh.neighbours[other]
             else:
                 assert np.abs(SHEET.depth(mesh.nodes[sorted(edge)])).max() < 1e-12
@@ -177,7 +177,7 @@ def test_meshes_do_not_change() -> None:
     with pytest.raises(ValueError, match="read-only"):
         mesh.nodes[0] = 1
     with pytest.raises(ValueError, match="read-only"):
-        mesh.triangles[0] = 1
+        mesh.elements[0] = 1
 
 
 def test_no_node_at_a_point_is_an_error_with_the_remedy() -> None:
@@ -232,13 +232,13 @@ def test_locate_inverts_interpolation_even_where_the_mesh_is_graded() -> None:
     angle = np.arange(12) * 2 * np.pi / 12
     crowd = np.vstack([[0.1, 0.1], 0.1 + 0.003 * np.column_stack([np.cos(angle), np.sin(angle)])])
     mesh = mesh_domain(SHEET, 0.015, crowd)
-    assert mesh.areas.max() > 50 * mesh.areas.min()
+    assert mesh.measures.max() > 50 * mesh.measures.min()
     points = np.random.default_rng(0).uniform(1e-6, 0.2 - 1e-6, (20_000, 2))
     points = np.vstack([points, 0.1 + np.random.default_rng(1).uniform(-0.02, 0.02, (20_000, 2))])
     element, weights = mesh.locate(points)
     assert (element >= 0).all()
     assert weights.min() > -1e-8
-    np.testing.assert_allclose(np.einsum("nk,nkd->nd", weights, mesh.nodes[mesh.triangles[element]]), points, atol=1e-14)
+    np.testing.assert_allclose(np.einsum("nk,nkd->nd", weights, mesh.nodes[mesh.elements[element]]), points, atol=1e-14)
     outside, _ = mesh.locate([[0.2001, 0.1], [-1, -1], [0.1, -1e-5]])
     assert (outside == -1).all()
     assert mesh.locate(np.empty((0, 2)))[0].shape == (0,)

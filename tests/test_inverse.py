@@ -55,9 +55,9 @@ def textbook(*differences: Difference, noise: float = NOISE) -> np.ndarray:
 def four_terminal_jacobian(pattern: DrivePattern) -> np.ndarray:
     """-int grad u . grad v of each measurement, from the potentials alone."""
     mesh, u = model().mesh, model().potentials
-    field = np.einsum("ekd,ekl->eld", mesh.gradients, u[mesh.triangles])
+    field = np.einsum("ekd,ekl->eld", mesh.gradients, u[mesh.elements])
     a, b, c, d = pattern.quadruples.T
-    return -np.einsum("emd,emd,e->me", field[:, a] - field[:, b], field[:, c] - field[:, d], mesh.areas)
+    return -np.einsum("emd,emd,e->me", field[:, a] - field[:, b], field[:, c] - field[:, d], mesh.measures)
 
 
 def touch(at: tuple[float, float], pattern: DrivePattern, rise: float = 0.5, seed: int | None = None) -> Difference:
@@ -119,7 +119,7 @@ def test_the_laplacian_of_eq_5_has_three_on_its_diagonal_and_minus_one_for_neigh
     square = Mesh(np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float), np.array([[0, 1, 2], [0, 2, 3]]))
     np.testing.assert_array_equal(paper_laplacian(square).toarray(), [[3, -1], [-1, 3]])
     mesh = model().mesh
-    shared = (mesh.triangles[:, None, :, None] == mesh.triangles[None, :, None, :]).sum((2, 3))
+    shared = (mesh.elements[:, None, :, None] == mesh.elements[None, :, None, :]).sum((2, 3))
     np.testing.assert_array_equal(paper_laplacian(mesh).toarray(), 3 * np.eye(mesh.n_elem) - (shared == 2))
     assert np.linalg.eigvalsh(paper_laplacian(mesh).toarray())[0] > 0
 
@@ -210,7 +210,7 @@ def test_a_touch_is_imaged_where_it_is_though_the_data_come_from_another_mesh(at
     volts = touched - quiet + 1e-5 * np.random.default_rng(0).normal(size=len(quiet))
     coarse = coarse_estimator()
     image = coarse.reconstruct(Difference(pattern, np.full(pattern.n_meas, CURRENT), volts)).values
-    mass = coarse.model.mesh.areas * np.where(image > image.max() / 2, image, 0)
+    mass = coarse.model.mesh.measures * np.where(image > image.max() / 2, image, 0)
     found = mass @ coarse.model.mesh.centroids / mass.sum()
     assert np.linalg.norm(found - at) < 0.004
     assert 0.02 < image.max() < 1.0  # a rise of 0.5, blurred

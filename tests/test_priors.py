@@ -151,7 +151,7 @@ def test_bending_the_sheet_does_not_change_matern() -> None:
     """On a cylinder, distances along the sheet are what counts."""
     flat = model(0.008).mesh
     x, y = flat.nodes.T
-    bent = Mesh(np.column_stack([0.1 * np.sin(x / 0.1), y, 0.1 * np.cos(x / 0.1)]), flat.triangles)
+    bent = Mesh(np.column_stack([0.1 * np.sin(x / 0.1), y, 0.1 * np.cos(x / 0.1)]), flat.elements)
     columns = np.eye(flat.n_elem)[:, [10, 300, 700]]
     one, other = (matern(0.04)(mesh).covariance(columns) for mesh in (flat, bent))
     np.testing.assert_allclose(one, other, atol=5e-3)

@@ -93,7 +93,7 @@ def test_shipped_skins_load_and_can_be_imaged(name: str) -> None:
     assert list(skin.modes)[-1] == f"{len(skin.electrodes)}O"
     mesh = skin.mesh()
     assert len(mesh.nodes_at(skin.electrodes.positions)) == len(skin.electrodes)
-    assert mesh.areas.sum() == pytest.approx(skin.domain.area, rel=5e-3)
+    assert mesh.measures.sum() == pytest.approx(skin.domain.area, rel=5e-3)
 
 
 def test_the_skins_of_the_paper_have_its_modes() -> None:
@@ -194,12 +194,12 @@ def directly(sheet: PressedSheet, presses: list[Press]) -> np.ndarray:
                     touched = True
             conductors += touched
     system = np.zeros((n + conductors, n + conductors))
-    for e, (nodes, gradient) in enumerate(zip(mesh.triangles, mesh.gradients, strict=True)):
-        system[np.ix_(nodes, nodes)] += skin.sheet.conductivity * mesh.areas[e] * gradient @ gradient.T
+    for e, (nodes, gradient) in enumerate(zip(mesh.elements, mesh.gradients, strict=True)):
+        system[np.ix_(nodes, nodes)] += skin.sheet.conductivity * mesh.measures[e] * gradient @ gradient.T
     element, weights = mesh.locate(np.array([point for point, _, _ in joints]))
     for (_, conductor, siemens), e, weight in zip(joints, element, weights, strict=True):
         if e >= 0:
-            at = [*mesh.triangles[e], n + conductor]
+            at = [*mesh.elements[e], n + conductor]
             drop = np.array([*weight, -1.0])
             system[np.ix_(at, at)] += siemens * np.outer(drop, drop)
     used = np.flatnonzero(np.diag(system) > 0)  # a patch may lie off a round sheet altogether

@@ -94,7 +94,7 @@ def test_a_region_has_its_centroid_anchors_and_peak() -> None:
     values = blob(0.07, 0.12)
     (region,) = find_regions(values, mesh(), 0.2)
     inside = values > 0.2
-    mass = (values * mesh().areas)[inside]
+    mass = (values * mesh().measures)[inside]
     np.testing.assert_array_equal(region.elements, np.flatnonzero(inside))
     np.testing.assert_allclose(region.centroid, mass @ mesh().centroids[inside] / mass.sum(), rtol=1e-12)
     assert np.linalg.norm(region.centroid - [0.07, 0.12]) < 5e-4
@@ -126,7 +126,7 @@ def test_a_gaussian_blob_has_the_place_extent_and_strength_of_its_upper_half(hei
 def test_a_flat_disc_has_its_own_area_and_integral() -> None:
     inside = np.linalg.norm(mesh().centroids - [0.06, 0.06], axis=1) < 0.03
     (contact,) = ContactFinder(threshold=0.1).find(image(0.4 * inside), mesh())
-    area = mesh().areas[inside].sum()
+    area = mesh().measures[inside].sum()
     assert (contact.extent, contact.strength) == pytest.approx((area, 0.4 * area), rel=1e-12)
 
 

@@ -28,6 +28,7 @@ FIGURES_OF_MERIT = (  # ours, the paper's name, its column in Table I, whether l
     ("RNG", "R", 4, True),
     ("localisation", "localisation", None, True),
 )
+_DEFINITIONS: dict[str, tuple[str, ...]] = {"modern": COLUMNS, "eidors": EIDORS_COLUMNS}
 _SHOWN = "shown as pictures"
 
 
@@ -113,19 +114,26 @@ def _table1(done: Reproduction) -> list[Claim]:
     found = []
     for world, result in done.results["table1"].items():
         for name, theirs, number, lower in FIGURES_OF_MERIT:
-            values = result["modern"][..., COLUMNS.index(name)]
-            for keys in LADDERS:
-                verdict, middles = ladder([values[_row(k)] for k in keys], lower)
-                scale, unit = (1e3, " mm") if name in ("PE", "localisation") else (1.0, "")
-                published, note = "not in the table", dependence(done, world, name, keys, lower)
-                if number is not None:
-                    figures = [abs(paper.TABLE[k.rstrip("+")][number]) for k in keys]
-                    published = ", ".join(f"{k.rstrip('+')} {figure:g}" for k, figure in zip(keys, figures, strict=True))
-                    if not ordered([np.array([figure]) for figure in figures], lower):
-                        note = f"The paper's own figures do not have this order. {note}"
-                text = f"{theirs} improves from {' to '.join(keys)}"
-                key = world == "discs" and (name in ("PE", "SD", "RNG", "localisation") if len(keys) == 3 else name == "AR")
-                found.append(Claim("table1", world, text, published, _say(keys, middles, scale, unit), verdict, note.strip(), key))
+            for definition, columns in _DEFINITIONS.items():
+                if name not in columns:
+                    continue
+                values = np.abs(result[definition][..., columns.index(name)])
+                metric = definition == "modern" and name in ("PE", "localisation")
+                for keys in LADDERS:
+                    verdict, middles = ladder([values[_row(k)] for k in keys], lower)
+                    published, note = "not in the table", dependence(done, world, name, keys, lower, definition)
+                    if number is not None:
+                        figures = [abs(paper.TABLE[k.rstrip("+")][number]) for k in keys]
+                        published = ", ".join(f"{k.rstrip('+')} {figure:g}" for k, figure in zip(keys, figures, strict=True))
+                        if not ordered([np.array([figure]) for figure in figures], lower):
+                            note = f"The paper's own figures do not have this order. {note}"
+                    text = f"{theirs} improves from {' to '.join(keys)}" + (
+                        ", as EIDORS computes it" if definition == "eidors" else ""
+                    )
+                    here = _say(keys, middles, 1e3 if metric else 1.0, " mm" if metric else "")
+                    key = name in ("PE", "SD", "RNG", "localisation") if len(keys) == 3 else name == "AR"
+                    key = key and world == "discs" and definition == "modern"
+                    found.append(Claim("table1", world, text, published, here, verdict, note.strip(), key))
     return found
 
 
@@ -133,7 +141,7 @@ def orders(
     done: Reproduction, world: str, name: str, keys: Sequence[str], lower: bool, definition: str = "modern"
 ) -> dict[tuple[float, float], bool]:
     """Whether the medians have an order at each noise level and prior amplitude of the sweep."""
-    columns: Sequence[str] = COLUMNS if definition == "modern" else EIDORS_COLUMNS
+    columns = _DEFINITIONS[definition]
     found = {}
     for where, result in done.results.get("sweep", {}).items():
         what, at, decibels, amplitude = where.split("/")
@@ -143,9 +151,9 @@ def orders(
     return found
 
 
-def dependence(done: Reproduction, world: str, name: str, keys: Sequence[str], lower: bool) -> str:
+def dependence(done: Reproduction, world: str, name: str, keys: Sequence[str], lower: bool, definition: str) -> str:
     """How an order of medians fares over the sweep, in a sentence; empty without one."""
-    holds = orders(done, world, name, keys, lower)
+    holds = orders(done, world, name, keys, lower, definition)
     good = sum(holds.values())
     if len(holds) < 2:
         return ""

@@ -50,7 +50,7 @@ class DiscModel:
         self._shape = tuple(np.round((high - self._low) / _PITCH).astype(int) + 1)
         x, y = (self._low[k] + _PITCH * np.arange(self._shape[k]) for k in range(2))
         self.places: Floats = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        share = disc_overlap(mesh, self.places, radius) @ sp.diags_array(1 / mesh.areas)
+        share = disc_overlap(mesh, self.places, radius) @ sp.diags_array(1 / mesh.measures)
         self.responses: Floats = share @ (model.pair_sensitivity * model.conductivity).T  # (n_places, n_pairs) ohms
         knots = self.responses.reshape(*self._shape, -1)
         for axis in (0, 1):

@@ -21,14 +21,14 @@ def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:
         radius: Of all discs (m).
     """
     centres = np.asarray(centres, float).reshape(-1, 2)
-    corners = mesh.nodes[mesh.triangles]
+    corners = mesh.nodes[mesh.elements]
     reach = np.linalg.norm(corners - mesh.centroids[:, None], axis=2).max()
     near = cKDTree(mesh.centroids).query_ball_point(centres, radius + reach)
     row = np.repeat(np.arange(len(centres)), [len(found) for found in near])
     element = np.concatenate([np.asarray(found, np.int64) for found in near])
     p = corners[element] - centres[row][:, None]
     area = sum(_edge(p[:, k], p[:, (k + 1) % 3], radius) for k in range(3))
-    area = np.clip(area, 0.0, mesh.areas[element])
+    area = np.clip(area, 0.0, mesh.measures[element])
     return sp.csr_array((area, (row, element)), shape=(len(centres), mesh.n_elem))
 
 

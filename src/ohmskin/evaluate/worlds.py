@@ -65,7 +65,7 @@ class DiscSheet:
         for contact in contacts:
             if contact.kind != "disc":
                 raise OhmskinError(f"the world of discs has no {contact.kind}; press it on the world 'pressed'")
-            change += contact.strength * disc_overlap(self.mesh, contact.position, contact.radius).toarray()[0] / self.mesh.areas
+            change += contact.strength * disc_overlap(self.mesh, contact.position, contact.radius).toarray()[0] / self.mesh.measures
         conductivity = self.skin.sheet.conductivity * (1 + change)
         return TransferModel(self.mesh, self.skin.electrodes, conductivity).transfer_resistance
 

@@ -55,9 +55,9 @@ class System:
     contacts: dict[int, Contact]
 
 
-def assemble(mesh: Mesh, electrodes: Electrodes, conductivity: Floats) -> System:
-    """The system of a skin and its electrodes; conductivity as in `stiffness`."""
-    touching = contacts(mesh, electrodes)
+def assemble(mesh: Mesh, electrodes: Electrodes, conductivity: Floats, touching: dict[int, Contact] | None = None) -> System:
+    """The system of a skin and its electrodes; conductivity as in `stiffness`. Contacts that are known save their quadrature."""
+    touching = contacts(mesh, electrodes) if touching is None else touching
     points = [k for k in range(len(electrodes)) if k not in touching]
     terminals = np.empty(len(electrodes), np.int64)
     terminals[points] = mesh.nodes_at(electrodes.positions[points])

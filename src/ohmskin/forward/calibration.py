@@ -112,18 +112,18 @@ def fit_background(
         ])  # fmt: skip
         _check_rank(rows, names)
         step = np.linalg.lstsq(rows, measured[known] - predicted, rcond=None)[0]
-        misfit, share = np.linalg.norm(measured[known] - predicted), 1.0
+        misfit, share = float(np.linalg.norm(measured[known] - predicted)), 1.0
+        if np.linalg.norm(rows @ step) <= max(1e-6 * misfit, 1e-11 * float(np.linalg.norm(measured[known]))):
+            break  # all that is left is not of these parameters
         step /= max(1.0, float(np.abs(step).max()))  # at most a factor of e at once
         while True:
             tried = values + share * step
             other = _moved(start, basis @ tried[:n_basis], spread @ tried[n_basis:])
             foreseen = other.voltages(pattern, currents)[known]
-            if np.linalg.norm(measured[known] - foreseen) <= misfit * (1 + 1e-12) or share < 1e-4:
+            if np.linalg.norm(measured[known] - foreseen) <= misfit * (1 + 1e-9) or share < 1e-4:
                 break
             share /= 2
         values, model, predicted = tried, other, foreseen
-        if np.abs(share * step).max() < 1e-9 or share < 1e-4:
-            break
         if rounds == max_rounds:
             raise ModelError(f"the background did not settle in {max_rounds} rounds; fit fewer parameters, or start closer")
     left = measured[known] - predicted
@@ -135,8 +135,7 @@ def fit_background(
 
 def _moved(model: TransferModel, log_conductivity: Floats, log_contact: Floats) -> TransferModel:
     if log_contact.any():
-        electrodes = model.electrodes.with_contact_impedances(model.electrodes.contact_impedances * np.exp(log_contact))
-        model = model.with_electrodes(electrodes)
+        model = model.with_contact_impedances(model.electrodes.contact_impedances * np.exp(log_contact))
     if not log_conductivity.any():
         return model
     return model.with_conductivity(model.conductivity * np.exp(log_conductivity))

@@ -110,17 +110,28 @@ class Surface:
         measures = np.linalg.norm(normals, axis=1) / 2
         distance, _ = closest_on_triangles(centre[None], corners)
         first = int(distance[0].argmin())
-        middle = distance[0] <= distance[0, first] + 1e-9 * radius
+        middle = np.flatnonzero(distance[0] <= distance[0, first] + 1e-9 * radius)
         units = normals / (2 * measures[:, None])
-        along = units @ units[first]
-        # the mean of the triangles that meet there; not of those on the other side of an edge
-        normal = (normals * np.sign(along)[:, None])[middle & (np.abs(along) > 0.7)].sum(axis=0)
-        normal /= np.linalg.norm(normal)
+        found: list[Contact] = []
+        while len(middle):  # at an edge of a body several faces meet; the disc lies on the one that has most of it
+            along = units[middle] @ units[middle[0]]
+            own = np.abs(along) > 0.7
+            normal = (normals[middle] * np.sign(along)[:, None])[own].sum(axis=0)
+            normal /= np.linalg.norm(normal)
+            found.append(self._across(centre, radius, normal, near, float(np.sqrt(measures[middle[0]]))))
+            middle = middle[~own]
+        found.sort(key=lambda contact: -contact.extent)
+        if len(found) > 1 and found[1].extent > 0.99 * found[0].extent:
+            raise GeometryError(f"a disc at {centre} lies on an edge, as much on one face as on another; move it onto one of them")
+        return found[0]
+
+    def _across(self, centre: Floats, radius: float, normal: Floats, near: Ints, spacing: float) -> Contact:
+        """A disc across `normal`, pressed on the triangles `near`; what hangs over an edge is cut off."""
+        corners = self.mesh.nodes[self.triangles[near]]
         first_axis = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         first_axis /= np.linalg.norm(first_axis)
         frame = np.stack([first_axis, np.cross(normal, first_axis)])
-
-        points, areas = disc_points(radius, float(np.sqrt(measures[first])))
+        points, areas = disc_points(radius, spacing)
         points = centre + points @ frame
         chosen, weights = self._project(points, corners)
         landed = np.einsum("pk,pkd->pd", weights, corners[chosen])

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble, factorise
 from ohmskin.forward.conductivity import Conductivity, conductivity_of
+from ohmskin.forward.contact import Contact
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, all_pairs
@@ -30,6 +31,7 @@ class TransferModel:
         conductivity: (n_elem,), of tensors the geometric mean of the principal conductivities.
         potentials: (n_nodes, n_elec) potential for 1 A into each electrode and out of the first (V).
         electrode_potentials: (n_elec, n_elec) potential of each electrode (rows), likewise (V).
+        contacts: Where each area electrode touches the skin, by its number.
 
     Raises:
         ModelError: If the conductivity is not positive and finite (a tensor: symmetric positive definite), or has the wrong shape.
@@ -39,9 +41,9 @@ class TransferModel:
     def __init__(self, mesh: Mesh, electrodes: Electrodes, conductivity: ArrayLike) -> None:
         self._solve(mesh, electrodes, conductivity_of(mesh, conductivity))
 
-    def _solve(self, mesh: Mesh, electrodes: Electrodes, sigma: Conductivity) -> None:
+    def _solve(self, mesh: Mesh, electrodes: Electrodes, sigma: Conductivity, touching: dict[int, Contact] | None = None) -> None:
         self.mesh, self.electrodes, self.conductivity, self._shape = mesh, electrodes, sigma.values, sigma.shape
-        system = assemble(mesh, electrodes, sigma.tensors)
+        system = assemble(mesh, electrodes, sigma.tensors, touching)
         ground, driven = system.terminals[0], system.terminals[1:]
         count = system.matrix.shape[0]
         free = np.delete(np.arange(count), ground)
@@ -51,20 +53,21 @@ class TransferModel:
         solution[free, 1:] = factorise(system.matrix[free][:, free]).solve(load[free])
         self.potentials: Floats = solution[: mesh.n_nodes]
         self.electrode_potentials: Floats = solution[system.terminals]
-        self._contacts = system.contacts
+        self.contacts = system.contacts
 
     def with_conductivity(self, conductivity: ArrayLike) -> "TransferModel":
         """The same skin with another conductivity. (n_elem,) values keep the directions of a sheet that has such."""
         sigma = conductivity_of(self.mesh, conductivity)
         other = object.__new__(TransferModel)
         shape = self._shape if sigma.shape is None else sigma.shape
-        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape))
+        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape), self.contacts)
         return other
 
-    def with_electrodes(self, electrodes: Electrodes) -> "TransferModel":
-        """The same skin with other electrodes, or other contact impedances of these (`Electrodes.with_contact_impedances`)."""
+    def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
+        """The same skin with other contact impedances, see `Electrodes.with_contact_impedances`."""
         other = object.__new__(TransferModel)
-        other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape))
+        electrodes = self.electrodes.with_contact_impedances(values)
+        other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape), self.contacts)
         return other
 
     def scaled(self, factor: float) -> "TransferModel":
@@ -134,7 +137,7 @@ class TransferModel:
         """
         i, j = all_pairs(len(self.electrodes)).T
         sensitivity = np.zeros((len(i), len(self.electrodes)))
-        for k, contact in self._contacts.items():
+        for k, contact in self.contacts.items():
             density = (self.electrode_potentials[k] - contact.at @ self.potentials) / self.electrodes.contact_impedances[k]
             gram = density.T @ (contact.weights[:, None] * density)
             own = np.diag(gram)

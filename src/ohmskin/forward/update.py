@@ -47,7 +47,7 @@ class LocalUpdate:
         if chosen.dtype.kind not in "iu" or not len(chosen) or chosen[0] < 0 or chosen[-1] >= mesh.n_nodes:
             raise ModelError(f"nodes to update must be integers within 0..{mesh.n_nodes - 1}, one at least")
         self.model, self.nodes = model, chosen.astype(np.int64)
-        system = assemble(mesh, model.electrodes, model.tensors)
+        system = assemble(mesh, model.electrodes, model.tensors, model.contacts)
         count = system.matrix.shape[0]
         free = np.delete(np.arange(count), system.terminals[0])
         factor = factorise(system.matrix[free][:, free])
@@ -60,7 +60,7 @@ class LocalUpdate:
             block = inside[start : start + _BLOCK]
             load = np.zeros((len(free), len(block)))
             load[rows[block], np.arange(len(block))] = 1.0
-            self.green[np.ix_(inside, block)] = factor.solve(load)[rows[inside]]
+            self.green[np.ix_(block, inside)] = factor.solve(load)[rows[inside]].T  # symmetric: rows are faster to write
         # for currents that sum to zero any multiple of ones may be taken off; this makes the result zero-mean as S is
         caused = model.potentials[self.nodes]
         self.caused: Floats = np.ascontiguousarray(caused - caused.mean(axis=1, keepdims=True))
@@ -74,13 +74,18 @@ class LocalUpdate:
             change: (m, m) symmetric change of the conductance matrix at these nodes, with rows that sum to zero (siemens).
 
         Raises:
-            ModelError: If nodes or the shape are wrong, or the changed skin no longer conducts.
+            ModelError: If nodes or the change are not like that, or the changed skin no longer conducts.
         """
         rows = np.searchsorted(self.nodes, nodes)
         if (rows >= len(self.nodes)).any() or (self.nodes[np.minimum(rows, len(self.nodes) - 1)] != nodes).any():
             raise ModelError("some nodes to change are not among those chosen for the update; choose them when making it")
         if change.shape != (len(rows), len(rows)) or len(np.unique(rows)) != len(rows):
             raise ModelError(f"change has shape {change.shape}; need ({len(rows)}, {len(rows)}) for that many distinct nodes")
+        scale = np.abs(change).max(initial=0.0)
+        if not np.isfinite(scale) or max(np.abs(change - change.T).max(), np.abs(change.sum(axis=0)).max()) > 1e-9 * scale:
+            raise ModelError(
+                "change must be finite and symmetric, with rows that sum to zero: current flows between its nodes only"
+            )
         return self._resistance - low_rank_change(self.green[np.ix_(rows, rows)], self.caused[rows], change)
 
     def with_conductivity(self, elements: ArrayLike, conductivity: ArrayLike) -> Floats:

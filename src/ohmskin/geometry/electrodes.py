@@ -1,7 +1,7 @@
 """Electrode layouts: where the electrodes are, of what kind, and in what order a scan walks round them."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -42,8 +42,8 @@ class Electrodes:
     positions: Floats
     rings: tuple[tuple[int, ...], ...]
     kinds: tuple[ElectrodeKind, ...] = ()
-    extents: Floats = ()  # type: ignore[assignment]
-    contact_impedances: Floats = ()  # type: ignore[assignment]
+    extents: Floats = field(default_factory=lambda: np.empty(0))
+    contact_impedances: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, float)

@@ -91,14 +91,6 @@ class Mesh:
         """What one element is called."""
         return _NOUNS[self.dim][0]
 
-    @property
-    def triangles(self) -> Ints:
-        return self.elements
-
-    @property
-    def areas(self) -> Floats:
-        return self.measures
-
     @cached_property
     def gradients(self) -> Floats:
         """Gradients (n_elem, dim + 1, dim of space) of the linear shape functions in each element, tangential to it (1/m)."""

@@ -63,10 +63,7 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
         mean = np.stack([np.bincount(ends[:, 0], nodes[ends[:, 1], k], len(nodes)) for k in range(2)], axis=1) / degree[:, None]
         nodes[len(kept) :] = mean[len(kept) :]
         triangles = _triangulate(nodes, size, domain)
-    mesh = Mesh(nodes, triangles)
-    if isinstance(domain, Polygon):
-        _check_rim(mesh, domain, size)
-    return mesh
+    return _checked(nodes, triangles, domain, size) if isinstance(domain, Polygon) else Mesh(nodes, triangles)
 
 
 def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
@@ -82,10 +79,10 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
         if kind != ElectrodeKind.RIM:
             found.append(centre[None])
             continue
-        loops = (domain, *domain.holes)
-        loop = min(loops, key=lambda loop: abs(float(loop.depth(centre[None])[0])))
+        on_loops = [(float(np.linalg.norm(loop.rim(loop.arc(centre[None]))[0] - centre)), loop) for loop in (domain, *domain.holes)]
+        off, loop = min(on_loops, key=lambda pair: pair[0])
         arc = float(loop.arc(centre[None])[0])
-        if (off := float(np.linalg.norm(loop.rim([arc])[0] - centre))) > 1e-6 * domain.perimeter:
+        if off > 1e-6 * domain.perimeter:
             raise GeometryError(f"rim electrode {k} at {centre} is {off:.2g} m away from the rim; move it or use with_discs()")
         half = float(electrodes.extents[k]) / 2
         found.append(loop.rim([arc - half, arc + half]))
@@ -97,16 +94,18 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
     return np.asarray(points[keep])
 
 
-def _check_rim(mesh: Mesh, domain: Domain, size: float) -> None:
-    """Delaunay keeps a rim only if its edges are short against its distance from anything else."""
-    missing = abs(mesh.measures.sum() - domain.area)
-    if (
-        missing > 1e-9 * domain.area
-        or len(mesh.neighbours) - 2 * mesh.n_nodes + (mesh.neighbours < 0).sum() != 2 * len(domain.holes) - 2
-    ):
-        raise GeometryError(
-            f"a mesh of size {size:.2g} m does not follow the outline of {domain}; choose a finer one, or mesh_graded() (gmsh)"
-        )
+def _checked(nodes: Floats, triangles: Ints, domain: Polygon, size: float) -> Mesh:
+    """The mesh, if its area and rim are the polygon's: Delaunay keeps an edge of the rim only if no node is close to it."""
+    try:
+        mesh = Mesh(nodes, triangles)
+        off_rim = np.abs(domain.depth(nodes[mesh.boundary].mean(axis=1))).max()
+        if abs(mesh.measures.sum() - domain.area) <= 1e-9 * domain.area and off_rim < 1e-9 * domain.perimeter:
+            return mesh
+    except GeometryError:
+        pass
+    raise GeometryError(
+        f"a mesh of size {size:.2g} m does not follow the outline of {domain}; choose a finer one, or mesh_graded() (gmsh)"
+    )
 
 
 def _rim_points(domain: Domain, size: float, fixed: Floats, tolerance: float) -> Floats:

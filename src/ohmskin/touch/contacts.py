@@ -60,13 +60,13 @@ class ContactFinder:
                 if region.peak <= cut:
                     continue
                 core = region.elements[values[region.elements] > region.peak / 2]
-                mass = values[core] * mesh.areas[core]
+                mass = values[core] * mesh.measures[core]
                 x, y = mass @ mesh.centroids[core][:, :2] / mass.sum()
                 std = float(image.noise_std(region.peak_element)[0])
                 contacts.append(
                     Contact(
                         position=(float(x), float(y)),
-                        extent=float(mesh.areas[core].sum()),
+                        extent=float(mesh.measures[core].sum()),
                         strength=sign * float(mass.sum()),
                         confidence=0.5 * (1 + erf((region.peak - self.threshold) / (sqrt(2) * max(std, 1e-300)))),
                         peak=sign * region.peak,

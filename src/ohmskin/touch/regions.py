@@ -45,7 +45,7 @@ def find_regions(values: Floats, mesh: Mesh, threshold: float, dip: float = 1.0)
     regions = []
     for number in range(int(labels.max(initial=-1)) + 1):
         elements = np.flatnonzero(labels == number)
-        mass = values[elements] * mesh.areas[elements]
+        mass = values[elements] * mesh.measures[elements]
         centroid = mass @ mesh.centroids[elements] / mass.sum()
         anchors = mesh.centroids[mesh.closest_elements(centroid[None], 3)[0]]
         peak_element = int(elements[np.argmax(values[elements])])
