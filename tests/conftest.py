@@ -1,6 +1,10 @@
 """Shared by the tests."""
 
 import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy comes: small solves are quicker so, and the same to the last bit
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import shutil
 from collections.abc import Generator, Iterator
 from pathlib import Path

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -58,11 +59,15 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
             assert sensed.stdout is not None
             try:
                 frames = [json.loads(sensed.stdout.readline())]
+                rest: list[str] = []  # read while it runs: a full pipe would stop the loop before the press ends
+                reader = threading.Thread(target=rest.extend, args=(sensed.stdout,))
+                reader.start()
                 pressed = ohmskin("press", "60", "140", "--seconds", "1.5", "--device", address)
                 time.sleep(1)
             finally:
                 sensed.terminate()
-            frames += [json.loads(line) for line in sensed.stdout]
+            reader.join()
+            frames += [json.loads(line) for line in rest]
         assert sensed.returncode == 0
     assert (pressed.returncode, pressed.stderr) == (0, "")
     assert frames[0]["mode"] == "16O"

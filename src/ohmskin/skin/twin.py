@@ -63,6 +63,8 @@ class PressedSheet:
         self._patches = FloatingPatches(model, *self._patch_points())
         self._tree = cKDTree(self._patches.points)
         self.untouched: Floats = _against_last(model.transfer_resistance)
+        middle = self._patches.points[len(self._patches.points) // 2]
+        self.transfer_resistance([Press((float(middle[0]), float(middle[1])), 1e-2, 1.0)])  # compile now, not at the first touch
 
     def _patch_points(self) -> tuple[Floats, Ints]:
         """Where (n_points, 2) the patches can touch the sheet, and the patch (n_points,) of each point."""
