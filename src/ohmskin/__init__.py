@@ -28,6 +28,7 @@ _HOMES = {
     "DrivePattern": "scan",
     "Electrodes": "geometry",
     "Engine": "engine",
+    "FloatingPatches": "forward",
     "Frame": "scan",
     "GaussNewton": "inverse",
     "Greit": "inverse",
@@ -36,6 +37,7 @@ _HOMES = {
     "Mesh": "geometry",
     "OhmskinError": "errors",
     "Perception": "engine",
+    "Polygon": "geometry",
     "Raster": "geometry",
     "Rectangle": "geometry",
     "Skin": "skin",
@@ -45,13 +47,19 @@ _HOMES = {
     "Tracker": "touch",
     "TransferModel": "forward",
     "VirtualSkin": "skin",
+    "VoltageSource": "forward",
     "adjacent": "scan",
     "connect": "device",
+    "fit_background": "forward",
     "mesh_domain": "geometry",
+    "mesh_graded": "geometry",
     "modes": "drive",
     "opposite": "scan",
+    "read_mesh": "geometry",
     "read_recording": "record",
     "skip": "scan",
+    "thicken": "geometry",
+    "write_mesh": "geometry",
 }
 
 if TYPE_CHECKING:
@@ -59,8 +67,20 @@ if TYPE_CHECKING:
     from ohmskin.drive import modes
     from ohmskin.engine import Engine, Perception, Touch
     from ohmskin.errors import OhmskinError
-    from ohmskin.forward import TransferModel
-    from ohmskin.geometry import Disc, Electrodes, Mesh, Raster, Rectangle, mesh_domain
+    from ohmskin.forward import FloatingPatches, TransferModel, VoltageSource, fit_background
+    from ohmskin.geometry import (
+        Disc,
+        Electrodes,
+        Mesh,
+        Polygon,
+        Raster,
+        Rectangle,
+        mesh_domain,
+        mesh_graded,
+        read_mesh,
+        thicken,
+        write_mesh,
+    )
     from ohmskin.inverse import AbsoluteGaussNewton, DiscFit, GaussNewton, Greit, Image, Kalman, SparseBayes, TotalVariation
     from ohmskin.record import read_recording
     from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent, opposite, skip
@@ -78,6 +98,7 @@ __all__ = [
     "DrivePattern",
     "Electrodes",
     "Engine",
+    "FloatingPatches",
     "Frame",
     "GaussNewton",
     "Greit",
@@ -86,6 +107,7 @@ __all__ = [
     "Mesh",
     "OhmskinError",
     "Perception",
+    "Polygon",
     "Raster",
     "Rectangle",
     "Skin",
@@ -95,13 +117,19 @@ __all__ = [
     "Tracker",
     "TransferModel",
     "VirtualSkin",
+    "VoltageSource",
     "adjacent",
     "connect",
+    "fit_background",
     "mesh_domain",
+    "mesh_graded",
     "modes",
     "opposite",
+    "read_mesh",
     "read_recording",
     "skip",
+    "thicken",
+    "write_mesh",
 ]
 
 
