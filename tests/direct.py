@@ -1,5 +1,9 @@
 """A device without a wire, for tests of what lies above it."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from ohmskin.device import Capabilities, Device, Feature, Press
 from ohmskin.errors import DeviceLost
 from ohmskin.scan import DrivePattern, Frame
@@ -7,17 +11,21 @@ from ohmskin.skin import VirtualSkin
 
 
 class DirectDevice(Device):
-    """A `VirtualSkin` in this process. Set `gone` to pull its plug."""
+    """A `VirtualSkin` in this process. Set `gone` to pull its plug, `blind` to clip an electrode."""
 
     def __init__(self, virtual: VirtualSkin, serial: int = 1) -> None:
         count = len(virtual.skin.electrodes)
         super().__init__("direct:", Capabilities("direct", count, 24, 512, features=Feature.VIRTUAL, serial=serial))
-        self.virtual, self.gone = virtual, False
+        self.virtual, self.gone, self.blind = virtual, False, False
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         if self.gone:
             raise DeviceLost("the plug was pulled")
-        return self.virtual.scan(pattern)
+        frame = self.virtual.scan(pattern)
+        if not self.blind:
+            return frame
+        unseen = (pattern.measurements[:, 1:] == 5).any(axis=1)  # electrode 5 clips
+        return replace(frame, voltages=np.where(unseen, np.inf, frame.voltages))
 
     def _press(self, press: Press) -> None:
         self.virtual.press(press.number, press.x, press.y, press.radius, press.pressure)

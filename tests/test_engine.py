@@ -107,6 +107,20 @@ def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engin
     assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in touch.sight.regions])
 
 
+def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:
+    device, told = DirectDevice(VirtualSkin(skin, seed=3)), []
+    with Engine(lambda: device, skin, report=told.append) as engine:
+        engine.calibrate()
+        device.blind = True
+        engine.press(1, (0.08, 0.11), 8e-3, 20e3)
+        assert miss(run(engine, 8), (0.08, 0.11)) < 12e-3
+        assert "left out of the image" in engine.message
+        device.blind = False
+        run(engine, 2)
+        assert engine.message == ""
+    assert [line for line in told if "voltages" in line] == [told[-2], "all voltages are there again"]
+
+
 def test_an_unknown_mode_lists_the_choices(engine: Engine) -> None:
     with pytest.raises(PatternError, match="12B, 16I, 16O"):
         engine.set_mode("17X")

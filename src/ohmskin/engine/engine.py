@@ -6,6 +6,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from ohmskin.device import Device
 from ohmskin.drive import Mode
 from ohmskin.engine.health import Health, HealthMonitor
@@ -79,6 +81,7 @@ class Engine:
         self._tracker, self._tracks = Tracker(), Tracks()
         self._monitor = HealthMonitor()
         self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
+        self._missing = 0
 
     def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
         """Learn the quiet skin: reference data and noise, then gamma_0 of every mode. Nothing may touch it meanwhile.
@@ -119,6 +122,7 @@ class Engine:
         except DeviceLost as error:
             self._lose(error)
             return None
+        self._tell_missing(sight)
         self._tracks, contacts = self._tracker.update(self._tracks, sight.contacts)
         self._sequence += 1
         dropped = self._dropped_before + self.device.dropped
@@ -225,6 +229,17 @@ class Engine:
             self._say("calibrating, because this is another device than before" if self.perception else "calibrating")
             with suppress(DeviceLost):  # gone again: sought again
                 self.calibrate()
+
+    def _tell_missing(self, sight: Sight) -> None:
+        """Say when voltages begin to be left out of the image, and when none is any more."""
+        missing = sum(int(np.count_nonzero(~np.isfinite(frame.voltages))) for frame in sight.frames)
+        if missing and not self._missing:
+            total = sum(frame.pattern.n_meas for frame in sight.frames)
+            self._say(f"{missing} of {total} voltages are missing or clipped and left out of the image")
+        elif self._missing and not missing:
+            self._report("all voltages are there again")
+            self.message = ""
+        self._missing = missing
 
     def _say(self, message: str) -> None:
         self.message = message
