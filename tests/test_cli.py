@@ -75,7 +75,8 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
     places = [contact["position"] for frame in frames for contact in frame["contacts"]]
     assert places
     misses = np.linalg.norm(np.array(places) - [0.06, 0.14], axis=1)
-    assert np.sort(misses)[-3] < 12e-3  # a finger that comes or goes between the two scans of a cycle makes them contradict
+    # the very last frame may be off: a finger lifted between the two scans of a cycle makes them contradict each other
+    assert misses[:-1].max() < 12e-3
     assert not frames[-1]["contacts"]
     numbers = [frame["sequence"] for frame in frames]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
