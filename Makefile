@@ -5,7 +5,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := src tests benchmarks examples docs
+SOURCES := src tests benchmarks examples docs firmware
 
 .PHONY: live test check lint bench clean
 .DEFAULT_GOAL := live
@@ -43,4 +43,4 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) firmware/build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from live_process import all_gone, children, live, serving
 
+from ohmskin.cli import app
+
 
 def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "subprocess.CompletedProcess[str]":
     return subprocess.run([sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, cwd=cwd, timeout=timeout)
@@ -44,7 +46,7 @@ def test_a_mistake_gets_one_clear_line_and_no_traceback(arguments: list[str], sa
     assert len(result.stderr.strip().splitlines()) == 1
 
 
-@pytest.mark.parametrize("command", ["live", "serve-skin", "press", "scan", "image", "info"])
+@pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
 def test_every_command_has_help_with_an_example(command: str) -> None:
     result = ohmskin(command, "--help")
     assert result.returncode == 0

@@ -1,5 +1,6 @@
 """Polygons, surfaces in space, thick skins, anisotropic sheets; meshing by gmsh; files of others."""
 
+import subprocess
 import sys
 from functools import cache
 from pathlib import Path
@@ -548,3 +549,15 @@ def test_any_pattern_runs_on_any_skin() -> None:
             lost = model.sensitivity(pattern) @ model.conductivity
             contact = model.contact_sensitivity(pattern) @ electrodes.contact_impedances
             np.testing.assert_allclose(contact - lost, volts, atol=1e-9 * np.abs(volts).max())
+
+
+def test_a_broken_pipe_stays_an_error_that_can_be_caught() -> None:
+    """gmsh sets SIGPIPE to its default, which ends the process; seen by writing to a pipe that nobody reads."""
+    script = (
+        "import os\nfrom ohmskin import Rectangle, mesh_graded\nfrom ohmskin.geometry import Electrodes\n"
+        "sheet = Rectangle(0.1, 0.1)\nmesh_graded(sheet, 0.02, Electrodes.grid(sheet))\n"
+        "reading, writing = os.pipe()\nos.close(reading)\n"
+        "try:\n    os.write(writing, b'x')\nexcept BrokenPipeError:\n    print('caught')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "caught\n"), done.stderr

@@ -122,7 +122,7 @@ def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:
 
 
 def test_an_unknown_mode_lists_the_choices(engine: Engine) -> None:
-    with pytest.raises(PatternError, match="12B, 16I, 16O"):
+    with pytest.raises(PatternError, match="12B, 16I, 16P, 16T, 16O"):
         engine.set_mode("17X")
 
 

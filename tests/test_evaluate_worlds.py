@@ -7,9 +7,9 @@ from ohmskin.drive import LocalDrive
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.methods import METHODS, all_methods, bench, method
-from ohmskin.evaluate.overlap import disc_overlap
 from ohmskin.evaluate.shapes import SHAPES, Shape, disc
 from ohmskin.geometry import Rectangle, mesh_domain
+from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import adjacent
 from ohmskin.skin import Press, PressedSheet, Skin
 

@@ -36,7 +36,7 @@ SETUP: dict[str, Any] = {
     },
     "raster": {"x0": 0.02, "y0": 0.02, "pitch": 0.04, "nx": NX, "ny": NY},
     "modes": [
-        {"name": "16O", "title": "adaptive", "available": True, "why_not": ""},
+        {"name": "16O", "title": "adaptive", "available": True, "why_not": "", "injections": [1, 16]},
         {"name": "16I", "title": "adjacent", "available": False, "why_not": "no inner electrodes"},
     ],
     "device": {"url": "virtual:", "virtual": True},
@@ -283,6 +283,7 @@ REFUSED = [
     *(to_json({"type": "mode", "mode": mode}) for mode in ("16I", "99", None, [])),
     *(to_json({"type": "ack", "sequence": sequence}) for sequence in (-1, 1.0, True, 2**53)),
     '{"type":"pause","paused":1}',
+    *(to_json({"type": "injections", "count": count}) for count in (0, 17, 2.0, True, "4")),
     '{"type":"demo","on":"yes"}',
 ]
 

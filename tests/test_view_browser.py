@@ -20,7 +20,10 @@ MODES = [
     {"name": "16B", "title": "adjacent, 16 injections", "available": True, "why_not": ""},
     {"name": "16I", "title": "adjacent, 12 + 16 injections", "available": False, "why_not": "needs 4 inner electrodes"},
     {"name": "16O", "title": "adaptive, 12 + 16 injections", "available": True, "why_not": ""},
+    {"name": "16T", "title": "tracking", "available": True, "why_not": "", "injections": [1, 16]},
 ]
+
+COVARIANCE = [26e-6, 10e-6, 26e-6]  # m2: half axes of 14.7 mm along y = x and 9.8 mm across, at 95 %
 
 
 def make_setup(domain: dict[str, Any] = SHEET, pixels: int = 64, virtual: bool = True) -> dict[str, Any]:
@@ -117,6 +120,8 @@ class SyntheticLoop:
                 self.presses.clear()
             case "mode":
                 self.header["mode"] = command["mode"]
+            case "injections":
+                self.header["n_injections"] = command["count"]
             case "pause":
                 self.header["state"] = "paused" if command["paused"] else "running"
             case "demo":
@@ -132,6 +137,7 @@ class SyntheticLoop:
                 "strength": 1.8e-4 * weight,
                 "confidence": 0.94 * weight,
                 "peak": 1.5,
+                "covariance": COVARIANCE if self.header["mode"] == "16T" else None,
             }
             for k, (x, y) in enumerate(points)
             for weight in (1 - 0.2 * k,)
@@ -290,6 +296,40 @@ def test_sliders_set_the_press(reader: Reader) -> None:
     page.locator("#radius").fill("0")
     reader.until(lambda: [(p["radius"], p["pressure"]) for p in reader.loop.presses.values()] == [(0.003, 1e5)])
     expect(page.locator("#pressure-value")).to_have_text("100 kPa")
+
+
+def test_injections_are_chosen_where_the_mode_has_a_choice(reader: Reader) -> None:
+    page, slider = reader.page, reader.page.locator("#injections")
+    expect(slider).to_be_hidden()
+    reader.loop.header.update(mode="16T", n_injections=4)
+    expect(page.locator("#injections-value")).to_have_text("4 / frame")
+    slider.fill("9")
+    reader.until(lambda: reader.heard("injections") == [{"type": "injections", "count": 9}])
+    page.wait_for_timeout(700)
+    expect(page.locator("#injections-value")).to_have_text("9 / frame")
+    assert slider.get_attribute("max") == "16"
+
+
+def test_uncertainty_is_drawn_along_its_long_axis(chromium: Browser) -> None:
+    loop = SyntheticLoop(make_setup(), height=1e-6, always=((0.1, 0.1),))
+    loop.header["mode"] = "16T"
+    reader = Reader(chromium, loop, color_scheme="light")
+
+    def bluest(x: float, y: float) -> int:
+        left, top = (round(v) for v in reader.place(x, y))
+        shot = reader.page.screenshot(clip={"x": left - 3, "y": top - 3, "width": 7, "height": 7})
+        pixels = np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+        return int((pixels[..., 2] - pixels[..., 0]).max())
+
+    reader.page.wait_for_timeout(300)
+    try:
+        along, across = 14.7e-3 / 2**0.5, 9.8e-3 / 2**0.5
+        assert bluest(0.1 + along, 0.1 + along) > 100
+        assert bluest(0.1 - across, 0.1 + across) > 100
+        assert bluest(0.1 - along, 0.1 + along) < 60  # so that the axes are not swapped
+    finally:
+        reader.close()
+        loop.close()
 
 
 def test_keyboard_presses_moves_and_lifts(reader: Reader) -> None:

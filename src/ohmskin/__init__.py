@@ -20,6 +20,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "AbsoluteGaussNewton": "inverse",
     "Baseline": "scan",
+    "Client": "client",
     "Contact": "touch",
     "ContactFinder": "touch",
     "Device": "device",
@@ -63,6 +64,7 @@ _HOMES = {
 }
 
 if TYPE_CHECKING:
+    from ohmskin.client import Client
     from ohmskin.device import Device, connect
     from ohmskin.drive import modes
     from ohmskin.engine import Engine, Perception, Touch
@@ -90,6 +92,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AbsoluteGaussNewton",
     "Baseline",
+    "Client",
     "Contact",
     "ContactFinder",
     "Device",

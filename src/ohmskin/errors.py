@@ -7,6 +7,7 @@
     ├── SkinError           a skin description that is incomplete or out of range
     ├── DataError           a recording or frame that cannot be read
     ├── ViewError           the live page cannot be served or was given something it cannot show
+    ├── PublishError        what is felt cannot be published, or not be heard
     └── DeviceError         anything between the host and the skin
         ├── DeviceLost      the device does not answer or has gone; reconnecting may help
         ├── DeviceRefused   the device answered and said no
@@ -42,6 +43,10 @@ class DataError(OhmskinError, ValueError):
 
 class ViewError(OhmskinError):
     """The live page cannot be served or was given something it cannot show."""
+
+
+class PublishError(OhmskinError):
+    """What is felt cannot be published, or not be heard."""
 
 
 class DeviceError(OhmskinError):

@@ -20,11 +20,25 @@ app = App(
 )
 for _name, (_help, _example) in {
     "live": ("Sense touches, live in the browser or on the terminal.", "ohmskin live --headless --seconds 10"),
+    "patches": ("Sense with several skins of one robot.", "ohmskin patches body.toml --publish zenoh"),
     "serve-skin": ("Serve a virtual skin over TCP and a pseudo-terminal.", "ohmskin serve-skin --pty"),
+    "serve-firmware": ("Run the board's firmware in QEMU on a virtual skin.", "ohmskin serve-firmware"),
     "press": ("Press a virtual skin.", "ohmskin press 50 120 --seconds 3 --to 150 120"),
     "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155 --mode 12B"),
+    "check-device": ("Check a device and its driver.", "ohmskin check-device tcp://127.0.0.1:7155"),
+    "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --out out"),
+    "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --out my-skin.toml"),
     "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
+    "record": ("Record a device to a file.", "ohmskin record touch.mcap --seconds 10"),
+    "replay": ("Replay a recording, or compare estimators on it.", "ohmskin replay touch.mcap --speed 2 --start 10 --loop"),
+    "recover": ("Mend a recording that was cut short.", "ohmskin recover touch.mcap"),
+    "export": ("Export a recording as tables, arrays, pictures or a film.", "ohmskin export touch.mcap --to csv"),
     "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick --output out/paper"),
+    "policies": ("Compare drive policies with the paper's: what to measure next.", "ohmskin policies --quick --out out/policies"),
+    "robot": ("Poke a simulated robot arm that wears the skin.", "ohmskin robot --pokes 5 --picture arm.png"),
+    "dataset": ("Simulate touches for learning.", "ohmskin dataset touches.zarr --count 1000"),
+    "layout": ("Map how well a skin can locate a contact, or find a better electrode layout.", "ohmskin layout --optimise 16"),
+    "bench": ("Measure how fast everything is, beside others and the machine's limits.", "ohmskin bench --quick"),
     "info": ("Show versions, skins, drivers and serial ports.", "ohmskin info"),
 }.items():
     _module = _name.replace("-", "_")

@@ -1,6 +1,7 @@
 """``ohmskin image``: a picture of a recording."""
 
 import sys
+from itertools import islice
 from pathlib import Path
 
 from ohmskin.drive import Mode
@@ -8,7 +9,9 @@ from ohmskin.engine import Perception
 from ohmskin.errors import DataError
 from ohmskin.inverse import match_model
 from ohmskin.plot import save_picture
-from ohmskin.record import read_recording
+from ohmskin.publish.export import write_picture
+from ohmskin.publish.player import reimage
+from ohmskin.record import is_tape, read_recording
 from ohmskin.scan import assess, left_out
 from ohmskin.skin import Skin, shipped_skins
 
@@ -27,7 +30,7 @@ def image(
     Parameters
     ----------
     file
-        The recording: a MATLAB file of EIDORS, UEF 2017 or KTC 2023, or a table (.csv) with a pattern.
+        The recording: ours (.mcap), a MATLAB file of EIDORS, UEF 2017 or KTC 2023, or a table (.csv) with a pattern.
     skin
         A skin that ships with ohmskin or a .toml file; the one that fits the format unless given.
     output
@@ -37,8 +40,11 @@ def image(
     pattern
         Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
     frame
-        Which frame of the recording, from 0.
+        Which frame of the recording, or which cycle of one of ours (.mcap), from 0.
     """
+    if is_tape(file):
+        _image_cycle(file, skin, output or Path(file.stem + ".png"), frame)
+        return
     recording = read_recording(file, reference=reference, pattern=pattern)
     if not 0 <= frame < len(recording.frames):
         raise DataError(f"--frame {frame}: {file} has frames 0 to {len(recording.frames) - 1}")
@@ -68,5 +74,20 @@ def image(
             f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {contact.extent * 1e4:5.2f} cm2  {change}, confidence {contact.confidence:.2f}"
         )
     if not sight.contacts:
+        print("nothing above the threshold")
+    print(f"picture: {target}")
+
+
+def _image_cycle(file: Path, skin: str, target: Path, number: int) -> None:
+    cycle = next(islice(reimage(file, skin=skin), max(number, 0), None), None)
+    if cycle is None or number < 0:
+        raise DataError(
+            f"--frame {number}: {file} has fewer cycles; `ohmskin export {file} --to png --at SECONDS` finds one by time"
+        )
+    write_picture(target, cycle)
+    for contact in cycle.touch.sight.contacts:
+        x, y = contact.position
+        print(f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {contact.extent * 1e4:5.2f} cm2, confidence {contact.confidence:.2f}")
+    if not cycle.touch.sight.contacts:
         print("nothing above the threshold")
     print(f"picture: {target}")

@@ -2,17 +2,27 @@
 
 import gc
 import json as json_module
-import os
 import signal
 import sys
 import time
 import webbrowser
 from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
 
-from ohmskin.cli.options import open_skin
+from cyclopts import Parameter
+
+from ohmskin.cli.options import has_display, open_skin
+from ohmskin.cli.recording import Teller, refuse_existing, summary
+from ohmskin.client.felt import Patch
 from ohmskin.device import Device
+from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import OhmskinError
+from ohmskin.publish.player import Player
+from ohmskin.publish.publisher import Publisher
+from ohmskin.publish.recorder import Recorder
 from ohmskin.view.session import Session
 
 _ROWS_PER_SECOND = 5
@@ -31,6 +41,11 @@ def live(
     headless: bool = False,
     json: bool = False,
     seconds: float | None = None,
+    record: Path | None = None,
+    publish: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = (),
+    name: str = "skin",
+    frame: str = "skin",
+    newtons: float | None = None,
 ) -> None:
     """Sense touches, live: a page in the browser, or contacts on the terminal.
 
@@ -58,22 +73,55 @@ def live(
         No page: a line of JSON for every frame.
     seconds
         End after so many seconds.
+    record
+        Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
+    publish
+        Show other programs what is felt: shm, zenoh[:PLACE], dds[:INTERFACE], foxglove[:HOST:PORT]; may be given several times.
+    name
+        What clients call this skin, and what its topics begin with.
+    frame
+        The frame of published contacts: a link of the robot.
+    newtons
+        Newtons per m2 of contact strength, if you have calibrated that; wrenches are published with it only.
     """
     if seconds is not None and not seconds > 0:
         raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
-    stop = _Stop()
+    if record is not None:
+        refuse_existing(record)
+    stop = Stop()
     say = _say if not json else lambda _: None
     opened, description = open_skin(device, skin)
     first: list[Device] = [opened]
+    recorder = Recorder(record, description) if record is not None else None
 
     def open_device() -> Device:
-        return first.pop() if first else open_skin(device, skin)[0]
+        found = first.pop() if first else open_skin(device, skin)[0]
+        return recorder.tee(found) if recorder else found
 
-    with Engine(open_device, description, mode, report=say) as engine:
+    def report(sentence: str) -> None:
+        if recorder:
+            recorder.note(sentence)
+        say(sentence)
+
+    with ExitStack() as stack:
+        if recorder:
+            stack.callback(lambda: say(summary(recorder.path, recorder.close())))
+        engine = stack.enter_context(Engine(open_device, description, mode, report=report))
+        player = Player(engine, mode, say) if isinstance(opened, ReplayDevice) else None
+        sinks: list[Callable[[Touch], None]] = []
+        if recorder:
+            recorder.watch(engine)
+            sinks += [recorder.publish, Teller(recorder, quiet=True)]
+        if publish:
+            publisher = Publisher(description, publish, name, Patch(name, frame), newtons, token or None)
+            stack.enter_context(publisher)
+            sinks.insert(0, publisher.publish)  # first, because robots wait for it
+            say(f"publishing at {', '.join(publisher.addresses)}")
         if headless or json:
             say("calibrating: keep the skin untouched")
             engine.calibrate()
-            _run(engine.step, stop, seconds, _print_json if json else _Table())
+            ended = player.until(stop) if player else stop
+            run(player.step if player else engine.step, ended, seconds, *sinks, _print_json if json else _Table())
             return
         with Session(engine, device, host, port, token or None, demo) as session:
             if session.view.port_was_taken:
@@ -81,14 +129,14 @@ def live(
             say(f"open {session.view.url}   (Ctrl-C ends)")
             if (address := getattr(opened, "address", "")) and address:
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
-            if browser and _has_display():
+            if browser and has_display():
                 webbrowser.open(session.view.url)
             say("calibrating: keep the skin untouched")
             session.calibrate()
-            _run(session.step, stop, seconds, _Arrivals())
+            run(player.lead(session.step) if player else session.step, stop, seconds, *sinks, _Arrivals())
 
 
-class _Stop:
+class Stop:
     """True once Ctrl-C or SIGTERM has come."""
 
     def __init__(self) -> None:
@@ -105,13 +153,14 @@ class _Stop:
         return self._asked
 
 
-def _run(step: Callable[[], Touch | None], stop: _Stop, seconds: float | None, show: Callable[[Touch], None]) -> None:
+def run(step: Callable[[], Touch | None], stop: object, seconds: float | None, *sinks: Callable[[Touch], None]) -> None:
     gc.collect()
     gc.freeze()  # a full collection of what was set up would stop the loop for many frames
     end = float("inf") if seconds is None else time.monotonic() + seconds
     while not stop and time.monotonic() < end:
         if touch := step():
-            show(touch)
+            for sink in sinks:
+                sink(touch)
 
 
 class _Arrivals:
@@ -179,7 +228,3 @@ def _print_json(touch: Touch) -> None:
 
 def _say(message: str) -> None:
     print(message, flush=True)
-
-
-def _has_display() -> bool:
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -10,8 +10,8 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from ohmskin.evaluate.groups import assign
 from ohmskin.evaluate.plan import Settings, plan
-from ohmskin.evaluate.reproduction import assign
 from ohmskin.evaluate.reproduction import reproduce as run
 from ohmskin.evaluate.result import Experiment
 

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import VirtualInstrument
-from ohmskin.skin import Skin
+from ohmskin.skin import Fault, Skin
 
 
 def serve_skin(
@@ -20,6 +20,7 @@ def serve_skin(
     pty: bool = False,
     seed: int | None = None,
     realtime: bool = True,
+    fault: tuple[str, ...] = (),
     lifeline: Annotated[bool, Parameter(show=False)] = False,
 ) -> None:
     """Serve a virtual skin: the physics twin behind the wire protocol.
@@ -38,13 +39,17 @@ def serve_skin(
         Seed of the noise, to make it repeatable.
     realtime
         Take as long for a scan as the instrument would.
+    fault
+        Something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5 20" (20 times the contact
+        impedance); give it once for each.
     lifeline
         End when standard input ends.
     """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with DeviceServer(VirtualInstrument(Skin.load(skin), seed, realtime), host=host, port=port, pty=pty) as server:
+    instrument = VirtualInstrument(Skin.load(skin), seed, realtime, [Fault.parse(text) for text in fault])
+    with DeviceServer(instrument, host=host, port=port, pty=pty) as server:
         print(f"virtual skin {skin!r} at {server.url}", flush=True)
         if server.pty_path:
             print(f"and at serial://{server.pty_path}", flush=True)

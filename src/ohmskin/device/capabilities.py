@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.device.layout import MAX_PACKET
 from ohmskin.errors import PatternError, ProtocolError
-from ohmskin.scan import DrivePattern
+from ohmskin.scan import Cost, DrivePattern
 
 
 class Feature(IntFlag):
@@ -80,9 +80,14 @@ class Capabilities:
         """Whether touches can be put on it with `press`."""
         return Feature.VIRTUAL in self.features
 
+    @property
+    def cost(self) -> Cost:
+        """What a scan costs, at most: it does not say how many voltages it converts at once, so one by one."""
+        return Cost(self.settle_time, self.conversion_time, channels=1)
+
     def scan_time(self, pattern: DrivePattern) -> float:
         """How long a scan of `pattern` takes the device (s)."""
-        return pattern.n_inj * self.settle_time + pattern.n_meas * self.conversion_time
+        return self.cost.time(pattern)
 
     def check(self, pattern: DrivePattern) -> None:
         """Raise PatternError unless the device can drive `pattern` in one scan."""

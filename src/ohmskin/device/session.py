@@ -11,6 +11,7 @@ from ohmskin.errors import DeviceRefused, PatternError
 from ohmskin.scan import DrivePattern
 
 _LOG = logging.getLogger(__name__)
+_REQUESTS = tuple(kind for kind in Kind if kind < 0x80)
 
 
 class Session:
@@ -90,6 +91,7 @@ class Session:
 def _no(request: Unreadable) -> Refusal:
     if request.version != VERSION:
         return Refusal(ErrorCode.WRONG_VERSION, f"this device speaks protocol {VERSION}, not {request.version}")
-    if request.kind not in set(Kind):
-        return Refusal(ErrorCode.UNKNOWN_KIND, request.reason)
+    if request.kind not in _REQUESTS:
+        known = ", ".join(f"0x{kind:02x}" for kind in _REQUESTS)
+        return Refusal(ErrorCode.UNKNOWN_KIND, f"0x{request.kind:02x} is no request; requests are {known}")
     return Refusal(ErrorCode.BAD_PATTERN if request.kind == Kind.PATTERN else ErrorCode.BAD_REQUEST, request.reason)

@@ -7,16 +7,18 @@ import sys
 import tempfile
 import time
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
+from ohmskin.device.link import Link
 from ohmskin.device.press import Press
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceLost, DeviceRefused, SkinError
 from ohmskin.scan import DrivePattern, Frame
-from ohmskin.skin import Skin, VirtualSkin
+from ohmskin.skin import Fault, Skin, VirtualSkin
 
 
 class VirtualInstrument:
@@ -26,10 +28,11 @@ class VirtualInstrument:
         skin: What to simulate.
         seed: Seed of the noise.
         realtime: Whether a scan takes as long as settling and conversion do; otherwise it returns at once.
+        faults: What is wrong with its wiring.
     """
 
-    def __init__(self, skin: Skin, seed: int | None = None, realtime: bool = True) -> None:
-        self._skin = VirtualSkin(skin, seed)
+    def __init__(self, skin: Skin, seed: int | None = None, realtime: bool = True, faults: Sequence[Fault] = ()) -> None:
+        self._skin = VirtualSkin(skin, seed, faults)
         self._realtime = realtime
         source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
         self.capabilities = Capabilities(
@@ -72,16 +75,27 @@ class VirtualDevice(Device):
         seed: Seed of the noise.
         port: TCP port; a free one unless given.
         realtime: See `VirtualInstrument`.
+        faults: What is wrong with its wiring.
 
     Raises:
         DeviceLost: If the process does not come up.
     """
 
-    def __init__(self, url: str, skin: Skin | None = None, seed: int | None = None, port: int = 0, realtime: bool = True) -> None:
+    def __init__(
+        self,
+        url: str,
+        skin: Skin | None = None,
+        seed: int | None = None,
+        port: int = 0,
+        realtime: bool = True,
+        faults: Sequence[Fault] = (),
+    ) -> None:
         source = url.partition(":")[2] or "paper"
         command = [sys.executable, "-m", "ohmskin", "serve-skin", "--port", str(port), "--lifeline"]
         command += ["--seed", str(seed)] if seed is not None else []
         command += [] if realtime else ["--no-realtime"]
+        for fault in faults:
+            command += ["--fault", str(fault)]
         with tempfile.TemporaryDirectory() as folder:
             if skin is not None:
                 source = str(Path(folder) / "skin.toml")
@@ -105,6 +119,11 @@ class VirtualDevice(Device):
     def address(self) -> str:
         """Where others reach it, for `ohmskin press`."""
         return self._inner.url
+
+    @property
+    def link(self) -> Link:
+        """Counters of the connection to the process."""
+        return self._inner.link
 
     @property
     def dropped(self) -> int:

@@ -3,22 +3,24 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from ohmskin.device import Device
-from ohmskin.drive import Mode
+from ohmskin.drive import Mode, Policy
 from ohmskin.engine.health import Health, HealthMonitor
 from ohmskin.engine.perception import Perception, Sight
 from ohmskin.errors import DeviceError, DeviceLost, PatternError
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Skin
-from ohmskin.touch import Contact, Tracker, Tracks
+from ohmskin.touch import Contact, Scene, Tracker, Tracks
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
 _QUIET_SCANS = 40  # of each pattern, for the baseline
+_LONGEST = 1.0  # seconds between two frames of a tracking mode beyond which nothing more is forgotten
 
 
 class State(Enum):
@@ -39,7 +41,7 @@ class Touch:
         time: Time of the last sample on the host's monotonic clock (s).
         mode: The mode it was made in.
         sight: Frames, images and regions behind it.
-        contacts: Tracked contacts, strongest peak first.
+        contacts: Tracked contacts, strongest first.
         health: How the loop is doing.
     """
 
@@ -79,6 +81,8 @@ class Engine:
         self._sheet = skin.transfer_model()
         self.perception: Perception | None = None
         self._tracker, self._tracks = Tracker(), Tracks()
+        self._scene: Scene | None = None
+        self._before: float | None = None  # the device's time of the last frame
         self._monitor = HealthMonitor()
         self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
         self._missing = 0
@@ -105,7 +109,7 @@ class Engine:
             self.state = before
             self._lose(error)
             raise
-        self.perception, self._tracks = perception, Tracks()
+        self.perception, self._tracks, self._scene = perception, Tracks(), None
         self.state = State.RUNNING
         progress(1.0)
 
@@ -118,12 +122,11 @@ class Engine:
             time.sleep(0.01)
             return None
         try:
-            sight = self.perception.see(self.mode, self._scan)
+            sight, contacts = self._tracked(policy) if (policy := self.mode.policy) else self._seen()
         except DeviceLost as error:
             self._lose(error)
             return None
         self._tell_missing(sight)
-        self._tracks, contacts = self._tracker.update(self._tracks, sight.contacts)
         self._sequence += 1
         dropped = self._dropped_before + self.device.dropped
         health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.perception.baseline.noise)
@@ -141,7 +144,41 @@ class Engine:
         Raises:
             PatternError: If it is not possible; the message lists the choices.
         """
-        self.mode = self._named(name)
+        before, self.mode = self.mode, self._named(name)
+        if self.mode is not before and self._scene is not None and self.perception is not None:
+            self._scene = self.perception.filter.lifted(self._scene)
+
+    @property
+    def injections(self) -> int | None:
+        """Injections per frame of a tracking mode; None in others."""
+        policy = self.mode.policy
+        return policy.injections if policy else None
+
+    def set_injections(self, count: int) -> None:
+        """Spend so many injections on every frame of the mode from the next cycle on; it must be a tracking mode.
+
+        Raises:
+            PatternError: If the mode does not track, or the device or the electrodes do not allow so many.
+        """
+        policy = self.mode.policy
+        if policy is None:
+            tracking = [name for name, mode in self.modes.items() if mode.policy]
+            raise PatternError(f"mode {self.mode.name} has no choice of injections; choose one of {', '.join(tracking) or 'none'}")
+        low, high = self.injection_limits(self.mode)
+        if not low <= count <= high:
+            raise PatternError(f"{count} injections per frame; mode {self.mode.name} takes {low} to {high} on this device")
+        changed = copy(policy)
+        changed.injections = count
+        self.mode = self.modes[self.mode.name] = replace(self.mode, policy=changed)
+
+    def injection_limits(self, mode: Mode) -> tuple[int, int]:
+        """The least and the most injections per frame that can be set in a tracking mode."""
+        policy, able = mode.policy, self.device.capabilities
+        if policy is None:
+            raise PatternError(f"mode {mode.name} has no choice of injections")
+        per_injection = policy.complete.n_meas // policy.complete.n_inj
+        most = min(policy.complete.n_inj, able.max_injections, able.max_measurements // per_injection)
+        return 1, most
 
     def pause(self, paused: bool) -> None:
         """Stop scanning, or go on."""
@@ -185,9 +222,30 @@ class Engine:
             )
         return device
 
+    def _seen(self) -> tuple[Sight, tuple[Contact, ...]]:
+        """A cycle of a mode that looks at every frame afresh."""
+        assert self.perception is not None
+        sight = self.perception.see(self.mode, self._scan)
+        self._tracks, contacts = self._tracker.update(self._tracks, sight.contacts)
+        return sight, contacts
+
+    def _tracked(self, policy: Policy) -> tuple[Sight, tuple[Contact, ...]]:
+        """A cycle of a tracking mode. Time is the device's, so that a recording gives the same."""
+        assert self.perception is not None
+        scene = self._scene or self.perception.filter.start()
+        self._scene, sight = self.perception.track(policy, self._scan, scene, self._elapsed)
+        return sight, sight.contacts
+
+    def _elapsed(self, frame: Frame) -> float:
+        """Time since the last frame (s); as long as matters, where it is not known."""
+        before, self._before = self._before, frame.time
+        if before is None or not 0 <= frame.time - before <= _LONGEST:
+            return _LONGEST
+        return frame.time - before
+
     def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:
         patterns = [mode.base for mode in self.modes.values()]
-        patterns += [mode.optimal.complete for mode in self.modes.values() if mode.optimal]
+        patterns += [mode.complete for mode in self.modes.values()]
         able = self.device.capabilities
         pieces = [p for pattern in dict.fromkeys(patterns) for p in pattern.split(able.max_injections, able.max_measurements)]
         frames = []

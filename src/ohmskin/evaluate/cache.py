@@ -22,12 +22,17 @@ _AFTER = {
     "claims.py",
     "verdict.py",
     "paper.py",
+    "groups.py",
     "plan.py",
     "runner.py",
     "cache.py",
     "statistics.py",
     "resolution.py",
     "reproduction.py",
+    "comparison.py",
+    "goals.py",
+    "judge.py",
+    "pictures.py",
 }
 
 

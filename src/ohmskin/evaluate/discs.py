@@ -11,9 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.ndimage import spline_filter1d
 
-from ohmskin.evaluate.overlap import disc_overlap
 from ohmskin.forward import TransferModel
 from ohmskin.geometry.domain import Floats
+from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import Difference
 
 _PITCH = 2.5e-3  # metres between places at which responses are kept

@@ -5,6 +5,7 @@ lambda = sigma^2 mean(diag R^-1) / s^2 (`ohmskin.inverse.GaussNewton`, with no m
 """
 
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -20,6 +21,7 @@ from ohmskin.geometry.domain import Floats
 from ohmskin.inverse import GaussNewton, Image
 from ohmskin.scan import Difference, DrivePattern
 from ohmskin.skin import Skin
+from ohmskin.skin.description import Imaging
 from ohmskin.touch import Contact, ContactFinder, find_regions, learn_threshold
 
 PIXELS = 64  # of the images that figures of merit are taken from, along a side
@@ -108,13 +110,17 @@ class View:
     @property
     def place(self) -> Floats:
         """Where the contact is (2,) in metres: the centroid of the part about the peak that is above half of it."""
-        values = self.image.values
-        return find_regions(values, self.mesh, float(values.max()) / 2)[0].centroid if values.max() > 0 else np.full(2, np.nan)
+        return place_of(self.image.values, self.mesh)
 
     @property
     def contacts(self) -> list[Contact]:
         """All contacts found, strongest peak first."""
         return self.finder.find(self.image, self.mesh)
+
+
+def place_of(values: Floats, mesh: Mesh) -> Floats:
+    """Centroid (2,) in metres of the part of an image about its peak that is above half of it; NaN where nothing is positive."""
+    return find_regions(values, mesh, float(values.max()) / 2)[0].centroid if values.max() > 0 else np.full(2, np.nan)
 
 
 class Bench:
@@ -157,21 +163,12 @@ class Bench:
         return self._gamma[chosen.key]
 
     def _look(self, chosen: Method, contacts: Contacts, seed: int, gamma: float) -> tuple[Image, tuple[Difference, ...]]:
-        """The cycle of `ohmskin.engine.Perception`: base scan, regions, chosen pairs, final image."""
-        desk, mode = self._desks[chosen.layout], chosen.mode
-        first = self._measure(chosen, mode.base, contacts, seed)
-        base = desk.reconstruct(first)
-        if mode.optimal is None:
-            return base, (first,)
-        settings, mesh = _skin(chosen.layout).imaging, desk.model.mesh
-        cut = max(gamma, settings.fraction * float(base.values.max()))
-        anchors = [region.anchors for region in find_regions(base.values, mesh, cut, settings.dip)]
-        if not anchors:  # nothing stands out: look closer where the image is highest
-            peak = mesh.centroids[int(np.argmax(base.values))]
-            anchors = [mesh.centroids[mesh.closest_elements(peak[None], 3)[0]]]
-        second = self._measure(chosen, mode.optimal.pattern(anchors), contacts, seed)
-        data = (first, second) if mode.fuse else (second,)
-        return desk.reconstruct(*data), data
+        desk = self._desks[chosen.layout]
+
+        def measure(pattern: DrivePattern) -> Difference:
+            return self._measure(chosen, pattern, contacts, seed)
+
+        return look(chosen.mode, measure, desk.reconstruct, desk.model.mesh, _skin(chosen.layout).imaging, gamma)
 
     def _measure(self, chosen: Method, pattern: DrivePattern, contacts: Contacts, seed: int) -> Difference:
         entropy = [abs(seed), int(seed < 0), pattern.digest, zlib.crc32(repr(contacts).encode())]
@@ -180,6 +177,29 @@ class Bench:
             return Difference(pattern, np.full(pattern.n_meas, CURRENT), noise)
         change = worlds.touched(self.world, chosen.layout, contacts) - worlds.sheet(self.world, chosen.layout).untouched
         return Difference(pattern, np.full(pattern.n_meas, CURRENT), worlds.voltages(change, pattern) + noise)
+
+
+def look(
+    mode: Mode,
+    measure: Callable[[DrivePattern], Difference],
+    reconstruct: Callable[..., Image],
+    mesh: Mesh,
+    imaging: Imaging,
+    gamma: float,
+) -> tuple[Image, tuple[Difference, ...]]:
+    """The cycle of `ohmskin.engine.Perception`: base scan, regions above `gamma`, chosen pairs, final image, and its data."""
+    first = measure(mode.base)
+    base = reconstruct(first)
+    if mode.optimal is None:
+        return base, (first,)
+    cut = max(gamma, imaging.fraction * float(base.values.max()))
+    anchors = [region.anchors for region in find_regions(base.values, mesh, cut, imaging.dip)]
+    if not anchors:  # nothing stands out: look closer where the image is highest
+        peak = mesh.centroids[int(np.argmax(base.values))]
+        anchors = [mesh.centroids[mesh.closest_elements(peak[None], 3)[0]]]
+    second = measure(mode.optimal.pattern(anchors))
+    data = (first, second) if mode.fuse else (second,)
+    return reconstruct(*data), data
 
 
 class _Desk:

@@ -1,17 +1,13 @@
 """The whole reproduction: run the plan, judge the paper's claims, draw the pictures, write the report."""
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from ohmskin.errors import OhmskinError
-from ohmskin.evaluate.cache import Cache, describe, fingerprint
+from ohmskin.evaluate.cache import Cache, fingerprint
+from ohmskin.evaluate.groups import Groups, Progress, Results, make_folders, run_groups, write_data
 from ohmskin.evaluate.plan import Settings, plan
-from ohmskin.evaluate.result import Experiment, Result, plain
-from ohmskin.evaluate.runner import run_experiments
-
-Progress = Callable[[str, Experiment, bool], None]  # figure, its experiment that is done, whether it came from the cache
 
 
 @dataclass(frozen=True)
@@ -25,13 +21,8 @@ class Reproduction:
     """
 
     settings: Settings
-    experiments: dict[str, dict[str, Experiment]]
-    results: dict[str, dict[str, Result]] = field(repr=False)
-
-
-def assign(experiments: dict[str, dict[str, Experiment]]) -> dict[Experiment, str]:
-    """The first figure that wants each experiment."""
-    return {task: figure for figure, group in reversed(experiments.items()) for task in reversed(group.values())}
+    experiments: Groups
+    results: Results = field(repr=False)
 
 
 def run_plan(
@@ -45,14 +36,7 @@ def run_plan(
 ) -> Reproduction:
     """Run the experiments of the figures wanted; see `run_experiments` for the arguments."""
     experiments = plan(settings, only)
-    wanted_by = assign(experiments)
-
-    def done(task: Experiment, cached: bool) -> None:
-        progress(wanted_by[task], task, cached)
-
-    results = run_experiments(wanted_by, cache, jobs, scheduler, fresh, done)
-    by_name = {figure: {name: results[task] for name, task in group.items()} for figure, group in experiments.items()}
-    return Reproduction(settings, experiments, by_name)
+    return Reproduction(settings, experiments, run_groups(experiments, cache, jobs, scheduler, fresh, progress))
 
 
 def reproduce(
@@ -87,25 +71,13 @@ def reproduce(
 
     settings, folder = settings or Settings(), Path(output)
     experiments = plan(settings, only)  # a mistake in the options is told before folders are made
-    try:
-        (folder / "figures").mkdir(parents=True, exist_ok=True)
-        (folder / "data").mkdir(exist_ok=True)
-    except OSError as error:
-        raise OhmskinError(f"cannot make the output folder {folder}: {error}; give another with --output") from error
+    make_folders(folder, "--output")
     kept = Cache(Path(cache) if cache else folder / "cache")
     done = run_plan(settings, tuple(experiments), kept, jobs, scheduler, fresh, progress)
     claims = judge(done)
     try:
         pictures = draw(done, folder / "figures")
-        for figure, results in done.results.items():
-            data = {
-                "ohmskin": fingerprint(),
-                "experiments": {
-                    name: {"parameters": describe(done.experiments[figure][name]), "results": plain(result, 4)}
-                    for name, result in results.items()
-                },
-            }
-            (folder / "data" / f"{figure}.json").write_text(json.dumps(data), encoding="utf-8")
+        write_data(folder, done.experiments, done.results)
         summary = {"ohmskin": fingerprint(), "settings": asdict(settings), "claims": [asdict(claim) for claim in claims]}
         (folder / "claims.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
         return write_report(done, claims, pictures, folder / "report.html")

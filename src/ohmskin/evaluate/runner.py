@@ -4,15 +4,18 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from itertools import islice
+from typing import Any, TypeVar
 
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.cache import Cache, fingerprint, key
 from ohmskin.evaluate.result import Experiment, Result
 
 SCHEDULER_TIMEOUT = "10s"
+Task = TypeVar("Task", bound=Experiment)
+_AHEAD = 4  # tasks handed out per process or thread; neither they nor their results may fill the memory
 
 Progress = Callable[[Experiment, bool], None]  # the experiment that is done, and whether it came from the cache
 
@@ -47,7 +50,7 @@ def run_experiments(
             results[task] = kept
             progress(task, True)
     missing = [task for task in wanted if task not in results]
-    for task, result in _spread(missing, jobs or os.cpu_count() or 1, scheduler):
+    for task, result in spread(missing, jobs or os.cpu_count() or 1, scheduler):
         if cache:
             cache.save(task, result)
         results[task] = result
@@ -55,7 +58,8 @@ def run_experiments(
     return {task: results[task] for task in wanted}
 
 
-def _spread(tasks: list[Experiment], jobs: int, scheduler: str) -> Iterator[tuple[Experiment, Result]]:
+def spread(tasks: list[Task], jobs: int, scheduler: str = "") -> Iterator[tuple[Task, Result]]:
+    """Run tasks in `jobs` processes (1: in this one) or on the workers of a Dask scheduler; results as they come, in any order."""
     if not tasks:
         return iter(())
     if scheduler:
@@ -65,14 +69,19 @@ def _spread(tasks: list[Experiment], jobs: int, scheduler: str) -> Iterator[tupl
     return _on_cores(tasks, jobs)
 
 
-def _on_cores(tasks: list[Experiment], jobs: int) -> Iterator[tuple[Experiment, Result]]:
+def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers inherit it; each has one core
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     pool = ProcessPoolExecutor(min(jobs, len(tasks)), multiprocessing.get_context("spawn"), initializer=_die_with_parent)
     try:
-        futures: dict[Future[Result], Experiment] = {pool.submit(_run, task): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
+        futures: dict[Future[Result], Task] = {}
+        waiting = iter(tasks)
+        while True:
+            futures |= {pool.submit(_run, task): task for task in islice(waiting, _AHEAD * jobs - len(futures))}
+            if not futures:
+                return
+            for future in wait(futures, return_when=FIRST_COMPLETED).done:
+                yield futures.pop(future), future.result()
     except BrokenProcessPool as error:
         raise OhmskinError(
             "a worker process died. From the command line it may want memory: run again with fewer --jobs to go on. "
@@ -100,7 +109,7 @@ def _die_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _on_cluster(tasks: list[Experiment], scheduler: str) -> Iterator[tuple[Experiment, Result]]:
+def _on_cluster(tasks: list[Task], scheduler: str) -> Iterator[tuple[Task, Result]]:
     try:
         import distributed
     except ImportError as error:
@@ -122,6 +131,15 @@ def _on_cluster(tasks: list[Experiment], scheduler: str) -> Iterator[tuple[Exper
                 raise OhmskinError(
                     f"worker {worker} has ohmskin {version}, here is {fingerprint()}; install the same version there"
                 )
-        futures = {client.submit(_run, task, key=key(task), pure=False): task for task in tasks}
-        for future in dask.as_completed(list(futures), loop=client.loop):
-            yield futures[future], future.result()
+
+        def submit(task: Task) -> Any:
+            return client.submit(_run, task, key=key(task), pure=False)
+
+        waiting = iter(tasks)
+        futures = {submit(task): task for task in islice(waiting, _AHEAD * sum(client.nthreads().values()))}
+        arriving = dask.as_completed(list(futures), loop=client.loop)
+        for future in arriving:
+            yield futures.pop(future), future.result()
+            for task in islice(waiting, 1):
+                futures[following := submit(task)] = task
+                arriving.add(following)

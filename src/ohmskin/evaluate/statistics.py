@@ -1,9 +1,10 @@
-"""Medians over noise seeds, with intervals."""
+"""Medians, means and shares over noise seeds, with intervals."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import beta
 
 from ohmskin.geometry.domain import Floats
 
@@ -54,3 +55,19 @@ def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
     drawn = np.random.default_rng(0).integers(0, len(a), (RESAMPLES, len(a)))
     low, high = np.quantile(a[drawn].mean(axis=1) / b[drawn].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Estimate(float(a.mean() / b.mean()), float(low), float(high))
+
+
+def mean(values: ArrayLike) -> Estimate:
+    """The mean of values (n_seeds,) and its interval."""
+    values = np.asarray(values, float)
+    drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
+    low, high = np.quantile(values[drawn].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Estimate(float(values.mean()), float(low), float(high))
+
+
+def share(count: int, total: int) -> Estimate:
+    """The share of `count` in `total` independent trials, and its exact interval (Clopper and Pearson)."""
+    tail = (1 - LEVEL) / 2
+    low = float(beta.ppf(tail, count, total - count + 1)) if count else 0.0
+    high = float(beta.isf(tail, count + 1, total - count)) if count < total else 1.0
+    return Estimate(count / total, low, high)

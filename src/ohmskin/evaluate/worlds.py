@@ -11,17 +11,18 @@ deviation for all methods: so many decibels below the largest voltage that the 1
 untouched sheet of the same world. The untouched reference is taken as free of noise (in practice a mean of many frames).
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
 from ohmskin.errors import OhmskinError
-from ohmskin.evaluate.overlap import disc_overlap
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh, mesh_domain
 from ohmskin.geometry.domain import Floats
+from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.skin import PressedSheet, Skin
 
@@ -96,13 +97,19 @@ class TwinSheet:
 
 
 @lru_cache(maxsize=8)
-def sheet(world: str, layout: str) -> Sheet:
+def sheet(world: str, layout: str, wear: float = 1.0) -> Sheet:
     """The sheet of a world with an electrode layout; made once per process.
+
+    Args:
+        world: One of `WORLDS`.
+        layout: One of `LAYOUTS`.
+        wear: Contact impedance of the electrodes over the usual one; point electrodes (discs) have none.
 
     Raises:
         OhmskinError: If there is no such world.
     """
     skin = Skin.load(LAYOUTS[layout])
+    skin = replace(skin, electrode=replace(skin.electrode, contact_resistivity=wear * skin.electrode.contact_resistivity))
     if world == "discs":
         return DiscSheet(skin)
     if world == "pressed":
@@ -111,9 +118,9 @@ def sheet(world: str, layout: str) -> Sheet:
 
 
 @lru_cache(maxsize=20_000)
-def touched(world: str, layout: str, contacts: Contacts) -> Floats:
-    """Transfer resistances under contacts, kept for the next noise level, seed or method."""
-    resistance = sheet(world, layout).touched(contacts)
+def touched(world: str, layout: str, contacts: Contacts, wear: float = 1.0) -> Floats:
+    """Transfer resistances under contacts, kept for the next noise level, seed or method; see `sheet`."""
+    resistance = sheet(world, layout, wear).touched(contacts)
     resistance.setflags(write=False)
     return resistance
 

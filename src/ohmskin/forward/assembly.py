@@ -4,8 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
+from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU, splu
 
+from ohmskin.forward.cholesky import Elimination, Factor
 from ohmskin.forward.contact import Contact, contacts
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.geometry.domain import Floats
@@ -20,11 +23,26 @@ def stiffness(mesh: Mesh, conductivity: Floats) -> sp.csc_array:
         conductivity: (n_elem,), or (n_elem, dim, dim) tensors in the coordinates of the nodes; of a sheet in siemens (per square),
             of a thick skin in siemens per metre.
     """
-    local = local_stiffness(mesh, conductivity)
-    corners = mesh.elements.shape[1]
-    row = np.repeat(mesh.elements, corners, axis=1).ravel()
-    column = np.tile(mesh.elements, corners).ravel()
-    return sp.csc_array((local.ravel(), (row, column)), shape=(mesh.n_nodes, mesh.n_nodes))
+    stencil = mesh.stencil
+    values = np.zeros(len(stencil.indices))
+    if conductivity.ndim == 1:
+        fill(stencil.slots, mesh.gradients, conductivity * mesh.measures, values)
+    else:
+        np.add.at(values, stencil.slots, local_stiffness(mesh, conductivity))
+    return sp.csc_array((values, stencil.indices, stencil.indptr), shape=(mesh.n_nodes, mesh.n_nodes))
+
+
+@njit(cache=True, nogil=True)
+def fill(slots: NDArray[np.int32], gradients: Floats, weights: Floats, values: Floats) -> None:
+    """Add weights_e grad(N_i) . grad(N_j) of every element to the entries that `slots` names; twin of `local_stiffness`."""
+    n_elem, corners, dim = gradients.shape
+    for e in range(n_elem):
+        for i in range(corners):
+            for j in range(corners):
+                product = 0.0
+                for k in range(dim):
+                    product += gradients[e, i, k] * gradients[e, j, k]
+                values[slots[e, i, j]] += weights[e] * product
 
 
 def local_stiffness(mesh: Mesh, conductivity: Floats, elements: Ints | slice = slice(None)) -> Floats:
@@ -48,11 +66,23 @@ class System:
         matrix: (n_unknowns, n_unknowns) in siemens; constants are its null space.
         terminals: (n_elec,) the unknown that is each electrode's potential.
         contacts: The contact of each area electrode, by its number.
+        places: (n_unknowns, dim of space) where each unknown is (m).
     """
 
     matrix: sp.csc_array
     terminals: Ints
     contacts: dict[int, Contact]
+    places: Floats
+
+    def elimination(self, known: Elimination | None = None) -> Elimination:
+        """The order of elimination, with the first electrode grounded; the one already known, if it was made for this pattern."""
+        if known is not None and known.fits(self.matrix):
+            return known
+        return Elimination(self.matrix, self.places, int(self.terminals[0]))
+
+    def factorise(self) -> Factor:
+        """The factor of the matrix, with the first electrode grounded."""
+        return self.elimination().factorise(self.matrix.data)
 
 
 def assemble(mesh: Mesh, electrodes: Electrodes, conductivity: Floats, touching: dict[int, Contact] | None = None) -> System:
@@ -64,7 +94,7 @@ def assemble(mesh: Mesh, electrodes: Electrodes, conductivity: Floats, touching:
     terminals[list(touching)] = mesh.n_nodes + np.arange(len(touching))
     system = stiffness(mesh, conductivity)
     if not touching:
-        return System(system, terminals, touching)
+        return System(system, terminals, touching, mesh.nodes)
     loads, totals = [], []
     for k, contact in touching.items():
         joint = contact.weights / electrodes.contact_impedances[k]
@@ -73,11 +103,15 @@ def assemble(mesh: Mesh, electrodes: Electrodes, conductivity: Floats, touching:
         loads.append(sp.csr_array(weighted.sum(axis=0)[None]))
         totals.append(joint.sum())
     load = sp.vstack(loads)
-    return System(sp.block_array([[system, -load.T], [-load, sp.diags_array(totals)]], format="csc"), terminals, touching)
+    places = np.vstack([mesh.nodes, electrodes.positions[list(touching)]])
+    matrix = sp.block_array([[system, -load.T], [-load, sp.diags_array(totals)]], format="csc")
+    return System(matrix, terminals, touching, places)
 
 
-def factorise(matrix: sp.csc_array) -> SuperLU:
-    """Sparse factors of a symmetric positive definite matrix, ordered and pivoted for symmetry."""
+def factorise(matrix: sp.csc_array, places: Floats | None = None) -> Factor | SuperLU:
+    """Sparse factors of a symmetric positive definite matrix, much quicker if it is known where (n, dim) its unknowns are."""
+    if places is not None:
+        return Elimination(matrix, places).factorise(matrix.data)
     return splu(
         sp.csc_matrix(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True, "Equil": False}
     )

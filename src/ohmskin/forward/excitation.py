@@ -7,7 +7,7 @@ All of it is algebra on the transfer resistances S, and so are its derivatives: 
 so that the derivative by anything (conductivity, contact impedance) is a matrix by pairs times the sensitivity of the pairs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry.domain import Floats
-from ohmskin.scan import DrivePattern, all_pairs
+from ohmskin.scan import Difference, DrivePattern, all_pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +177,15 @@ class VoltageSource:
         own = DrivePattern(pattern.injections, np.column_stack([np.arange(pattern.n_inj), a, b])).combination(n_elec)
         rows: Floats = pattern.combination(n_elec).toarray() - share[:, None] * own.toarray()[which]
         return rows * currents[which, None]
+
+    def unmeasured(self, model: TransferModel, difference: Difference) -> Difference:
+        """A difference whose currents were not measured but taken from `currents`, with what the source's sagging does to it.
+
+        The baseline must have been learned with the same currents in its frames. A contact lowers the resistance of the driven
+        pair, too, so that its current rises: to first order dV = I (dR_m - R_m / (R_pair + resistance) dR_pair).
+        """
+        amperes = self.currents(model, difference.pattern)[difference.pattern.measurements[:, 0]]
+        return replace(difference, currents=amperes, sag=model.voltages(difference.pattern) * amperes / self.amplitude)
 
     def sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
         """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens), with the current left to change."""

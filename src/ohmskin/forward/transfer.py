@@ -4,12 +4,15 @@ import copy
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ohmskin.errors import ModelError
-from ohmskin.forward.assembly import assemble, factorise
+from ohmskin.forward.assembly import assemble
+from ohmskin.forward.cholesky import Elimination
 from ohmskin.forward.conductivity import Conductivity, conductivity_of
 from ohmskin.forward.contact import Contact
+from ohmskin.forward.sensitivity import grouped_sensitivity, pair_sensitivity
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, all_pairs
@@ -41,16 +44,20 @@ class TransferModel:
     def __init__(self, mesh: Mesh, electrodes: Electrodes, conductivity: ArrayLike) -> None:
         self._solve(mesh, electrodes, conductivity_of(mesh, conductivity))
 
-    def _solve(self, mesh: Mesh, electrodes: Electrodes, sigma: Conductivity, touching: dict[int, Contact] | None = None) -> None:
+    def _solve(
+        self,
+        mesh: Mesh,
+        electrodes: Electrodes,
+        sigma: Conductivity,
+        touching: dict[int, Contact] | None = None,
+        known: Elimination | None = None,
+    ) -> None:
         self.mesh, self.electrodes, self.conductivity, self._shape = mesh, electrodes, sigma.values, sigma.shape
         system = assemble(mesh, electrodes, sigma.tensors, touching)
-        ground, driven = system.terminals[0], system.terminals[1:]
-        count = system.matrix.shape[0]
-        free = np.delete(np.arange(count), ground)
-        load = np.zeros((count, len(driven)))
-        load[driven, np.arange(len(driven))] = 1.0
-        solution = np.zeros((count, len(electrodes)))
-        solution[free, 1:] = factorise(system.matrix[free][:, free]).solve(load[free])
+        self._elimination = system.elimination(known)
+        load = np.zeros((system.matrix.shape[0], len(electrodes)))
+        load[system.terminals[1:], np.arange(1, len(electrodes))] = 1.0
+        solution = self._elimination.factorise(system.matrix.data).solve(load)
         self.potentials: Floats = solution[: mesh.n_nodes]
         self.electrode_potentials: Floats = solution[system.terminals]
         self.contacts = system.contacts
@@ -60,14 +67,14 @@ class TransferModel:
         sigma = conductivity_of(self.mesh, conductivity)
         other = object.__new__(TransferModel)
         shape = self._shape if sigma.shape is None else sigma.shape
-        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape), self.contacts)
+        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape), self.contacts, self._elimination)
         return other
 
     def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
         """The same skin with other contact impedances, see `Electrodes.with_contact_impedances`."""
         other = object.__new__(TransferModel)
         electrodes = self.electrodes.with_contact_impedances(values)
-        other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape), self.contacts)
+        other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape), self.contacts, self._elimination)
         return other
 
     def scaled(self, factor: float) -> "TransferModel":
@@ -118,16 +125,17 @@ class TransferModel:
         Every sensitivity is a combination of these rows (`DrivePattern.combination`). Where the conductivity is a tensor, against
         its factor `conductivity`: the directions stay.
         """
-        field = np.einsum("ekd,ekl->led", self.mesh.gradients, self.potentials[self.mesh.elements])
-        flux = field if self._shape is None else np.einsum("ecd,led->lec", self._shape, field)
-        i, j = all_pairs(len(self.electrodes)).T
-        sensitivity = np.empty((len(i), self.mesh.n_elem))
-        for first in range(len(self.electrodes) - 1):
-            rows = np.flatnonzero(i == first)
-            difference = field[first] - field[j[rows]]
-            other = difference if flux is field else flux[first] - flux[j[rows]]
-            sensitivity[rows] = -np.einsum("ped,ped->pe", difference, other) * self.mesh.measures
-        return sensitivity
+        return pair_sensitivity(self.mesh, self.potentials, self._shape)
+
+    def grouped_sensitivity(self, shares: sp.csc_array) -> Floats:
+        """`pair_sensitivity @ shares`, (n_pairs, n_groups), without the memory of the former.
+
+        Args:
+            shares: (n_elem, n_groups) sparse, not negative: by how much a group's unknown changes the conductivity of each element.
+        """
+        if self._shape is not None:
+            return np.asarray(self.pair_sensitivity @ shares)
+        return grouped_sensitivity(self.mesh, self.potentials, shares)
 
     @cached_property
     def pair_contact_sensitivity(self) -> Floats:

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import ModelError
-from ohmskin.forward.assembly import assemble, factorise, local_stiffness
+from ohmskin.forward.assembly import assemble, local_stiffness
 from ohmskin.forward.contact import Surface
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry import Mesh
@@ -49,18 +49,13 @@ class LocalUpdate:
         self.model, self.nodes = model, chosen.astype(np.int64)
         system = assemble(mesh, model.electrodes, model.tensors, model.contacts)
         count = system.matrix.shape[0]
-        free = np.delete(np.arange(count), system.terminals[0])
-        factor = factorise(system.matrix[free][:, free])
-        place = np.full(count, -1)
-        place[free] = np.arange(len(free))
-        rows = place[self.nodes]
-        self.green: Floats = np.zeros((len(chosen), len(chosen)))
-        inside = np.flatnonzero(rows >= 0)  # the first electrode, if it is a point, is a node of no potential
-        for start in range(0, len(inside), _BLOCK):
-            block = inside[start : start + _BLOCK]
-            load = np.zeros((len(free), len(block)))
-            load[rows[block], np.arange(len(block))] = 1.0
-            self.green[np.ix_(block, inside)] = factor.solve(load)[rows[inside]].T  # symmetric: rows are faster to write
+        factor = system.factorise()
+        self.green: Floats = np.empty((len(chosen), len(chosen)))
+        for first in range(0, len(chosen), _BLOCK):
+            block = self.nodes[first : first + _BLOCK]
+            load = np.zeros((count, len(block)))
+            load[block, np.arange(len(block))] = 1.0
+            self.green[first : first + _BLOCK] = factor.solve(load)[self.nodes].T  # symmetric: rows are faster to write
         # for currents that sum to zero any multiple of ones may be taken off; this makes the result zero-mean as S is
         caused = model.potentials[self.nodes]
         self.caused: Floats = np.ascontiguousarray(caused - caused.mean(axis=1, keepdims=True))

@@ -1,5 +1,7 @@
 """Meshes that are finer at the electrodes, by gmsh (extra ``mesh``): of flat domains and of surfaces in space."""
 
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -147,6 +149,12 @@ class _Sizes:
         gmsh.model.mesh.setSizeCallback(lambda _d, _t, x, y, z, _l: float(self.at(np.array([[x, y, z][:dim]]))[0]))
 
 
+def _keep_broken_pipes_harmless() -> None:
+    """gmsh lets a broken pipe end the whole process; Python had it raise BrokenPipeError, and so it shall stay."""
+    if hasattr(signal, "SIGPIPE") and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGPIPE, signal.getsignal(signal.SIGPIPE))
+
+
 @contextmanager
 def _gmsh() -> Iterator[Any]:
     """gmsh with a model of its own, quiet; one that is in use already stays as it is."""
@@ -154,6 +162,7 @@ def _gmsh() -> Iterator[Any]:
     running = bool(gmsh.isInitialized())
     if not running:
         gmsh.initialize(interruptible=False, readConfigFiles=False)
+        _keep_broken_pipes_harmless()
     before = gmsh.model.getCurrent() if running else ""
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.model.add("ohmskin")

@@ -18,6 +18,7 @@ from ohmskin.inverse.greit import Greit
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.kalman import Belief, Kalman
 from ohmskin.inverse.modes import ImageModes
+from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.priors import (
     PRIORS,
     Penalty,
@@ -50,6 +51,7 @@ __all__ = [
     "Kalman",
     "ModelMatch",
     "Penalty",
+    "Pixels",
     "Prior",
     "SparseBayes",
     "TotalVariation",

@@ -197,7 +197,7 @@ def noise_figures(
 def signal_of(model: TransferModel, change: Floats, differences: tuple[Difference, ...]) -> Floats:
     """What a small relative change (n_elem,) does to the finite channels (n_known,) of scans (V)."""
     pairs = (model.pair_sensitivity * model.conductivity) @ change
-    volts = np.concatenate([(d.pattern.combination(len(model.electrodes)) @ pairs) * d.currents for d in differences])
+    volts = np.concatenate([(d.combination(len(model.electrodes)) @ pairs) * d.currents for d in differences])
     return np.asarray(volts[np.concatenate([np.isfinite(d.volts) & np.isfinite(d.currents) for d in differences])])
 
 

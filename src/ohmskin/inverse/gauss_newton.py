@@ -15,16 +15,20 @@ import copy
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system
+from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.positivity import nonnegative
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, DrivePattern
+
+_FRAMES = 4096  # images made at once: enough for products at full speed, little memory
 
 
 class GaussNewton:
@@ -39,6 +43,8 @@ class GaussNewton:
         prior: Function from a mesh to the penalty, or the name of one of `PRIORS`.
         amplitude: Relative conductivity change expected (1).
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
+        pixels: Pixels to make the image of, with their own prior (eq. 5 read for pixels), instead of one value per triangle:
+            then neither the image nor its cost depends on the mesh. `prior` does not count.
         positive: Whether the image may be nowhere negative: pressing only raises conductivity. Costs some ten factorisations
             a frame instead of none.
 
@@ -57,13 +63,14 @@ class GaussNewton:
         amplitude: float = 1.0,
         model_error: float = 0.0,
         positive: bool = False,
+        pixels: Pixels | None = None,
     ) -> None:
         check_positive(noise=noise, amplitude=amplitude)
         check_share(model_error=model_error)
         self.model, self.noise, self.amplitude, self.model_error = model, noise, amplitude, model_error
-        self.positive = positive
-        self._penalty = penalty_of(model, prior)
-        self.modes = ImageModes.of_prior(model, self._penalty)
+        self.positive, self.pixels = positive, pixels
+        self._penalty = penalty_of(model, prior) if pixels is None else pixels.penalty
+        self.modes = ImageModes.of_relative(self._relative(), self._penalty, len(model.electrodes))
 
     def with_amplitude(self, amplitude: float) -> "GaussNewton":
         """The same estimator with another prior amplitude; costs nothing."""
@@ -79,27 +86,97 @@ class GaussNewton:
             DataError: If no finite datum is left.
         """
         system = self.modes.system(*differences)
-        noise = float(np.hypot(self.noise, self.model_error * system.root_mean_square))
-        u, noise_std = solve_modes(self.modes, system, noise / self.amplitude, self.noise)
+        u, noise_std = self._solve(system)
         if not self.positive:
             return Image(u @ self.modes.modes, noise_std)
         pairs = pair_system(len(self.model.electrodes), *differences)
-        rows = pairs.rows @ self._penalty.to_unknowns(self.model.pair_sensitivity * self.model.conductivity)
-        w = nonnegative(self._penalty.normalised, rows, pairs.volts, noise / self.amplitude)
+        rows = pairs.rows @ self._penalty.to_unknowns(self._relative())
+        w = nonnegative(self._penalty.normalised, rows, pairs.volts, self._weight(system))
         return Image(self._penalty.to_image(w), noise_std)
+
+    def reconstruct_many(self, pattern: DrivePattern, currents: ArrayLike, volts: ArrayLike, out: NDArray | None = None) -> NDArray:
+        """Images (n_frames, n_image) of many scans of one pattern, such as a whole recording; equal to `reconstruct` one by one.
+
+        Frames driven with the same currents share one factorisation, whatever their noise; the images are one product of matrices.
+
+        Args:
+            pattern: The pattern that all of them drove.
+            currents: Behind each measurement (A): one value, (n_meas,) or (n_frames, n_meas).
+            volts: (n_frames, n_meas) changes of voltage (V), see `Difference`. Channels that are not finite are left out.
+            out: Where to put the images, (n_frames, n_image) of float32 or float64; float32 unless given.
+
+        Raises:
+            DataError: If a shape is wrong, or a frame has no finite datum.
+        """
+        if self.positive:
+            raise ModelError("images nowhere negative have no bulk form; reconstruct() them one by one")
+        data = np.asarray(volts, float)
+        if data.ndim != 2 or data.shape[1] != pattern.n_meas:
+            raise DataError(f"volts have shape {data.shape}; the pattern needs (n_frames, {pattern.n_meas})")
+        try:
+            amperes = np.broadcast_to(np.asarray(currents, float), data.shape)
+        except ValueError:
+            raise DataError(f"currents have shape {np.shape(currents)}; they must fit volts {data.shape}") from None
+        n_image = self.modes.modes.shape[1]
+        images = np.empty((len(data), n_image), np.float32) if out is None else out
+        if images.shape != (len(data), n_image):
+            raise DataError(f"out has shape {images.shape}; the images need ({len(data)}, {n_image})")
+        known = np.isfinite(data) & np.isfinite(amperes)
+        alike: dict[bytes, list[int]] = {}
+        for k in range(len(data)):
+            alike.setdefault(amperes[k].tobytes() + known[k].tobytes(), []).append(k)
+        basis = self.modes.modes.astype(images.dtype, copy=False)
+        u = np.empty((len(data), len(basis)))
+        for frames in alike.values():
+            kept = known[frames[0]]
+            if not kept.any():
+                raise DataError(f"no finite measurement in frame {frames[0]}; leave it out")
+            rows = (self.modes.rows(pattern) * amperes[frames[0]][:, None])[kept]
+            volts_kept = data[np.ix_(frames, kept)]
+            if len(frames) > 1:
+                u[frames] = self._solve_many(rows, volts_kept)
+            else:
+                u[frames[0]] = self._solve(System(rows, volts_kept[0]))[0]
+        for start in range(0, len(data), _FRAMES):
+            block = slice(start, start + _FRAMES)
+            np.matmul(u[block].astype(images.dtype, copy=False), basis, out=images[block])
+        return images
+
+    def _weight(self, system: System) -> float:
+        return float(np.hypot(self.noise, self.model_error * system.root_mean_square)) / self.amplitude
+
+    def _solve(self, system: System) -> tuple[Floats, Callable[[ArrayLike], Floats]]:
+        return solve_modes(self.modes, system, self._weight(system), self.noise)
+
+    def _solve_many(self, rows: Floats, volts: Floats) -> Floats:
+        """u (n_frames, n_modes) of frames with the same rows but, because of the model error, each its own noise."""
+        left, s, right = np.linalg.svd(rows, full_matrices=False)
+        noise2 = self.noise**2 + self.model_error**2 * np.mean(volts**2, axis=1)
+        weight2 = np.maximum(noise2 / self.amplitude**2, 1e-14 * float(s @ s))
+        return np.asarray((volts @ left * (s / (s**2 + weight2[:, None]))) @ right)
+
+    def _relative(self) -> Floats:
+        """Change of two-terminal resistances with the relative change of each value of the image (ohm)."""
+        return self.model.pair_sensitivity * self.model.conductivity if self.pixels is None else self.pixels.sensitivity(self.model)
 
 
 def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, Callable[[ArrayLike], Floats]]:
     """The u that minimises |volts - rows u|^2 + weight^2 |u|^2, and the standard deviation that noise (V) gives the image."""
-    rows = system.rows
-    normal = rows.T @ rows
+    rows, few = system.rows, len(system.rows) < len(modes.modes)
+    # the smaller of two systems with the same solution (push-through identity)
+    normal = rows @ rows.T if few else rows.T @ rows
     # below a ten-millionth of the data, noise drowns in the rounding of the normal matrix
     normal[np.diag_indices_from(normal)] += max(weight**2, 1e-14 * normal.trace())
     factor = cho_factor(normal, lower=True, overwrite_a=True, check_finite=False)
-    u: Floats = cho_solve(factor, rows.T @ system.volts, check_finite=False)
+    u: Floats
+    if few:
+        u = rows.T @ cho_solve(factor, system.volts, check_finite=False)
+    else:
+        u = cho_solve(factor, rows.T @ system.volts, check_finite=False)
 
     def noise_std(elements: ArrayLike) -> Floats:
-        response = rows @ cho_solve(factor, modes.modes[:, np.atleast_1d(elements)], check_finite=False)
+        some = modes.modes[:, np.atleast_1d(elements)]
+        response = cho_solve(factor, rows @ some, check_finite=False) if few else rows @ cho_solve(factor, some, check_finite=False)
         std: Floats = noise * np.linalg.norm(response, axis=0)
         return std
 

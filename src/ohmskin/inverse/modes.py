@@ -8,12 +8,14 @@ I A C u: whatever the pattern A and the mesh, an inverse problem has at most L (
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.priors import Penalty
 from ohmskin.scan import Difference, DrivePattern
+from ohmskin.scan.pairs import Ints
 
 _KEPT_ROWS = 64  # adaptive patterns come and go; the fixed ones are cheap to make again
 
@@ -53,10 +55,23 @@ class ImageModes:
 
     @classmethod
     def of_prior(cls, model: TransferModel, penalty: Penalty) -> "ImageModes":
-        """The modes under a prior, of average variance one over the sheet."""
-        relative = model.pair_sensitivity * model.conductivity
+        """The modes of images on a model's own elements under a prior, of average variance one over the sheet."""
+        return cls.of_relative(model.pair_sensitivity * model.conductivity, penalty, len(model.electrodes))
+
+    @classmethod
+    def of_relative(cls, relative: Floats, penalty: Penalty, n_elec: int) -> "ImageModes":
+        """The modes under a prior, of average variance one over the sheet, of any image.
+
+        Args:
+            relative: (n_pairs, n_image) change of the two-terminal resistances with the relative change of each value (ohm).
+            penalty: Of the image.
+            n_elec: Number of electrodes.
+        """
+        if len(relative) > relative.shape[1] and penalty.image is None and penalty.places is not None:
+            # more pairs than unknowns: the modes are the unknowns, whitened, and no matrix (n_pairs, n_pairs) is formed
+            return cls(penalty.whitened(np.eye(relative.shape[1])), penalty.whitened(relative.T).T.copy(), n_elec)
         smoothed = penalty.covariance(relative.T).T
-        return cls.of_products(smoothed, relative @ smoothed.T, len(model.electrodes))
+        return cls.of_products(smoothed, relative @ smoothed.T, n_elec)
 
     @classmethod
     def of_products(cls, smoothed: Floats, covariance: Floats, n_elec: int) -> "ImageModes":
@@ -75,7 +90,8 @@ class ImageModes:
         if pattern not in self._rows:
             if len(self._rows) >= _KEPT_ROWS:
                 self._rows.clear()
-            self._rows[pattern] = pattern.combination(self.n_elec) @ self.mixing
+            pattern.check(self.n_elec)
+            self._rows[pattern] = combined(pattern.quadruples, self.mixing, self.n_elec)
         return self._rows[pattern]
 
     def system(self, *differences: Difference) -> System:
@@ -84,7 +100,23 @@ class ImageModes:
         Raises:
             DataError: If no finite datum is left.
         """
-        return finite_system([self.rows(d.pattern) * d.currents[:, None] for d in differences], differences)
+        rows = [self.rows(d.pattern) if d.sag is None else d.combination(self.n_elec) @ self.mixing for d in differences]
+        return finite_system([row * d.currents[:, None] for row, d in zip(rows, differences, strict=True)], differences)
+
+
+@njit(cache=True, nogil=True)
+def combined(quadruples: Ints, pairs: Floats, n_elec: int) -> Floats:
+    """`DrivePattern.combination` @ pairs (n_pairs, n), without the sparse matrix."""
+    rows = np.zeros((len(quadruples), pairs.shape[1]))
+    for m in range(len(quadruples)):
+        a, b, c, d = quadruples[m]
+        for i, j, sign in ((a, d, 0.5), (b, c, 0.5), (a, c, -0.5), (b, d, -0.5)):
+            if i != j:
+                low, high = min(i, j), max(i, j)
+                pair = low * n_elec - low * (low + 1) // 2 + high - low - 1
+                for k in range(pairs.shape[1]):
+                    rows[m, k] += sign * pairs[pair, k]
+    return rows
 
 
 def finite_system(rows: list[Floats], differences: tuple[Difference, ...]) -> System:
@@ -95,8 +127,8 @@ def finite_system(rows: list[Floats], differences: tuple[Difference, ...]) -> Sy
     """
     if not differences:
         raise DataError("no scan to make an image of; give at least one")
-    stacked = np.vstack(rows)
-    volts = np.concatenate([d.volts for d in differences])
+    stacked = rows[0] if len(rows) == 1 else np.vstack(rows)
+    volts = differences[0].volts if len(rows) == 1 else np.concatenate([d.volts for d in differences])
     known = np.isfinite(volts) & np.isfinite(stacked[:, 0])  # a current that is not finite spoils its whole row
     if not known.all():
         stacked, volts = stacked[known], volts[known]
@@ -111,7 +143,7 @@ def pair_system(n_elec: int, *differences: Difference) -> System:
     Raises:
         DataError: If no finite datum is left.
     """
-    system = finite_system([d.pattern.combination(n_elec).toarray() * d.currents[:, None] for d in differences], differences)
+    system = finite_system([d.combination(n_elec).toarray() * d.currents[:, None] for d in differences], differences)
     if len(system.rows) <= system.rows.shape[1]:
         return system
     basis, triangle = np.linalg.qr(system.rows)

@@ -27,6 +27,7 @@ import scipy.sparse as sp
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import factorise, stiffness
+from ohmskin.forward.cholesky import Elimination
 from ohmskin.geometry import Mesh
 from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, adjacent
@@ -42,12 +43,14 @@ class Penalty:
         mean_variance: Variance of the image, averaged over the sheet, for which the penalty is meant; None: as it comes,
             to be scaled to one by who uses it.
         free_mean: Whether the mean of the image is to be left free, so that it does not count in the average variance.
+        places: (n_unknowns, dim) where each unknown is (m); not needed, but the matrix is factorised much more quickly with it.
     """
 
     matrix: sp.csc_array
     image: sp.csr_array | None = None
     mean_variance: float | None = None
     free_mean: bool = False
+    places: Floats | None = None
 
     def __post_init__(self) -> None:
         n = self.matrix.shape[0]
@@ -61,8 +64,19 @@ class Penalty:
 
     @cached_property
     def _solve(self) -> Callable[[Floats], Floats]:
-        solve: Callable[[Floats], Floats] = factorise(self.matrix).solve
+        solve: Callable[[Floats], Floats] = factorise(self.matrix, self.places).solve
         return solve
+
+    def whitened(self, columns: Floats) -> Floats:
+        """W columns (n_unknowns, n), with W^T W the covariance of the unknowns, scaled as in `covariance`.
+
+        Raises:
+            ModelError: If it is not known where the unknowns are.
+        """
+        if self.places is None:
+            raise ModelError("a penalty is whitened by the places of its unknowns; make it with places=")
+        factor = Elimination(self.matrix, self.places).factorise(self.matrix.data)
+        return np.asarray(factor.half_solve(columns) / np.sqrt(self._average_variance))
 
     def covariance(self, columns: Floats) -> Floats:
         """The prior covariance, scaled to an average variance of one, times `columns` (n_elem, n)."""
@@ -118,7 +132,7 @@ def graph_laplacian(mesh: Mesh) -> Penalty:
     """
     degree = np.asarray(mesh.adjacency.sum(axis=1)).ravel()
     ridge = 1e-3 * degree.mean() / mesh.n_elem
-    return Penalty(sp.csc_array(2 * (sp.diags_array(degree + ridge) - mesh.adjacency)), free_mean=True)
+    return Penalty(sp.csc_array(2 * (sp.diags_array(degree + ridge) - mesh.adjacency)), free_mean=True, places=mesh.centroids)
 
 
 def tikhonov(mesh: Mesh, patch: float = 0.01) -> Penalty:
@@ -192,7 +206,7 @@ def matern(length: float) -> Prior:
         operator = sp.csc_array(stiffness(mesh, np.ones(mesh.n_elem)) + sp.diags_array(kappa**2 * mass + leak))
         variance = 1 / (4 * np.pi * kappa**2) if dim == 2 else 1 / (8 * np.pi * kappa)  # far from the rim
         precision = sp.csc_array(operator @ sp.diags_array(variance / mass) @ operator)
-        return Penalty(precision, triangle_means(mesh), mean_variance=1.0)
+        return Penalty(precision, triangle_means(mesh), mean_variance=1.0, places=mesh.nodes)
 
     return prior
 
@@ -237,4 +251,4 @@ def named_prior(name: str, model: TransferModel) -> Prior:
 def penalty_of(model: TransferModel, prior: "Prior | str") -> Penalty:
     """The penalty of a prior, given as a function or by name, on a model's mesh."""
     found = (named_prior(prior, model) if isinstance(prior, str) else prior)(model.mesh)
-    return found if isinstance(found, Penalty) else Penalty(sp.csc_array(found))
+    return found if isinstance(found, Penalty) else Penalty(sp.csc_array(found), places=model.mesh.centroids)

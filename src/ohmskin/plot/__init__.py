@@ -1,5 +1,6 @@
-"""Pictures: images of a skin with electrodes and contacts, for files and papers."""
+"""Pictures for files and papers: images of a skin with electrodes and contacts, maps of how well contacts can be located."""
 
+from ohmskin.plot.errors import ErrorMap, draw_error_map, save_error_maps
 from ohmskin.plot.picture import draw_image, save_picture
 
-__all__ = ["draw_image", "save_picture"]
+__all__ = ["ErrorMap", "draw_error_map", "draw_image", "save_error_maps", "save_picture"]

@@ -1,11 +1,14 @@
 """Recordings: frames on disk, with the quiet ones that they are compared to."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ohmskin.errors import DataError
 from ohmskin.record import eidors, kuopio, table
 from ohmskin.record.matfile import is_mat, load_variables
+from ohmskin.record.messages import Role
+from ohmskin.record.tape import Tape, is_tape
 from ohmskin.scan import Frame
 
 _LARGEST_FILE = 64 * 2**20
@@ -20,12 +23,14 @@ class Recording:
         frames: Frames to look at, in order.
         skin: The shipped skin description that fits the format; empty if the file does not tell.
         notes: What was left out or assumed on reading, in plain words.
+        tape: All that a recording of ours holds beside; None for others.
     """
 
-    quiet: tuple[Frame, ...]
-    frames: tuple[Frame, ...]
+    quiet: Sequence[Frame]
+    frames: Sequence[Frame]
     skin: str
     notes: tuple[str, ...] = ()
+    tape: Tape | None = None
 
 
 def read_recording(
@@ -33,6 +38,7 @@ def read_recording(
 ) -> Recording:
     """Read a recording. What it is, is told by its contents:
 
+    - our own, in MCAP (`ohmskin.record.tape`), whose frames are read from the file when they are asked for;
     - MATLAB files of the University of Eastern Finland (UEF 2017; variables CurrentPattern, MeasPattern, Uel) and of the
       Kuopio Tomography Challenge 2023 (Inj, Mpat, Uel, Uelref), each a file per state of the tank (`ohmskin.record.kuopio`);
     - MATLAB files made with EIDORS: a stimulation struct or plain matrices, and data (`ohmskin.record.eidors`);
@@ -50,6 +56,11 @@ def read_recording(
         DataError: If a file cannot be read, is damaged, or says what cannot be represented here.
     """
     path = Path(path)
+    if is_tape(path):
+        if reference is not None or pattern is not None:
+            raise DataError(f"{path} holds its own patterns and quiet frames; leave reference and pattern out")
+        tape = Tape(path)
+        return Recording(tape.select(Role.QUIET), tape.select(*set(Role) - {Role.QUIET}), "", tape.notes, tape)
     content = _content(path)
     if is_mat(content[:8]):
         if pattern is not None:

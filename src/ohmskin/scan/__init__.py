@@ -2,6 +2,7 @@
 
 from ohmskin.scan.assessment import assess
 from ohmskin.scan.baseline import Baseline, Difference
+from ohmskin.scan.cost import Cost
 from ohmskin.scan.frame import Frame, FrameFlag
 from ohmskin.scan.network import NetworkFit, reciprocity_residuals
 from ohmskin.scan.pairs import all_pairs, n_pairs, pair_index
@@ -10,6 +11,7 @@ from ohmskin.scan.quality import Quality, Verdict, left_out
 
 __all__ = [
     "Baseline",
+    "Cost",
     "Difference",
     "DrivePattern",
     "Frame",

@@ -4,10 +4,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Floats, Frame
-from ohmskin.scan.pairs import Ints
+from ohmskin.scan.pairs import Ints, pair_index
 from ohmskin.scan.pattern import DrivePattern
 
 _SHIFT = np.int64(1) << np.arange(48, -1, -16, dtype=np.int64)  # electrode numbers fit 15 bits
@@ -21,11 +22,28 @@ class Difference:
         pattern: The pattern driven.
         currents: (n_meas,) current behind each measurement (A).
         volts: (n_meas,) change of voltage at that current (V); NaN where it is not known.
+        sag: (n_meas,) by how much more a voltage would rise with the two-terminal resistance of its injection if that did not take
+            current away (ohm per ohm): of a voltage source whose current is not measured, see `VoltageSource.unmeasured`.
+            None where the currents are measured or given.
     """
 
     pattern: DrivePattern
     currents: Floats
     volts: Floats
+    sag: Floats | None = None
+
+    def combination(self, n_elec: int) -> sp.csr_array:
+        """The sparse matrix (n_meas, n_pairs) that makes these volts, per ampere, of changes of the two-terminal resistances.
+
+        Raises:
+            PatternError: If the pattern names an electrode that is not there.
+        """
+        rows = self.pattern.combination(n_elec)
+        if self.sag is None:
+            return rows
+        source, sink = self.pattern.injections[self.pattern.measurements[:, 0]].T
+        at = (np.arange(self.pattern.n_meas), pair_index(source, sink, n_elec))
+        return sp.csr_array(rows - sp.csr_array((self.sag, at), shape=rows.shape))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from ohmskin.errors import SkinError
@@ -41,6 +42,20 @@ class Press:
         if not 0 <= self.pressure <= 1e7:
             raise SkinError(f"press pressure is {self.pressure} Pa; it must be 0 to 10 MPa")
 
+    def force(self, foam_spread: float = 0.0) -> float:
+        """The force (N) with which it presses, if all of it is on the sheet: the integral of the pressure.
+
+        Args:
+            foam_spread: Width of the ring round the press in which the pressure falls to nothing (m), `ContactLayer.foam_spread`.
+        """
+        inner, outer = self.radius, self.radius + foam_spread
+        return self.pressure * float(np.pi) * (inner**2 + inner * outer + outer**2) / 3  # a frustum of a cone
+
+    def pressure_at(self, points: Floats, spread: float) -> Floats:
+        """Pressure (...) at points (..., 2) in metres; foam lets it fall to nothing over `spread` beyond the edge (m, Pa)."""
+        distance = np.linalg.norm(points - np.array(self.position), axis=-1)
+        return np.asarray(self.pressure * np.clip((self.radius + spread - distance) / max(spread, 1e-12), 0.0, 1.0))
+
 
 class PressedSheet:
     """Transfer resistances of a sheet under any presses, exact on its mesh and cheap for each new press.
@@ -49,16 +64,18 @@ class PressedSheet:
 
     Args:
         skin: What to model. The sheet's mesh has finer edges than the estimator's and no node at the electrodes.
+        contact_factors: Factor on each electrode's contact impedance (n_elec,), for poor contacts.
 
     Attributes:
         untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included; the last
             electrode is the reference.
     """
 
-    def __init__(self, skin: Skin) -> None:
+    def __init__(self, skin: Skin, contact_factors: ArrayLike = 1.0) -> None:
         self.skin = skin
         self.mesh = mesh_domain(skin.domain, 0.66 * skin.imaging.mesh_size)
-        electrodes = skin.electrodes.with_discs(skin.electrode.radius, skin.electrode.contact_resistivity)
+        resistivity = skin.electrode.contact_resistivity * np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
+        electrodes = skin.electrodes.with_discs(skin.electrode.radius, resistivity)
         model = TransferModel(self.mesh, electrodes, skin.sheet.conductivity)
         self._patches = FloatingPatches(model, *self._patch_points())
         self._tree = cKDTree(self._patches.points)
@@ -87,9 +104,7 @@ class PressedSheet:
         pressure = np.zeros(len(self.contact_points))
         for press in presses:
             near = np.array(self._tree.query_ball_point(press.position, press.radius + spread), np.int64)
-            distance = np.linalg.norm(self.contact_points[near] - press.position, axis=1)
-            share = (press.radius + spread - distance) / max(spread, 1e-12)  # the foam spreads the edge of the press
-            pressure[near] += press.pressure * np.clip(share, 0.0, 1.0)
+            pressure[near] += press.pressure_at(self.contact_points[near], spread)
         return self.under_pressure(pressure)
 
     def under_pressure(self, pressure: Floats) -> Floats:

@@ -4,12 +4,16 @@ Not modelled: capacitance of the sheet beyond one settling time constant, creep 
 drift, bending, cross-talk between cables, and that the patches also touch each other.
 """
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ohmskin.errors import SkinError
 from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, Frame, FrameFlag
 from ohmskin.skin.description import Skin
+from ohmskin.skin.faults import PICKUP, Fault, Wiring
 from ohmskin.skin.twin import Press, PressedSheet
 
 
@@ -19,15 +23,31 @@ class VirtualSkin:
     Args:
         skin: What it is.
         seed: Seed of the noise.
+        faults: What is wrong with its wiring.
+
+    Raises:
+        SkinError: If a fault names an electrode that is not there, or two faults name the same one.
     """
 
-    def __init__(self, skin: Skin, seed: int | None = None) -> None:
+    def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = ()) -> None:
         self.skin = skin
-        self.sheet = PressedSheet(skin)
+        self.wiring = Wiring(faults, len(skin.electrodes))
+        self.sheet = PressedSheet(skin, self.wiring.contact_factors)
+        self.reset(seed)
+
+    def reset(self, seed: int | Sequence[int] | None = None, presses: Iterable[Press] = ()) -> None:
+        """Be as new: the clock stands at zero, noise comes from this seed, and only `presses` press, numbered from 0.
+
+        Raises:
+            SkinError: If a press is off the sheet.
+        """
+        pressing = dict(enumerate(presses))
+        for press in pressing.values():
+            self._check_on_sheet(press)
         self._random = np.random.default_rng(seed)
-        self._presses: dict[int, Press] = {}
-        self._resistance = self.sheet.untouched
-        self._potentials = np.zeros(len(skin.electrodes))  # what the channels settled to last
+        self._presses: dict[int, Press] = pressing
+        self._resistance = self._felt()
+        self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._time = 0.0
         self._sequence = 0
 
@@ -43,13 +63,12 @@ class VirtualSkin:
             SkinError: If the place is off the sheet, or radius or pressure are out of range.
         """
         press = Press((x, y), radius, pressure)
-        if pressure > 0 and self.skin.domain.depth([press.position])[0] < 0:
-            raise SkinError(f"press at ({x:.4g}, {y:.4g}) m is off the sheet; its bounds are {self.skin.domain.bounds} m")
         if pressure > 0:
+            self._check_on_sheet(press)
             self._presses[number] = press
         else:
             self._presses.pop(number, None)
-        self._resistance = self.sheet.transfer_resistance(self._presses.values())
+        self._resistance = self._felt()
 
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
@@ -69,22 +88,32 @@ class VirtualSkin:
         flags |= FrameFlag.CURRENT_LIMIT if limited else FrameFlag(0)
         return Frame(pattern, volts, over_shunt / shunt, self._time, self._sequence, flags)
 
+    def _felt(self) -> Floats:
+        return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(self._presses.values()))
+
+    def _check_on_sheet(self, press: Press) -> None:
+        if self.skin.domain.depth([press.position])[0] < 0:
+            x, y = press.position
+            raise SkinError(f"press at ({x:.4g}, {y:.4g}) m is off the sheet; its bounds are {self.skin.domain.bounds} m")
+
     def _drive(self, pattern: DrivePattern) -> tuple[Floats, bool]:
         """The current (n_inj,) of each injection; a voltage source drives it through the pair and all that is in series."""
         source, sink = pattern.injections.T
         excitation, r = self.skin.excitation, self._resistance
         if excitation.source == "current":
-            currents = np.full(pattern.n_inj, excitation.amplitude)
+            currents = np.where(self._unconnected(pattern).any(axis=1), 0.0, excitation.amplitude)
             return np.minimum(currents, excitation.current_limit), excitation.amplitude > excitation.current_limit
         pair = r[source, source] + r[sink, sink] - 2 * r[source, sink]
         series = excitation.resistance + 2 * excitation.multiplexer_resistance + self.skin.converter.shunt
-        currents = excitation.amplitude / (pair + series)
+        currents = np.where(self._unconnected(pattern).any(axis=1), 0.0, excitation.amplitude / (pair + series))
         return np.minimum(currents, excitation.current_limit), bool((currents > excitation.current_limit).any())
 
     def _settle(self, pattern: DrivePattern, currents: Floats) -> Floats:
         """Voltages (n_meas,) when they are sampled: each injection starts from where the one before it left the channels."""
         source, sink = pattern.injections.T
         settled = (self._resistance[source] - self._resistance[sink]) * currents[:, None]
+        if self.wiring.open:
+            settled = self._with_open_wires(pattern, settled)
         converter = self.skin.converter
         left = np.exp(-converter.settle / converter.time_constant) if converter.time_constant > 0 else 0.0
         potentials = np.empty_like(settled)
@@ -93,6 +122,24 @@ class VirtualSkin:
         which, plus, minus = pattern.measurements.T
         voltages: Floats = potentials[which, plus] - potentials[which, minus]
         return voltages
+
+    def _unconnected(self, pattern: DrivePattern) -> NDArray[np.bool_]:
+        """Which sources and sinks (n_inj, 2) have no wire."""
+        return np.isin(pattern.injections, self.wiring.open)
+
+    def _with_open_wires(self, pattern: DrivePattern, settled: Floats) -> Floats:
+        """The potentials (n_inj, n_elec) of all terminals against the sink, to which the instrument's ground is connected."""
+        rows = np.arange(pattern.n_inj)
+        source, sink = pattern.injections.T
+        open_source, open_sink = self._unconnected(pattern).T
+        settled = settled - settled[rows, sink][:, None]
+        # without a way back the whole sheet takes the potential of the source; a current source goes to the end of its range
+        drive = self.skin.excitation.amplitude if self.skin.excitation.source == "voltage" else 2 * self.skin.converter.full_scale
+        settled[open_sink & ~open_source] = drive
+        settled[:, list(self.wiring.open)] = self._random.normal(0, PICKUP, (pattern.n_inj, len(self.wiring.open)))
+        settled[rows, sink] = 0.0
+        settled[rows[open_source | open_sink], source[open_source | open_sink]] = drive
+        return settled
 
     def _convert(self, volts: Floats) -> tuple[Floats, bool]:
         """The converter's steps and range; beyond the range, infinite."""

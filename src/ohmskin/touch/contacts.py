@@ -22,6 +22,9 @@ class Contact:
         confidence: Probability that the peak exceeds the detection threshold, given the noise (0 to 1).
         peak: Largest relative conductivity change (1).
         id: Stays the same from frame to frame while the contact lasts; -1 before tracking.
+        covariance: ((xx, xy), (xy, yy)) of the position (m2); None where it is not known, as of an image's contacts.
+        velocity: (x, y) in metres per second; None where contacts are not followed by `ContactFilter`.
+        radius: Of the disc that explains the data best (m); None likewise.
     """
 
     position: tuple[float, float]
@@ -30,6 +33,9 @@ class Contact:
     confidence: float
     peak: float
     id: int = -1
+    covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
+    velocity: tuple[float, float] | None = None
+    radius: float | None = None
 
 
 @dataclass(frozen=True)

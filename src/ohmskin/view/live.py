@@ -49,15 +49,7 @@ class LiveView:
     """
 
     def __init__(self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None) -> None:
-        if not 0 <= port <= 65535:
-            raise ViewError(f"port {port}; choose 1 to 65535, or 0 for any free port")
-        if token is not None and not (token.isascii() and token.isprintable() and 8 <= len(token) <= 256):
-            raise ViewError("the token must be 8 to 256 printable ASCII characters, such as secrets.token_urlsafe() gives")
-        if token is None and not _is_loopback(host):
-            raise ViewError(
-                f"host {host!r} can be reached from other machines, which could then press and switch this skin; "
-                "give a token, or stay with 127.0.0.1 and forward the port (ssh -L 8000:127.0.0.1:8000 robot)"
-            )
+        check_address(host, port, token)
         setup = check_setup(setup)
         self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
         self._credits = 0
@@ -186,6 +178,23 @@ class LiveView:
             else:
                 self._greeting = message
                 self._started.set()
+
+
+def check_address(host: str, port: int, token: str | None) -> None:
+    """Hold where a page is to be served against what is allowed.
+
+    Raises:
+        ViewError: If port or token cannot be used, or the host is not loopback and there is no token.
+    """
+    if not 0 <= port <= 65535:
+        raise ViewError(f"port {port}; choose 1 to 65535, or 0 for any free port")
+    if token is not None and not (token.isascii() and token.isprintable() and 8 <= len(token) <= 256):
+        raise ViewError("the token must be 8 to 256 printable ASCII characters, such as secrets.token_urlsafe() gives")
+    if token is None and not _is_loopback(host):
+        raise ViewError(
+            f"host {host!r} can be reached from other machines, which could then press and switch this skin; "
+            "give a token, or stay with 127.0.0.1 and forward the port (ssh -L 8000:127.0.0.1:8000 robot)"
+        )
 
 
 def _is_loopback(host: str) -> bool:

@@ -7,9 +7,10 @@ import numpy as np
 
 import ohmskin
 from ohmskin.engine import Engine, State, Touch
-from ohmskin.errors import DeviceError
+from ohmskin.errors import DeviceError, PatternError
 from ohmskin.geometry import Disc, Raster
 from ohmskin.skin import Skin
+from ohmskin.touch import Contact
 from ohmskin.view.demo import demo_finger
 from ohmskin.view.live import LiveView
 
@@ -53,7 +54,7 @@ class Session:
         for command in self.view.commands():
             try:
                 self._obey(command)
-            except DeviceError as error:
+            except (DeviceError, PatternError) as error:
                 self._note, self._note_until = str(error), time.monotonic() + _NOTE_SECONDS
         if self._demo and self._engine.state is State.RUNNING:
             self._engine.press(0, *demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from))
@@ -90,6 +91,8 @@ class Session:
                 self._lift_all()
             case "mode":
                 self._engine.set_mode(command["mode"])
+            case "injections":
+                self._engine.set_injections(command["count"])
             case "calibrate":
                 self.calibrate()
             case "pause":
@@ -147,6 +150,7 @@ class Session:
             "contacts": [],
             "base_injections": [],
             "injections": [],
+            "n_injections": engine.injections,
             "presses": self._shown_presses(),
             "threshold": 0.0,
             "health": {"rate": 0.0, "latency_p50": 0.0, "latency_p99": 0.0, "dropped": 0, "noise": 0.0, "waiting": 0.0},
@@ -166,11 +170,12 @@ class Session:
                         "strength": contact.strength,
                         "confidence": contact.confidence,
                         "peak": contact.peak * scale,
+                        "covariance": _ellipse(contact),
                     }
                     for contact in touch.contacts
                 ],
                 "base_injections": frames[0].pattern.injections.tolist(),
-                "injections": frames[1].pattern.injections.tolist() if len(frames) > 1 else [],
+                "injections": frames[-1].pattern.injections.tolist() if touch.mode.optimal or touch.mode.policy else [],
                 "threshold": engine.perception.thresholds[touch.mode.name].final * scale,
                 "health": {
                     name: getattr(touch.health, name)
@@ -211,13 +216,30 @@ class Session:
 
     def _modes(self) -> list[dict[str, Any]]:
         possible = self._engine.modes
-        shown = [{"name": m.name, "title": m.title, "available": True, "why_not": ""} for m in possible.values()]
+        shown: list[dict[str, Any]] = [
+            {
+                "name": m.name,
+                "title": m.title,
+                "available": True,
+                "why_not": "",
+                "injections": self._engine.injection_limits(m) if m.policy else None,
+            }
+            for m in possible.values()
+        ]
         if not self._engine.device.reference:
             for name, fits in _PAPER_SKINS.items():
                 if name not in possible:
                     why = f"needs other electrodes: ohmskin live --skin {fits}"
                     shown.append({"name": name, "title": f"the paper's mode {name}", "available": False, "why_not": why})
-        return sorted(shown, key=lambda mode: (mode["name"][:2], "BIO".find(mode["name"][-1])))
+        return sorted(shown, key=lambda mode: (mode["name"][:2], "BIOPT".find(mode["name"][-1])))
+
+
+def _ellipse(contact: Contact) -> tuple[float, float, float] | None:
+    """Covariance xx, xy, yy (m2) of a contact's place, where it is known."""
+    if contact.covariance is None:
+        return None
+    (xx, xy), (_, yy) = contact.covariance
+    return xx, xy, yy
 
 
 def _domain(skin: Skin) -> dict[str, Any]:

@@ -153,6 +153,16 @@ def _count(name: str, value: object, setup: Mapping[str, Any]) -> int:
     return value
 
 
+def _budget(name: str, value: object, setup: Mapping[str, Any]) -> int:
+    limits = [mode["injections"] for mode in setup["modes"] if mode.get("injections")]
+    if not limits:
+        raise CommandError("no mode of this skin has a choice of injections")
+    low, high = min(limit[0] for limit in limits), max(limit[1] for limit in limits)
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise CommandError(f"{name} must be an integer from {low} to {high}")
+    return value
+
+
 def _mode(name: str, value: object, setup: Mapping[str, Any]) -> str:
     choices = [str(mode["name"]) for mode in setup["modes"] if mode["available"]]
     if not isinstance(value, str) or value not in choices:
@@ -193,6 +203,7 @@ _COMMANDS: dict[str, dict[str, Callable[[str, object, Mapping[str, Any]], object
     "lift": {"id": _identifier},
     "lift_all": {},
     "mode": {"mode": _mode},
+    "injections": {"count": _budget},
     "calibrate": {},
     "pause": {"paused": _flag},
     "demo": {"on": _flag},

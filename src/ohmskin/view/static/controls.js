@@ -60,6 +60,11 @@ export class Controls {
       page.touch.hold = !page.touch.hold;
       byId("hold").setAttribute("aria-pressed", page.touch.hold);
     };
+    byId("injections").oninput = () => {
+      this._showBudget(byId("injections").valueAsNumber);
+      this._budgetSent = performance.now();
+      page.send({ type: "injections", count: byId("injections").valueAsNumber });
+    };
     byId("theme").onclick = () => this._switchTheme();
     byId("range-auto").onchange = () => {
       page.range.auto = byId("range-auto").checked;
@@ -91,6 +96,7 @@ export class Controls {
     }
     byId("modes").replaceChildren(...setup.modes.map((mode) => this._modeButton(mode)));
     this._titles = new Map(setup.modes.map((mode) => [mode.name, mode.title]));
+    this._budgets = new Map(setup.modes.map((mode) => [mode.name, mode.injections]));
     this._shownMode = null;
   }
 
@@ -107,10 +113,22 @@ export class Controls {
       }
       byId("mode-title").textContent = this.title(header.mode);
     }
+    const budget = this._budgets.get(header.mode);
+    document.documentElement.dataset.budget = Boolean(budget);
+    // for a moment after a change the slider stays where the finger put it
+    if (budget && !(performance.now() - this._budgetSent < 500)) {
+      [byId("injections").min, byId("injections").max] = budget;
+      byId("injections").value = header.n_injections ?? budget[0];
+      this._showBudget(byId("injections").valueAsNumber);
+    }
     const paused = header.state === "paused";
     byId("pause").setAttribute("aria-pressed", paused);
     byId("pause").textContent = paused ? "Resume" : "Pause";
     byId("demo").setAttribute("aria-pressed", Boolean(header.demo));
+  }
+
+  _showBudget(count) {
+    byId("injections-value").textContent = `${count} / frame`;
   }
 
   showRange(range) {

@@ -227,14 +227,41 @@ function drawContacts(c, f, width, height, scene, ink) {
     c.lineWidth = 2;
     c.strokeStyle = ink.contact;
     c.stroke();
+    if (contact.covariance) drawUncertainty(c, f, contact, ink);
     taken.push([f.x(contact.x) - radius, f.y(contact.y) - radius, 2 * radius, 2 * radius]);
   }
   scene.contacts.forEach((contact, i) => drawLabel(c, contact, taken[i], taken, width, height, ink));
 }
 
+// The ellipse that holds the true place 95 times in 100; with a cross, so that a very sure one is seen too.
+function drawUncertainty(c, f, contact, ink) {
+  const { major, minor, angle } = ellipse(contact.covariance);
+  const [x, y] = [f.x(contact.x), f.y(contact.y)];
+  c.beginPath();
+  c.ellipse(x, y, Math.max(1, f.scale * major), Math.max(1, f.scale * minor), -angle, 0, 2 * Math.PI);
+  for (const [dx, dy] of [[4, 0], [0, 4]]) {
+    c.moveTo(x - dx, y - dy);
+    c.lineTo(x + dx, y + dy);
+  }
+  for (const [colour, weight] of [[ink.halo, 3.5], [ink.accent, 1.6]]) {
+    c.lineWidth = weight;
+    c.strokeStyle = colour;
+    c.stroke();
+  }
+}
+
+/** Half axes (m) and direction (rad) of the 95 % ellipse of a covariance [xx, xy, yy] (m2). */
+export function ellipse([xx, xy, yy]) {
+  const middle = (xx + yy) / 2;
+  const spread = Math.hypot((xx - yy) / 2, xy);
+  const axis = (variance) => 2.4477 * Math.sqrt(Math.max(0, variance));
+  return { major: axis(middle + spread), minor: axis(middle - spread), angle: Math.atan2(2 * xy, xx - yy) / 2 };
+}
+
 function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   const id = `#${contact.id}`;
-  const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)} mm`;
+  const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
+  const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
   const strength = `${number(1e4 * contact.strength, 2)} cm²`;
   c.font = `600 11px ${FONT}`;
   const lead = c.measureText(id).width + 6;

@@ -5,8 +5,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from ohmskin.geometry import Mesh
 from ohmskin.geometry.domain import Floats
+from ohmskin.geometry.mesh import Mesh
 
 
 def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:

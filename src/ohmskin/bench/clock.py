@@ -1,0 +1,90 @@
+"""How the benchmark measures: side by side, in turns, in CPU seconds of one thread.
+
+CPU time leaves out what other programs take from the processor, but not that they push data out of its caches: what is compared is
+run in turns, so that both suffer alike, and a ratio is the median over the turns.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ohmskin.bench.figure import Figure
+from ohmskin.geometry.domain import Floats
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+Job = Callable[[], object]
+
+
+def in_turns(jobs: Mapping[str, Job], seconds: float, most: int = 200, least: int = 3) -> dict[str, Floats]:
+    """CPU seconds (n_rounds,) of each job, run in turns for about `seconds`, at least `least` rounds and at most `most`.
+
+    Quick jobs are repeated within a round, so that each takes a millisecond at least.
+    """
+    repeats = {}
+    for name, job in jobs.items():
+        job()
+        start = process_time()
+        job()
+        repeats[name] = max(1, round(1e-3 / max(process_time() - start, 1e-6)))
+    spent: dict[str, list[float]] = {name: [] for name in jobs}
+    end = perf_counter() + seconds
+    for done in range(most):
+        if done >= least and perf_counter() > end:
+            break
+        for name, job in jobs.items():
+            start = process_time()
+            for _ in range(repeats[name]):
+                job()
+            spent[name].append((process_time() - start) / repeats[name])
+    return {name: np.array(times) for name, times in spent.items()}
+
+
+def ratio(name: str, slow: Floats, quick: Floats, least: float | None = None, most: float | None = None, note: str = "") -> Figure:
+    """How many times `slow` takes as long as `quick`, both (n_rounds,) or one (1,): median and quartiles over the rounds."""
+    ratios = slow / quick
+    low, value, high = np.percentile(ratios, [25, 50, 75])
+    told = f"{duration(float(np.median(slow)))} / {duration(float(np.median(quick)))}"
+    data = {"slow_s": np.median(slow), "quick_s": np.median(quick), "rounds": len(ratios)}
+    return Figure(name, float(value), "times", least, most, float(low), float(high), f"{told}{'; ' if note else ''}{note}", data)
+
+
+def duration(seconds: float) -> str:
+    """A time with a unit that fits it."""
+    for scale, unit in ((1.0, "s"), (1e-3, "ms")):
+        if seconds >= scale:
+            return f"{seconds / scale:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} us"
+
+
+def apart(task: str, **settings: Any) -> dict[str, Any]:
+    """What a task of `ohmskin.bench.tasks` measures, in a process of its own, so that its memory can be told."""
+    call = (
+        "import json, sys; from ohmskin.bench.tasks import TASKS; print(json.dumps(TASKS[sys.argv[1]](**json.loads(sys.argv[2]))))"
+    )
+    return outcome([sys.executable, "-c", call, task, json.dumps(settings)])
+
+
+def outcome(command: list[str]) -> dict[str, Any]:
+    """The JSON that a command prints last; {"error": what it said} if it fails."""
+    environment = {**os.environ, **dict.fromkeys(THREADS, "1")}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        return {"error": (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]}
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def read(matrix: np.ndarray) -> float:
+    """Sum of a contiguous array (n,): the quickest way to have read it."""
+    total = matrix[0] - matrix[0]
+    for k in range(len(matrix)):
+        total += matrix[k]
+    return float(total)

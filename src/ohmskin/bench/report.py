@@ -1,0 +1,118 @@
+"""What a run of the benchmark leaves behind: JSON, a page of tables in Markdown, and a plot of cost against size."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from ohmskin.bench.figure import Figure
+from ohmskin.bench.run import GROUPS
+from ohmskin.errors import OhmskinError
+
+_PREFACE = """\
+# Benchmarks
+
+Made by `ohmskin bench`; run it to see these figures on your own machine (`--quick` takes two minutes).
+
+Everything is measured in one run, in turns, on one thread, in CPU time unless a wall clock is named. A value is the median over the
+rounds, the spread its quartiles. The sheet is the paper's square with 12 electrodes on the rim and 4 inside, its mesh regular, and
+the same for all programs. pyEIT is used as its own examples use it. Compiled code is loaded before the clock starts: the very first
+run on a machine compiles it, which takes about a minute. Set-up means from nodes and triangles to the first image; making the mesh
+is not part of it.
+"""
+
+
+def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: bool) -> list[Path]:
+    """Write benchmarks.json, benchmarks.md and, where sizes were measured, images/scale.png.
+
+    Raises:
+        OhmskinError: If the folder cannot be written.
+    """
+    try:
+        (folder / "images").mkdir(parents=True, exist_ok=True)
+        written = [folder / "benchmarks.json", folder / "benchmarks.md"]
+        groups = {name: [figure.as_dict() for figure in figures] for name, figures in found.items()}
+        written[0].write_text(
+            json.dumps({"machine": _machine(), "quick": quick, "groups": groups}, indent=1) + "\n", encoding="utf-8"
+        )
+        grown = [figure for figure in found.get("scale", ()) if figure.data]
+        if grown:
+            written.append(_plot(grown[0], folder / "images" / "scale.png"))
+        written[1].write_text(_page(found, quick, bool(grown)), encoding="utf-8")
+    except OSError as error:
+        raise OhmskinError(f"cannot write the report to {folder}: {error}; choose another folder with --out") from error
+    return written
+
+
+def shown(value: float | None) -> str:
+    """A value with three figures that count."""
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _machine() -> dict[str, str]:
+    import numba
+
+    versions = f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, numba {numba.__version__}"
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": f"{platform.system()} {platform.machine()}",
+        "versions": versions,
+    }
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or "unknown"
+
+
+def _page(found: Mapping[str, Sequence[Figure]], quick: bool, plot: bool) -> str:
+    told = _machine()
+    lines = [_PREFACE, f"Machine: {told['processor']}, {told['cores']} cores, {told['system']}; {told['versions']}."]
+    figures = [figure for group in found.values() for figure in group]
+    counts = {verdict: sum(f.verdict == verdict for f in figures) for verdict in ("pass", "short", "not run")}
+    lines.append(
+        f"\n{counts['pass']} targets met, {counts['short']} short, {counts['not run']} not run{'; --quick' if quick else ''}."
+    )
+    for name, group in found.items():
+        lines.append(f"\n## {(GROUPS[name].__doc__ or name).splitlines()[0].rstrip('.')}\n")
+        lines.append("| figure | value | spread | target | | behind it |\n|---|---|---|---|---|---|")
+        for f in group:
+            spread = "" if f.low is None or f.low == f.high else f"{shown(f.low)} to {shown(f.high)}"
+            value = f"{shown(f.value)} {f.unit}".rstrip()
+            verdict = f"**{f.verdict}**" if f.verdict in ("short", "not run") else f.verdict
+            lines.append(f"| {f.name} | {value} | {spread} | {f.target} | {verdict} | {f.note} |")
+    if plot:
+        lines.append("\n![CPU seconds of the set-up against the number of triangles](images/scale.png)")
+    return "\n".join(lines) + "\n"
+
+
+def _plot(figure: Figure, path: Path) -> Path:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Canvas
+
+    n, seconds = np.array(figure.data["triangles"], float), np.array(figure.data["seconds"])
+    large = n >= 10_000
+    power, offset = np.polyfit(np.log(n[large]), np.log(seconds[large]), 1)
+    canvas = Canvas(figsize=(6.4, 4.0), layout="constrained")
+    FigureCanvasAgg(canvas)
+    axes = canvas.subplots()
+    axes.loglog(n, seconds, "o-", color="#1f5f8b", label="set-up to first image")
+    for stage, colour in (("check mesh", "#b8b8b8"), ("fields", "#d08a2e"), ("pixels", "#6a994e"), ("modes", "#8a5fa8")):
+        axes.loglog(n, [s[stage] for s in figure.data["stages"]], ".--", lw=1, color=colour, label=stage)
+    axes.loglog(n[large], np.exp(offset) * n[large] ** power, color="black", lw=1, label=f"fit from 10,000: n^{power:.2f}")
+    axes.set(xlabel="triangles", ylabel="CPU seconds, one thread")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize=8)
+    canvas.savefig(path, dpi=130)
+    return path

@@ -1,0 +1,400 @@
+"""The figures of the benchmark, in groups that can be run by themselves."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from time import perf_counter, process_time
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ohmskin.bench import peers, sheets
+from ohmskin.bench.clock import apart, duration, in_turns, ratio, read
+from ohmskin.bench.figure import Figure
+from ohmskin.bench.tasks import set_up
+from ohmskin.cycle import FastCycle
+from ohmskin.cycle.kernels import combine
+from ohmskin.drive import modes
+from ohmskin.errors import OhmskinError
+from ohmskin.forward import TouchTable, TransferModel
+from ohmskin.forward.assembly import assemble
+from ohmskin.forward.cholesky import Elimination
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import Difference, DrivePattern, adjacent, all_pairs, measure_others
+
+_NO_PEER = "pyEIT is not installed: pip install 'ohmskin[bench]'"
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure: seconds for a comparison, and whether to leave out what takes minutes."""
+
+    seconds: float
+    quick: bool
+
+
+Group = Callable[[Effort], Iterator[Figure]]
+
+
+def machine(effort: Effort) -> Iterator[Figure]:
+    """What this machine can do: speed of reading memory and of products of matrices, one thread."""
+    large = np.ones(2**26 if not effort.quick else 2**24, np.float32)
+    small = np.ones(2**18, np.float32)
+    for where, array in (("memory", large), ("the cache", small)):
+        spent = in_turns({"read": lambda array=array: read(array)}, effort.seconds / 2)["read"]  # type: ignore[misc]
+        speed = array.nbytes / spent / 1e9
+        low, value, high = np.percentile(speed, [25, 50, 75])
+        yield Figure(f"reading {array.nbytes / 2**20:.0f} MiB from {where}", value, "GB/s", low=low, high=high)
+    for kind in (np.float64, np.float32):
+        square = np.random.default_rng(0).normal(size=(768, 768)).astype(kind)
+        spent = in_turns({"product": lambda square=square: square @ square}, effort.seconds / 2)["product"]  # type: ignore[misc]
+        low, value, high = np.percentile(2 * 768**3 / spent / 1e9, [25, 50, 75])
+        yield Figure(f"product of matrices, {np.dtype(kind).name}", value, "GFLOP/s", low=low, high=high)
+
+
+def setting_up(effort: Effort) -> Iterator[Figure]:
+    """From nodes and triangles to the first image, against pyEIT's JAC, each in a process of its own."""
+    name = "set-up to first image, 4,608 triangles, against pyEIT's JAC"
+    apart("ours", cells=24)  # compiles what is not compiled yet, which takes memory
+    own, theirs = apart("ours", cells=48), peers.pyeit_apart(48) if peers.has_pyeit() else {"error": _NO_PEER}
+    if "error" in own or "error" in theirs:
+        yield Figure(name, None, "times", least=100, note=own.get("error") or theirs["error"])
+        return
+    yield ratio(name, np.array([theirs["seconds"]]), np.array([own["seconds"]]), least=100)
+    note = f"peaks of the whole process {theirs['peak']:.0f} / {own['peak']:.0f} MiB, of which"
+    note += f" {theirs['before']:.0f} / {own['before']:.0f} before the sheet"
+    yield Figure(
+        "memory of the same", theirs["peak"] / own["peak"], "times", least=5, note=note, data={"ours": own, "pyeit": theirs}
+    )
+
+
+def fields(effort: Effort) -> Iterator[Figure]:
+    """Fields and the sensitivity of all electrode pairs, against pyEIT's Jacobian of one pattern."""
+    for cells, least in ((33, 100), (72, 400)):
+        layout = sheets.electrodes()
+        mesh, pattern = sheets.mesh(cells), adjacent(layout.rings)
+        name = f"fields and sensitivity of all pairs, {mesh.n_elem:,} triangles, against pyEIT's Jacobian"
+        if not peers.has_pyeit():
+            yield Figure(name, None, "times", least=least, note=_NO_PEER)
+            continue
+        theirs = peers.pyeit_mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions))
+        own = lambda mesh=mesh, layout=layout: TransferModel(mesh, layout, sheets.CONDUCTIVITY).pair_sensitivity  # noqa: E731
+        quick = in_turns({"ours": own}, effort.seconds)["ours"]
+        slow = in_once(lambda theirs=theirs, pattern=pattern: peers.pyeit_jacobian(theirs, pattern), 1 if cells > 50 else 3)  # type: ignore[misc]
+        again = in_turns({"ours": own}, effort.seconds)["ours"]
+        yield ratio(name, np.median(slow, keepdims=True), np.concatenate([quick, again]), least=least)
+
+
+def in_once(job: Callable[[], object], rounds: int) -> Floats:
+    """CPU seconds (rounds,) of a job that takes too long to be repeated for nothing."""
+    spent = []
+    for _ in range(rounds):
+        start = process_time()
+        job()
+        spent.append(process_time() - start)
+    return np.array(spent)
+
+
+def changing(effort: Effort) -> Iterator[Figure]:
+    """A drive pattern never seen before, to the image of one frame."""
+    rng = np.random.default_rng(0)
+    for cells, least in ((24, 1000), (48, 10_000)):
+        estimator, _ = set_up(cells)
+        layout, mesh = estimator.model.electrodes, estimator.model.mesh
+        name = f"change of drive pattern to image, {mesh.n_elem:,} triangles, against pyEIT"
+        patterns = [measure_others(all_pairs(16)[rng.permutation(120)[:16]], range(16)) for _ in range(4000)]
+        fresh = iter(range(10**9))
+
+        def ours(estimator=estimator, patterns=patterns, fresh=fresh) -> None:  # type: ignore[no-untyped-def]
+            pattern = patterns[next(fresh) % len(patterns)]
+            volts = np.full(pattern.n_meas, 1e-5)
+            estimator.reconstruct(Difference(pattern, np.full(pattern.n_meas, 1e-3), volts))
+
+        if not peers.has_pyeit():
+            yield Figure(name, None, "times", least=least, note=_NO_PEER)
+            continue
+        theirs = peers.pyeit_mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions))
+        pattern = adjacent(layout.rings)
+        quiet = estimator.model.voltages(pattern)
+        slow = in_once(lambda t=theirs, p=pattern, v=quiet: peers.pyeit_image(t, p, 1.01 * v, v), 1 if effort.quick else 3)  # type: ignore[misc]
+        quick = in_turns({"ours": ours}, effort.seconds)["ours"]
+        yield ratio(name, np.median(slow, keepdims=True), quick, least=least, note="ours on 48 x 48 pixels, 16 new injections")
+
+
+def solving(effort: Effort) -> Iterator[Figure]:
+    """Factorise and solve for 15 injections, against SciPy's `splu` as it comes and at its best."""
+    layout = sheets.electrodes()
+    mesh = sheets.mesh(72)
+    system = assemble(mesh, layout, np.full(mesh.n_elem, sheets.CONDUCTIVITY))
+    free = np.delete(np.arange(system.matrix.shape[0]), system.terminals[0])
+    grounded = sp.csc_matrix(system.matrix[free][:, free])
+    load = np.zeros((system.matrix.shape[0], 15))
+    load[system.terminals[1:], np.arange(15)] = 1.0
+    ordered = system.elimination()
+    best = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True, "Equil": False}}
+    spent = in_turns(
+        {
+            "splu": lambda: splu(grounded).solve(load[free]),
+            "tuned": lambda: splu(grounded, **best).solve(load[free]),
+            "ours": lambda: (
+                Elimination(system.matrix, system.places, int(system.terminals[0])).factorise(system.matrix.data).solve(load)
+            ),
+            "again": lambda: ordered.factorise(system.matrix.data).solve(load),
+        },
+        2 * effort.seconds,
+    )
+    where = "factorise and solve, 10,368 triangles"
+    yield ratio(f"{where}, against splu as it comes", spent["splu"], spent["ours"], least=4, note="order found anew")
+    yield ratio(f"{where}, order known, against splu as it comes", spent["splu"], spent["again"])
+    yield ratio(f"{where}, against splu tuned for symmetry", spent["tuned"], spent["ours"])
+
+
+def framing(effort: Effort) -> Iterator[Figure]:
+    """The adaptive frame on 48 x 48 pixels, four adaptive injections with 13 voltages each."""
+    cycle, frames = _cycle_and_frames()
+    tables = cycle._tables
+    u, out = np.ones(len(tables.modes), np.float32), np.zeros(tables.modes.shape[1], np.float32)
+    flat = tables.modes.ravel()
+    arrays = [a.ravel() for a in (tables.modes[: len(tables.base_squares)], tables.modes, tables.mixing, tables.base_columns)]
+    turn = iter(range(10**9))
+
+    def frame() -> None:
+        base, second = frames[next(turn) % len(frames)]
+        cycle.frame(base, lambda _: second)
+
+    def read_all() -> None:
+        for array in arrays:
+            read(array)
+
+    spent = in_turns(
+        {
+            "product": lambda: combine(u, tables.modes, out),
+            "read": lambda: read(flat),
+            "frame": frame,
+            "all": read_all,
+        },
+        3 * effort.seconds,
+    )
+    yield ratio("image product against one read of its matrix", spent["product"], spent["read"], most=1.2)
+    note = (
+        f"m = {cycle._desk.rows.shape[0]}; {sum(a.nbytes for a in arrays) / 2**20:.1f} MiB, read from the cache as the frame does"
+    )
+    yield ratio("adaptive frame against one read of its matrices", spent["frame"], spent["all"], most=3, note=note)
+    import gc
+
+    gc.collect()
+    gc.freeze()
+    wall = []
+    for _ in range(2000 if effort.quick else 20_000):
+        start = perf_counter()
+        frame()
+        wall.append(perf_counter() - start)
+    gc.unfreeze()
+    p50, p99 = np.percentile(wall, [50, 99])
+    low, high = (1 / np.percentile(wall, q) for q in (75, 25))
+    yield Figure(
+        "adaptive frames per second with contacts, device excluded", 1 / p50, "1/s", least=10_000, low=low, high=high,
+        note=f"wall clock, median {duration(p50)}; by CPU time {1 / float(np.median(spent['frame'])):,.0f}/s",
+    )  # fmt: skip
+    yield Figure(
+        "99th percentile over median of a frame", float(p99 / p50), "times", most=2.5, note="wall clock; asks for a quiet machine"
+    )
+
+
+def _cycle_and_frames() -> tuple[FastCycle, list[tuple[tuple[Floats, Floats], tuple[Floats, Floats]]]]:
+    estimator, _ = set_up(48)
+    model = estimator.model
+    mode = list(modes(model.electrodes, 4, fuse=True).values())[-1]
+    cycle = FastCycle(estimator, mode, (0.005, 0.005))
+    rng, frames = np.random.default_rng(0), []
+    for count in rng.integers(1, 4, 16):
+        touched = model.conductivity.copy()
+        for place in rng.uniform(0.03, 0.17, (count, 2)):
+            touched[np.linalg.norm(model.mesh.centroids - place, axis=1) < 0.01] *= 1.5
+        pressed = model.with_conductivity(touched)
+
+        def scanned(pattern: DrivePattern, pressed: TransferModel = pressed) -> tuple[Floats, Floats]:
+            volts = pressed.voltages(pattern, 1e-3) - model.voltages(pattern, 1e-3)
+            return volts + 1e-6 * rng.normal(size=pattern.n_meas), np.full(pattern.n_inj, 1e-3)
+
+        base = scanned(mode.base)
+        frames.append((base, scanned(cycle.pattern(cycle.look(*base)))))
+    return cycle, frames
+
+
+def touching(effort: Effort) -> Iterator[Figure]:
+    """Touches simulated exactly, against factorising the touched sheet anew."""
+    cells = 72
+    model = TransferModel(sheets.mesh(cells), sheets.electrodes(), sheets.CONDUCTIVITY)
+    places = [sheets.square(cells, c, r, 3) for c in range(0, cells, 3) for r in range(0, cells, 3)]
+    table = TouchTable(model, places)
+    rng = np.random.default_rng(0)
+    count = 2000
+    where, change = rng.integers(0, len(table), (count, 1)), rng.uniform(0.1, 5, (count, 1))
+    touched = model.conductivity.copy()
+    touched[places[5]] *= 2
+    system = assemble(model.mesh, model.electrodes, touched)
+    free = np.delete(np.arange(system.matrix.shape[0]), system.terminals[0])
+    load = np.zeros((system.matrix.shape[0], 15))
+    load[system.terminals[1:], np.arange(15)] = 1.0
+
+    def anew() -> None:
+        matrix = assemble(model.mesh, model.electrodes, touched).matrix
+        splu(sp.csc_matrix(matrix[free][:, free])).solve(load[free])
+
+    spent = in_turns(
+        {"table": lambda: table.many(where, change), "splu": anew, "ours": lambda: model.with_conductivity(touched)},
+        3 * effort.seconds,
+    )
+    one = spent["table"] / count
+    name = "one touch simulated exactly, 10,368 triangles"
+    yield ratio(f"{name}, against refactorising with splu", spent["splu"], one, least=5000)
+    yield ratio(f"{name}, against our own factorisation", spent["ours"], one, least=700)
+    work = rng.integers(0, len(table), (20 * count, 2)), rng.uniform(0.1, 5, (20 * count, 2))
+    wall: dict[int, list[float]] = {1: [], 2: []}
+    table.many(*work, threads=2)
+    for _ in range(3 if effort.quick else 9):
+        for threads, times in wall.items():
+            start = perf_counter()
+            table.many(*work, threads=threads)
+            times.append(perf_counter() - start)
+    yield ratio(
+        "simulated touches, two cores against one",
+        np.array(wall[1]),
+        np.array(wall[2]),
+        least=1.5,
+        note="wall clock; needs two idle cores",
+    )
+
+
+def scaling(effort: Effort) -> Iterator[Figure]:
+    """Growth of the set-up with the number of triangles, and its memory."""
+    sizes: Sequence[int] = (24, 72, 225) if effort.quick else (24, 48, 72, 141, 225, 450, 708)
+    found = {2 * cells**2: apart("ours", cells=cells) for cells in sizes}
+    if errors := [f["error"] for f in found.values() if "error" in f]:
+        yield Figure("growth of the set-up", None, "power of n", most=1.2, note=errors[0])
+        return
+    n, seconds = np.array(list(found)), np.array([f["seconds"] for f in found.values()])
+    large = n >= 10_000
+    power = float(np.polyfit(np.log(n[large]), np.log(seconds[large]), 1)[0])
+    note = ", ".join(f"{a:,}: {duration(s)}" for a, s in zip(n, seconds, strict=True))
+    data = {"triangles": n.tolist(), "seconds": seconds.tolist(), "stages": [f["stages"] for f in found.values()]}
+    yield Figure(f"growth of the set-up, 10k to {n[-1]:,} triangles", power, "power of n", most=1.2, note=note, data=data)
+    peak = found[int(n[-1])]["peak"] / 1024
+    most = None if effort.quick else 4.0
+    yield Figure(f"peak memory at {n[-1]:,} triangles and 16 electrodes", peak, "GiB", most=most, note="the whole process")
+
+
+def electrodes(effort: Effort) -> Iterator[Figure]:
+    """256 electrodes: set-up and an adaptive frame of a thousand measurements."""
+    along, cells = (8, 98) if effort.quick else (16, 165)
+    found = apart("many_electrodes", cells=cells, along=along, frames=3 if effort.quick else 5)
+    name = f"{along**2} electrodes"
+    if "error" in found:
+        yield Figure(f"{name}: peak memory", None, "GiB", most=8, note=found["error"])
+        return
+    stages = ", ".join(f"{stage} {duration(s)}" for stage, s in found["stages"].items())
+    size = f"{found['triangles']:,} triangles, {found['measurements']:,} measurements"
+    yield Figure(f"{name}: peak memory", found["peak"] / 1024, "GiB", most=8, note=f"{size}; {stages}", data=found)
+    yield ratio(
+        f"{name}: adaptive frame against its limit", np.array([found["frame"]]), np.array([found["limit"]]),
+        note="the limit is a symmetric product and a Cholesky factor at the machine's rate",
+    )  # fmt: skip
+
+
+def accuracy(effort: Effort) -> Iterator[Figure]:
+    """The fast frame against its plain twin in float64."""
+    from ohmskin.cycle import ReferenceCycle
+
+    cycle, frames = _cycle_and_frames()
+    plain, worst = ReferenceCycle(cycle), 0.0
+    for base, second in frames:
+        cycle.frame(base, lambda _, second=second: second)  # type: ignore[misc]
+        plain.look(*base)
+        plain.chosen = cycle._desk.chosen.copy()  # float32 may turn the order of pairs that are alike
+        plain.see(*second)
+        for quick, exact in ((cycle.base_image, plain.base_image), (cycle.image, plain.image)):
+            worst = max(worst, float(np.abs(quick - exact).max() / np.abs(exact).max()))
+    yield Figure("fast frame against dense float64, largest relative error", worst, "", most=5e-5, note="of the largest value")
+
+
+def starting(effort: Effort) -> Iterator[Figure]:
+    """Start-up, wall clock of whole processes."""
+    commands = {
+        "`ohmskin --help`": (["-m", "ohmskin", "--help"], 0.3),
+        "`import ohmskin`": (["-c", "import ohmskin"], 0.5),
+    }
+    for name, (arguments, most) in commands.items():
+        spent = []
+        for _ in range(7):
+            start = perf_counter()
+            subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
+            spent.append(perf_counter() - start)
+        low, value, high = np.percentile(spent[1:], [25, 50, 75])
+        yield Figure(
+            name, float(value), "s", most=most, low=float(low), high=float(high), note="wall clock, the first run left out"
+        )
+    yield _page()
+
+
+def _page() -> Figure:
+    """Seconds from `ohmskin live` to its page, once everything is compiled."""
+    from urllib.request import urlopen
+
+    spent = []
+    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--port", "8973", "--seconds", "1"]
+    for _ in range(2):
+        start = perf_counter()
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            address = next((line.split()[1] for line in process.stdout if line.startswith("open ")), None)
+            if address is None:
+                return Figure("`ohmskin live` to its page, second start", None, "s", most=5, note="it showed no address")
+            with urlopen(address, timeout=60) as page:
+                page.read()
+            spent.append(perf_counter() - start)
+            process.stdout.read()
+    return Figure(
+        "`ohmskin live` to its page, second start", spent[1], "s", most=5, note=f"wall clock; first start {spent[0]:.1f} s"
+    )
+
+
+GROUPS: dict[str, Group] = {
+    "machine": machine,
+    "setup": setting_up,
+    "fields": fields,
+    "pattern": changing,
+    "solver": solving,
+    "frame": framing,
+    "touches": touching,
+    "scale": scaling,
+    "electrodes": electrodes,
+    "accuracy": accuracy,
+    "start": starting,
+}
+
+
+def run(
+    quick: bool = False, only: Sequence[str] = (), report: Callable[[str, Figure], None] = lambda _, __: None
+) -> dict[str, list[Figure]]:
+    """Measure, group by group.
+
+    Args:
+        quick: Two minutes instead of about ten: smaller sizes, fewer rounds.
+        only: Names of groups; all of `GROUPS` unless given.
+        report: Called with each group's name and figure as it comes.
+
+    Raises:
+        OhmskinError: If there is no such group; the message lists those there are.
+    """
+    if unknown := [name for name in only if name not in GROUPS]:
+        raise OhmskinError(f"no benchmark {unknown[0]!r}; choose from {', '.join(GROUPS)}")
+    effort = Effort(0.6 if quick else 3.0, quick)
+    found: dict[str, list[Figure]] = {}
+    for name in only or GROUPS:
+        for figure in GROUPS[name](effort):
+            found.setdefault(name, []).append(figure)
+            report(name, figure)
+    return found

@@ -1,0 +1,24 @@
+"""Before a skin is used: the self-test of its wiring and instrument, and its calibration to newtons."""
+
+from ohmskin.calibrate.force import ForceCurve, PressSample, fit_force
+from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
+from ohmskin.calibrate.quiet import calibrate_quiet
+from ohmskin.calibrate.self_test import SelfTest, self_test
+from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
+
+__all__ = [
+    "GRAVITY",
+    "Diagnosis",
+    "Finding",
+    "ForceCurve",
+    "PressGuide",
+    "PressSample",
+    "PressStep",
+    "SelfTest",
+    "calibrate_quiet",
+    "diagnose",
+    "fit_force",
+    "press_plan",
+    "self_test",
+    "terminal_pattern",
+]

@@ -1,0 +1,102 @@
+"""From presses of known force to a curve: strength of a contact to newtons."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from ohmskin.errors import DataError
+from ohmskin.skin import Calibration
+
+
+@dataclass(frozen=True)
+class PressSample:
+    """A press of known force and how strong it seemed.
+
+    Args:
+        at: Where (m).
+        force: Force (N).
+        strength: `Contact.strength`, median over some cycles (m2); 0 where it was not felt.
+        loading: Whether the force was rising; otherwise it was falling.
+    """
+
+    at: tuple[float, float]
+    force: float
+    strength: float
+    loading: bool
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """A monotone curve from strength to force, and how well it holds.
+
+    Args:
+        strengths: Rising (m2).
+        forces: Rising (N).
+        error: Root mean square error over the samples (N).
+        hysteresis: Largest mean difference of strength between unloading and loading at one force, as a share of the largest.
+        scatter: Standard deviation of strength between places at one force, as a share, mean over the forces.
+        missed: Samples that were not felt.
+        flat: Forces (N) that strength did not tell from the next lower one, where the skin is saturated or too coarse.
+    """
+
+    strengths: tuple[float, ...]
+    forces: tuple[float, ...]
+    error: float
+    hysteresis: float
+    scatter: float
+    missed: int
+    flat: tuple[float, ...]
+
+    def put_into(self, calibration: Calibration) -> Calibration:
+        """The same calibration with this curve."""
+        return replace(
+            calibration, strengths=self.strengths, forces=self.forces, force_error=self.error, hysteresis=self.hysteresis
+        )
+
+
+def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
+    """Fit: mean strength at each force, made monotone by isotonic regression; `Calibration.force` joins the points by PCHIP.
+
+    Raises:
+        DataError: If fewer than two forces were felt.
+    """
+    felt = [sample for sample in samples if sample.strength > 0]
+    levels = sorted({sample.force for sample in felt})
+    if len(levels) < 2 or levels[0] <= 0:
+        told = f"{len(felt)} of {len(samples)} presses were felt, at {len(levels)} forces"
+        raise DataError(f"{told}; press harder, at two forces or more")
+    groups = [np.array([sample.strength for sample in felt if sample.force == level]) for level in levels]
+    counts = np.array([len(group) for group in groups], float)
+    monotone = isotonic_regression([float(group.mean()) for group in groups], weights=counts).x
+    strengths: list[float] = []
+    forces: list[float] = []
+    flat = []
+    for strength, force in zip(monotone.tolist(), levels, strict=True):
+        if strengths and strength <= strengths[-1] * (1 + 1e-6):
+            flat.append(force)  # the lower force stays: a saturated skin tells the least that presses it
+        else:
+            strengths.append(strength)
+            forces.append(force)
+    if len(strengths) < 2:
+        span = f"{levels[0]:.3g} to {levels[-1]:.3g} N"
+        raise DataError(f"strength does not rise with force over {span}; is the skin pressed where told?")
+    curve = Calibration(strengths=tuple(strengths), forces=tuple(forces))
+    errors = curve.force([sample.strength for sample in felt]) - [sample.force for sample in felt]
+    gaps = [
+        np.mean([s.strength for s in felt if s.force == level and not s.loading])
+        - np.mean([s.strength for s in felt if s.force == level and s.loading])
+        for level in levels
+        if len({s.loading for s in felt if s.force == level}) == 2
+    ]
+    spreads = [float(group.std(ddof=1) / group.mean()) for group in groups if len(group) > 1]
+    return ForceCurve(
+        tuple(strengths),
+        tuple(forces),
+        float(np.sqrt(np.mean(errors**2))),
+        float(np.max(np.abs(gaps), initial=0.0)) / strengths[-1],
+        float(np.mean(spreads)) if spreads else 0.0,
+        len(samples) - len(felt),
+        tuple(flat),
+    )

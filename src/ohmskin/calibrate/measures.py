@@ -1,0 +1,290 @@
+"""What the instrument is worth: noise, offset, linearity, settling and the link, each measured on the untouched skin."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.device import Device, Link
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern, Frame, FrameFlag, all_pairs
+from ohmskin.skin import Skin
+
+_SWITCHES = 6  # injections between which settling is measured
+_STEADY = 3  # scans of an injection without switching, after which it counts as settled
+_ROUND_TRIPS = 20
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Scatter of repeated voltages.
+
+    Args:
+        typical: Median over the measurements of the standard deviation of one voltage (V).
+        worst: Largest standard deviation of the voltages measured at one electrode, rms (V).
+        worst_electrode: Which.
+        described: What the skin's description says (V).
+        current: Standard deviation of a measured current, as a share of it; 0 where currents are nominal.
+    """
+
+    typical: float
+    worst: float
+    worst_electrode: int
+    described: float
+    current: float
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What is left of voltages when the current is reversed: (V+ I- + V- I+) / (I+ + I-).
+
+    Args:
+        rms: Root mean square over the measurements (V).
+        noise: What of that noise alone would give (V).
+        worst: The largest offset of a terminal against their mean (V).
+        worst_electrode: Which.
+    """
+
+    rms: float
+    noise: float
+    worst: float
+    worst_electrode: int
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """How well currents add up: R(ab) + R(bc) - R(ac), which is nothing on any linear sheet.
+
+    Args:
+        error: Root mean square, as a share of the signal.
+        noise: What of that noise alone would give.
+        reciprocity: Root mean square voltage that no resistive network explains, as a share of the signal.
+    """
+
+    error: float
+    noise: float
+    reciprocity: float
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How far voltages are from their final value when they are sampled, after a change of injection.
+
+    Args:
+        left: Share of the step that is left, least squares over all steps.
+        noise: Standard deviation of `left`.
+        settle_time: Waiting time of the device (s).
+        needed: Waiting time after which less than the noise would be left of the largest step (s); NaN where nothing is left to
+            tell it from, so that the present time is enough.
+    """
+
+    left: float
+    noise: float
+    settle_time: float
+    needed: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether what is left cannot be told from noise, or is a thousandth at most."""
+        return abs(self.left) < max(3 * self.noise, 1e-3)
+
+
+@dataclass(frozen=True)
+class LinkBudget:
+    """What the way between host and device costs.
+
+    Args:
+        round_trip: Median time of the smallest scan beyond the device's own time (s).
+        worst_round_trip: The longest seen (s).
+        scan_time: Median time of the base scan, as the host sees it (s).
+        own_time: What the device needs for it by its own account (s).
+        bytes_per_scan: Bytes both ways for it; 0 where the driver does not count them.
+        retries: Requests sent again while all this was measured.
+    """
+
+    round_trip: float
+    worst_round_trip: float
+    scan_time: float
+    own_time: float
+    bytes_per_scan: float
+    retries: int
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Scans and cycles per second with this wiring.
+
+    Args:
+        base: Base scans per second as measured.
+        cycles: Cycles per second by drive mode, from what was measured; the host's own work, if it is slower, comes on top.
+        settle_time: Waiting time proposed for each injection (s).
+        proposed: Cycles per second by drive mode with the proposed waiting time.
+    """
+
+    base: float
+    cycles: dict[str, float]
+    settle_time: float
+    proposed: dict[str, float]
+
+
+def scan_whole(device: Device, pattern: DrivePattern) -> Frame:
+    """One scan of a pattern of any size, piece by piece where the device takes no more at a time."""
+    able = device.capabilities
+    frames = [device.scan(piece) for piece in pattern.split(able.max_injections, able.max_measurements)]
+    flags = FrameFlag(0)
+    for frame in frames:
+        flags |= frame.flags
+    volts, currents = np.concatenate([f.voltages for f in frames]), np.concatenate([f.currents for f in frames])
+    return Frame(pattern, volts, currents, frames[-1].time, frames[-1].sequence, flags)
+
+
+def mean_frame(frames: list[Frame]) -> Frame:
+    """The mean of scans of one pattern; a value that is mostly missing or clipped stays so."""
+    volts = np.stack([frame.voltages for frame in frames])
+    finite = np.isfinite(volts)
+    mean = np.where(finite, volts, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
+    mean = np.where(finite.mean(axis=0) > 0.5, mean, np.nan)
+    currents = np.mean([frame.currents for frame in frames], axis=0)
+    return Frame(frames[0].pattern, mean, currents, frames[-1].time, frames[-1].sequence, frames[-1].flags)
+
+
+def measure_noise(frames: list[Frame], useless: list[int], skin: Skin) -> Noise:
+    """From repeated scans (at least two); differences of successive ones, so that slow drift is no noise."""
+    pattern = frames[0].pattern
+    volts = np.stack([frame.voltages for frame in frames])
+    usable = np.flatnonzero(~np.isin(pattern.quadruples, useless).any(axis=1) & np.isfinite(volts).all(axis=0))
+    squares = np.mean(np.diff(volts[:, usable], axis=0) ** 2, axis=0) / 2
+    n_elec = len(skin.electrodes)
+    plus = pattern.measurements[usable, 1]
+    sums, counts = np.bincount(plus, squares, n_elec), np.bincount(plus, minlength=n_elec)
+    by_electrode = np.sqrt(sums / np.maximum(counts, 1))
+    worst = int(np.argmax(by_electrode))
+    amperes = np.stack([frame.currents for frame in frames])[:, ~np.isin(pattern.injections, useless).any(axis=1)]
+    share = float(np.sqrt(np.mean(np.diff(amperes, axis=0) ** 2) / 2) / np.mean(amperes))
+    return Noise(float(np.sqrt(np.median(squares))), float(by_electrode[worst]), worst, skin.converter.noise, share)
+
+
+def measure_offset(device: Device, noise: Noise, useless: list[int], repeats: int = 8) -> Offset:
+    """Drive neighbours both ways and see what does not turn with the current."""
+    alive = [e for e in range(device.capabilities.n_electrodes) if e not in useless]
+    pairs = np.array([(a, b) for a, b in zip(alive, alive[1:] + alive[:1], strict=True)])
+    both = np.stack([pairs, pairs[:, ::-1]], axis=1).reshape(-1, 2)
+    rest = [[e for e in alive if e not in pair] for pair in both]
+    rows = [(k, e, other[-1]) for k, other in enumerate(rest) for e in other[:-1]]
+    pattern = DrivePattern(both, np.array(rows))
+    frame = mean_frame([scan_whole(device, pattern) for _ in range(repeats)])
+    volts, amperes = frame.voltages.reshape(len(pairs), 2, -1), frame.currents.reshape(len(pairs), 2, 1)
+    offsets = (volts[:, 0] * amperes[:, 1] + volts[:, 1] * amperes[:, 0]) / amperes.sum(axis=1)
+    # each is the plus terminal's less the minus terminal's
+    n_elec = device.capabilities.n_electrodes
+    terminals = pattern.measurements[pattern.measurements[:, 0] % 2 == 0, 1:]
+    design = np.zeros((len(terminals) + 1, n_elec))
+    design[np.arange(len(terminals)), terminals[:, 0]], design[np.arange(len(terminals)), terminals[:, 1]] = 1.0, -1.0
+    design[-1] = 1.0
+    values = np.append(np.nan_to_num(offsets.ravel()), 0.0)
+    own = np.linalg.lstsq(design, values, rcond=None)[0]
+    worst = int(np.argmax(np.abs(own)))
+    current_noise = noise.current * float(np.nanstd(volts)) / np.sqrt(2)
+    expected = float(np.hypot(noise.typical / np.sqrt(2), current_noise)) / np.sqrt(repeats)
+    return Offset(float(np.sqrt(np.nanmean(offsets**2))), expected, float(own[worst]), worst)
+
+
+def measure_linearity(frame: Frame, repeats: int, noise: Noise, useless: list[int], contradiction: float) -> Linearity:
+    """From a mean scan of all pairs against the sink: loops of three injections seen between two other electrodes."""
+    n_elec = int(frame.pattern.quadruples.max()) + 1
+    alive = [e for e in range(n_elec) if e not in useless]
+    number = {tuple(pair): k for k, pair in enumerate(all_pairs(n_elec).tolist())}
+    volts = np.zeros((len(number), n_elec))
+    volts[frame.pattern.measurements[:, 0], frame.pattern.measurements[:, 1]] = frame.voltages
+    ohms = volts / np.where(frame.currents > 0, frame.currents, np.inf)[:, None]  # pairs of useless electrodes are not looked at
+    errors, signals, noises = [], [], []
+    for at in range(len(alive)):
+        a, b, c, d, e = sorted([alive[(at + k) % len(alive)] for k in range(3)]) + [alive[(at + k) % len(alive)] for k in (3, 4)]
+        seen = [ohms[number[pair], d] - ohms[number[pair], e] for pair in ((a, b), (b, c), (a, c))]
+        errors.append(seen[0] + seen[1] - seen[2])
+        signals.append(seen[2])
+        own = [np.hypot(np.sqrt(2) * noise.typical / frame.currents[number[pair]], r * noise.current)
+               for pair, r in zip(((a, b), (b, c), (a, c)), seen, strict=True)]  # fmt: skip
+        noises.append(float(np.sqrt(np.sum(np.square(own)) / repeats)))
+    signal = float(np.sqrt(np.nanmean(np.square(signals))))
+    error, expected = float(np.sqrt(np.nanmean(np.square(errors)))), float(np.sqrt(np.nanmean(np.square(noises))))
+    return Linearity(error / signal, expected / signal, contradiction)
+
+
+def measure_settling(device: Device, noise: Noise, useless: list[int], repeats: int = 12) -> Settling:
+    """Inject at two far pairs in turn, each several times: the first sample after a change against the last one."""
+    alive = [e for e in range(device.capabilities.n_electrodes) if e not in useless]
+    half = len(alive) // 2
+    pairs = [(alive[k], alive[(k + half) % len(alive)]) for k in range(min(_SWITCHES, half))]
+    injections = np.repeat([pair for one in pairs for pair in (one, one[::-1])], 1 + _STEADY, axis=0)
+    others = [[e for e in alive if e not in pair] for pair in injections.tolist()]
+    pattern = DrivePattern(injections, np.array([(k, e, rest[-1]) for k, rest in enumerate(others) for e in rest[:-1]]))
+    frames = [scan_whole(device, pattern) for _ in range(repeats)]
+    able = device.capabilities
+    per_piece = min(able.max_injections, able.max_measurements // (len(alive) - 3))
+    volts = mean_frame(frames).voltages.reshape(len(injections), -1)
+    steps, lefts = [], []
+    for first in range(0, len(injections), 1 + _STEADY):
+        if first == 0 or first // per_piece != (first - 1) // per_piece or others[first] != others[first - 1]:
+            continue  # what went before is not known, or was measured elsewhere
+        final = volts[first + 1 : first + 1 + _STEADY].mean(axis=0)
+        steps.append(volts[first - 1] - final)
+        lefts.append(volts[first] - final)
+    step, left = np.concatenate(steps or [np.zeros(1)]), np.concatenate(lefts or [np.zeros(1)])
+    known = np.isfinite(step) & np.isfinite(left)
+    energy = max(float(step[known] @ step[known]), 1e-30)
+    share = float(step[known] @ left[known]) / energy
+    spread = np.sqrt(2) * noise.typical * np.sqrt((1 + 1 / _STEADY) / repeats / energy)
+    wait, swing = able.settle_time, float(np.abs(step[known]).max(initial=0.0))
+    needed = float("nan")
+    if share > max(3 * spread, 1e-9) and share < 1 and swing > noise.typical:
+        needed = wait * float(np.log(swing / noise.typical) / np.log(1 / share))
+    return Settling(share, float(spread), wait, needed)
+
+
+def measure_link(device: Device, base: DrivePattern, useless: list[int]) -> LinkBudget:
+    """Time small and whole scans, and count their bytes where the driver does."""
+    a, b, c, d = [e for e in range(device.capabilities.n_electrodes) if e not in useless][:4]
+    smallest = DrivePattern(np.array([[a, b]]), np.array([[0, c, d]]))
+    link: Link | None = getattr(device, "link", None)
+    retries = device.dropped
+
+    def times(pattern: DrivePattern) -> Floats:
+        scan_whole(device, pattern)  # gives it to the device
+        taken = []
+        for _ in range(_ROUND_TRIPS):
+            start = time.monotonic()
+            scan_whole(device, pattern)
+            taken.append(time.monotonic() - start)
+        return np.array(taken)
+
+    beyond = np.maximum(times(smallest) - device.capabilities.scan_time(smallest), 0.0)
+    scan_whole(device, base)
+    before = (link.bytes_in + link.bytes_out) if link else 0
+    whole = times(base)
+    moved = ((link.bytes_in + link.bytes_out) - before) / (_ROUND_TRIPS + 1) if link else 0.0
+    own = device.capabilities.scan_time(base)
+    return LinkBudget(float(np.median(beyond)), float(beyond.max()), float(np.median(whole)), own, moved, device.dropped - retries)
+
+
+def propose_rates(device: Device, skin: Skin, link: LinkBudget, settling: Settling) -> Rates:
+    """Cycles per second of each mode now, and with a waiting time that settles to below the noise."""
+    able = device.capabilities
+    # a scan takes a round trip, the waiting of its injections, and the rest by measurements: conversion, line, host
+    base = list(skin.modes.values())[-1].base
+    per_measurement = max(link.scan_time - link.round_trip - base.n_inj * able.settle_time, 0.0) / base.n_meas
+    wait = settling.needed if settling.needed > able.settle_time and not settling.settled else able.settle_time
+
+    def cycle(scans: list[tuple[int, int]], settle: float) -> float:
+        each = [i * settle + m * per_measurement + link.round_trip for i, m in scans]
+        return 1 / max(sum(each), 1e-9)
+
+    cycles, proposed = {}, {}
+    for name, mode in skin.modes.items():
+        scans = [(mode.base.n_inj, mode.base.n_meas)]
+        if mode.optimal:
+            complete = mode.complete
+            pairs = min(skin.imaging.pairs, complete.n_inj)
+            scans.append((pairs, round(pairs * complete.n_meas / complete.n_inj)))
+        cycles[name], proposed[name] = cycle(scans, able.settle_time), cycle(scans, wait)
+    return Rates(1 / link.scan_time, cycles, wait, proposed)

@@ -1,0 +1,97 @@
+"""A guided set of presses, one instruction after another. It never waits and never asks: whoever drives it does."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.calibrate.force import PressSample
+from ohmskin.errors import SkinError
+from ohmskin.skin import Skin
+from ohmskin.touch import Contact
+
+GRAVITY = 9.80665  # m/s2
+_REACH = 0.03  # m from where it was asked for within which a contact is taken for the press
+
+
+@dataclass(frozen=True)
+class PressStep:
+    """One press to be made.
+
+    Args:
+        at: Where (m).
+        force: With which force (N).
+        loading: Whether it is more than the one before at this place.
+    """
+
+    at: tuple[float, float]
+    force: float
+    loading: bool
+
+    def __str__(self) -> str:
+        x, y = self.at
+        change = "put on" if self.loading else "leave"
+        return f"{change} {1e3 * self.force / GRAVITY:.0f} g ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
+
+
+def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[PressStep, ...]:
+    """At each of some places spread over the sheet, the forces (N) upwards and downwards again.
+
+    Raises:
+        SkinError: If there are fewer than two forces or no place, or a force is not positive.
+    """
+    levels = sorted(set(forces))
+    if len(levels) < 2 or not (levels[0] > 0 and np.isfinite(levels).all()):
+        raise SkinError(f"forces are {list(forces)} N; give two or more different ones, all above 0")
+    if not 1 <= places <= 100:
+        raise SkinError(f"{places} places; it must be 1 to 100")
+    x0, y0, x1, y1 = skin.domain.bounds
+    golden = (np.sqrt(5) - 1) / 2
+    candidates = [(0.5, 0.5)] + [((0.5 + k * golden) % 1, (0.5 + k * golden**2 * 1.32471796) % 1) for k in range(1, 50 * places)]
+    margin = 0.12 * min(x1 - x0, y1 - y0)
+    points = [(x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a, b in candidates]
+    inside = [point for point in points if skin.domain.depth([point])[0] > margin][:places]
+    up = [(force, True) for force in levels]
+    down = [(force, False) for force in levels[-2::-1]]
+    return tuple(PressStep(at, force, loading) for at in inside for force, loading in up + down)
+
+
+class PressGuide:
+    """Walks through a plan: make `step`, call `begin`, then `see` the contacts of each cycle until the step changes.
+
+    Args:
+        plan: What to press.
+        settle: Cycles after `begin` that do not count yet, while foam and tracker settle.
+        cycles: Cycles that the strength is the median of.
+
+    Attributes:
+        samples: What was seen so far.
+    """
+
+    def __init__(self, plan: Sequence[PressStep], settle: int = 6, cycles: int = 10) -> None:
+        self.plan, self.samples = tuple(plan), list[PressSample]()
+        self._settle, self._cycles = settle, cycles
+        self._seen: list[float] | None = None
+
+    @property
+    def step(self) -> PressStep | None:
+        """What is to be pressed now; None when all is done."""
+        return self.plan[len(self.samples)] if len(self.samples) < len(self.plan) else None
+
+    def begin(self) -> None:
+        """The press is there: measure it."""
+        self._seen = []
+
+    def see(self, contacts: Sequence[Contact]) -> bool:
+        """Look at a cycle. Whether the press has been measured and the next step is due."""
+        step = self.step
+        if step is None or self._seen is None:
+            return False
+        near = [abs(c.strength) for c in contacts if np.hypot(*np.subtract(c.position, step.at)) < _REACH]
+        self._seen.append(max(near, default=0.0))
+        if len(self._seen) < self._settle + self._cycles:
+            return False
+        strength = float(np.median(self._seen[self._settle :]))  # nothing, where it was mostly not felt
+        self.samples.append(PressSample(step.at, step.force, strength, step.loading))
+        self._seen = None
+        return True

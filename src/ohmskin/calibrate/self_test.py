@@ -1,0 +1,179 @@
+"""The self-test of a skin: is every electrode connected as it should be, and what is the instrument worth?"""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from ohmskin.calibrate.measures import (
+    Linearity,
+    LinkBudget,
+    Noise,
+    Offset,
+    Rates,
+    Settling,
+    mean_frame,
+    measure_linearity,
+    measure_link,
+    measure_noise,
+    measure_offset,
+    measure_settling,
+    propose_rates,
+    scan_whole,
+)
+from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
+from ohmskin.device import Device
+from ohmskin.errors import DeviceError
+from ohmskin.skin import Skin
+
+_REPEATS = 12
+_LOUD = 3.0  # times the described noise above which the measured one is a finding
+_BENT = 0.02  # share of the signal that linearity may miss
+
+
+@dataclass(frozen=True, eq=False)
+class SelfTest:
+    """What the self-test found. All but the diagnosis are None where too few electrodes are connected to measure them.
+
+    Args:
+        skin: Name of the skin's description.
+        device: Name of the device.
+        date: When, UTC, in ISO form.
+        diagnosis: Wiring and sheet.
+        noise, offset, linearity, settling, link, rates: What the instrument is worth.
+    """
+
+    skin: str
+    device: str
+    date: str
+    diagnosis: Diagnosis
+    noise: Noise | None = None
+    offset: Offset | None = None
+    linearity: Linearity | None = None
+    settling: Settling | None = None
+    link: LinkBudget | None = None
+    rates: Rates | None = None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the wiring, in plain words; empty if nothing is."""
+        return self.diagnosis.findings
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is not as it should be with the instrument."""
+        found = []
+        if (n := self.noise) and n.described > 0 and n.typical > _LOUD * n.described:
+            found.append(
+                f"noise is {_si(n.typical, 'V')}, {n.typical / n.described:.0f} times what the skin's description says; "
+                "check shields, supply and ground"
+            )
+        if (n := self.noise) and n.worst > _LOUD * 2 * n.typical:
+            found.append(f"electrode {n.worst_electrode} is noisier than the others: {_si(n.worst, 'V')}; check its contact")
+        if (o := self.offset) and o.rms > 5 * o.noise:
+            found.append(
+                f"voltages have an offset of {_si(o.rms, 'V')} rms, most at electrode {o.worst_electrode}; differences cancel it"
+            )
+        if (lin := self.linearity) and lin.error > max(_BENT, 5 * lin.noise):
+            found.append(f"currents do not add up by {100 * lin.error:.2g} % of the signal: out of range, or a touched skin?")
+        if (s := self.settling) and not s.settled:
+            more = f"wait {_si(s.needed, 's')} instead of {_si(s.settle_time, 's')}" if s.needed > s.settle_time else "wait longer"
+            found.append(f"{100 * s.left:.2g} % of a step is left when voltages are sampled; {more}")
+        return tuple(found)
+
+    def table(self) -> list[tuple[str, str]]:
+        """What was measured, as rows of name and value in words."""
+        d = self.diagnosis
+        rows = [
+            ("sheet conductivity that fits", f"{1e3 * d.conductivity:.4g} mS per square"),
+            ("measured against the model", f"{100 * d.misfit:.2g} % rms"),
+        ]
+        if (n := self.noise) is not None:
+            rows.append(("noise of a voltage", f"{_si(n.typical, 'V')} (described {_si(n.described, 'V')})"))
+        if (o := self.offset) is not None:
+            rows.append(("offset", f"{_si(o.rms, 'V')} rms (noise alone {_si(o.noise, 'V')})"))
+        if (lin := self.linearity) is not None:
+            rows.append(("R(ab) + R(bc) - R(ac)", f"{100 * lin.error:.2g} % of the signal (noise alone {100 * lin.noise:.2g} %)"))
+            rows.append(("against any network", f"{100 * lin.reciprocity:.2g} % of the signal"))
+        if (s := self.settling) is not None:
+            left = f"{100 * s.left:.2g} +- {100 * s.noise:.1g} % of a step left after {_si(s.settle_time, 's')}"
+            rows.append(("settling", left))
+        if (k := self.link) is not None:
+            rows.append(("round trip", f"{_si(k.round_trip, 's')} median, {_si(k.worst_round_trip, 's')} longest"))
+            moved = f", {k.bytes_per_scan:.0f} bytes" if k.bytes_per_scan else ""
+            rows.append(("base scan", f"{_si(k.scan_time, 's')}{moved} (the device says {_si(k.own_time, 's')})"))
+            rows.append(("requests sent again", str(k.retries)))
+        if (r := self.rates) is not None:
+            rows += [(f"{name} cycles", f"{rate:.4g} per second") for name, rate in r.cycles.items()]
+            name, best = list(r.proposed.items())[-1]
+            rows.append(("best with this wiring", f"{name} at {best:.4g} per second, waiting {_si(r.settle_time, 's')}"))
+        return rows
+
+    def to_json(self) -> str:
+        """All of it as JSON text; what is not known is null."""
+        return json.dumps(_plain({**asdict(self), "remarks": self.remarks}), indent=1)
+
+
+def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lambda _: None) -> SelfTest:
+    """Test wiring and instrument. Nothing may touch the skin meanwhile.
+
+    Args:
+        device: A device that can drive any pattern; a recording cannot.
+        skin: What it should be.
+        progress: Called with what comes next, in words.
+
+    Raises:
+        DeviceError: If the device is a recording, has another number of electrodes, or is lost.
+    """
+    n_elec = len(skin.electrodes)
+    if device.reference:
+        raise DeviceError("a recording cannot be tested: it has one pattern only; `ohmskin image` judges its data")
+    if device.capabilities.n_electrodes != n_elec:
+        found = device.capabilities.n_electrodes
+        raise DeviceError(f"the device has {found} electrodes, skin {skin.name!r} has {n_elec}; choose the skin that fits")
+    progress("driving every pair of electrodes")
+    frames = [scan_whole(device, terminal_pattern(n_elec)) for _ in range(_REPEATS)]
+    mean = mean_frame(frames)
+    progress("comparing with the model")
+    diagnosis = diagnose(skin, mean)
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    useless = [e for e in range(n_elec) if np.isnan(diagnosis.series[e])]
+    if n_elec - len(useless) < 6:
+        return SelfTest(skin.name, device.capabilities.name, date, diagnosis)
+    noise = measure_noise(frames, useless, skin)
+    progress("reversing currents")
+    offset = measure_offset(device, noise, useless)
+    linearity = measure_linearity(mean, len(frames), noise, useless, diagnosis.contradiction)
+    progress("switching and waiting")
+    settling = measure_settling(device, noise, useless)
+    progress("timing the link")
+    link = measure_link(device, list(skin.modes.values())[-1].base, useless)
+    rates = propose_rates(device, skin, link, settling)
+    return SelfTest(skin.name, device.capabilities.name, date, diagnosis, noise, offset, linearity, settling, link, rates)
+
+
+def _si(value: float, unit: str) -> str:
+    """A value in words, such as "205 uV"."""
+    if not math.isfinite(value) or value == 0:
+        return f"{value:g} {unit}"
+    for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "u")):
+        if abs(value) >= 0.9995 * factor:
+            return f"{value / factor:.3g} {prefix}{unit}"
+    return f"{value / 1e-9:.3g} n{unit}"
+
+
+def _plain(value: Any) -> Any:
+    """The value in what JSON has."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

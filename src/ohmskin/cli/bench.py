@@ -1,0 +1,62 @@
+"""``ohmskin bench``: how fast it is, side by side with others and with what the machine can do."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+
+from ohmskin.bench import Figure, run, write_report
+from ohmskin.bench.report import shown
+
+_COLOURS = {"pass": "green", "short": "red", "not run": "yellow", "": ""}
+
+
+def bench(
+    *,
+    quick: bool = False,
+    out: Path = Path("bench"),
+    only: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+) -> None:
+    """Measure how fast everything is, beside pyEIT, plain SciPy and the machine's own limits; one thread.
+
+    Example: `ohmskin bench --quick --out out/bench`
+
+    Parameters
+    ----------
+    quick
+        Two minutes instead of about ten: smaller sizes, fewer rounds.
+    out
+        Folder for benchmarks.json, benchmarks.md and the plot.
+    only
+        Parts wanted: machine, setup, fields, pattern, solver, frame, touches, scale, electrodes, accuracy, start.
+    """
+    started = time.monotonic()
+    console = Console()
+    with console.status("measuring") as status:
+        found = run(quick, only, lambda name, figure: status.update(f"{name}: {figure.name}"))
+    table = Table(box=None, padding=(0, 1))
+    for title, side in (
+        ("figure", "left"),
+        ("value", "right"),
+        ("spread", "left"),
+        ("target", "left"),
+        ("", "left"),
+        ("behind it", "left"),
+    ):
+        table.add_column(title, justify="right" if side == "right" else "left", overflow="fold")
+    for figure in (figure for group in found.values() for figure in group):
+        table.add_row(*_row(figure))
+    console.print(table, highlight=False)
+    for path in write_report(found, out, quick):
+        console.print(str(path), highlight=False, soft_wrap=True)
+    console.print(f"{time.monotonic() - started:.0f} s", highlight=False)
+
+
+def _row(figure: Figure) -> tuple[str, ...]:
+    spread = "" if figure.low is None or figure.low == figure.high else f"{shown(figure.low)} to {shown(figure.high)}"
+    colour, verdict = _COLOURS[figure.verdict], figure.verdict
+    value = f"{shown(figure.value)} {figure.unit}".rstrip()
+    return figure.name, value, spread, figure.target, f"[{colour}]{verdict}[/{colour}]" if colour else verdict, figure.note

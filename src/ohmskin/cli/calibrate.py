@@ -1,0 +1,116 @@
+"""``ohmskin calibrate``: the quiet skin, its sheet and contacts, and newtons."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+import ohmskin
+from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
+from ohmskin.cli.options import open_skin
+from ohmskin.engine import Engine
+from ohmskin.errors import DataError, DeviceError
+from ohmskin.plot.calibration import save_calibration
+from ohmskin.skin import Calibration, Press, Skin
+
+_TIP = 8e-3  # m, radius of the virtual finger
+_PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
+
+
+def calibrate(
+    *,
+    device: str = "virtual:",
+    skin: str = "",
+    out: Path | None = None,
+    picture: Path | None = None,
+    mode: str = "",
+    weights: tuple[float, ...] = (100.0, 200.0, 400.0, 700.0, 1000.0),
+    places: int = 5,
+    force: bool = True,
+) -> None:
+    """Calibrate a skin and write its description with what was measured. A virtual skin presses itself.
+
+    Parameters
+    ----------
+    device
+        Address: virtual:, tcp://HOST:PORT, serial://PORT.
+    skin
+        A skin that ships with ohmskin or a .toml file.
+    out
+        File for the calibrated skin; NAME-calibrated.toml unless given.
+    picture
+        Also save the curve as a picture, such as force.png.
+    mode
+        Drive mode to calibrate; the skin's best unless given.
+    weights
+        Weights to put on (g), all on the same small foot.
+    places
+        At how many places.
+    force
+        Whether to calibrate newtons, too; --no-force measures the quiet skin only.
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    opened, description = open_skin(device, skin)
+    description = replace(description, calibration=Calibration())
+    with opened:
+        plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
+        console.print("measuring the quiet skin; nothing may touch it")
+        found = calibrate_quiet(opened, description, ohmskin.__version__)
+        contact = f"{found.contact_resistance:.3g} ohm more than described" if found.contact_resistance else "as described"
+        console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square, misfit {100 * found.misfit:.2g} %; contacts {contact}")
+        console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
+        if force:
+            with Engine(lambda: opened, description, mode) as engine:
+                engine.calibrate()
+                guide = PressGuide(plan)
+                _walk(engine, guide, description)
+            curve = fit_force(guide.samples)
+            found = curve.put_into(replace(found, mode=engine.mode.name))
+            console.print(
+                f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {engine.mode.name}: "
+                f"error {curve.error:.2g} N rms, "
+                f"hysteresis {100 * curve.hysteresis:.2g} %, {100 * curve.scatter:.2g} % between places, {curve.missed} missed"
+            )
+            if curve.flat:
+                flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
+                console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
+            if picture is not None:
+                save_calibration(picture, guide.samples, curve)
+    path = out or Path(f"{description.name}-calibrated.toml")
+    try:
+        path.write_text(replace(description, calibration=found).dump(), encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error}; choose another file with --out") from error
+    console.print(f"wrote {path}; use it with --skin {path}")
+
+
+def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
+    """Press, or have someone press, all that the guide asks for."""
+    virtual = engine.device.capabilities.virtual
+    while (step := guide.step) is not None:
+        if virtual:
+            _press(engine, step, skin)
+        else:
+            _ask(f"[{len(guide.samples) + 1} of {len(guide.plan)}] {step}, then press Enter")
+        guide.begin()
+        for _ in range(_PATIENCE):
+            touch = engine.step()
+            if touch is not None and guide.see(touch.contacts):
+                break
+        else:
+            raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; calibrate again")
+    if virtual:
+        engine.press(0, guide.plan[-1].at, _TIP, 0.0)
+
+
+def _press(engine: Engine, step: PressStep, skin: Skin) -> None:
+    """The pressure that makes this force under the foam that the description tells of."""
+    per_pascal = Press(step.at, _TIP, 1.0).force(skin.contact_layer.foam_spread)
+    engine.press(0, step.at, _TIP, step.force / per_pascal)
+
+
+def _ask(words: str) -> None:
+    print(words, flush=True)
+    if not sys.stdin.readline():
+        raise DeviceError("standard input ended before all presses were made; run it on a terminal, or with --no-force")

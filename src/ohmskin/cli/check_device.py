@@ -1,0 +1,33 @@
+"""``ohmskin check-device``: does a device do what every device must?"""
+
+import json as json_module
+import sys
+from dataclasses import asdict
+
+from rich.console import Console
+
+from ohmskin.device import connect
+from ohmskin.device.conformance import check_device as run_checks
+
+
+def check_device(url: str, *, json: bool = False) -> None:
+    """Check a device and its driver; nothing may touch the skin meanwhile. The exit status is 1 if a check fails.
+
+    Parameters
+    ----------
+    url
+        Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of a driver that is installed.
+    json
+        Print JSON instead of lines.
+    """
+    checks = run_checks(connect(url))
+    failed = sum(check.outcome == "failed" for check in checks)
+    if json:
+        print(json_module.dumps([asdict(check) for check in checks]))
+    else:
+        console = Console(highlight=False, soft_wrap=True)
+        for check in checks:
+            console.print(str(check))
+        console.print(f"{len(checks)} checks, {failed} failed")
+    if failed:
+        sys.exit(1)

@@ -1,0 +1,93 @@
+"""``ohmskin export``: recordings as tables, arrays, pictures and films."""
+
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ohmskin.errors import DataError, OhmskinError
+from ohmskin.publish import export as exporting
+from ohmskin.publish.player import reimage
+from ohmskin.record import Tape, is_tape
+
+
+def export(
+    file: Path,
+    *,
+    to: Literal["csv", "npz", "parquet", "png", "mp4"],
+    output: Path | None = None,
+    what: Literal["contacts", "frames"] = "contacts",
+    start: float | None = None,
+    seconds: float | None = None,
+    at: float | None = None,
+    mode: str = "",
+    skin: str = "",
+    rate: float = 25.0,
+) -> None:
+    """Write a recording as csv, npz, parquet, png or mp4; columns and units are in docs/guide/recording.md.
+
+    Parameters
+    ----------
+    file
+        The recording.
+    to
+        csv and parquet: a table; npz: everything as NumPy arrays; png: a picture; mp4: a film (needs ffmpeg).
+    output
+        Where to; beside the recording's name in this folder unless given. An existing file is never overwritten.
+    what
+        Which table: contacts (a row per contact and cycle) or frames (a row per voltage).
+    start
+        From when on, seconds from the first frame after the calibration; with the calibration unless given.
+    seconds
+        How much of it.
+    at
+        png: which time; that of the strongest contact unless given.
+    mode
+        png, mp4: another drive mode, if its scans were recorded.
+    skin
+        png, mp4: another skin than the recorded one.
+    rate
+        mp4: pictures per second.
+    """
+    if (start is not None and not start >= 0) or (seconds is not None and not seconds > 0):
+        raise OhmskinError("--start must be 0 or more and --seconds positive")
+    if not 0 < rate <= 240:
+        raise OhmskinError(f"--rate is {rate:g}; it must be above 0 and at most 240")
+    stop = (start or 0.0) + seconds if seconds is not None else np.inf
+    suffix = f".{what}.{to}" if to in ("csv", "parquet") else f".{to}"
+    target = output or Path(file.stem + suffix)
+    if target.exists():
+        raise OhmskinError(f"{target} exists and is never overwritten; choose another with --output")
+    if to in ("png", "mp4"):
+        _show(file, to, target, start or 0.0, stop, at, {"mode": mode, "skin": skin}, rate)
+        return
+    if not is_tape(file):
+        raise DataError(f"{file} is no recording of ohmskin (.mcap); recordings of others can be exported as png and mp4")
+    begin = -np.inf if start is None else start
+    with Tape(file) as tape:
+        for note in tape.notes:
+            print(f"# {note}", file=sys.stderr)
+        if to == "npz":
+            shapes = exporting.write_npz(target, tape, begin, stop)
+            print(f"{target}: {', '.join(f'{name} {shape}' for name, shape in shapes.items() if len(shape))}")
+            return
+        columns = exporting.CONTACT_COLUMNS if what == "contacts" else exporting.FRAME_COLUMNS
+        rows = (exporting.contact_rows if what == "contacts" else exporting.frame_rows)(tape, begin, stop)
+        write = exporting.write_csv if to == "csv" else exporting.write_parquet
+        print(f"{target}: {write(target, columns, rows)} rows of {', '.join(columns)}")
+
+
+def _show(
+    file: Path, to: str, target: Path, start: float, stop: float, at: float | None, options: dict[str, Any], rate: float
+) -> None:
+    if to == "png":
+        if at is None and start > 0:
+            cycle = exporting.strongest(reimage(file, start=start, stop=stop, **options))
+        else:
+            cycle = exporting.cycle_at(file, at, stop, **options)
+        exporting.write_picture(target, cycle)
+        print(f"picture of {cycle.time:.2f} s: {target}")
+        return
+    count = exporting.write_film(target, reimage(file, start=start, stop=stop, **options), rate)
+    print(f"film of {count} pictures: {target}")

@@ -1,0 +1,97 @@
+"""``ohmskin patches``: several skins of one robot, and all they feel as one."""
+
+import signal
+import sys
+import threading
+import time
+import webbrowser
+from contextlib import ExitStack
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from ohmskin.cli.options import has_display
+from ohmskin.client.felt import Felt
+from ohmskin.errors import OhmskinError
+from ohmskin.publish.body import Body
+from ohmskin.publish.patches import Patches
+from ohmskin.view.overview import Overview
+
+_TABLE_EVERY = 2.0
+
+
+def patches(
+    body: str,
+    *,
+    publish: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = (),
+    host: str = "127.0.0.1",
+    port: int = 8000,
+    token: str = "",
+    demo: bool = True,
+    browser: bool = True,
+    headless: bool = False,
+    seconds: float | None = None,
+) -> None:
+    """Sense with all patches of a robot: a process for each, one stream of contacts in the robot's frames, one page.
+
+    Parameters
+    ----------
+    body
+        The body file (TOML): which patches there are, and where on the robot.
+    publish
+        Show other programs what is felt: zenoh[:PLACE], dds[:INTERFACE], foxglove[:HOST:PORT]; may be given several times.
+    host
+        Address to serve the page at; one that others can reach needs a token.
+    port
+        Port of the page; if it is taken, the next free one.
+    token
+        Password, a part of the page's address.
+    demo
+        Let a demonstration finger press each virtual patch now and then.
+    browser
+        Open the page in a browser if there is a display.
+    headless
+        No page.
+    seconds
+        End after so many seconds.
+    """
+    if seconds is not None and not seconds > 0:
+        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
+    loaded = Body.load(body)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with ExitStack() as stack:
+        all_patches = stack.enter_context(Patches(loaded, publish, token or None, demo, report=_say))
+        _say(f"publishing at {', '.join(all_patches.addresses)}")
+        if not headless:
+            page = stack.enter_context(Overview(loaded.name, all_patches.boards, host, port, token or None))
+            _say(f"open {page.url}   (Ctrl-C ends)")
+            if browser and has_display():
+                webbrowser.open(page.url)
+        end = float("inf") if seconds is None else time.monotonic() + seconds
+        due, count, newest = time.monotonic() + _TABLE_EVERY, 0, None
+        while not stop.is_set() and (now := time.monotonic()) < end:
+            if (felt := all_patches.step()) is not None:
+                newest, count = felt, count + 1
+            if now >= due and newest is not None:
+                _table(all_patches, newest, count / _TABLE_EVERY)
+                due, count = now + _TABLE_EVERY, 0
+
+
+def _table(all_patches: Patches, felt: Felt, rate: float) -> None:
+    """A row per patch."""
+    print(f"{'patch':<16}  {'link':<16}  frames/s  latency p50/p99  contacts  age")
+    for seen in felt.patches:
+        status = all_patches.status[seen.patch]
+        latency = f"{1e3 * status.get('p50', 0):5.1f} / {1e3 * status.get('p99', 0):4.1f} ms"
+        count = sum(contact.patch == seen.patch for contact in felt.contacts)
+        age = f"{seen.age:.2f} s" if seen.sequence else "never heard"
+        state = "" if status.get("state") == "running" else f"  {status.get('state', 'starting')}"
+        print(f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}  {latency:>15}  {count:8d}  {age}{state}")
+    print(f"merged: {rate:.0f} messages/s\n")
+    sys.stdout.flush()
+
+
+def _say(message: str) -> None:
+    print(message, flush=True)

@@ -1,0 +1,64 @@
+"""What commands that record say."""
+
+import sys
+import time
+from pathlib import Path
+
+from ohmskin.engine import Touch
+from ohmskin.errors import OhmskinError
+from ohmskin.publish.recorder import Recorder
+from ohmskin.record import Progress
+
+_TELL_EVERY = 1.0  # s
+
+
+class Teller:
+    """Says how a recording goes, once a second, and warns when something stands in its way."""
+
+    def __init__(self, recorder: Recorder, quiet: bool = False) -> None:
+        self._recorder, self._quiet = recorder, quiet
+        self._due = time.monotonic() + _TELL_EVERY
+        self._last, self._troubled = Progress(), ""
+
+    def __call__(self, touch: Touch) -> None:
+        now = time.monotonic()
+        if now < self._due:
+            return
+        since, self._due = now - self._due + _TELL_EVERY, now + _TELL_EVERY
+        progress = self._recorder.progress
+        if progress.trouble != self._troubled:
+            self._troubled = progress.trouble
+            print(
+                f"warning: the recording stands still: {progress.trouble}; the loop goes on"
+                if progress.trouble
+                else "the recording goes on",
+                file=sys.stderr,
+                flush=True,
+            )
+        if not self._quiet:
+            rate = (progress.written - self._last.written) / since
+            dropped = sum(progress.dropped.values())
+            print(
+                f"{touch.health.rate:6.0f} cycles/s  {progress.frames:8d} frames  {progress.written / 1e6:8.2f} MB"
+                f"  {rate / 1e6:6.2f} MB/s" + (f"  {dropped} messages dropped" if dropped else ""),
+                flush=True,
+            )
+        self._last = progress
+
+
+def refuse_existing(file: Path) -> None:
+    """Raise unless a recording can be made here; asked before the device is opened, which takes a while."""
+    if file.exists():
+        raise OhmskinError(f"{file} exists, and a recording is never overwritten; choose another name")
+    if not file.absolute().parent.is_dir():
+        raise OhmskinError(f"cannot record to {file}: there is no folder {file.absolute().parent}; make it first")
+
+
+def summary(file: Path, progress: Progress) -> str:
+    """What became of a recording, in a sentence."""
+    lost = ", ".join(f"{count} of {topic}" for topic, count in progress.dropped.items())
+    return (
+        f"{file}: {progress.frames} frames, {progress.written / 1e6:.2f} MB"
+        + (f"; dropped {lost}" if lost else "")
+        + (f"; {progress.trouble}: `ohmskin recover {file}` mends what is there" if progress.trouble else "")
+    )

@@ -1,0 +1,23 @@
+"""``ohmskin recover``: a whole copy of a recording that was cut short."""
+
+from pathlib import Path
+
+from ohmskin.record import recover as recover_file
+
+
+def recover(file: Path, output: Path | None = None) -> None:
+    """Mend a recording that was cut short: write a whole, indexed copy of all that can be read. The original stays as it is.
+
+    Parameters
+    ----------
+    file
+        The recording.
+    output
+        The copy; NAME.recovered.mcap beside it unless given. An existing file is never overwritten.
+    """
+    done = recover_file(file, output)
+    if done.whole and not done.damaged:
+        print(f"{file} is whole; {done.path} is a copy of it")
+    else:
+        print(f"{file}: {done.lost} bytes at its end and {done.damaged} parts within it cannot be read")
+    print(f"recovered {done.frames} frames ({done.messages} messages) to {done.path}")

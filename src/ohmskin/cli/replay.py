@@ -1,0 +1,98 @@
+"""``ohmskin replay``: a recording through the loop and the page again, or as other estimators see it."""
+
+import math
+import sys
+from pathlib import Path
+
+from ohmskin.cli.live import live
+from ohmskin.errors import OhmskinError
+
+
+def replay(
+    file: Path,
+    *,
+    skin: str = "",
+    mode: str = "",
+    speed: float = 1.0,
+    start: float = 0.0,
+    loop: bool = False,
+    rate: float = 30.0,
+    compare: str = "",
+    at: float | None = None,
+    output: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8000,
+    token: str = "",
+    browser: bool = True,
+    headless: bool = False,
+    json: bool = False,
+    seconds: float | None = None,
+) -> None:
+    """Replay a recording through the same loop and page as a device, or compare estimators on it.
+
+    Parameters
+    ----------
+    file
+        The recording: ours (.mcap), or a table or MATLAB file of others.
+    skin
+        Another skin than the recorded one.
+    mode
+        Another drive mode, if its scans were recorded; those of the recording unless given.
+    speed
+        Seconds of the recording per second; inf for as fast as it goes.
+    start
+        Where to begin, seconds from the first frame after the calibration.
+    loop
+        Begin again at the end.
+    rate
+        Frames per second of recordings that hold no times.
+    compare
+        Estimators, such as paper,matern,tv: no page, a picture of their images side by side.
+    at
+        With --compare: which time; that of the strongest contact unless given.
+    output
+        With --compare: where to put the picture; beside the recording's name in this folder unless given.
+    host, port, token, browser, headless, json, seconds
+        As for `ohmskin live`.
+    """
+    if compare:
+        if headless or json or loop:
+            raise OhmskinError("--compare makes a picture; leave --headless, --json and --loop out")
+        _compare(file, compare.split(","), at, mode, skin, output or Path(f"{file.stem}.compare.png"))
+        return
+    if at is not None or output is not None:
+        raise OhmskinError("--at and --output go with --compare, such as --compare paper,matern")
+    if not (speed > 0 and not math.isnan(speed)):
+        raise OhmskinError(f"--speed is {speed:g}; it must be positive, or inf")
+    live(
+        device=f"replay:{file}?speed={speed}&start={start}&loop={int(loop)}&rate={rate}",
+        skin=skin,
+        mode=mode,
+        host=host,
+        port=port,
+        token=token,
+        demo=False,
+        browser=browser,
+        headless=headless,
+        json=json,
+        seconds=seconds,
+    )
+
+
+def _compare(file: Path, names: list[str], at: float | None, mode: str, skin: str, output: Path) -> None:
+    from ohmskin.publish.export import cycle_at, save_comparison
+    from ohmskin.publish.player import ESTIMATORS
+
+    if unknown := [name for name in names if name not in ESTIMATORS]:
+        raise OhmskinError(f"no estimator {unknown[0]!r}; choose from {', '.join(ESTIMATORS)}")
+    if output.exists():
+        raise OhmskinError(f"{output} exists and is never overwritten; choose another with --output")
+    if at is None:
+        at = cycle_at(file, None, mode=mode, skin=skin).time
+    cycles = {}
+    for name in names:
+        cycles[name] = cycle = cycle_at(file, at, estimator=ESTIMATORS[name], mode=mode, skin=skin)
+        places = ", ".join(f"({1e3 * c.position[0]:.1f}, {1e3 * c.position[1]:.1f}) mm" for c in cycle.touch.sight.contacts)
+        print(f"{name:10s} {places or 'no contact'}", file=sys.stdout)
+    save_comparison(output, {f"{name}, {cycle.time:.2f} s": cycle for name, cycle in cycles.items()})
+    print(f"picture: {output}")

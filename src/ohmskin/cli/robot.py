@@ -1,0 +1,94 @@
+"""``ohmskin robot``: an arm with a skin yields when it is poked."""
+
+import json as json_module
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import track
+
+from ohmskin.device import connect
+from ohmskin.engine import Engine
+from ohmskin.errors import OhmskinError
+from ohmskin.robot import Demonstration, Encounter, Moment, summary
+from ohmskin.skin import Skin
+
+
+def robot(
+    *,
+    pokes: int = 10,
+    skin: str = "paper",
+    mode: str = "",
+    seed: int = 0,
+    yielding: bool = True,
+    video: Path | None = None,
+    picture: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Poke a robot arm that wears the skin: MuJoCo's contacts press the virtual skin, the loop senses them, the arm yields.
+
+    Example: `ohmskin robot --pokes 5 --picture arm.png`
+
+    Parameters
+    ----------
+    pokes
+        How many times it is poked, at random places.
+    skin
+        A rectangular skin that ships with ohmskin or a .toml file.
+    mode
+        Drive mode, such as 16I or 16O; the skin's best unless given.
+    seed
+        Chooses the places.
+    yielding
+        Let the arm yield; --no-yielding shows the forces without.
+    video
+        MP4 file to write (needs ffmpeg).
+    picture
+        PNG file to write: the moment of the largest force.
+    json
+        Print figures as JSON.
+    """
+    if not 1 <= pokes <= 10_000:
+        raise OhmskinError(f"--pokes is {pokes}; choose 1 to 10000")
+    for path in (video, picture):
+        if path is not None and not path.parent.is_dir():
+            raise OhmskinError(f"there is no folder {path.parent}; make it first")
+    description = Skin.load(skin)
+    console = Console(stderr=True)
+    encounters: list[Encounter] = []
+    with ExitStack() as stack:
+        engine = stack.enter_context(
+            Engine(lambda: connect("virtual:", skin=description, seed=seed, realtime=False), description, mode)
+        )
+        engine.calibrate()
+        demonstration = Demonstration(engine, seed, yielding)
+        shows = []
+        if video or picture:
+            from ohmskin.robot.film import Film, Snapshot, Video
+
+            film = Film(description, demonstration.arm)
+            stack.callback(film.close)
+            if picture:
+                shows.append(stack.enter_context(Snapshot(picture, film)).show)
+            if video:
+                shows.append(stack.enter_context(Video(video, film)).show)
+
+        def show(moment: Moment) -> None:
+            for each in shows:
+                each(moment)
+
+        for encounter in track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console):
+            encounters.append(encounter)
+    figures = summary(encounters)
+    if json:
+        print(json_module.dumps(figures))
+        return
+    print(f"{figures['felt']} of {pokes} pokes felt")
+    for name, label, factor, unit in (
+        ("position_error", "position error", 1e3, "mm"),
+        ("reaction_time", "reaction time", 1e3, "ms"),
+        ("peak_force", "peak force", 1.0, "N"),
+    ):
+        if (spread := figures[name]) is not None:
+            said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())  # type: ignore[attr-defined]
+            print(f"{label:<15} {said} {unit}")

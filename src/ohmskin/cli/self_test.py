@@ -1,0 +1,59 @@
+"""``ohmskin self-test``: every electrode, noise, offset, linearity, settling and link."""
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ohmskin.calibrate import self_test as run_self_test
+from ohmskin.cli.options import open_skin
+from ohmskin.errors import DataError
+from ohmskin.plot.self_test import save_self_test
+from ohmskin.skin import Fault
+
+
+def self_test(
+    *, device: str = "virtual:", skin: str = "", out: Path | None = None, json: bool = False, fault: tuple[str, ...] = ()
+) -> None:
+    """Test the wiring and the instrument of an untouched skin. Nothing may touch it meanwhile.
+
+    The exit status is 1 if an electrode is not in order.
+
+    Parameters
+    ----------
+    device
+        Address: virtual:, tcp://HOST:PORT, serial://PORT.
+    skin
+        A skin that ships with ohmskin or a .toml file.
+    out
+        Folder for self-test.json and self-test.png.
+    json
+        Print JSON instead of a table.
+    fault
+        With virtual: only: something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5 20".
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    opened, description = open_skin(device, skin, [Fault.parse(text) for text in fault])
+    with opened:
+        result = run_self_test(opened, description, lambda text: None if json else print(f"{text} ...", file=sys.stderr))
+    if json:
+        print(result.to_json())
+    else:
+        for text in [str(finding) for finding in result.findings] or [f"all {len(description.electrodes)} electrodes are in order"]:
+            console.print(text)
+        for remark in result.remarks:
+            console.print(f"note: {remark}")
+        table = Table("measured", "value", box=None)
+        for row in result.table():
+            table.add_row(*row)
+        console.print(table)
+    if out is not None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            (out / "self-test.json").write_text(result.to_json() + "\n", encoding="utf-8")
+        except OSError as error:
+            raise DataError(f"cannot write to {out}: {error}; choose another folder with --out") from error
+        save_self_test(out / "self-test.png", result, description)
+    if result.findings:
+        sys.exit(1)

@@ -1,0 +1,16 @@
+"""What a robot's program needs to know what its skin feels: the newest contacts, at once. Imports only the standard library.
+
+from ohmskin.client import Client
+
+with Client() as skin:
+    while True:
+        felt = skin.newest()
+        if felt is None or felt.age > 0.1 or felt.contacts:
+            stop()
+"""
+
+from ohmskin.client.board import Board, BoardReader
+from ohmskin.client.client import Client
+from ohmskin.client.felt import Contact, Felt, Patch, Sighting
+
+__all__ = ["Board", "BoardReader", "Client", "Contact", "Felt", "Patch", "Sighting"]

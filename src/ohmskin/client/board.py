@@ -1,0 +1,259 @@
+"""A board: the newest message of one writer, in shared memory, for any number of readers that never hold it up.
+
+The file (docs/guide/publishing.md has its layout) is a ring of slots. The writer fills the next slot and then says which one is
+the newest; it never looks at a reader. A reader copies the newest slot and holds number and checksum against what it copied, so
+that a slot written meanwhile, or seen half by another core, is noticed and read again.
+"""
+
+import json
+import mmap
+import os
+import re
+import stat
+import struct
+import tempfile
+import time
+import zlib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from ohmskin.errors import PublishError
+
+MAGIC = int.from_bytes(b"ohmskin1", "little")
+LARGEST_BOARD = 64 * 2**20
+LARGEST_SETUP = 2**20
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(\.[A-Za-z][A-Za-z0-9_]{0,31}){0,2}")
+_SLOTS = 8
+_MAGIC, _SLOTS_AT, _N_SLOTS, _SLOT_BYTES, _BOOT, _NEWEST, _CLOSED, _SETUP_BYTES = range(8)  # words of the head, 8 bytes each
+_HEAD_BYTES = 64
+_SLOT = struct.Struct("<QII")  # number of the message, its length, checksum of number and message
+_NUMBER = struct.Struct("<Q")
+_LOOK_AGAIN = 0.05  # seconds without anything new after which a reader looks whether there is a new board
+
+
+def board_folder() -> Path:
+    """The folder of this user's boards, in memory where the system has such a place; nobody else may look into it.
+
+    Raises:
+        PublishError: If somebody else owns it or may look into it.
+    """
+    given = os.environ.get("OHMSKIN_BOARDS")
+    shared = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else Path(tempfile.gettempdir())
+    folder = Path(given) if given else shared / f"ohmskin-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700, parents=bool(given))
+    if hasattr(os, "getuid"):
+        found = folder.lstat()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+            raise PublishError(f"{folder} must be a folder that only you may use (chmod 700); remove it, or set OHMSKIN_BOARDS")
+    return folder
+
+
+def board_path(name: str) -> Path:
+    """The file of a board.
+
+    Raises:
+        PublishError: If that is no name of a board; so a name can never lead out of the folder.
+    """
+    if not _NAME.fullmatch(name):
+        raise PublishError(f"{name!r} cannot name what a skin publishes; use letters, digits and '_', 32 at most, a letter first")
+    return board_folder() / name
+
+
+class Board:
+    """The writer's side.
+
+    Args:
+        name: What readers call it; letters, digits and underscores.
+        setup: What they should know once, such as the names of patches; anything that JSON can say.
+        largest: Bytes of the largest message.
+
+    Raises:
+        PublishError: If another program writes this board now, or the name or the sizes cannot be used.
+    """
+
+    def __init__(self, name: str, setup: Mapping[str, Any], largest: int) -> None:
+        path = board_path(name)
+        text = json.dumps(setup, allow_nan=False).encode()
+        slots_at = -(-(_HEAD_BYTES + len(text)) // 64) * 64
+        slot_bytes = -(-(_SLOT.size + largest) // 64) * 64
+        size = slots_at + _SLOTS * slot_bytes
+        if len(text) > LARGEST_SETUP or size > LARGEST_BOARD:
+            raise PublishError(f"board {name!r} would take {size} bytes; {LARGEST_BOARD} is the most")
+        self._path = path
+        self._lock: int | None = _lock(path, name)
+        # Made beside and then renamed, so that a reader of the board of before keeps what it has and nobody sees half a board.
+        fresh = path.with_name(f".{name}-{os.getpid()}")
+        fresh.unlink(missing_ok=True)
+        file = os.open(fresh, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            os.ftruncate(file, size)
+            self._memory = mmap.mmap(file, size)
+        finally:
+            os.close(file)
+        self._words = memoryview(self._memory)[:_HEAD_BYTES].cast("Q")  # a word is stored in one go, other than by `pack_into`
+        self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
+        self.boot = int.from_bytes(os.urandom(8), "little") or 1
+        values = (MAGIC, slots_at, _SLOTS, slot_bytes, self.boot, 0, 0, len(text))
+        for place, value in enumerate(values):
+            self._words[place] = value
+        self._memory[_HEAD_BYTES : _HEAD_BYTES + len(text)] = text
+        os.replace(fresh, path)
+
+    def write(self, message: bytes) -> None:
+        """Show a message instead of the one before; never waits.
+
+        Raises:
+            PublishError: If it is larger than was said.
+        """
+        if len(message) > self._slot_bytes - _SLOT.size:
+            raise PublishError(f"a message of {len(message)} bytes on a board for {self._slot_bytes - _SLOT.size}")
+        self._number += 1
+        at = self._slots_at + self._number % _SLOTS * self._slot_bytes
+        checksum = zlib.crc32(message, zlib.crc32(_NUMBER.pack(self._number)))
+        _SLOT.pack_into(self._memory, at, self._number, len(message), checksum)
+        at += _SLOT.size
+        self._memory[at : at + len(message)] = message
+        self._words[_NEWEST] = self._number
+
+    def close(self) -> None:
+        """Say that nothing more comes, and remove the file; who has it open keeps what is on it. Safe twice."""
+        if self._lock is None:
+            return
+        self._words[_CLOSED] = 1
+        self._words.release()
+        self._memory.close()
+        self._path.unlink(missing_ok=True)
+        os.close(self._lock)
+        self._lock = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class BoardReader:
+    """A reader's side. The board need not be there yet, and may be taken away and come again.
+
+    Attributes:
+        setup: What the writer said about itself; empty before there is a board.
+
+    Raises:
+        PublishError: If that is no name of a board.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._path = board_path(name)
+        self._memory: mmap.mmap | None = None
+        self._words: memoryview | None = None
+        self._identity, self._size = (0, 0), 0
+        self._number, self._look_at = 0, -1.0
+        self.setup: dict[str, Any] = {}
+
+    @property
+    def boot(self) -> int:
+        """A number that changes whenever the writer starts anew; 0 before there is a board."""
+        return self._words[_BOOT] if self._words is not None else 0
+
+    @property
+    def closed(self) -> bool:
+        """Whether there is no board, or its writer has said that nothing more comes."""
+        return self._words is None or bool(self._words[_CLOSED])
+
+    def newest(self) -> bytes | None:
+        """The newest message, once; None if there is none that was not given before. Never waits.
+
+        Raises:
+            PublishError: If the file is not a board of this version.
+        """
+        if self._words is None or self._words[_NEWEST] == self._number:
+            now = time.monotonic()
+            if now < self._look_at:
+                return None
+            self._look_at = now + _LOOK_AGAIN
+            self._open()
+        if self._words is None or self._memory is None:
+            return None
+        for _ in range(_SLOTS):
+            number = self._words[_NEWEST]
+            if number == self._number:
+                return None
+            at = self._slots_at + number % _SLOTS * self._slot_bytes
+            stated, length, checksum = _SLOT.unpack_from(self._memory, at)
+            if stated == number and length <= self._slot_bytes - _SLOT.size:
+                message = self._memory[at + _SLOT.size : at + _SLOT.size + length]
+                if zlib.crc32(message, zlib.crc32(_NUMBER.pack(number))) == checksum:
+                    self._number, self._look_at = number, time.monotonic() + _LOOK_AGAIN
+                    return message
+        return None  # the writer overtook us time and again; it will be here still at the next look
+
+    def close(self) -> None:
+        """Let go of the board. Safe twice."""
+        if self._words is not None and self._memory is not None:
+            self._words.release()
+            self._memory.close()
+            self._words = self._memory = None
+        self._identity = (0, 0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _open(self) -> None:
+        """Take the board that has the name now, if it is another one than before."""
+        try:
+            file = os.open(self._path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise PublishError(f"cannot read {self._path}: {error.strerror}; is it yours?") from error
+        try:
+            found = os.fstat(file)
+            if (found.st_dev, found.st_ino) == self._identity:
+                return
+            if not _HEAD_BYTES < found.st_size <= LARGEST_BOARD:
+                raise PublishError(f"{self._path} has {found.st_size} bytes and is no board of this version of ohmskin")
+            memory = mmap.mmap(file, found.st_size, access=mmap.ACCESS_READ)
+        finally:
+            os.close(file)
+        words = memoryview(memory)[:_HEAD_BYTES].cast("Q")
+        _, slots_at, n_slots, slot_bytes, _, _, _, setup_bytes = words
+        fits = (
+            _HEAD_BYTES + setup_bytes <= slots_at and slot_bytes > _SLOT.size and slots_at + n_slots * slot_bytes == found.st_size
+        )
+        try:
+            if words[_MAGIC] != MAGIC or n_slots != _SLOTS or not fits:
+                raise ValueError("its head is not one")
+            setup = json.loads(memory[_HEAD_BYTES : _HEAD_BYTES + setup_bytes])
+            if not isinstance(setup, dict):
+                raise ValueError("its setup is no table")
+        except (ValueError, RecursionError) as error:
+            words.release()
+            memory.close()
+            raise PublishError(f"{self._path} is no board of this version of ohmskin ({error}); start its writer anew") from error
+        self.close()
+        self._memory, self._words, self.setup = memory, words, setup
+        self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
+        self._identity = (found.st_dev, found.st_ino)
+
+
+def _lock(path: Path, name: str) -> int:
+    """Keep other writers of the same name away for as long as this one lives, however it ends."""
+    file = os.open(path.with_name(f".{name}.lock"), os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:  # Windows
+        pass
+    except OSError as error:
+        os.close(file)
+        raise PublishError(f"another skin publishes as {name!r} on this machine; choose another name with --name") from error
+    return file

@@ -1,0 +1,232 @@
+"""The analogue side of the emulated firmware: multiplexers, source and converter as the physics twin would have them.
+
+The firmware in QEMU has no analogue pins; its second UART stands for them. Each packet is COBS(kind, tag, payload) and a zero
+byte; a reply has the request's tag and 0x80 more in its kind. The line is a pipe of the emulator and loses nothing, so there is
+no checksum; a firmware that was reset in mid-packet begins with a zero byte, and by the tags knows replies that came too late.
+"""
+
+import os
+import socket
+import threading
+import zlib
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from cobs import cobs
+
+from ohmskin.device.capabilities import Feature
+from ohmskin.device.layout import LAYOUTS as PROTOCOL
+from ohmskin.device.layout import Kind as ProtocolKind
+from ohmskin.device.layout import Layout
+from ohmskin.errors import ProtocolError, SkinError
+from ohmskin.geometry.domain import Floats
+from ohmskin.geometry.mesh import Ints
+from ohmskin.skin import Skin, VirtualSkin
+
+REPLY = 0x80
+_CONVERSION = 5e-3  # s: a conversion takes what the emulator takes; so much on a computer busy with other things
+_CURRENT_LIMIT = 2  # as BOARD_CURRENT_LIMIT in the firmware's board.h
+_ELSEWHERE = 0x10000  # numbers of presses that do not come through the firmware begin here
+_MOST_PRESSES = 64
+
+
+class Kind(IntEnum):
+    """What the firmware asks of its analogue side."""
+
+    DESCRIBE = 1  # what are you?
+    SAMPLE = 2  # connect source and sink, let `elapsed` microseconds pass, convert the current and each pair once
+    PRESS = 3  # passed on from the host; an empty text means done
+    LIFT = 4  # all that the firmware passed on
+
+
+LAYOUTS = {
+    Kind.DESCRIBE: (
+        Layout(""),
+        Layout(
+            "serial:u32 boot:u32 features:u32 excitation:f32 full_scale:f32 settle_time:f32 conversion_time:f32 volts_per_code:f32 "
+            "amperes_per_code:f32 volts_zero:u16 amperes_zero:u16 code_max:u16 averages:u16 electrodes:u16 name:text<=32"
+        ),
+    ),
+    Kind.SAMPLE: (
+        Layout("elapsed:u16 source:u8 sink:u8 count:u8 pairs:u8[count][2]"),
+        Layout("current:u16 flags:u8 count:u8 codes:u16[count]"),
+    ),
+    Kind.PRESS: (PROTOCOL[ProtocolKind.PRESS], Layout("text:text<=100")),
+    Kind.LIFT: (Layout(""), Layout("")),
+}
+
+
+class AnalogueSide:
+    """What the firmware would measure on a real skin, as codes of the converter.
+
+    Unlike `VirtualSkin.scan` it lets the channels settle for as long as the firmware really waited.
+
+    Args:
+        skin: What to simulate.
+        seed: Seed of the noise.
+        averages: Samples that the firmware makes one value of.
+
+    Raises:
+        SkinError: If the skin has more electrodes or bits than the emulated board.
+    """
+
+    def __init__(self, skin: Skin, seed: int | None = None, averages: int = 1) -> None:
+        if skin.converter.bits > 16:
+            raise SkinError(f"converter.bits is {skin.converter.bits}; the emulated board's codes have at most 16")
+        if len(skin.electrodes) > 256:
+            raise SkinError(f"skin {skin.name!r} has {len(skin.electrodes)} electrodes; the emulated board has at most 256")
+        if not 1 <= averages <= 65535:
+            raise SkinError(f"averages is {averages}; it must be 1..65535")
+        self.skin = skin
+        self.described = threading.Event()  # the firmware has asked and been told what it is connected to
+        self._virtual = VirtualSkin(skin, seed)
+        self._averages = averages
+        self._random = np.random.default_rng(seed)
+        self._resistance = self._virtual.sheet.untouched
+        self._potentials = self._before = np.zeros(len(skin.electrodes))  # when sampled last, and when driven last
+        self._driven, self._elapsed = (-1, -1), 0.0
+        self._lock = threading.Lock()
+
+    def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
+        """Put, move or lift a touch; metres and pascals.
+
+        Raises:
+            SkinError: If the place is off the sheet, or radius or pressure are out of range, or too many touches are down.
+        """
+        with self._lock:
+            down = self._virtual.presses
+            if pressure > 0 and number not in down and len(down) >= _MOST_PRESSES:
+                raise SkinError(f"{_MOST_PRESSES} presses are down, which is the most; lift one first")
+            self._virtual.press(number, x, y, radius, pressure)
+            self._resistance = self._virtual.sheet.transfer_resistance(self._virtual.presses.values())
+
+    def press_elsewhere(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
+        """The same for touches that do not come through the firmware, which has numbers of its own."""
+        self.press(number + _ELSEWHERE, x, y, radius, pressure)
+
+    def lift(self) -> None:
+        """Lift what came through the firmware."""
+        for number, press in self._virtual.presses.items():
+            if number < _ELSEWHERE:
+                self.press(number, *press.position, press.radius, 0.0)
+
+    def sample(self, source: int, sink: int, elapsed: float, pairs: Ints) -> tuple[int, Ints, bool]:
+        """Convert once.
+
+        Args:
+            source: Electrode at which the current enters the sheet.
+            sink: Electrode at which it leaves.
+            elapsed: Time since they were connected (us).
+            pairs: (n, 2) plus and minus electrodes.
+
+        Returns:
+            Code of the current, codes (n,) of the voltages, and whether the source ran into its current limit.
+        """
+        excitation, converter = self.skin.excitation, self.skin.converter
+        with self._lock:
+            r = self._resistance
+        drive = r[source] - r[sink]
+        current = excitation.amplitude
+        if excitation.source == "voltage":
+            series = excitation.resistance + 2 * excitation.multiplexer_resistance + converter.shunt
+            current /= drive[source] - drive[sink] + series
+        limited = current > excitation.current_limit
+        current = min(current, excitation.current_limit)
+        if (source, sink) != self._driven or elapsed < self._elapsed:
+            self._before = self._potentials
+        self._driven, self._elapsed = (source, sink), elapsed
+        left = np.exp(-elapsed * 1e-6 / converter.time_constant) if converter.time_constant > 0 else 0.0
+        settled = drive * current
+        self._potentials = settled + left * (self._before - settled)
+        volts = np.append(self._potentials[pairs[:, 0]] - self._potentials[pairs[:, 1]], current * converter.shunt)
+        codes = self._convert(volts + self._random.normal(0, converter.noise, len(volts)))
+        return int(codes[-1]), codes[:-1], bool(limited)
+
+    def _convert(self, volts: Floats) -> Ints:
+        """Codes of the converter; beyond its range, the first or the last one."""
+        codes = np.rint(volts / self._volts_per_code) + self._zero
+        return codes.clip(0, 2 * self._zero - 1).astype(np.int64)
+
+    @property
+    def _zero(self) -> int:
+        return 1 << (self.skin.converter.bits - 1)
+
+    @property
+    def _volts_per_code(self) -> float:
+        return self.skin.converter.full_scale / self._zero
+
+    def describe(self) -> dict[str, Any]:
+        """The fields of the answer to DESCRIBE; another boot number each time."""
+        skin = self.skin
+        source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
+        return {
+            "serial": zlib.crc32(b"firmware of " + skin.dump().encode()),
+            "boot": int.from_bytes(os.urandom(4), "little"),
+            "features": Feature.VIRTUAL | Feature.CURRENT_MEASURED | source,
+            "excitation": skin.excitation.amplitude,
+            "full_scale": skin.converter.full_scale,
+            "settle_time": skin.converter.settle,
+            "conversion_time": _CONVERSION,
+            "volts_per_code": self._volts_per_code,
+            "amperes_per_code": self._volts_per_code / skin.converter.shunt,
+            "volts_zero": self._zero,
+            "amperes_zero": self._zero,
+            "code_max": 2 * self._zero - 1,
+            "averages": self._averages,
+            "electrodes": len(skin.electrodes),
+            "name": f"firmware, {skin.name}",
+        }
+
+    def answer(self, packet: bytes) -> bytes:
+        """The reply to one request, both without COBS.
+
+        Raises:
+            ProtocolError: If it cannot be read.
+        """
+        if len(packet) < 2 or packet[0] not in set(Kind):
+            raise ProtocolError(f"no request of the firmware: {packet[:8].hex()}")
+        kind, tag = Kind(packet[0]), packet[1]
+        ask, tell = LAYOUTS[kind]
+        asked = ask.unpack(packet[2:])
+        return bytes([kind | REPLY, tag]) + tell.pack(self._obey(kind, asked))
+
+    def _obey(self, kind: Kind, asked: dict[str, Any]) -> dict[str, Any]:
+        match kind:
+            case Kind.DESCRIBE:
+                return self.describe()
+            case Kind.SAMPLE:
+                pairs = asked["pairs"]
+                count = len(self.skin.electrodes)
+                if max(asked["source"], asked["sink"], pairs.max(initial=0)) >= count:
+                    raise ProtocolError(f"the firmware names an electrode beyond {count - 1}")
+                current, codes, limited = self.sample(asked["source"], asked["sink"], asked["elapsed"], pairs)
+                return {"current": current, "flags": _CURRENT_LIMIT * limited, "count": len(codes), "codes": codes}
+            case Kind.PRESS:
+                try:
+                    self.press(asked["number"], asked["x"], asked["y"], asked["radius"], asked["pressure"])
+                except SkinError as error:
+                    return {"text": str(error)}
+                return {"text": ""}
+            case Kind.LIFT:
+                self.lift()
+                return {}
+
+    def serve(self, line: socket.socket) -> None:
+        """Answer the firmware until the line is closed."""
+        rest = bytearray()
+        try:
+            while data := line.recv(4096):
+                rest += data
+                *packets, tail = rest.split(b"\0")
+                rest = bytearray(tail)
+                for stuffed in filter(None, packets):
+                    try:
+                        reply = self.answer(cobs.decode(bytes(stuffed)))
+                    except (ProtocolError, cobs.DecodeError):
+                        continue  # the end of what a reset cut off
+                    line.sendall(cobs.encode(reply) + b"\0")
+                    if reply[0] == Kind.DESCRIBE | REPLY:
+                        self.described.set()
+        except OSError:
+            return  # the emulator has gone

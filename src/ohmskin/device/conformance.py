@@ -1,0 +1,334 @@
+"""Does a device do what every device must? For those who write drivers and firmware.
+
+Each check is a function that raises `_Failed` with what it saw, or `_Skipped` with why it does not apply; a device that is lost or
+raises something else in a check fails it. They take some seconds; nothing should touch the skin meanwhile.
+"""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.device.capabilities import Feature
+from ohmskin.device.driver import Device
+from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, OhmskinError, PatternError
+from ohmskin.scan import DrivePattern, Frame, FrameFlag, measure_others
+
+_PROMPT = 1.0  # s beyond its timeout within which a scan must have given up
+_NOISY = 0.02  # share of the signal by which repeated and reciprocal voltages may differ
+_SCANS = 12
+_THREADS = 3
+
+
+@dataclass(frozen=True)
+class Check:
+    """The outcome of one check.
+
+    Args:
+        name: What was checked.
+        outcome: "passed", "failed" or "skipped".
+        words: What was seen, or why it was skipped; empty where it passed.
+    """
+
+    name: str
+    outcome: str
+    words: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.outcome}: {self.name}" + (f": {self.words}" if self.words else "")
+
+
+class _Failed(Exception):
+    pass
+
+
+class _Skipped(Exception):
+    pass
+
+
+def check_device(device: Device) -> list[Check]:
+    """Check a device; it is closed afterwards.
+
+    Args:
+        device: Freshly opened, with an untouched skin.
+
+    Returns:
+        One outcome for each check, in the order they ran.
+    """
+    checks = []
+    for name, check in _CHECKS.items():
+        try:
+            check(device)
+        except _Failed as failure:
+            checks.append(Check(name, "failed", str(failure)))
+        except _Skipped as reason:
+            checks.append(Check(name, "skipped", str(reason)))
+        except OhmskinError as error:
+            checks.append(Check(name, "failed", f"{type(error).__name__}: {error}"))
+        except Exception as error:  # noqa: BLE001  a driver of someone else's may raise anything; that is a finding
+            words = f"raised {type(error).__name__}: {error}; drivers raise DeviceLost, DeviceRefused or ProtocolError"
+            checks.append(Check(name, "failed", words))
+        else:
+            checks.append(Check(name, "passed"))
+    return checks
+
+
+def _need(condition: object, words: str) -> None:
+    if not condition:
+        raise _Failed(words)
+
+
+def _scanned(device: Device, pattern: DrivePattern, timeout: float | None = None) -> Frame:
+    """A frame, which must be of the pattern asked for."""
+    frame = device.scan(pattern, timeout)
+    _need(frame.pattern == pattern, "a frame has another pattern than was asked for")
+    return frame
+
+
+def _pattern(device: Device, seed: int = 0, injections: int = 4) -> DrivePattern:
+    """A pattern that the device should take: the recording's own, or some injections with as many voltages as fit."""
+    if device.reference:
+        return device.reference[0].pattern
+    able = device.capabilities
+    rng = np.random.default_rng(seed)
+    count = min(injections, able.max_injections)
+    pairs = np.array([rng.choice(able.n_electrodes, 2, replace=False) for _ in range(count)])
+    if able.n_electrodes < 4:
+        return DrivePattern(pairs, np.column_stack([np.arange(count), pairs]))
+    whole = measure_others(pairs, range(able.n_electrodes))
+    per_injection = max(1, min(whole.n_meas // count, able.max_measurements // count))
+    kept = np.concatenate([np.flatnonzero(whole.measurements[:, 0] == k)[:per_injection] for k in range(count)])
+    return DrivePattern(pairs, whole.measurements[kept])
+
+
+def _no_recording(device: Device) -> None:
+    if device.reference:
+        raise _Skipped("a recording has one pattern only")
+
+
+def _capabilities(device: Device) -> None:
+    able = device.capabilities
+    _need(able.name.strip(), "it has no name")
+    _need(device.url, "its url is empty")
+    if device.reference:
+        return
+    _need(able.n_electrodes >= 4, f"n_electrodes is {able.n_electrodes}; a skin needs 4 at least")
+    _need(able.full_scale > 0, "full_scale is 0 V; say what the converter's range is")
+    _need(able.excitation > 0, "excitation is 0; say how many volts (Feature.VOLTAGE_SOURCE) or amperes drive a pair")
+    if Feature.VOLTAGE_SOURCE in able.features:
+        _need(Feature.CURRENT_MEASURED in able.features, "a voltage source without measured currents cannot be used")
+    longest = able.max_injections * able.settle_time + able.max_measurements * able.conversion_time
+    _need(longest < 600, f"the largest pattern would take {longest:.0f} s by settle_time and conversion_time; are they in seconds?")
+
+
+def _frames(device: Device) -> None:
+    pattern = _pattern(device)
+    frame = _scanned(device, pattern)
+    _need(frame.voltages.shape == (pattern.n_meas,), f"{frame.voltages.shape} voltages for {pattern.n_meas} measurements")
+    _need(np.isfinite(frame.currents).all(), f"currents are not finite: {frame.currents}")
+    _need((frame.currents > 0).all(), f"currents are not positive: {frame.currents}; a current enters at the source")
+    lost = ~np.isfinite(frame.voltages)
+    clipped = np.isinf(frame.voltages).any()
+    _need(not lost.all(), "no voltage is finite")
+    _need(not clipped or FrameFlag.CLIPPED in frame.flags, "voltages are infinite, but FrameFlag.CLIPPED is not set")
+    able = device.capabilities
+    largest = float(np.abs(frame.voltages[~lost]).max())
+    _need(largest > 0, "all voltages are exactly 0")
+    if able.full_scale:
+        words = f"a voltage of {largest:.3g} V is beyond full_scale, {able.full_scale:.3g} V; say it clipped (infinite) instead"
+        _need(largest <= 1.01 * able.full_scale, words)
+    if able.excitation and Feature.VOLTAGE_SOURCE not in able.features:
+        ratio = float(np.median(frame.currents)) / able.excitation
+        _need(0.2 < ratio < 5, f"currents are {ratio:.3g} times the excitation it states; are they in amperes?")
+
+
+def _direction(device: Device) -> None:
+    _no_recording(device)
+    pairs = np.array([[0, 1], [1, 0], [0, device.capabilities.n_electrodes - 1]])[: device.capabilities.max_injections]
+    frame = _scanned(device, DrivePattern(pairs, np.column_stack([np.arange(len(pairs)), pairs])))
+    if not np.isfinite(frame.voltages).any():
+        raise _Skipped("no voltage at driven electrodes is known")
+    _need(np.nanmin(frame.voltages) > 0, f"V(source) - V(sink) is {frame.voltages} V; it must be positive: signs exchanged?")
+
+
+def _reciprocity(device: Device) -> None:
+    _no_recording(device)
+    n = device.capabilities.n_electrodes
+    if n < 4 or device.capabilities.max_injections < 2:
+        raise _Skipped("needs four electrodes and two injections in a pattern")
+    fours = [(k, (k + 1) % n, (k + n // 2) % n, (k + n // 2 + 1) % n) for k in range(n // 2 - 1)] or [(0, 1, 2, 3)]
+    ohms = []
+    for a, b, c, d in fours:
+        frame = _scanned(device, DrivePattern(np.array([[a, b], [c, d]]), np.array([[0, c, d], [1, a, b]])))
+        ohms.append(frame.voltages / frame.currents)
+    there, back = np.array(ohms).T
+    known = np.isfinite(there) & np.isfinite(back)
+    _need(known.any(), "no voltage is finite")
+    off = float(np.sqrt(np.mean((there - back)[known] ** 2) / np.mean(there[known] ** 2)))
+    words = f"R(ab, cd) and R(cd, ab) differ by {100 * off:.2g} %: mixed-up channels, unsettled, or a touched skin"
+    _need(off < 5 * _NOISY, words)
+
+
+def _superposition(device: Device) -> None:
+    _no_recording(device)
+    if device.capabilities.n_electrodes < 5 or device.capabilities.max_injections < 3:
+        raise _Skipped("needs five electrodes and three injections in a pattern")
+    frame = _scanned(device, DrivePattern(np.array([[0, 1], [1, 2], [0, 2]]), np.array([[0, 3, 4], [1, 3, 4], [2, 3, 4]])))
+    ab, bc, ac = frame.voltages / frame.currents
+    size = max(abs(ab), abs(bc), abs(ac))
+    words = f"R(ab) + R(bc) is {ab + bc:.4g} ohm, R(ac) {ac:.4g} ohm: wrong currents, or not linear"
+    _need(abs(ab + bc - ac) < 5 * _NOISY * size, words)
+
+
+def _repeats(device: Device) -> None:
+    pattern = _pattern(device)
+    frames = [_scanned(device, pattern) for _ in range(_SCANS)]
+    if device.reference:
+        return  # a recording may well be of a moving finger
+    volts = np.stack([frame.voltages for frame in frames])
+    volts = volts[:, np.isfinite(volts).all(axis=0)]
+    scatter = float(np.sqrt(np.mean(np.var(volts, axis=0)) / np.mean(volts**2)))
+    _need(scatter < _NOISY, f"repeated scans scatter by {100 * scatter:.2g} % of the signal; is the skin connected and untouched?")
+
+
+def _clock(device: Device) -> None:
+    pattern = _pattern(device)
+    frames = [_scanned(device, pattern) for _ in range(_SCANS)]
+    times, numbers = np.array([f.time for f in frames]), np.array([f.sequence for f in frames])
+    _need(np.isfinite(times).all(), f"times are not finite: {times}")
+    _need((np.diff(times) > 0).all(), f"times do not rise from frame to frame: {times[:4]}")
+    _need((np.diff(numbers) > 0).all(), f"sequence numbers do not rise from frame to frame: {numbers[:4]}")
+    _need(times[-1] - times[0] < 600, f"{_SCANS} scans took {times[-1] - times[0]:.3g} s on the device's clock; is it in seconds?")
+
+
+def _validation(device: Device) -> None:
+    able = device.capabilities
+    n = able.n_electrodes
+    wrong = {
+        f"electrode {n}, which is not there": DrivePattern(np.array([[0, n]]), np.array([[0, 1, 2]])),
+        "too many injections": DrivePattern(np.tile([[0, 1]], (able.max_injections + 1, 1)), np.array([[0, 1, 0]])),
+        "too many measurements": DrivePattern(np.array([[0, 1]]), np.tile([[0, 1, 0]], (able.max_measurements + 1, 1))),
+    }
+    for what, pattern in wrong.items():
+        try:
+            device.scan(pattern)
+        except PatternError:
+            continue
+        raise _Failed(f"a pattern with {what} was taken")
+    _scanned(device, _pattern(device))
+
+
+def _refusals(device: Device) -> None:
+    pattern = _pattern(device)
+    for number in range(6):
+        with suppress(PatternError, DeviceRefused, DeviceError):
+            device.scan(pattern, timeout=-1.0)
+        with suppress(PatternError, DeviceRefused):
+            device.press(number, (math.nan, 0.0), 1e-3, 1.0)
+        _scanned(device, pattern)
+
+
+def _press(device: Device) -> None:
+    at = (0.0, 0.0)
+    if device.capabilities.virtual:
+        device.press(0, at, 1e-3, 0.0)  # lifts what is not there, which harms nothing
+        raise _Skipped("virtual: it may be pressed")
+    try:
+        device.press(0, at, 1e-3, 1.0)
+    except DeviceRefused:
+        return
+    raise _Failed("it is not virtual, yet took a press")
+
+
+def _slots(device: Device) -> None:
+    _no_recording(device)
+    patterns = [_pattern(device, seed) for seed in range(device.capabilities.pattern_slots + 3)]
+    first = [_scanned(device, pattern) for pattern in patterns]
+    for pattern, before in [*zip(patterns, first, strict=True)][::-1] * 2:
+        _same(_scanned(device, pattern), before, "with more patterns than slots")
+
+
+def _largest(device: Device) -> None:
+    _no_recording(device)
+    able = device.capabilities
+    per_injection = max(1, min(able.n_electrodes - 3, able.max_measurements // able.max_injections))
+    rng = np.random.default_rng(1)
+    pairs = np.array([rng.choice(able.n_electrodes, 2, replace=False) for _ in range(able.max_injections)])
+    rows = [(k, plus, minus) for k, (a, b) in enumerate(pairs.tolist()) for plus, minus in [(a, b)] * per_injection]
+    pattern = DrivePattern(pairs, np.array(rows)[: able.max_measurements])
+    _scanned(device, pattern, timeout=10 + 10 * able.scan_time(pattern))
+
+
+def _timeout(device: Device) -> None:
+    pattern = _pattern(device)
+    for timeout in (1e-6, 0.02):
+        start = time.monotonic()
+        with suppress(DeviceLost):
+            device.scan(pattern, timeout=timeout)
+        taken = time.monotonic() - start
+        most = timeout + _PROMPT + device.capabilities.scan_time(pattern)
+        _need(taken < most, f"a scan with timeout {timeout:g} s took {taken:.2f} s")
+    _scanned(device, pattern)
+
+
+def _threads(device: Device) -> None:
+    patterns = [_pattern(device, seed) for seed in range(_THREADS)]
+    expected = [_scanned(device, pattern) for pattern in patterns]
+    failures: list[str] = []
+
+    def work(pattern: DrivePattern, before: Frame) -> None:
+        try:
+            for _ in range(8):
+                frame = _scanned(device, pattern)
+                if device.reference:
+                    continue
+                _same(frame, before, "with several threads")
+        except Exception as error:  # noqa: BLE001  a thread cannot raise into the check
+            failures.append(str(error))
+
+    threads = [threading.Thread(target=work, args=pair) for pair in zip(patterns, expected, strict=True)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    _need(not failures, failures[0] if failures else "")
+
+
+def _same(frame: Frame, before: Frame, when: str) -> None:
+    known = np.isfinite(frame.voltages) & np.isfinite(before.voltages)
+    size = float(np.sqrt(np.mean(before.voltages[known] ** 2)))
+    off = float(np.sqrt(np.mean((frame.voltages - before.voltages)[known] ** 2)))
+    _need(off < 5 * _NOISY * size, f"{when}, voltages are off by {100 * off / size:.2g} % from the first scan of their pattern")
+
+
+def _closing(device: Device) -> None:
+    device.close()
+    device.close()
+    try:
+        device.scan(_pattern(device))
+    except DeviceError:
+        return
+    raise _Failed("it can be scanned after it was closed")
+
+
+_CHECKS: dict[str, Callable[[Device], None]] = {
+    "capabilities make sense": _capabilities,
+    "frames fit their pattern": _frames,
+    "current enters at the source": _direction,
+    "reciprocity": _reciprocity,
+    "superposition": _superposition,
+    "repeated scans agree": _repeats,
+    "time and sequence rise": _clock,
+    "impossible patterns are refused": _validation,
+    "refusals leave it usable": _refusals,
+    "presses on a real skin are refused": _press,
+    "more patterns than slots": _slots,
+    "largest pattern": _largest,
+    "timeouts are kept": _timeout,
+    "several threads": _threads,
+    "closing twice": _closing,
+}

@@ -1,0 +1,176 @@
+"""How well contacts can be located at all: the bound of Cramer and Rao, for any pattern, policy or mode."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from ohmskin.drive.design import CURRENT, Candidates, exchange, whitened
+from ohmskin.drive.modes import Mode
+from ohmskin.drive.policy import Target
+from ohmskin.errors import ModelError
+from ohmskin.forward import ContactTable
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern
+from ohmskin.scan.pairs import Ints
+
+PARAMETERS = 4  # of each contact: x and y in metres, effect over the usual one, log radius
+Scheme = DrivePattern | Mode | Callable[[Floats], Sequence[DrivePattern]]
+
+
+@dataclass(frozen=True)
+class ContactPrior:
+    """What is known of a contact before anything is measured.
+
+    Args:
+        effect: Usual relative conductivity change times area (m2).
+        radius: Usual radius (m).
+        position: Standard deviation of each coordinate (m).
+        effect_spread: Standard deviation of the effect over the usual one.
+        radius_spread: Standard deviation of the logarithm of the radius.
+
+    Raises:
+        ModelError: If one of them is not positive.
+    """
+
+    effect: float
+    radius: float
+    position: float
+    effect_spread: float = 1.0
+    radius_spread: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0):
+                raise ModelError(f"contact {name} is {value!r}; it must be finite and positive")
+
+    @classmethod
+    def usual(cls, radius: float, position: float = 6.0, effect_spread: float = 1.0) -> "ContactPrior":
+        """A contact of a radius (m) that changes the conductivity by a half and whose place is known to so many radii."""
+        return cls(0.5 * np.pi * radius**2, radius, position * radius, effect_spread)
+
+    def covariance(self, targets: Sequence[Target] | None = None) -> Floats:
+        """Of the parameters of one contact (4, 4), or of several (4 n, 4 n), whose positions are known as well as `targets` say."""
+        blocks = [np.eye(2) * self.position**2] if targets is None else [target.covariance for target in targets]
+        covariance = np.diag(np.tile([0, 0, self.effect_spread**2, self.radius_spread**2], len(blocks)).astype(float))
+        for k, block in enumerate(blocks):
+            covariance[PARAMETERS * k : PARAMETERS * k + 2, PARAMETERS * k : PARAMETERS * k + 2] = block
+        return covariance
+
+    def at(self, places: ArrayLike) -> list[Target]:
+        """Usual contacts at places (n, 2) in metres."""
+        spread = np.eye(2) * self.position**2
+        return [Target(place, spread, self.effect, self.radius) for place in np.asarray(places, float).reshape(-1, 2)]
+
+
+def contact_columns(table: ContactTable, targets: Sequence[Target]) -> Floats:
+    """How the two-terminal resistances depend on the parameters of each contact (n, n_pairs, 4), in ohms per unit of each."""
+    effect, radius = (np.array([getattr(target, name) for target in targets])[:, None] for name in ("effect", "radius"))
+    response = table(np.array([target.position for target in targets]), radius[:, 0])
+    along = (response.slopes[:, 0], response.slopes[:, 1], response.values, 2 * radius**2 * response.widening)
+    columns: Floats = np.stack(along, axis=-1) * effect[..., None]
+    return columns
+
+
+def position_goals(contacts: int) -> Floats:
+    """The goals (n, 2, 4 n) of knowing the position of each contact."""
+    return np.eye(PARAMETERS * contacts).reshape(contacts, PARAMETERS, -1)[:, :2]
+
+
+def position_bound(
+    table: ContactTable,
+    places: ArrayLike,
+    scheme: Scheme,
+    noise: float,
+    currents: ArrayLike = CURRENT,
+    prior: ContactPrior | None = None,
+) -> Floats:
+    """Least root-mean-square error (n,) of the position of one contact at each place (m), by Cramer and Rao.
+
+    Position, effect and radius are unknown up to the prior. Adaptive schemes choose for the true place: their bound is
+    what they could do had the first scan been right.
+
+    Args:
+        table: Responses of contacts.
+        places: (n, 2) in metres.
+        scheme: A pattern; a mode; or what gives the patterns for a contact at a place (2,).
+        noise: Standard deviation of a voltage (V).
+        currents: One value, or one for each electrode pair (n_pairs,) in amperes.
+        prior: What is known before; `ContactPrior.usual` of the table's radius unless given.
+
+    Raises:
+        ModelError: If noise or currents are not positive.
+        PatternError: If an electrode is not there.
+    """
+    prior = prior or ContactPrior.usual(table.radius)
+    targets = prior.at(places)
+    inverse = np.linalg.inv(prior.covariance())
+    fixed = {pattern: whitened(pattern, table.n_elec, noise, currents) for pattern in _fixed(scheme)}
+    errors = np.empty(len(targets))
+    for k, column in enumerate(contact_columns(table, targets)):
+        information = inverse.copy()
+        adaptive = [whitened(pattern, table.n_elec, noise, currents) for pattern in _adaptive(scheme, targets[k].position)]
+        for weights in [*fixed.values(), *adaptive]:
+            rows = weights @ column
+            information += rows.T @ rows
+        errors[k] = np.sqrt(np.trace(np.linalg.inv(information)[:2, :2]))
+    return errors
+
+
+def best_fixed(
+    table: ContactTable,
+    candidates: Candidates,
+    injections: int,
+    places: ArrayLike | None = None,
+    prior: ContactPrior | None = None,
+    power: float = 1.0,
+) -> Ints:
+    """The fixed set of injections (count,) with the least squared position bound over the sheet, by greedy choice and exchange.
+
+    Args:
+        table: Responses of contacts.
+        candidates: The injections to choose from.
+        injections: How many.
+        places: (n, 2) where contacts may be, in metres; all over the sheet unless given.
+        prior: What is known before; `ContactPrior.usual` of the table's radius unless given.
+        power: 1 for the least mean over the places; 8 is close to the least worst one.
+
+    Raises:
+        PatternError: If there are fewer candidates than that.
+    """
+    prior = prior or ContactPrior.usual(table.radius)
+    places = spread_places(table) if places is None else np.asarray(places, float)
+    rows = candidates.rows(contact_columns(table, prior.at(places)))
+    return exchange(rows, prior.covariance(), injections, position_goals(1), power)
+
+
+def spread_places(table: ContactTable, count: int = 150) -> Floats:
+    """About `count` places of a table where a contact lies wholly on the sheet, evenly over it (n, 2) in metres."""
+    places = table.places[table.whole]
+    low, high = places.min(axis=0), places.max(axis=0)
+    step = float(np.sqrt(np.prod(high - low) / count))
+    axes = [np.linspace(low[k], high[k], max(round((high[k] - low[k]) / step) + 1, 2)) for k in range(2)]
+    wanted = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    distance, closest = cKDTree(places).query(wanted)
+    spread: Floats = places[np.unique(closest[distance < step / 2])]
+    return spread
+
+
+def _fixed(scheme: Scheme) -> list[DrivePattern]:
+    if isinstance(scheme, Mode):
+        return [scheme.base] if scheme.fuse or scheme.optimal is None else []
+    return [scheme] if isinstance(scheme, DrivePattern) else []
+
+
+def _adaptive(scheme: Scheme, place: Floats) -> Sequence[DrivePattern]:
+    if isinstance(scheme, Mode):
+        return [] if scheme.optimal is None else [scheme.optimal.pattern([_about(place)])]
+    return [] if isinstance(scheme, DrivePattern) else scheme(place)
+
+
+def _about(place: Floats) -> Floats:
+    """Anchors (3, 2) about a place: a triangle of the size of a mesh's."""
+    angle = np.pi / 2 + 2 * np.pi / 3 * np.arange(3)
+    return place + 2e-3 * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -1,0 +1,244 @@
+"""Optimal design: which injections, of all that can be driven, say most about what is not yet known.
+
+What is not known is a state of d numbers with a covariance P: the modes of an image, or position, effect and size of contacts.
+An injection k measures H_k state + white noise of variance one, H_k (m, d). Knowing it takes
+
+    P H_k^T (I + H_k P H_k^T)^-1 H_k P
+
+off the covariance: m x m matrices, and an update of rank m after each choice. Two criteria serve all ends.
+
+    A-optimal: the summed variance of `goal @ state`, such as a region's pixels. If the state is contacts and the goal their
+    coordinates, it is the bound of Cramer and Rao on the squared error of position (with the prior: of van Trees).
+    D-optimal: the information 1/2 log det(I + H P H^T), in nats.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from ohmskin.drive.policy import complete_pattern
+from ohmskin.errors import ModelError, PatternError
+from ohmskin.forward import TransferModel, VoltageSource
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern, pair_index
+from ohmskin.scan.pairs import Ints, n_pairs
+
+CURRENT = 1e-3  # amperes, where nothing else is said
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Injections to choose from, and what their voltages say in units of the noise.
+
+    Args:
+        pattern: The injections, all with equally many measurements.
+        weights: (n_meas, n_pairs) change of each voltage with the two-terminal resistances, over its noise (1/ohm).
+    """
+
+    pattern: DrivePattern
+    weights: sp.csr_array
+
+    @classmethod
+    def at_currents(cls, pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> "Candidates":
+        """Candidates whose currents are given or measured.
+
+        Args:
+            pattern: The injections.
+            n_elec: Number of electrodes.
+            noise: Standard deviation of a voltage (V).
+            currents: One value, or one for each electrode pair (n_pairs,) in amperes: see `pair_currents`.
+
+        Raises:
+            ModelError: If noise or currents are not positive, or the currents do not fit.
+        """
+        return cls(pattern, whitened(pattern, n_elec, noise, currents))
+
+    @classmethod
+    def of_source(cls, pattern: DrivePattern, model: TransferModel, source: VoltageSource, noise: float) -> "Candidates":
+        """Candidates of a voltage source whose currents are not measured: each voltage falls with its own pair's resistance.
+
+        Raises:
+            ModelError: If the noise is not positive or a driven electrode is a point.
+        """
+        return cls(pattern, sp.csr_array(source.by_pairs(model, pattern) / _positive("noise", noise)))
+
+    def __len__(self) -> int:
+        return self.pattern.n_inj
+
+    def rows(self, columns: Floats) -> Floats:
+        """H (..., n, min(m, d), d) of a state that changes the two-terminal resistances by `columns` (..., n_pairs, d) in ohms.
+
+        More rows than unknowns are reduced to as many, which say the same.
+        """
+        lead, d = columns.shape[:-2], columns.shape[-1]
+        flat = np.moveaxis(columns, -2, 0).reshape(columns.shape[-2], -1)
+        rows = np.moveaxis((self.weights @ flat).reshape(-1, *lead, d), 0, -2).reshape(*lead, len(self), -1, d)
+        return rows if rows.shape[-2] <= d else np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def whitened(pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> sp.csr_array:
+    """What the voltages of any pattern say in units of the noise (n_meas, n_pairs); arguments as for `Candidates.at_currents`."""
+    given = np.asarray(currents, float)
+    if given.shape not in ((), (n_pairs(n_elec),)) or not (np.isfinite(given) & (given > 0)).all():
+        raise ModelError(
+            f"currents of shape {given.shape}, least {given.min(initial=np.inf):.3g} A; give one value or one for each of "
+            f"{n_pairs(n_elec)} electrode pairs, all positive"
+        )
+    pattern.check(n_elec)
+    source, sink, _, _ = pattern.quadruples.T
+    amperes = np.broadcast_to(given, n_pairs(n_elec))[pair_index(source, sink, n_elec)]
+    return sp.csr_array(sp.diags_array(amperes / _positive("noise", noise)) @ pattern.combination(n_elec))
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Injections in the order of the choice.
+
+    Args:
+        chosen: (count,) their numbers.
+        values: (count + 1,) the criterion before, and after each: summed variance, or information (nats); a mean over cases.
+    """
+
+    chosen: Ints
+    values: Floats
+
+
+class Search:
+    """A covariance, what each candidate would take off it, and the choice so far.
+
+    Args:
+        rows: (n, m, d), or (n_cases, n, m, d): cases are alternatives, such as places of a contact, over which means are taken.
+        covariance: (d, d) or (n_cases, d, d) before.
+        goal: (k, d): the sum of the variances of goal @ state is to become small; (n_goals, k, d): several such sums.
+            None: the information is to become large.
+        power: Of the sums before the mean over cases and goals; 1 for their mean, 8 is close to their largest.
+        repeats: Whether an injection may be chosen again, which averages noise.
+
+    Attributes:
+        covariance: (n_cases, d, d) now.
+        chosen: Numbers so far.
+    """
+
+    def __init__(
+        self, rows: Floats, covariance: Floats, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
+    ) -> None:
+        self._rows = rows if rows.ndim == 4 else rows[None]
+        self.covariance: Floats = np.array(np.broadcast_to(covariance, (len(self._rows), *covariance.shape[-2:])), float)
+        self._goal = None if goal is None else goal.reshape(-1, *goal.shape[-2:])
+        self._power, self._repeats = power, repeats
+        self._seen = self._rows @ self.covariance[:, None]
+        self._information = np.zeros(len(self._rows))
+        self.chosen: list[int] = []
+
+    @property
+    def sums(self) -> Floats:
+        """Summed variances (n_cases, n_goals) now; without a goal the information (n_cases, 1) so far, in nats."""
+        if self._goal is None:
+            return self._information[:, None]
+        return np.asarray(((self._goal @ self.covariance[:, None]) * self._goal).sum(axis=(-1, -2)))
+
+    def gains(self) -> Floats:
+        """By how much each candidate would change the sums (n, n_cases, n_goals): less variance, more information."""
+        inner = np.eye(self._rows.shape[-2]) + self._seen @ self._rows.swapaxes(-1, -2)
+        if self._goal is None:
+            return np.asarray(0.5 * np.linalg.slogdet(inner)[1].T[..., None])
+        goals, k, d = self._goal.shape
+        wanted = self._seen @ self._goal.reshape(-1, d).T
+        less = (np.linalg.solve(inner, wanted) * wanted).sum(axis=2)
+        return np.asarray(np.moveaxis(less.reshape(*less.shape[:2], goals, k).sum(axis=-1), 1, 0))
+
+    def scores(self) -> Floats:
+        """What to make small (n,): minus the mean gain of each candidate, or with a power, the mean of what would be left."""
+        if self._goal is None or self._power == 1:
+            return np.asarray(-self.gains().mean(axis=(1, 2)))
+        return np.asarray((np.maximum(self.sums - self.gains(), 0.0) ** self._power).mean(axis=(1, 2)))
+
+    def best(self) -> int:
+        """The candidate to take next; the first of equals.
+
+        Raises:
+            PatternError: If all are chosen.
+        """
+        scores = self.scores()
+        if not self._repeats:
+            scores[self.chosen] = np.inf
+        best = int(np.argmin(scores))
+        if not np.isfinite(scores[best]):
+            raise PatternError(f"all {len(scores)} injections are chosen; ask for fewer, or allow repeats")
+        return best
+
+    def take(self, number: int) -> None:
+        """Know what a candidate measures."""
+        self._update(number, 1.0)
+        self.chosen.append(number)
+
+    def drop(self, number: int) -> None:
+        """Forget what a candidate taken before has measured."""
+        self._update(number, -1.0)
+        self.chosen.remove(number)
+
+    def _update(self, number: int, sign: float) -> None:
+        rows, seen = self._rows[:, number], self._seen[:, number].copy()
+        inner = np.eye(rows.shape[-2]) + sign * seen @ rows.swapaxes(-1, -2)
+        gain = sign * np.linalg.solve(inner, seen)
+        self._information += 0.5 * np.linalg.slogdet(inner)[1]
+        across = seen.swapaxes(-1, -2)
+        self.covariance -= across @ gain
+        self._seen -= (self._rows @ across[:, None]) @ gain[:, None]
+
+
+def greedy(
+    rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
+) -> Choice:
+    """Choose `count` injections one by one, each the best after those before it; arguments as for `Search`.
+
+    Raises:
+        PatternError: If there are fewer injections than are to be chosen.
+    """
+    search = Search(rows, covariance, goal, power, repeats)
+    values = [search.sums.mean()]
+    for _ in range(count):
+        search.take(search.best())
+        values.append(search.sums.mean())
+    return Choice(np.array(search.chosen, np.int64), np.array(values))
+
+
+def exchange(
+    rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
+) -> Ints:
+    """Choose `count` injections greedily, then exchange single ones as long as that helps; arguments as for `Search`.
+
+    Raises:
+        PatternError: If there are fewer injections than are to be chosen.
+    """
+    search = Search(rows, covariance, goal, power, repeats)
+    for _ in range(count):
+        search.take(search.best())
+    kept = 0
+    while kept < count:  # until none of them is given up for another
+        oldest = search.chosen[0]
+        search.drop(oldest)
+        scores = search.scores()
+        best = search.best()
+        better = scores[best] < scores[oldest] - 1e-9 * abs(scores[oldest])
+        search.take(best if better else oldest)
+        kept = 0 if better else kept + 1
+    return np.array(search.chosen, np.int64)
+
+
+def pair_currents(model: TransferModel, source: VoltageSource, limit: float = np.inf) -> Floats:
+    """The current (n_pairs,) that a voltage source drives through each electrode pair, at most `limit` (A).
+
+    Raises:
+        ModelError: If an electrode is a point, whose own resistance is that of the mesh.
+    """
+    currents: Floats = np.minimum(source.currents(model, complete_pattern(model.electrodes)), limit)
+    return currents
+
+
+def _positive(name: str, value: float) -> float:
+    if not (np.isfinite(value) and value > 0):
+        raise ModelError(f"{name} is {value!r}; it must be finite and positive")
+    return value

@@ -1,0 +1,313 @@
+"""Policies that choose what to measure next by what is not yet known: from tables, in microseconds, or exactly.
+
+A table holds, for each cell of a grid over the sheet, the injections in the order of a greedy choice for a contact somewhere
+in that cell. A frame takes the next ones of that order, so that frames complement each other as the choices do.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.drive.bound import PARAMETERS, ContactPrior, contact_columns, position_goals
+from ohmskin.drive.design import Candidates, Search, greedy
+from ohmskin.drive.optimal import part_of
+from ohmskin.drive.policy import Exploration, Target, base_pattern, complete_pattern
+from ohmskin.errors import PatternError
+from ohmskin.forward import ContactTable
+from ohmskin.geometry import Electrodes
+from ohmskin.geometry.domain import Floats
+from ohmskin.scan import DrivePattern, pair_index
+from ohmskin.scan.pairs import Ints
+
+CRITERIA = ("position", "information", "region")
+_CELL = 2.5  # radii of a contact: 20 mm for one of 8 mm
+_DEPTH = 24  # injections of a table's cell, after which frames start again with the best
+_TRACKED = 0.6  # radii to which a tracker knows a contact's place between two frames
+_BASED = 2.5  # radii to which it is known before a base scan refines it
+_EFFECT = 0.5  # share to which a tracker knows its effect
+Design = Callable[[], tuple[ContactTable, Candidates]]
+_KEPT = 64  # candidates; with them the paper's sheet loses nothing, 32 electrodes 0.1 % of the error
+_SEEN = 0.1  # signal of a mode over noise, below which no choice depends on it
+_REGION = 2.5  # radii about a contact that count as its region
+
+
+class Ranking:
+    """Injections in the order of their worth for a contact in each cell of a grid over the sheet.
+
+    Args:
+        table: Responses of contacts.
+        candidates: The injections.
+        criterion: ``position``: the contact's position error; ``information``: information on position, effect and size;
+            ``region``: variance of the conductivity about it, if that may change anywhere.
+        depth: How many injections to rank in each cell.
+        known: Numbers of injections that each frame measures anyway.
+        prior: What is known of a contact in the cell; as much as a tracker knows unless given.
+        cell: Width of a cell, about (m); 2.5 radii of a contact unless given. ``region`` takes some 30 ms a cell, others 7 ms.
+
+    Attributes:
+        order: (n_x, n_y, depth) numbers of injections, best first.
+        values: (n_x, n_y, depth + 1) the criterion before, and after each: squared position error (m2), information (nats), or
+            variance over that before.
+
+    Raises:
+        PatternError: If there is no such criterion, or depth or cell are not positive.
+    """
+
+    def __init__(
+        self,
+        table: ContactTable,
+        candidates: Candidates,
+        criterion: str = "position",
+        depth: int = _DEPTH,
+        known: Sequence[int] = (),
+        prior: ContactPrior | None = None,
+        cell: float | None = None,
+    ) -> None:
+        if criterion not in CRITERIA:
+            raise PatternError(f"criterion {criterion!r}; choose from {', '.join(CRITERIA)}")
+        cell = _CELL * table.radius if cell is None else cell
+        prior = prior or ContactPrior.usual(table.radius, _TRACKED, _EFFECT)
+        if depth < 1 or not cell > 0:
+            raise PatternError(f"{depth} injections ranked in cells of {cell!r} m; both must be positive")
+        self.criterion = criterion
+        low, high = table.places.min(axis=0), table.places.max(axis=0)
+        self._shape = np.maximum(np.round((high - low) / cell).astype(int), 1)
+        self._low, self._cell = low, (high - low) / self._shape
+        field = _Field(table, candidates) if criterion == "region" else None
+        self.order: Ints = np.empty((*self._shape, depth), np.int64)
+        self.values: Floats = np.empty((*self._shape, depth + 1))
+        for at in product(*(range(n) for n in self._shape)):
+            middle = low + (np.array(at) + 0.5) * self._cell
+            # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
+            places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+            if field is None:
+                rows, covariance = candidates.rows(contact_columns(table, prior.at(places))), prior.covariance()
+                goal = position_goals(1) if criterion == "position" else None
+            else:
+                rows, covariance, goal = field.rows, np.eye(field.rows.shape[-1]), field.goal(places, _REGION * prior.radius)
+            if len(known):
+                measured = rows[..., list(known), :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
+                information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
+                covariance = np.asarray(np.linalg.inv(information), float)
+            self.order[at], self.values[at] = _ranked(rows, covariance, depth, goal)
+
+    def at(self, position: Floats) -> Ints:
+        """The ranked injections (depth,) for a contact at a position (2,) in metres."""
+        x, y = self.cell_of(position)
+        ranked: Ints = self.order[x, y]
+        return ranked
+
+    def cell_of(self, position: Floats) -> tuple[int, int]:
+        """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
+        x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
+        return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
+
+
+def _ranked(rows: Floats, covariance: Floats, depth: int, goal: Floats | None) -> tuple[Ints, Floats]:
+    """The greedy choice and its values. After two choices, which set the directions, only the `_KEPT` best are looked at."""
+    search = Search(rows, covariance, goal, repeats=True)
+    values = [search.sums.mean()]
+    for _ in range(min(2, depth)):
+        search.take(search.best())
+        values.append(search.sums.mean())
+    kept = np.sort(np.argsort(search.scores(), kind="stable")[:_KEPT])
+    rest = greedy(rows[..., kept, :, :], search.covariance, depth - len(search.chosen), goal, repeats=True)
+    further = rest.values[1:] + (values[-1] if goal is None else 0.0)
+    return np.append(search.chosen, kept[rest.chosen]), np.append(values, further)
+
+
+class _Field:
+    """A conductivity that may change anywhere, each place of the table by itself, in coordinates white beforehand."""
+
+    def __init__(self, table: ContactTable, candidates: Candidates, amplitude: float = 0.1) -> None:
+        places = table.places
+        area = float(np.prod(np.ptp(places, axis=0))) / len(places)
+        effect = amplitude * np.sqrt(np.pi * table.radius**2 * area)  # so that the mean over a contact varies by `amplitude`
+        seen = table.responses * effect  # (n_places, n_pairs) ohms
+        variance, vectors = np.linalg.eigh(seen.T @ seen)
+        kept = np.sqrt(np.maximum(variance, 0.0)) * abs(candidates.weights).max() > _SEEN
+        deviation = np.sqrt(variance[kept])
+        self.rows: Floats = candidates.rows(vectors[:, kept] * deviation)
+        self._places, self._modes = places, seen @ vectors[:, kept] / deviation
+
+    def goal(self, places: Floats, radius: float) -> Floats:
+        """What is to be known: the change at all places closer than `radius` to one of `places` (n, 2); (k, n_modes)."""
+        near = np.linalg.norm(self._places[:, None] - places, axis=2).min(axis=1) < radius
+        within = self._modes[near]
+        _, weight, directions = np.linalg.svd(within, full_matrices=False)
+        kept = weight > 1e-3 * weight[0]  # of the variance all but a millionth
+        return np.asarray(weight[kept, None] * directions[kept] / np.sqrt(np.sum(weight**2)), float)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A frame's injections, and what they are good for.
+
+    Args:
+        pattern: What to drive.
+        explored: How many of the injections, the first ones, explore.
+        criterion: What chose the others.
+        before: (n_targets,) expected root-mean-square error of each contact's position before the frame (m).
+        after: (n_targets,) and after it (m).
+    """
+
+    pattern: DrivePattern
+    explored: int
+    criterion: str
+    before: Floats
+    after: Floats
+
+    def __str__(self) -> str:
+        pairs = " ".join(f"{a}-{b}" for a, b in self.pattern.injections)
+        errors = ", ".join(f"{1e3 * b:.2f} to {1e3 * a:.2f} mm" for b, a in zip(self.before, self.after, strict=True))
+        return f"{pairs} ({self.explored} exploring), chosen by {self.criterion}; position error {errors or 'of no contact'}"
+
+
+class InformedPolicy:
+    """Spends a frame's injections where they say most about the contacts, and keeps exploring.
+
+    Args:
+        electrodes: Electrode layout.
+        design: Gives the responses of contacts and all pairs with their currents and noise (`Candidates` of
+            `complete_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
+        injections: Per frame.
+        explore: How many of them go round the exploring set, but no more than half. With two of four, new contacts are found in
+            three frames; with one, known contacts are a little surer (docs/policies.md).
+        criterion: See `Ranking`.
+        exact: Weigh all candidates against what is believed now, contacts together and the ellipses of their positions included;
+            about a millisecond for a contact and three injections. Otherwise contacts take turns at their cell's ranking, in some
+            ten microseconds. Not for the criterion ``region``.
+        drives: (n, 2) source and sink of the exploring set; opposite electrodes of the rim unless given.
+        prior: What is known of a contact's effect and radius; as much as a tracker knows unless given.
+        cell: Width of the tables' cells, about (m), see `Ranking`.
+
+    Raises:
+        PatternError: If the counts are out of range, the criterion is unknown or not to be had exactly. Later, if the candidates
+            are not complete.
+    """
+
+    def __init__(
+        self,
+        electrodes: Electrodes,
+        design: Design,
+        injections: int = 4,
+        explore: int = 2,
+        criterion: str = "position",
+        exact: bool = False,
+        drives: Ints | None = None,
+        prior: ContactPrior | None = None,
+        cell: float | None = None,
+    ) -> None:
+        if explore < 1:
+            raise PatternError(f"{explore} injections explore; at least one must, or new contacts are never found")
+        if exact and criterion == "region":
+            raise PatternError('criterion "region" is chosen from tables only; use exact=False')
+        self._exploration = Exploration(electrodes, injections, drives)
+        self.complete, self.injections = self._exploration.complete, injections
+        if criterion not in CRITERIA:
+            raise PatternError(f"criterion {criterion!r}; choose from {', '.join(CRITERIA)}")
+        self.explore, self.criterion, self.exact = explore, criterion, exact
+        self._design, self._given_prior, self._cell = design, prior, cell
+
+    @cached_property
+    def _known(self) -> tuple[ContactTable, Candidates, ContactPrior]:
+        table, candidates = self._design()
+        if candidates.pattern != self.complete:
+            raise PatternError("the candidates must be all injections of complete_pattern(electrodes), in its order")
+        return table, candidates, self._given_prior or ContactPrior.usual(table.radius, _TRACKED, _EFFECT)
+
+    @cached_property
+    def _ranking(self) -> Ranking | None:
+        table, candidates, prior = self._known
+        return None if self.exact else Ranking(table, candidates, self.criterion, prior=prior, cell=self._cell)
+
+    def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
+        """The pattern of frame number `turn` (from 0), given what is believed of the contacts."""
+        return part_of(self.complete, self._choose(targets, turn))
+
+    def explain(self, targets: Sequence[Target], turn: int) -> Plan:
+        """The pattern of `next`, and how well the contacts will be located by it."""
+        chosen = self._choose(targets, turn)
+        pattern = part_of(self.complete, chosen)
+        if not targets:
+            return Plan(pattern, len(chosen), self.criterion, np.empty(0), np.empty(0))
+        search = self._search(targets)
+        before = np.sqrt(search.sums[0])
+        for number in chosen:
+            search.take(int(number))
+        return Plan(pattern, self._exploring, self.criterion, before, np.sqrt(search.sums[0]))
+
+    @property
+    def _exploring(self) -> int:
+        """How many injections of a frame explore while contacts are known; `injections` may have been changed since."""
+        return max(1, min(self.explore, self.injections // 2))
+
+    def _choose(self, targets: Sequence[Target], turn: int) -> Ints:
+        if not targets:
+            return self._exploration.numbers(turn, self.injections)
+        explored = self._exploration.numbers(turn, self._exploring)
+        wanted = self.injections - self._exploring
+        if self._ranking is not None:
+            return np.append(explored, _in_turn(self._ranking, [target.position for target in targets], wanted, turn))
+        search = self._search(targets, goals=self.criterion == "position")
+        for number in explored:
+            search.take(int(number))
+        for _ in range(wanted):
+            search.take(search.best())
+        return np.array(search.chosen, np.int64)
+
+    def _search(self, targets: Sequence[Target], goals: bool = True) -> Search:
+        table, candidates, prior = self._known
+        rows, covariance = candidates.rows(np.hstack(list(contact_columns(table, targets)))), prior.covariance(targets)
+        return Search(rows, covariance, position_goals(len(targets)) if goals else None, repeats=True)
+
+
+class PositionDrive:
+    """The second scan of a frame-wise mode (``16P``): injections that say most about where the contacts are, given the base scan.
+
+    Args:
+        electrodes: Electrode layout.
+        design: Gives the responses of contacts and the candidates; called when the first pattern is asked for.
+        pairs: Injections of the second scan.
+        base: (n, 2) source and sink of the base scan.
+
+    Raises:
+        PatternError: If there are no injections.
+    """
+
+    def __init__(self, electrodes: Electrodes, design: Design, pairs: int, base: Ints) -> None:
+        if pairs < 1:
+            raise PatternError(f"{pairs} injections in the second scan; at least 1")
+        self.complete, self.pairs = complete_pattern(electrodes), pairs
+        self._design = design
+        self._base = pair_index(base[:, 0], base[:, 1], len(electrodes))
+
+    @cached_property
+    def ranking(self) -> Ranking:
+        """What to drive for a contact in each cell; made when first asked for, in about a second."""
+        table, candidates = self._design()
+        prior = ContactPrior.usual(table.radius, _BASED)
+        return Ranking(table, candidates, depth=self.pairs, known=[int(k) for k in self._base], prior=prior)
+
+    def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
+        """The pattern for one or several regions, each given by its anchors (n, 2) in metres. A part of `complete`."""
+        centres = [np.mean(np.asarray(anchors, float), axis=0) for anchors in regions]
+        return part_of(self.complete, _in_turn(self.ranking, centres, self.pairs, turn=0))
+
+
+def _in_turn(ranking: Ranking, positions: Sequence[Floats], count: int, turn: int) -> Ints:
+    """The next `count` injections of the rankings of all cells with contacts, which take turns; a cell counts once."""
+    cells = list(dict.fromkeys(ranking.cell_of(position) for position in positions))
+    depth = ranking.order.shape[-1]
+    served = turn * count + np.arange(count)  # injections that frames before this one have had, then this one's
+    cell, rank = served % len(cells), served // len(cells) % depth
+    x, y = np.array(cells).T
+    chosen: Ints = ranking.order[x[cell], y[cell], rank]
+    return chosen
+
+
+__all__ = ["CRITERIA", "PARAMETERS", "InformedPolicy", "Plan", "PositionDrive", "Ranking", "base_pattern"]

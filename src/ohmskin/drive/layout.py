@@ -1,0 +1,242 @@
+"""Where to put electrodes: for the smallest worst-case error of a contact's position, on the rim and inside.
+
+All places where an electrode may be are electrodes of one finite-element model, factorised once. What a contact does to a
+two-terminal resistance is the mean of |grad u_i - grad u_j|^2 over it, so with the means of all products grad u_i . grad u_j kept,
+any layout is looked up. Layouts are mirror images of themselves about both middle lines of the sheet, and so are their errors.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from ohmskin.drive.bound import ContactPrior
+from ohmskin.drive.design import CURRENT, whitened
+from ohmskin.drive.policy import complete_pattern
+from ohmskin.errors import GeometryError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Disc, Electrodes, Rectangle, mesh_domain
+from ohmskin.geometry.domain import Domain, Floats
+from ohmskin.geometry.overlap import disc_overlap
+from ohmskin.scan import all_pairs
+from ohmskin.scan.pairs import Ints
+
+_STEPS = 12  # candidates along the shorter side
+_PLACES = 7  # of contacts, along each side of a quarter of the sheet
+_LEAST_ON_RIM = 4  # electrodes; fewer have no base scan
+_POWER = 8.0  # of the squared errors before their mean: close to the worst one, but with a slope where others can still gain
+_SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the triangles
+
+
+def arranged(domain: Domain, positions: Floats) -> Electrodes:
+    """Electrodes at positions (n, 2) in metres, numbered counterclockwise, those on the rim first.
+
+    On the rim is what is within a micrometre of it; it is put there exactly.
+
+    Raises:
+        GeometryError: If fewer than four are on the rim, or two are at the same place.
+    """
+    points = np.asarray(positions, float).reshape(-1, 2)
+    on_rim = np.abs(domain.depth(points)) < 1e-6
+    rim, inside = points[on_rim], points[~on_rim]
+    if len(rim) < _LEAST_ON_RIM:
+        raise GeometryError(
+            f"{len(rim)} of {len(points)} electrodes are on the rim; a base scan needs {_LEAST_ON_RIM} or more there"
+        )
+    arc = np.mod(domain.arc(rim) + 1e-9, domain.perimeter)  # rounding may put the rim's start at its end
+    rim = domain.rim(np.sort(arc) - 1e-9)
+    middle = points.mean(axis=0)
+    away = inside - middle
+    inside = inside[
+        np.lexsort((np.hypot(*away.T), np.round(np.mod(np.arctan2(away[:, 1], away[:, 0]) + 3 * np.pi / 4, 2 * np.pi), 9)))
+    ]
+    rings = [tuple(range(len(rim)))] + ([tuple(range(len(rim), len(points)))] if len(inside) else [])
+    return Electrodes.at(np.vstack([rim, inside]), tuple(rings))
+
+
+class LayoutSearch:
+    """Position errors of any layout, and the search for the best one.
+
+    The error is that of Cramer and Rao for one contact, had the frame's injections been spread evenly over all electrode pairs:
+    a layout is judged before its policy.
+
+    Args:
+        domain: The sheet, a rectangle or a disc.
+        conductivity: In siemens per square.
+        mesh_size: Edge length of the finite elements (m).
+        radius: Of a contact (m); contacts lie wholly on the sheet.
+        noise: Standard deviation of a voltage (V).
+        injections: Per frame.
+        current: Of each (A).
+
+    Attributes:
+        sites: (n_sites, 2) where electrodes may be (m).
+        on_rim: (n_sites,) whether that is on the rim.
+        places: (n_places, 2) of contacts, in one quarter of the sheet (m).
+
+    Raises:
+        GeometryError: If the sheet is neither a rectangle nor a disc.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        conductivity: float,
+        mesh_size: float,
+        radius: float,
+        noise: float,
+        injections: int,
+        current: float = CURRENT,
+    ) -> None:
+        self.domain = domain
+        self.sites, self.on_rim = _sites(domain)
+        self.orbits = _orbits(domain, self.sites)
+        self.places = _quarter(domain, radius)
+        model = TransferModel(mesh_domain(domain, mesh_size, self.sites), Electrodes.at(self.sites), conductivity)
+        self._prior = ContactPrior.usual(radius)
+        self._noise, self._share, self._current = noise, injections, current
+        self._products = _mean_products(model, self.places, radius)
+        self._grams: dict[int, Floats] = {}
+
+    def errors(self, chosen: Ints) -> Floats:
+        """Position errors (n_places,) in metres with electrodes at the sites `chosen` (n_elec,)."""
+        n_elec = len(chosen)
+        i, j = all_pairs(n_elec).T
+        a, b = chosen[i], chosen[j]
+        columns = self._products[a, a] + self._products[b, b] - 2 * self._products[a, b]  # (n_pairs, n_places, 4)
+        scale = self._prior.effect
+        columns = np.moveaxis(columns, 0, 1) * scale
+        information = columns.swapaxes(1, 2) @ (self._gram(n_elec) @ columns) + np.linalg.inv(self._prior.covariance())
+        return np.asarray(np.sqrt(np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2)))
+
+    def sites_of(self, positions: Floats) -> Ints:
+        """The sites (n,) closest to positions (n, 2) in metres, in the order in which electrodes are numbered."""
+        closest = np.linalg.norm(self.sites[:, None] - positions, axis=2).argmin(axis=0)
+        return self._numbered(closest)
+
+    def best(self, count: int) -> Electrodes:
+        """The layout of `count` electrodes with the least worst error, by exchange of single sites and their mirror images.
+
+        Raises:
+            GeometryError: If there are not so many sites, or fewer than four electrodes.
+        """
+        if not _LEAST_ON_RIM <= count <= len(self.sites) // 2:
+            raise GeometryError(f"{count} electrodes to place; between {_LEAST_ON_RIM} and {len(self.sites) // 2} can be")
+        found = [self._exchanged(start) for start in self._starts(count)]
+        return arranged(self.domain, self.sites[min(found, key=lambda pair: pair[0])[1]])
+
+    def _numbered(self, chosen: Ints) -> Ints:
+        electrodes = arranged(self.domain, self.sites[chosen])
+        order = np.linalg.norm(self.sites[chosen][None] - electrodes.positions[:, None], axis=2).argmin(axis=1)
+        return np.asarray(chosen[order], np.int64)
+
+    def _gram(self, n_elec: int) -> Floats:
+        if n_elec not in self._grams:
+            complete = complete_pattern(n_elec)
+            weights = whitened(complete, n_elec, self._noise, self._current)
+            self._grams[n_elec] = (weights.T @ weights).toarray() * (self._share / complete.n_inj)
+        return self._grams[n_elec]
+
+    def _score(self, orbits: list[int]) -> float:
+        chosen = np.concatenate([self.orbits[k] for k in orbits])
+        if self.on_rim[chosen].sum() < _LEAST_ON_RIM:
+            return np.inf
+        return float(np.mean(self.errors(self._numbered(chosen)) ** (2 * _POWER)))
+
+    def _starts(self, count: int) -> list[list[int]]:
+        """Orbits that add up to `count` electrodes, far from each other; several numbers of pairs on the middle lines."""
+        size = np.array([len(orbit) for orbit in self.orbits])
+        ones = count % 2
+        starts = []
+        for twos in range((count - ones) // 2 % 2, 8, 2):
+            wanted = ((4, (count - ones - 2 * twos) // 4), (2, twos), (1, ones))
+            if any(not 0 <= k <= (size == n).sum() for n, k in wanted):
+                continue
+            start: list[int] = []
+            for n, k in wanted:
+                for _ in range(k):
+                    start.append(self._farthest(start, np.flatnonzero(size == n)))
+            starts.append(start)
+        return starts
+
+    def _farthest(self, taken: list[int], among: Ints) -> int:
+        """The orbit whose closest electrode, of itself or of those taken, is farthest; the rim's first."""
+        best, apart = -1, -1.0
+        for k in among:
+            if k in taken:
+                continue
+            points = self.sites[np.concatenate([self.orbits[m] for m in [*taken, int(k)]])]
+            gaps = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(len(points), np.inf))
+            nearest = float(gaps.min(initial=1e9)) + (1e-6 if self.on_rim[self.orbits[k][0]] else 0.0)
+            if nearest > apart:
+                best, apart = int(k), nearest
+        return best
+
+    def _exchanged(self, orbits: list[int]) -> tuple[float, Ints]:
+        score, kept, at = self._score(orbits), 0, 0
+        while kept < len(orbits):
+            size = len(self.orbits[orbits[at]])
+            trials = [k for k, orbit in enumerate(self.orbits) if len(orbit) == size and k not in orbits]
+            scores = [self._score([*orbits[:at], k, *orbits[at + 1 :]]) for k in trials]
+            best = int(np.argmin(scores)) if trials else -1
+            if trials and scores[best] < score * (1 - 1e-9):
+                orbits, score, kept = [*orbits[:at], trials[best], *orbits[at + 1 :]], scores[best], 0
+            kept, at = kept + 1, (at + 1) % len(orbits)
+        return score, np.concatenate([self.orbits[k] for k in orbits])
+
+
+def _sites(domain: Domain) -> tuple[Floats, np.ndarray]:
+    """Where electrodes may be (n, 2), mirror images included, and which of these (n,) are on the rim."""
+    x0, y0, x1, y1 = domain.bounds
+    pitch = min(x1 - x0, y1 - y0) / _STEPS
+    if isinstance(domain, Rectangle):
+        x, y = (np.linspace(a, b, 2 * round((b - a) / pitch / 2) + 1) for a, b in ((x0, x1), (y0, y1)))
+        sites = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    elif isinstance(domain, Disc):
+        rings = [(0.0, 1)] + [(domain.radius * 2 * k / _STEPS, 4 * round(np.pi * k / 2)) for k in range(1, _STEPS // 2 + 1)]
+        angles = [(radius, 2 * np.pi * np.arange(count) / count) for radius, count in rings]
+        sites = np.vstack([np.column_stack([r * np.cos(angle), r * np.sin(angle)]) for r, angle in angles])
+    else:
+        raise GeometryError("electrodes can be placed on rectangles and discs only")
+    return sites, np.abs(domain.depth(sites)) < 1e-6
+
+
+def _orbits(domain: Domain, sites: Floats) -> list[Ints]:
+    """The sites that are mirror images of each other, by their numbers."""
+    x0, y0, x1, y1 = domain.bounds
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+    images = [
+        np.linalg.norm(middle + (sites - middle) * sign - sites[:, None], axis=2).argmin(axis=0)
+        for sign in product((1, -1), repeat=2)
+    ]
+    found = {tuple(sorted({int(image[k]) for image in images})) for k in range(len(sites))}
+    return [np.array(orbit, np.int64) for orbit in sorted(found)]
+
+
+def _quarter(domain: Domain, radius: float) -> Floats:
+    """Places of contacts (n, 2) in one quarter of the sheet, wholly on it."""
+    x0, y0, x1, y1 = domain.bounds
+    x, y = (np.linspace(a + radius, (a + b) / 2, _PLACES) for a, b in ((x0, x1), (y0, y1)))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside: Floats = places[domain.depth(places) > radius * (1 - 1e-9)]
+    return inside
+
+
+def _mean_products(model: TransferModel, places: Floats, radius: float) -> Floats:
+    """What sites a and b do together at contacts: -mean of grad u_a . grad u_b and its derivatives (n_sites, n_sites, n_places, 4).
+
+    Derivatives are by x, y (per m), and by the logarithm of the radius; in the order x, y, value, radius.
+    """
+    mesh, step = model.mesh, _SHIFT * radius
+    density = np.einsum("ekd,ekl->led", mesh.gradients, model.potentials[mesh.elements]) * np.sqrt(model.conductivity)[:, None]
+    parts = []
+    for offset, r in (((0, 0), 1.0), ((1, 0), 1.0), ((-1, 0), 1.0), ((0, 1), 1.0), ((0, -1), 1.0), ((0, 0), 1.1), ((0, 0), 0.9)):
+        cover = disc_overlap(mesh, places + step * np.array(offset), r * radius)
+        parts.append(cover.multiply(1 / cover.sum(axis=1)[:, None]).tocsr())
+    middle, right, left, up, down, wide, narrow = parts
+    kinds = ((right - left) / (2 * step), (up - down) / (2 * step), middle, (wide - narrow) / np.log(1.1 / 0.9))
+    products = np.empty((len(density), len(density), len(places), 4))
+    for a, field in enumerate(density):
+        both = np.einsum("ed,bed->eb", field, density[: a + 1])
+        for k, kind in enumerate(kinds):
+            products[a, : a + 1, :, k] = products[: a + 1, a, :, k] = -(kind @ both).T
+    return products

@@ -1,0 +1,123 @@
+"""Which experiments make up the comparison of policies: one place that names every level, count and distance."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.policies.cost import Cost
+from ohmskin.evaluate.policies.detection import Detection, Quiet
+from ohmskin.evaluate.policies.lab import SOUND, Flaw
+from ohmskin.evaluate.policies.moving import Moving
+from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
+from ohmskin.evaluate.policies.schemes import INSTRUMENTS
+from ohmskin.evaluate.policies.static import Static
+from ohmskin.evaluate.result import Experiment
+from ohmskin.evaluate.worlds import WORLDS
+
+SECTIONS = ("static", "time", "moving", "pairs", "detection", "quiet", "robust", "cost")
+
+DISTANCES = tuple(d / 1000 for d in (12, 15, 17, 20, 25, 30))
+STRENGTHS = (0.5, 1.4)  # of 6 mm discs: the usual contact's change; about the usual contact's whole effect
+SCHEMES = ("12B", "16I", "16O", "16P/16", "16P")
+FLAWS = {
+    "none": SOUND,
+    "contact impedance x 3": Flaw(wear=3.0),
+    "contact impedance x 3 since calibration": Flaw(wear=3.0, since=True),
+    "electrodes 2 mm off": Flaw(misplaced=2e-3),
+    "conductivity uneven by 5 %": Flaw(uneven=0.05),
+    "all three, x 3 throughout": Flaw(wear=3.0, misplaced=2e-3, uneven=0.05),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How thoroughly to compare.
+
+    Args:
+        seeds: Noise seeds.
+        side: Places along a side of the lattice of static contacts.
+        random: Random places beside it.
+        levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts and of detection.
+        frames: Length of a moving contact's path.
+        fine: Noise levels of pairs (dB).
+        where: Places of pairs.
+        singles: Single contacts to set the pairs' threshold, twice as many to check it.
+        trials: New contacts to detect, per case.
+        quiet: Frames without a contact.
+        draws: Of random flaws.
+        timed: Frames of which the computing is timed, for each number of contacts.
+
+    Raises:
+        OhmskinError: If a count is below one.
+    """
+
+    seeds: int = 20
+    side: int = 9
+    random: int = 19
+    levels: tuple[float, ...] = (40.0, 50.0)
+    frames: int = 60
+    fine: tuple[float, ...] = (50.0, 60.0)
+    where: int = 12
+    singles: int = 500
+    trials: int = 600
+    quiet: int = 100_000
+    draws: int = 5
+    timed: int = 300
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, int) and value < 1:
+                raise OhmskinError(f"{name} is {value}; it must be 1 or more")
+
+    @classmethod
+    def quick(cls) -> Self:
+        """Less of everything: what takes a minute or two on two cores."""
+        return cls(5, 5, 15, (40.0,), 40, (50.0, 60.0), 4, 100, 60, 5_000, 2, 100)
+
+
+def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, Experiment]]:
+    """The experiments of each section by name.
+
+    Args:
+        settings: How thoroughly.
+        only: Sections wanted, of `SECTIONS`; all unless given.
+
+    Raises:
+        OhmskinError: If a section is unknown.
+    """
+    if unknown := [name for name in only if name not in SECTIONS]:
+        raise OhmskinError(f"no section {unknown[0]!r}; choose from {', '.join(SECTIONS)}")
+    s, level = settings, settings.levels[0]
+    found: dict[str, dict[str, Experiment]] = {name: {} for name in SECTIONS}
+    for world in WORLDS:
+        for decibels in s.levels:
+            task = Static(world, decibels, s.seeds, SCHEMES, ("centroid", "fit"), s.side, s.random)
+            found["static"][f"{world}/{decibels:g}"] = task
+        found["moving"][world] = Moving(world, level, s.seeds, s.frames)
+        for others in (0, 1, 2):
+            found["detection"][f"{world}/{others}"] = Detection(world, level, s.trials, others)
+    blocks = max(1, s.quiet // 12_500)
+    for block in range(blocks):  # a quiet skin is noise alone: one world is as good as the other
+        found["quiet"][f"discs/{block}"] = Quiet("discs", level, s.quiet // blocks, seed=block)
+    for instrument in INSTRUMENTS:
+        usual = Static("discs", level, s.seeds, ("12B", "16I", "16O", "16P"), ("centroid", "fit"), s.side, s.random)
+        found["time"][instrument] = replace(usual, instrument=instrument)
+    for decibels in s.fine:
+        for strength in STRENGTHS:
+            where = f"{decibels:g}/{strength:g}"
+            keys = ("16O", "16P") if strength == STRENGTHS[0] else ("16P",)
+            found["pairs"][f"told/{where}"] = Pairs(decibels, s.seeds, s.singles, DISTANCES, s.where, strength, keys)
+            found["pairs"][f"limit/{where}"] = PairLimits(decibels, DISTANCES, s.where, strength, keys)
+    for name, flaw in FLAWS.items():
+        drawn = flaw.misplaced or flaw.uneven
+        for draw in range(s.draws if drawn else 1):
+            seeds = -(-s.seeds // s.draws) if drawn else s.seeds
+            random, worn = replace(flaw, draw=draw), ("16I", "16O", "16P")
+            found["robust"][f"static/{name}/{draw}"] = Static(
+                "pressed", s.levels[-1], seeds, worn, ("centroid", "fit"), min(s.side, 5), 0, flaw=random, first=draw * seeds
+            )
+            found["robust"][f"moving/{name}/{draw}"] = Moving(
+                "pressed", s.levels[-1], seeds, s.frames, (), (), (4,), random, draw * seeds
+            )
+    found["cost"]["tracker"] = Cost(level, frames=s.timed)
+    return {name: found[name] for name in SECTIONS if not only or name in only}

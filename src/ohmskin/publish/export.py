@@ -1,0 +1,325 @@
+"""Recordings as tables, arrays, pictures and films, for those who read them elsewhere."""
+
+import csv
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ohmskin.errors import DataError
+from ohmskin.geometry import Raster
+from ohmskin.plot import draw_image
+from ohmskin.publish.player import Replayed, reimage
+from ohmskin.record import Role, Tape
+
+CONTACT_COLUMNS = ("time_s", "cycle", "mode", "id", "x_m", "y_m", "extent_m2", "strength_m2", "confidence", "peak")
+"""A row per contact and cycle; `time_s` counts from the first frame behind the calibration."""
+
+FRAME_COLUMNS = (
+    "time_s",
+    "device_time_s",
+    "sequence",
+    "role",
+    "mode",
+    "source",
+    "sink",
+    "plus",
+    "minus",
+    "current_A",
+    "voltage_V",
+)
+"""A row per measured voltage; `role` is untold, base, chosen or quiet."""
+
+_ROWS_AT_ONCE = 65536
+_MOST_VALUES = 2**28  # of one array held in memory
+_FILM_PIXELS = (640, 560)
+_RASTER = 256  # as in `draw_image`
+
+
+def contact_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
+    """The recorded contacts (`CONTACT_COLUMNS`) between two times (s)."""
+    times = _seconds(tape, tape.touches.stamps)
+    for k in np.flatnonzero((times >= start) & (times <= stop)):
+        touch = tape.touches[int(k)]
+        for c in touch.contacts:
+            x, y = c.position
+            yield (float(times[k]), touch.sequence, touch.mode, c.id, x, y, c.extent, c.strength, c.confidence, c.peak)
+
+
+def frame_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
+    """The recorded voltages (`FRAME_COLUMNS`) of frames between two times (s)."""
+    for k in _within(tape, start, stop):
+        record, pattern = tape.frames[int(k)], tape.pattern(int(k))
+        frame = record.frame(pattern)
+        head = (float(tape.times[k]), record.time, record.sequence, record.role.name.lower(), record.mode)
+        currents = frame.currents[pattern.measurements[:, 0]].tolist()
+        for quadruple, current, voltage in zip(pattern.quadruples.tolist(), currents, frame.voltages.tolist(), strict=True):
+            yield (*head, *quadruple, current, voltage)
+
+
+def write_csv(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, ...]]) -> int:
+    """Write a table with a header; the number of its rows.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    count = 0
+    with _new(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for count, row in enumerate(rows, 1):  # noqa: B007
+            writer.writerow(row)
+    return count
+
+
+def write_parquet(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, ...]]) -> int:
+    """Write a table as Parquet, through pyarrow (extra `export`); the number of its rows.
+
+    Raises:
+        DataError: If pyarrow is missing, or the file exists or cannot be written.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise DataError("Parquet needs pyarrow: pip install 'ohmskin[export]'; or choose csv or npz") from error
+    texts, counts = {"mode", "role"}, {"cycle", "id", "sequence", "source", "sink", "plus", "minus"}
+    names = tuple(columns)
+    kinds = [pa.string() if name in texts else pa.int64() if name in counts else pa.float64() for name in names]
+    schema = pa.schema(list(zip(names, kinds, strict=True)))
+    total, rows = 0, iter(rows)
+    with _new(path) as part, pq.ParquetWriter(part, schema) as writer:
+        while batch := list(islice(rows, _ROWS_AT_ONCE)):
+            arrays = [pa.array(column, kind) for column, kind in zip(zip(*batch, strict=True), kinds, strict=True)]
+            writer.write_batch(pa.record_batch(arrays, schema=schema))
+            total += len(batch)
+    return total
+
+
+def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.inf) -> dict[str, tuple[int, ...]]:
+    """Write frames, patterns, contacts and images as NumPy arrays (docs/guide/recording.md); their shapes.
+
+    Voltages of frame k are `voltages[voltages_start[k] : voltages_start[k + 1]]`; so are currents and the rows of patterns.
+
+    Raises:
+        DataError: If the file exists or cannot be written, or so much does not fit into memory.
+    """
+    frames = _within(tape, start, stop)
+    numbers, which = np.unique(tape.pattern_numbers[frames], return_inverse=True)
+    first = {int(n): int(frames[k]) for k, n in reversed(list(enumerate(tape.pattern_numbers[frames])))}
+    patterns = [tape.pattern(first[int(n)]) for n in numbers]
+    sizes = np.array([p.n_meas for p in patterns], np.int64)
+    if (total := int(sizes[which].sum())) > _MOST_VALUES:
+        raise DataError(f"{total} voltages are too many for one file; choose a part with --start and --seconds")
+    records = [tape.frames[int(k)] for k in frames]
+    image_times = _seconds(tape, tape.images.stamps)
+    images = [tape.images[int(k)] for k in np.flatnonzero((image_times >= start) & (image_times <= stop))]
+    if sum(image.size for image in images) > _MOST_VALUES:
+        raise DataError("the images are too many for one file; choose a part with --start and --seconds")
+    shape = images[0].shape if images else (0, 0)
+    contacts = list(contact_rows(tape, start, stop))
+    columns = (
+        dict(zip(CONTACT_COLUMNS, zip(*contacts, strict=True), strict=True)) if contacts else dict.fromkeys(CONTACT_COLUMNS, ())
+    )
+    arrays: dict[str, Any] = {
+        "frame_time_s": tape.times[frames],
+        "frame_device_time_s": np.array([r.time for r in records]),
+        "frame_sequence": np.array([r.sequence for r in records], np.uint64),
+        "frame_flags": np.array([int(r.flags) for r in records], np.uint32),
+        "frame_role": np.array([int(r.role) for r in records], np.uint8),
+        "frame_pattern": which.astype(np.int64),
+        "voltages": np.concatenate([r.voltages for r in records] or [np.empty(0)]),
+        "voltages_start": _starts([r.voltages.size for r in records]),
+        "currents": np.concatenate([r.currents for r in records] or [np.empty(0)]),
+        "currents_start": _starts([r.currents.size for r in records]),
+        "pattern_injections": np.concatenate([p.injections for p in patterns] or [np.empty((0, 2), np.int64)]).astype(np.int32),
+        "pattern_injections_start": _starts([p.n_inj for p in patterns]),
+        "pattern_measurements": np.concatenate([p.measurements for p in patterns] or [np.empty((0, 3), np.int64)]).astype(np.int32),
+        "pattern_measurements_start": _starts([p.n_meas for p in patterns]),
+        "image_time_s": image_times[(image_times >= start) & (image_times <= stop)],
+        "images": np.array([image for image in images if image.shape == shape], np.float32).reshape(-1, *shape),
+        "skin_toml": np.array(tape.skin),
+        **{f"contact_{name}": np.array(column) for name, column in columns.items()},
+    }
+    with suppress(KeyError, ValueError):
+        raster = tape.metadata["raster"]
+        arrays["image_x_m"] = float(raster["x0"]) + float(raster["pitch"]) * np.arange(shape[1])
+        arrays["image_y_m"] = float(raster["y0"]) + float(raster["pitch"]) * np.arange(shape[0])
+    with _new(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+    return {name: array.shape for name, array in arrays.items()}
+
+
+def write_picture(path: Path, cycle: Replayed, title: str = "") -> None:
+    """Save one cycle's image with its contacts.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    save_comparison(path, {title or f"{cycle.time:.2f} s": cycle})
+
+
+def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
+    """Save images side by side, each under its title, each with colours of its own.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    figure = Figure(figsize=(1 + 4.2 * len(cycles), 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (title, cycle) in zip(figure.subplots(1, len(cycles), squeeze=False)[0], cycles.items(), strict=True):
+        model, touch = cycle.perception.model, cycle.touch
+        shown = draw_image(axes, model.mesh, touch.sight.image.values, model.electrodes, touch.sight.contacts)
+        axes.set_title(title, fontsize=10)
+        figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.8)
+    with _new(path) as part:
+        try:
+            figure.savefig(part, dpi=120, format=path.suffix.lstrip(".") or "png")
+        except ValueError as error:
+            raise DataError(f"cannot write picture {path}: {error}") from error
+
+
+def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> int:
+    """Write images as an MP4 film at `rate` pictures per second of the recording, through ffmpeg; the number of its pictures.
+
+    Raises:
+        DataError: If ffmpeg is not installed or fails, there are no cycles, or the file exists.
+    """
+    if (program := shutil.which("ffmpeg")) is None:
+        raise DataError("a film needs the program ffmpeg: apt-get install ffmpeg; or choose png, csv, npz or parquet")
+    width, height = _FILM_PIXELS
+    with _new(path) as part:
+        command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}"]
+        command += ["-r", f"{rate:g}", "-i", "-", "-an", "-vf", "format=yuv420p", "-f", "mp4", str(part)]
+        count = 0
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdin is not None
+            assert process.stderr is not None
+            with suppress(BrokenPipeError):
+                for count, picture in enumerate(_pictures(cycles, rate), 1):  # noqa: B007
+                    process.stdin.write(picture)
+                process.stdin.close()
+            complaint = process.stderr.read().decode(errors="replace").strip()
+        if not count:
+            raise DataError("nothing was recorded in that time; choose another --start and --seconds")
+        if process.returncode:
+            raise DataError(f"ffmpeg failed (exit status {process.returncode}): {complaint[:300] or 'no reason given'}")
+    return count
+
+
+def strongest(cycles: Iterable[Replayed]) -> Replayed:
+    """The cycle with the strongest contact, or the highest image if there is none.
+
+    Raises:
+        DataError: If there is no cycle.
+    """
+    best, height = None, (False, -np.inf)
+    for cycle in cycles:
+        contacts = cycle.touch.sight.contacts  # of this image alone: tracking needs some cycles before it
+        peak = max((abs(c.peak) for c in contacts), default=float(np.abs(cycle.touch.sight.image.values).max()))
+        if (bool(contacts), peak) > height:
+            best, height = cycle, (bool(contacts), peak)
+    if best is None:
+        raise DataError("nothing was recorded in that time; choose another --start and --seconds")
+    return best
+
+
+def cycle_at(path: str | Path, at: float | None, stop: float = np.inf, **options: Any) -> Replayed:
+    """The first cycle from a time on (s), or the strongest one; `options` are those of `reimage`."""
+    if at is None:
+        return strongest(reimage(path, stop=stop, **options))
+    for cycle in reimage(path, start=at, **options):
+        return cycle
+    raise DataError(f"no whole cycle was recorded from {at:g} s on; choose an earlier time")
+
+
+def _pictures(cycles: Iterable[Replayed], rate: float) -> Iterator[bytes]:
+    """RGBA pictures, one for each 1 / rate seconds: the newest cycle at that time. Colours stay fixed from the first one on."""
+    film: _Film | None = None
+    picture, due = b"", 0.0
+    for cycle in cycles:
+        if film is None:
+            film, due = _Film(cycle), cycle.time
+        while picture and due + 1 / rate <= cycle.time:  # nothing new: the film stands still
+            yield picture
+            due += 1 / rate
+        if cycle.time + 1e-9 < due:
+            continue
+        picture = film.draw(cycle)
+        yield picture
+        due += 1 / rate
+
+
+class _Film:
+    """One figure, whose image and contacts are exchanged from picture to picture."""
+
+    def __init__(self, first: Replayed) -> None:
+        width, height = _FILM_PIXELS
+        self._figure = Figure(figsize=(width / 100, height / 100), dpi=100, layout="constrained")
+        self._canvas = FigureCanvasAgg(self._figure)
+        self._axes = self._figure.add_subplot()
+        model = first.perception.model
+        self._mesh, self._raster = model.mesh, Raster(model.mesh, _RASTER)
+        full = max(0.3, 3 * first.perception.thresholds[first.touch.mode.name].final)
+        image = first.touch.sight.image.values
+        self._shown = draw_image(self._axes, model.mesh, image, model.electrodes, limit=full)
+        self._figure.colorbar(self._shown, ax=self._axes, label="relative conductivity change", shrink=0.85)
+        (self._marks,) = self._axes.plot([], [], "+", color="black", markersize=12)
+
+    def draw(self, cycle: Replayed) -> bytes:
+        if cycle.perception.model.mesh is not self._mesh:  # after another calibration
+            self._mesh = cycle.perception.model.mesh
+            self._raster = Raster(self._mesh, _RASTER)
+        self._shown.set_data(self._raster(cycle.touch.sight.image.values))
+        places = 1e3 * np.array([contact.position for contact in cycle.touch.contacts]).reshape(-1, 2)
+        self._marks.set_data(places[:, 0], places[:, 1])
+        self._axes.set_title(f"{cycle.touch.mode.name}   {cycle.time:7.2f} s", fontsize=10)
+        self._canvas.draw()
+        return bytes(self._canvas.buffer_rgba())
+
+
+def _seconds(tape: Tape, stamps: Any) -> Any:
+    """Calendar stamps (ns) as seconds, 0 where `tape.times` is."""
+    first = int(np.argmax(tape.roles != Role.QUIET))
+    return (stamps - tape.frames.stamps[first]) * 1e-9
+
+
+def _within(tape: Tape, start: float, stop: float) -> Any:
+    return np.flatnonzero((tape.times >= start) & (tape.times <= stop))
+
+
+def _starts(sizes: list[int]) -> Any:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+@contextmanager
+def _new(path: Path) -> Iterator[Path]:
+    """A name to write to; it becomes `path` when all went well, and `path` is never overwritten.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    if path.exists():
+        raise DataError(f"{path} exists and is never overwritten; choose another name")
+    part = None
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        os.close(handle)
+        part = Path(name)
+        yield part
+        os.chmod(part, 0o644)
+        os.link(part, path)
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+    finally:
+        if part is not None:
+            part.unlink(missing_ok=True)

@@ -1,0 +1,150 @@
+"""What is felt as ROS 2 messages, in the frames of the robot; see `ohmskin.publish.topics` for their definitions."""
+
+import numpy as np
+
+from ohmskin.client.felt import Contact, Felt, Patch, Sighting
+from ohmskin.errors import DataError
+from ohmskin.record.cdr import Decoder, Encoder
+from ohmskin.scan.frame import Floats
+
+_FLOAT32 = 7  # of sensor_msgs/PointField
+_DELETE_ALL, _ADD, _CYLINDER = 3, 0, 3  # of visualization_msgs/Marker
+
+
+def encode_contacts(felt: Felt) -> bytes:
+    """`ohmskin_msgs/msg/Contacts`."""
+    encoder = _header(felt.stamp, "").put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
+    for patch in felt.patches:
+        encoder.text(patch.patch).text(patch.frame).put("iIQ", *divmod(patch.stamp, 10**9), patch.sequence).text(patch.mode)
+    numbers = {patch.patch: number for number, patch in enumerate(felt.patches)}
+    encoder.put("I", len(felt.contacts))
+    for c in felt.contacts:
+        encoder.put("Ii", numbers[c.patch], c.id).put("dddddd", *c.position, *c.normal)
+        encoder.put("ddddd", c.extent, c.strength, c.confidence, c.peak, c.spread)
+    return encoder.done()
+
+
+def decode_contacts(data: bytes, offset: float) -> Felt:
+    """The inverse of `encode_contacts`.
+
+    Args:
+        data: The message.
+        offset: This machine's monotonic clock less the calendar (s), which turns stamps into times.
+
+    Raises:
+        DataError: If it is not such a message.
+    """
+    decoder = Decoder(data)
+    stamp = _stamp(decoder)
+    decoder.text()
+    boot, sequence = (int(value) for value in decoder.take("QQ"))
+    patches = []
+    for _ in range(decoder.count(28)):
+        name, frame, seen = decoder.text(), decoder.text(), _stamp(decoder)
+        number, mode = int(decoder.take("Q")[0]), decoder.text()
+        patches.append(Sighting(name, frame, number, seen * 1e-9 + offset if seen else float("-inf"), seen, mode))
+    contacts = []
+    for _ in range(decoder.count(96)):
+        place, own, x, y, z, nx, ny, nz, *figures = decoder.take("Iiddddddddddd")
+        if place >= len(patches):
+            raise DataError(f"a contact of patch {place} in a message of {len(patches)} patches")
+        patch = patches[int(place)]
+        contacts.append(Contact(int(own), patch.patch, patch.frame, (x, y, z), (nx, ny, nz), *figures))
+    at = stamp * 1e-9 + offset if stamp else float("-inf")
+    return Felt(sequence, at, stamp, tuple(patches), tuple(contacts), boot)
+
+
+def encode_wrench(contact: Contact | None, frame: str, stamp: int, scale: float) -> bytes:
+    """`geometry_msgs/msg/WrenchStamped`: the push of a contact on its link, and its torque about the link's origin.
+
+    Args:
+        contact: The contact; None for no push.
+        frame: The link.
+        stamp: ns since 1970.
+        scale: Newtons for each m2 of strength, as somebody calibrated it.
+    """
+    force, torque = np.zeros(3), np.zeros(3)
+    if contact is not None:
+        force = -scale * abs(contact.strength) * np.array(contact.normal)
+        torque = np.cross(contact.position, force)
+    force, torque = force + 0.0, torque + 0.0  # no minus zeros
+    return _header(stamp, frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
+
+
+def encode_markers(contacts: tuple[Contact, ...], patches: tuple[Patch, ...], stamp: int) -> bytes:
+    """`visualization_msgs/msg/MarkerArray`: the markers of before go, each contact becomes a flat cylinder of its extent."""
+    encoder = Encoder().put("I", 1 + len(contacts))
+    turns = {patch.name: quaternion(np.array(patch.axes, float).T) for patch in patches}
+    _marker(encoder, stamp, patches[0].frame, "", (0, _DELETE_ALL), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 1.0, True)
+    for contact in contacts:
+        width = 2 * float(np.sqrt(contact.extent / np.pi))
+        kind, rises = (contact.id, _ADD), contact.strength >= 0
+        _marker(encoder, stamp, contact.frame, contact.patch, kind, contact.position, turns[contact.patch], width, rises)
+    return encoder.done()
+
+
+def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int) -> bytes:
+    """`sensor_msgs/msg/PointCloud2`: x, y, z and relative conductivity change of every pixel on the skin.
+
+    Args:
+        pixels: (ny, nx), NaN off the skin.
+        x, y: Pixel centres on the sheet (m).
+        patch: Where the sheet is.
+        stamp: ns since 1970.
+    """
+    row, column = np.nonzero(np.isfinite(pixels))
+    axes = np.array(patch.axes)
+    places = np.array(patch.position) + x[column, None] * axes[0] + y[row, None] * axes[1]
+    points = np.column_stack([places, pixels[row, column]]).astype("<f4")
+    encoder = _header(stamp, patch.frame).put("II", 1, len(points)).put("I", 4)
+    for number, name in enumerate(("x", "y", "z", "change")):
+        encoder.text(name).put("IBI", 4 * number, _FLOAT32, 1)
+    encoder.put("?II", False, 16, 16 * len(points)).array(points.view("u1").ravel())
+    return encoder.put("?", True).done()
+
+
+def quaternion(rotation: Floats) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) of a rotation matrix (3, 3)."""
+    # The eigenvector of the largest eigenvalue (Bar-Itzhack, 2000): no special cases.
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(k)[1][:, -1]
+    sign = -1.0 if w < 0 else 1.0
+    return float(sign * x), float(sign * y), float(sign * z), float(sign * w)
+
+
+def _marker(
+    encoder: Encoder,
+    stamp: int,
+    frame: str,
+    group: str,
+    kind: tuple[int, int],
+    place: tuple[float, float, float],
+    turn: tuple[float, float, float, float],
+    width: float,
+    rises: bool,
+) -> None:
+    number, action = kind
+    colour = (0.84, 0.19, 0.15, 0.7) if rises else (0.19, 0.36, 0.76, 0.7)
+    encoder.put("iI", *divmod(stamp, 10**9)).text(frame).text(group).put("iii", number, _CYLINDER, action)
+    encoder.put("ddddddd", *place, *turn).put("dddffff", width, width, 1e-3, *colour)
+    encoder.put("iI?", 0, 0, False)  # shown until replaced; not locked to a moving frame
+    encoder.put("II", 0, 0).text("")  # points, colours, texture's name
+    encoder.put("iI", 0, 0).text("").text("").put("I", 0)  # texture: header, format, data
+    encoder.put("I", 0).text("").text("").text("").put("I", 0).put("?", False)  # texture's places, text, mesh
+
+
+def _header(stamp: int, frame: str) -> Encoder:
+    return Encoder().put("iI", *divmod(stamp, 10**9)).text(frame)
+
+
+def _stamp(decoder: Decoder) -> int:
+    seconds, nanoseconds = decoder.take("iI")
+    return int(seconds) * 10**9 + int(nanoseconds)

@@ -1,0 +1,230 @@
+"""Recordings seen again: by the loop as it was, or by another mode or estimator."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ohmskin.device import Device
+from ohmskin.device.replay import ReplayDevice
+from ohmskin.engine import Engine, Perception, State, Touch
+from ohmskin.errors import DataError, DeviceError, PatternError
+from ohmskin.inverse import GaussNewton, Image, SparseBayes, TotalVariation
+from ohmskin.scan import Difference
+from ohmskin.skin import Skin, shipped_skins
+
+_QUIET_CYCLES = 8  # from which the thresholds of another estimator are learned, the least that serve
+
+
+class Estimator(Protocol):
+    """Whatever makes images of differences."""
+
+    def reconstruct(self, *differences: Difference) -> Image: ...
+
+
+MakeEstimator = Callable[[Perception], Estimator]
+"""Makes an estimator for what was learned of a quiet skin: its `model` (scaled) and `baseline` (noise)."""
+
+
+def _gauss_newton(prior: str) -> MakeEstimator:
+    def make(p: Perception) -> Estimator:
+        imaging = p.skin.imaging
+        return GaussNewton(
+            p.model, p.baseline.difference_noise, prior, amplitude=imaging.amplitude, model_error=imaging.model_error
+        )
+
+    return make
+
+
+ESTIMATORS: dict[str, MakeEstimator] = {
+    **{prior: _gauss_newton(prior) for prior in ("paper", "laplacian", "tikhonov", "noser", "matern")},
+    "tv": lambda p: TotalVariation(p.model, p.baseline.difference_noise, amplitude=0.5, model_error=p.skin.imaging.model_error),
+    "sparse": lambda p: SparseBayes(p.model, p.baseline.difference_noise, amplitude=0.5, model_error=p.skin.imaging.model_error),
+}
+"""Estimators by name: Gauss-Newton with each prior, total variation, sparse Bayes."""
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """One cycle of a recording, seen again.
+
+    Args:
+        time: Where it is in the recording (s from its first frame behind the calibration).
+        touch: What was felt.
+        perception: What was learned of the quiet skin before; its `model.mesh` is that of the image.
+    """
+
+    time: float
+    touch: Touch
+    perception: Perception
+
+
+class Player:
+    """Leads an engine through a recording: it calibrates where the recording did, and changes the mode where it did.
+
+    Args:
+        engine: Made on a `ReplayDevice`, not yet calibrated.
+        mode: Stay in this mode instead.
+        say: Called with a sentence when a mode cannot be had.
+
+    Raises:
+        PatternError: If cycles of `mode` were not recorded; the message lists those that were.
+    """
+
+    def __init__(self, engine: Engine, mode: str = "", say: Callable[[str], None] = lambda _: None) -> None:
+        device: Device = getattr(engine.device, "inner", engine.device)  # a recorder may listen in
+        if not isinstance(device, ReplayDevice):
+            raise DeviceError(f"{device.url} is no recording; open replay:FILE")
+        self.device = device
+        self._engine, self._say = engine, say
+        device.calibrating = lambda: engine.state is State.CALIBRATING
+        self._recorded, self._calibration = device.mode, device.calibration
+        if mode:
+            if not self._possible():
+                raise PatternError(f"mode {mode!r} was not recorded; choose from {', '.join(self._modes()) or 'none'}")
+        elif device.mode in engine.modes:
+            engine.set_mode(device.mode)
+        self._fixed, self._paused = bool(mode), False
+
+    def prepare(self) -> None:
+        """Call it before every `engine.step`."""
+        engine, device = self._engine, self.device
+        if engine.state is not State.RUNNING or device.reference or device.ended:
+            return
+        if device.calibration != self._calibration:
+            self._calibration = device.calibration
+            engine.calibrate()
+        recorded, self._recorded = self._recorded, device.mode
+        if self._recorded not in engine.modes:
+            return
+        if not self._possible():
+            if self._engine.mode.name != recorded:
+                self._say(f"mode {self._engine.mode.name} was not recorded here; showing {self._recorded}")
+            engine.set_mode(self._recorded)
+        elif recorded != self._recorded and not self._fixed:
+            engine.set_mode(self._recorded)
+
+    def step(self) -> Touch | None:
+        """One cycle; None at the end of the recording."""
+        self.prepare()
+        if self.device.ended:
+            return None
+        return self._unless_over(self._engine.step)
+
+    def lead(self, step: Callable[[], Touch | None]) -> Callable[[], Touch | None]:
+        """A loop's own `step`, led through the recording. At its end it pauses; going on from there begins anew."""
+
+        def led() -> Touch | None:
+            if self.device.ended and self._engine.state is State.RUNNING:
+                if self._paused:
+                    self.device.seek(0.0)
+                else:
+                    self._engine.pause(True)
+                    self._say("the recording has ended")
+                self._paused = not self._paused
+            self.prepare()
+            return self._unless_over(step)
+
+        return led
+
+    def until(self, stop: object) -> "Ending":
+        """True once `stop` is, or the recording has ended."""
+        return Ending(self.device, stop)
+
+    def _unless_over(self, step: Callable[[], Touch | None]) -> Touch | None:
+        try:
+            return step()
+        except DeviceError:  # the recording ended in the middle of a cycle
+            if not self.device.ended:
+                raise
+            return None
+
+    def _possible(self) -> bool:
+        mode = self._engine.mode
+        return bool(self.device.reference) or self.device.playable(mode.base, mode.complete != mode.base)
+
+    def _modes(self) -> list[str]:
+        modes = self._engine.modes.values()
+        return [mode.name for mode in modes if self.device.playable(mode.base, mode.complete != mode.base)]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """True once a recording has ended, or something else says stop."""
+
+    device: ReplayDevice
+    stop: object
+
+    def __bool__(self) -> bool:
+        return bool(self.stop) or self.device.ended
+
+
+def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
+    """The skin named, or the one in the recording.
+
+    Raises:
+        SkinError: If it is not a valid description.
+        DataError: If none is named and the recording has none.
+    """
+    if skin:
+        return Skin.load(skin)
+    if device.description:
+        return Skin.parse(device.description, f"the skin in {device.url}")
+    if not device.default_skin:
+        raise DataError(f"{device.url} does not say what was measured; name a skin, a .toml file or {', '.join(shipped_skins())}")
+    return Skin.load(device.default_skin)
+
+
+def reimage(
+    path: str | Path,
+    estimator: MakeEstimator | None = None,
+    mode: str = "",
+    skin: str = "",
+    start: float = 0.0,
+    stop: float = np.inf,
+) -> Iterator[Replayed]:
+    """See a recording again, as fast as it goes: with the same settings the same images to the last bit.
+
+    Args:
+        path: The recording, ours or others'.
+        estimator: Makes another estimator than the loop's own; its thresholds are learned from the recorded quiet frames.
+        mode: Another drive mode, whose scans must have been recorded; the recorded ones unless given.
+        skin: Another description of the skin; the recorded one unless given.
+        start, stop: From when to when (s from the first frame).
+
+    Raises:
+        DataError: If it is not a recording, or `start` is not in it.
+        PatternError: If the mode was not recorded.
+    """
+    device = ReplayDevice(f"replay:{path}", speed=np.inf, start=start, loop=False)
+    with closing(device), Engine(lambda: device, recorded_skin(device, skin), mode) as engine:
+        player = Player(engine, mode)
+        engine.calibrate()
+        learned = None
+        while not device.ended and (at := device.position) <= stop:
+            if estimator is not None and learned is not engine.perception:
+                learned = engine.perception
+                _exchange(engine, player, estimator)
+            if (touch := player.step()) is None:
+                break
+            assert engine.perception is not None
+            yield Replayed(at, touch, engine.perception)
+
+
+def _exchange(engine: Engine, player: Player, make: MakeEstimator) -> None:
+    """Put another estimator into a calibrated engine, with thresholds of its own."""
+    perception, device = engine.perception, player.device
+    assert perception is not None
+    perception.estimator = make(perception)  # type: ignore[assignment]
+    if device.reference:
+        perception.learn_thresholds(engine.mode, lambda _: device.reference[0], 1)
+        return
+    asked, device.calibrating = device.calibrating, lambda: True
+    try:
+        for name in {engine.mode.name, *device.modes} & set(engine.modes):
+            perception.learn_thresholds(engine.modes[name], device.scan, _QUIET_CYCLES)
+    finally:
+        device.calibrating = asked

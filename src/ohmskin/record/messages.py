@@ -1,0 +1,311 @@
+"""The messages of a recording: how frames, patterns, contacts, images and health are packed and read back.
+
+Their definitions, with units, are in `ohmskin.record.schemas` and in every recording itself.
+"""
+
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from ohmskin.errors import DataError, PatternError
+from ohmskin.record.cdr import Decoder, Encoder
+from ohmskin.scan import DrivePattern, Frame, FrameFlag
+from ohmskin.scan.frame import Floats
+from ohmskin.touch import Contact
+
+FRAME_ID = "skin"
+"""The coordinate frame of contacts and images: metres on the sheet."""
+
+_FRAME_START = struct.Struct("<4x iI dd Q II B 3x I")  # the fields of a frame up to the number of its voltages
+_COUNT = struct.Struct("<I4x")
+_LENGTH = struct.Struct("<I")
+_LARGEST_INDEX = 0xFFFF
+_DELETE_ALL, _ADD, _CYLINDER = 3, 0, 3  # of visualization_msgs/Marker
+_FLAGS = FrameFlag(0)
+
+
+class Role(IntEnum):
+    """What a frame was scanned for."""
+
+    UNTOLD = 0
+    BASE = 1  # the first scan of a cycle
+    CHOSEN = 2  # a later one, whose pattern depends on what the first one showed
+    QUIET = 3  # the untouched skin, to calibrate
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A recorded frame and what is told about it.
+
+    Args:
+        voltages, currents, time, sequence, flags: As in `Frame`.
+        arrived: When it arrived, on the host's monotonic clock (s).
+        stamp: When it arrived, by the calendar (ns since 1970).
+        pattern: Digest of its pattern.
+        role: What it was scanned for.
+        mode: Name of the drive mode; empty if not told.
+    """
+
+    voltages: Floats
+    currents: Floats
+    time: float
+    sequence: int
+    flags: FrameFlag
+    arrived: float
+    stamp: int
+    pattern: int
+    role: Role
+    mode: str
+
+    def frame(self, pattern: DrivePattern) -> Frame:
+        """The frame, given its pattern.
+
+        Raises:
+            DataError: If it was measured with another pattern.
+        """
+        return Frame(pattern, self.voltages, self.currents, self.time, self.sequence, self.flags)
+
+
+@dataclass(frozen=True)
+class FrameHead:
+    """What an index needs of a recorded frame: `FrameRecord` without its data."""
+
+    pattern: int
+    role: int
+    n_meas: int
+    n_inj: int
+    arrived: float
+    mode: str
+
+
+@dataclass(frozen=True)
+class TouchRecord:
+    """What a recorded cycle felt.
+
+    Args:
+        sequence: Number of the cycle.
+        time: Of its last sample, on the host's monotonic clock (s).
+        stamp: By the calendar (ns since 1970).
+        mode: Name of the drive mode.
+        frames: Sequence numbers of its frames.
+        contacts: Tracked contacts.
+    """
+
+    sequence: int
+    time: float
+    stamp: int
+    mode: str
+    frames: tuple[int, ...]
+    contacts: tuple[Contact, ...]
+
+
+def encode_pattern(pattern: DrivePattern) -> bytes:
+    """`ohmskin_msgs/msg/Pattern`."""
+    if max(int(pattern.injections.max()), int(pattern.measurements[:, 1:].max())) > _LARGEST_INDEX:
+        raise DataError(f"a recording numbers electrodes up to {_LARGEST_INDEX}; the pattern names a higher one")
+    injections, measurements = pattern.injections.astype("<u2").ravel(), pattern.measurements.astype("<u4").ravel()
+    return Encoder().put("I", pattern.digest).array(injections).array(measurements).done()
+
+
+def decode_pattern(data: bytes) -> DrivePattern:
+    """The pattern of a message.
+
+    Raises:
+        DataError: If it is not one.
+    """
+    decoder = Decoder(data)
+    decoder.take("I")
+    injections, measurements = decoder.array("u2"), decoder.array("u4")
+    if injections.size % 2 or measurements.size % 3:
+        raise DataError(f"a pattern of {injections.size} and {measurements.size} numbers; need pairs and triples")
+    try:
+        return DrivePattern(injections.reshape(-1, 2), measurements.reshape(-1, 3))
+    except PatternError as error:
+        raise DataError(f"a recorded pattern cannot be used: {error}") from error
+
+
+def encode_frame(frame: Frame, stamp: int, arrived: float, role: Role, mode: str) -> bytes:
+    """`ohmskin_msgs/msg/Frame`. Packed in one go, because the loop waits for it."""
+    seconds, nanoseconds = divmod(stamp, 10**9)
+    sequence = frame.sequence & 0xFFFFFFFFFFFFFFFF
+    flags = int(frame.flags) & 0xFFFFFFFF
+    n_meas, n_inj = len(frame.voltages), len(frame.currents)
+    start = _FRAME_START.pack(seconds, nanoseconds, frame.time, arrived, sequence, frame.pattern.digest, flags, role, n_meas)
+    text = mode.encode() + b"\0"
+    # behind 8-byte floats a string's length is aligned already
+    return b"".join(
+        [
+            b"\0\1\0\0",
+            start[4:],
+            frame.voltages.astype("<f8", copy=False).tobytes(),
+            _COUNT.pack(n_inj),
+            frame.currents.astype("<f8", copy=False).tobytes(),
+            _LENGTH.pack(len(text)),
+            text,
+        ]
+    )
+
+
+def decode_frame(data: bytes) -> FrameRecord:
+    """The frame of a message.
+
+    Raises:
+        DataError: If it is not one.
+    """
+    decoder = Decoder(data)
+    seconds, nanoseconds, at, arrived, sequence, pattern, flags, role = decoder.take("iIddQIIB")
+    voltages, currents, mode = decoder.array("f8"), decoder.array("f8"), decoder.text()
+    known = Role(int(role)) if role in Role._value2member_map_ else Role.UNTOLD
+    return FrameRecord(
+        voltages=voltages,
+        currents=currents,
+        time=float(at),
+        sequence=int(sequence),
+        flags=FrameFlag(int(flags)) if flags else _FLAGS,
+        arrived=float(arrived),
+        stamp=int(seconds) * 10**9 + int(nanoseconds),
+        pattern=int(pattern),
+        role=known,
+        mode=mode,
+    )
+
+
+def frame_head(data: bytes) -> FrameHead:
+    """What an index needs of a frame's message, all its lengths checked.
+
+    Raises:
+        DataError: If it is not a frame, or its time is no time.
+    """
+    try:
+        _, _, _, arrived, _, pattern, _, role, n_meas = _FRAME_START.unpack_from(data)
+        at = _FRAME_START.size + 8 * n_meas
+        (n_inj,) = _LENGTH.unpack_from(data, at)
+        at += _COUNT.size + 8 * n_inj
+        (length,) = _LENGTH.unpack_from(data, at)
+        text = data[at + 4 : at + 4 + length]
+    except struct.error as error:
+        raise DataError(f"a recorded frame ends early: {error}") from error
+    if data[:2] != b"\0\1" or len(text) != length or not abs(arrived) < 1e15:
+        raise DataError("a recorded frame is malformed")
+    return FrameHead(pattern, min(role, 4) % 4, n_meas, n_inj, arrived, text.rstrip(b"\0").decode(errors="replace"))
+
+
+def encode_touch(sequence: int, at: float, stamp: int, mode: str, frames: Sequence[int], contacts: Sequence[Contact]) -> bytes:
+    """`ohmskin_msgs/msg/Touch`."""
+    encoder = _stamped(stamp).put("Qd", sequence, at).text(mode)
+    encoder.array(np.array(frames, "u8")).put("I", len(contacts))
+    for c in contacts:
+        encoder.put("idddddd", c.id, *c.position, c.extent, c.strength, c.confidence, c.peak)
+    return encoder.done()
+
+
+def decode_touch(data: bytes) -> TouchRecord:
+    """The cycle of a message.
+
+    Raises:
+        DataError: If it is not one.
+    """
+    decoder = Decoder(data)
+    seconds, nanoseconds, sequence, at = decoder.take("iIQd")
+    mode, frames = decoder.text(), decoder.array("u8")
+    contacts = []
+    for _ in range(decoder.count(52)):
+        number, x, y, extent, strength, confidence, peak = decoder.take("idddddd")
+        contacts.append(Contact((float(x), float(y)), extent, strength, confidence, peak, int(number)))
+    return TouchRecord(
+        int(sequence), float(at), int(seconds) * 10**9 + int(nanoseconds), mode, tuple(frames.tolist()), tuple(contacts)
+    )
+
+
+def encode_image(pixels: Floats, stamp: int, frame_id: str = FRAME_ID) -> bytes:
+    """`sensor_msgs/msg/Image`, 32FC1, of pixels (ny, nx) with row 0 at the bottom, as `Raster` gives them."""
+    height, width = pixels.shape
+    flipped = np.ascontiguousarray(pixels[::-1], "<f4")
+    encoder = _stamped(stamp).text(frame_id).put("II", height, width).text("32FC1")
+    return encoder.put("BI", 0, 4 * width).array(flipped.view("u1").ravel()).done()
+
+
+def decode_image(data: bytes) -> Floats:
+    """The pixels (ny, nx) of a message, row 0 at the bottom.
+
+    Raises:
+        DataError: If it is not a 32FC1 image.
+    """
+    decoder = Decoder(data)
+    decoder.take("iI")
+    decoder.text()
+    height, width = (int(n) for n in decoder.take("II"))
+    encoding = decoder.text()
+    _, step = decoder.take("BI")
+    content = decoder.array("u1")
+    if encoding != "32FC1" or step != 4 * width or content.size != 4 * width * height:
+        raise DataError(f"an image of {height} x {width} pixels, {encoding!r}, {content.size} bytes; need 32FC1")
+    return content.view("<f4").reshape(height, width)[::-1].astype(float)
+
+
+def encode_markers(contacts: Sequence[Contact], stamp: int) -> bytes:
+    """`visualization_msgs/msg/MarkerArray`: the markers of before go, each contact becomes a flat cylinder of its extent."""
+    encoder = Encoder().put("I", 1 + len(contacts))
+    _marker(encoder, stamp, 0, _DELETE_ALL, (0.0, 0.0), 1.0, (0.0, 0.0, 0.0, 0.0))
+    for contact in contacts:
+        width = 2 * float(np.sqrt(contact.extent / np.pi))
+        colour = (0.84, 0.19, 0.15, 0.7) if contact.strength >= 0 else (0.19, 0.36, 0.76, 0.7)
+        _marker(encoder, stamp, contact.id, _ADD, contact.position, width, colour)
+    return encoder.done()
+
+
+def _marker(
+    encoder: Encoder,
+    stamp: int,
+    number: int,
+    action: int,
+    place: tuple[float, float],
+    width: float,
+    colour: tuple[float, float, float, float],
+) -> None:
+    encoder.put("iI", *divmod(stamp, 10**9)).text(FRAME_ID).text("contacts").put("iii", number, _CYLINDER, action)
+    encoder.put("ddddddd", *place, 0.0, 0.0, 0.0, 0.0, 1.0)  # pose: position, then a quaternion that turns nothing
+    encoder.put("dddffff", width, width, 1e-3, *colour)
+    encoder.put("iI?", 0, 0, False)  # shown until replaced; not locked to a moving frame
+    encoder.put("II", 0, 0).text("")  # points, colours, texture's name
+    encoder.put("iI", 0, 0).text("").text("").put("I", 0)  # texture: header, format, data
+    encoder.put("I", 0).text("").text("").text("").put("I", 0).put("?", False)  # texture's places, text, mesh
+
+
+def encode_health(values: Mapping[str, float], message: str, device: str, stamp: int) -> bytes:
+    """`diagnostic_msgs/msg/DiagnosticArray` with one status; a message makes it a warning."""
+    encoder = _stamped(stamp).text(FRAME_ID).put("I", 1)
+    encoder.put("B", 1 if message else 0).text("ohmskin").text(message or "running").text(device).put("I", len(values))
+    for name, value in values.items():
+        encoder.text(name).text(f"{value:.6g}")
+    return encoder.done()
+
+
+def encode_log(message: str, stamp: int) -> bytes:
+    """`rcl_interfaces/msg/Log` at the level INFO."""
+    return _stamped(stamp).put("B", 20).text("ohmskin").text(message).text("").text("").put("I", 0).done()
+
+
+def decode_log(data: bytes) -> str:
+    """The sentence of a log message.
+
+    Raises:
+        DataError: If it is not one.
+    """
+    decoder = Decoder(data)
+    decoder.take("iIB")
+    decoder.text()
+    return decoder.text()
+
+
+def now() -> int:
+    """The calendar's time (ns since 1970)."""
+    return time.time_ns()
+
+
+def _stamped(stamp: int) -> Encoder:
+    return Encoder().put("iI", *divmod(stamp, 10**9))

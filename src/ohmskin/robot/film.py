@@ -1,0 +1,145 @@
+"""Pictures of the demonstration: the arm as MuJoCo draws it, and beside it what the skin feels."""
+
+import shutil
+import subprocess
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import mujoco
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.image import imsave
+
+from ohmskin.errors import ModelError
+from ohmskin.geometry import Raster
+from ohmskin.robot.arm import Arm
+from ohmskin.robot.demonstration import Moment
+from ohmskin.skin import Skin
+
+_SIDE = 480  # pixels of each half
+_RATE = 30  # pictures per second of film
+
+
+class Film:
+    """Draws moments side by side: arm left, skin right.
+
+    Args:
+        skin: The skin.
+        arm: The arm that wears it.
+
+    Raises:
+        ModelError: If MuJoCo cannot draw on this machine.
+    """
+
+    def __init__(self, skin: Skin, arm: Arm) -> None:
+        try:
+            self._renderer = mujoco.Renderer(arm.model, _SIDE, _SIDE)
+        except Exception as error:
+            raise ModelError(
+                f"MuJoCo cannot draw here ({error}); without a display install libosmesa6 and set MUJOCO_GL=osmesa"
+            ) from error
+        self._raster = Raster(skin.mesh(), 64)
+        figure = Figure(figsize=(_SIDE / 100, _SIDE / 100), dpi=100)
+        self._canvas = FigureCanvasAgg(figure)
+        axes = figure.add_axes((0.09, 0.09, 0.86, 0.82))
+        x, y, half = self._raster.x, self._raster.y, self._raster.pitch / 2
+        extent = (1e3 * (x[0] - half), 1e3 * (x[-1] + half), 1e3 * (y[0] - half), 1e3 * (y[-1] + half))
+        self._picture = axes.imshow(np.zeros(self._raster.inside.shape), origin="lower", extent=extent, cmap="magma", vmin=0)
+        axes.plot(*(1e3 * skin.electrodes.positions.T), ".", color="#9aa5b5", markersize=7)
+        (self._truth,) = axes.plot(
+            [], [], "o", color="#6fd3ff", markersize=26, fillstyle="none", markeredgewidth=2, label="true contact"
+        )
+        (self._felt,) = axes.plot([], [], "+", color="white", markersize=22, markeredgewidth=3, label="sensed contact")
+        axes.set_xlabel("mm")
+        axes.legend(loc="lower right", framealpha=0.3, labelcolor="white", facecolor="black", markerscale=0.4)
+        self._title = figure.text(0.09, 0.94, "", fontsize=15)
+
+    def draw(self, moment: Moment, scale: float = 0.6) -> np.ndarray:
+        """A picture (480, 960, 3), uint8; `scale` is the relative change shown brightest, at least."""
+        arm = moment.arm
+        self._renderer.update_scene(arm.data, "view")
+        for contact in moment.touch.contacts[:1]:
+            self._mark(arm.to_world(np.array(contact.position)))
+        pixels = np.nan_to_num(self._raster(moment.touch.sight.image.values))
+        self._picture.set_data(pixels)
+        self._picture.set_clim(0, max(scale, float(pixels.max())))
+        self._truth.set_data(*(1e3 * moment.poke.position[:, None] if moment.poke else ([], [])))
+        places = np.array([c.position for c in moment.touch.contacts[:1]]).reshape(-1, 2)
+        self._felt.set_data(*(1e3 * places.T))
+        force = f"{moment.poke.force:4.1f} N" if moment.poke else "no contact"
+        self._title.set_text(f"{moment.time:5.2f} s    {force}")
+        self._canvas.draw()
+        right = np.asarray(self._canvas.buffer_rgba())[..., :3]
+        return np.hstack([self._renderer.render(), right])
+
+    def close(self) -> None:
+        """Let go of the renderer."""
+        self._renderer.close()
+
+    def _mark(self, place: np.ndarray) -> None:
+        scene = self._renderer.scene
+        size, colour = np.full(3, 0.012), np.array([0.1, 0.85, 0.45, 1.0], np.float32)
+        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3).ravel(), colour)
+        scene.ngeom += 1
+
+
+class Snapshot:
+    """A PNG file of the moment with the largest force among those in which a contact is sensed."""
+
+    def __init__(self, path: Path, film: Film) -> None:
+        self._path, self._film, self._best, self._picture = path, film, 0.0, np.zeros(0)
+
+    def show(self, moment: Moment) -> None:
+        """Keep this moment if it is the best so far."""
+        if moment.poke is not None and moment.touch.contacts and moment.poke.force > self._best:
+            self._best, self._picture = moment.poke.force, self._film.draw(moment)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._picture.size:
+            imsave(self._path, self._picture)
+
+
+class Video:
+    """An MP4 file, written by ffmpeg as the pictures come; simulated time at its true speed.
+
+    Raises:
+        ModelError: If ffmpeg is not installed or the file cannot be written.
+    """
+
+    def __init__(self, path: Path, film: Film) -> None:
+        if (ffmpeg := shutil.which("ffmpeg")) is None:
+            raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
+        if not path.parent.is_dir():
+            raise ModelError(f"there is no folder {path.parent}; make it first")
+        command = [ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{2 * _SIDE}x{_SIDE}"]
+        command += ["-r", str(_RATE), "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", str(path)]
+        self._film, self._due = film, 0.0
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+
+    def show(self, moment: Moment) -> None:
+        """Add the pictures that are due."""
+        assert self._process.stdin is not None
+        picture: np.ndarray | None = None
+        while self._due <= moment.time:
+            picture = self._film.draw(moment) if picture is None else picture
+            try:
+                self._process.stdin.write(picture.tobytes())
+            except BrokenPipeError:
+                raise ModelError(f"ffmpeg stopped: {self._end()}") from None
+            self._due += 1 / _RATE
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if (said := self._end()) and error is None:
+            raise ModelError(f"ffmpeg failed: {said}")
+
+    def _end(self) -> str:
+        said = self._process.communicate()[1].decode(errors="replace").strip()
+        return said.splitlines()[-1] if said and self._process.returncode else ""

@@ -1,0 +1,54 @@
+"""What a scan costs: time. The currency in which policies are compared."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.errors import PatternError
+from ohmskin.scan.pattern import DrivePattern
+
+
+@dataclass(frozen=True)
+class Cost:
+    """How long a device takes for what it is asked.
+
+    Args:
+        settle: Waiting time after each change of injection (s).
+        conversion: Time of one conversion (s).
+        channels: Voltages converted at once; 1 if they are multiplexed one by one, 0 if all of an injection are parallel.
+        overhead: Of each scan, such as the link's (s).
+
+    Raises:
+        PatternError: If a number is negative or not finite.
+    """
+
+    settle: float
+    conversion: float
+    channels: int = 0
+    overhead: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value >= 0):
+                raise PatternError(f"cost {name} is {value!r}; it must be finite and not negative")
+
+    def time(self, pattern: DrivePattern) -> float:
+        """How long a scan of `pattern` takes (s)."""
+        measured = np.bincount(pattern.measurements[:, 0], minlength=pattern.n_inj)
+        return self.overhead + sum(self._injection(int(count)) for count in measured)
+
+    def injections(self, pattern: DrivePattern, seconds: float) -> int:
+        """How many injections out of `pattern`, whichever they are, fit into a scan of so many seconds.
+
+        Raises:
+            PatternError: If not even one fits.
+        """
+        one = self._injection(int(np.bincount(pattern.measurements[:, 0]).max()))
+        left = seconds - self.overhead
+        if not left >= one * (1 - 1e-9):  # false for nan, too
+            raise PatternError(f"{seconds!r} s a frame; one injection takes {self.overhead + one:.3g} s, so give at least that")
+        return pattern.n_inj if one == 0 else min(int(left / one * (1 + 1e-9)), pattern.n_inj)
+
+    def _injection(self, measured: int) -> float:
+        return self.settle + self.conversion * (math.ceil(measured / self.channels) if self.channels else min(measured, 1))

@@ -1,0 +1,164 @@
+"""Data sets: the same whoever makes them, resumable, and true to the twin."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from ohmskin import Skin
+from ohmskin.dataset import Recipe, generate
+from ohmskin.dataset.generate import CHUNK, Chunk
+from ohmskin.errors import DataError
+from ohmskin.skin import VirtualSkin
+
+PAPER = Skin.load("paper")
+RECIPE = Recipe(PAPER.dump(), pattern="12B", seed=5)
+
+
+def arrays(path: Path) -> dict[str, np.ndarray]:
+    group: Any = zarr.open_group(str(path), mode="r")
+    return {name: np.asarray(group[name][:]) for name in ("voltages", "currents", "contacts", "count", "truth")}
+
+
+def test_number_of_workers_changes_nothing(tmp_path: Path) -> None:
+    count = 2 * CHUNK + 40
+    assert generate(tmp_path / "one", RECIPE, count, jobs=1) == count
+    assert generate(tmp_path / "two", RECIPE, count, jobs=2) == count
+    one, two = arrays(tmp_path / "one"), arrays(tmp_path / "two")
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, two[name], err_msg=name)
+    assert np.isfinite(one["voltages"]).all()
+    assert set(one["count"]) == {0, 1, 2, 3}
+    other = replace(RECIPE, seed=6).simulate(0, 4)
+    assert not np.isclose(other["voltages"], one["voltages"][:4]).all(axis=1).any()
+
+
+def test_samples_do_not_depend_on_their_neighbours() -> None:
+    together = RECIPE.simulate(100, 12)
+    for name, values in RECIPE.simulate(107, 1).items():
+        np.testing.assert_array_equal(values[0], together[name][7], err_msg=name)
+
+
+def test_stopped_run_goes_on_and_a_data_set_grows(tmp_path: Path) -> None:
+    path, count = tmp_path / "set", 3 * CHUNK
+
+    def stop(done: int, total: int) -> None:
+        if done >= CHUNK:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(path, RECIPE, count, jobs=1, progress=stop)
+    calls: list[tuple[int, int]] = []
+    assert generate(path, RECIPE, count, jobs=1, progress=lambda *call: calls.append(call)) == 2 * CHUNK
+    assert calls[0] == (CHUNK, count)
+    assert calls[-1] == (count, count)
+    assert generate(path, RECIPE, count, jobs=1) == 0
+    assert generate(path, RECIPE, count + 10, jobs=1) == 10
+    assert generate(path, RECIPE, CHUNK, jobs=1) == 0  # never smaller
+    generate(tmp_path / "whole", RECIPE, count + 10, jobs=1)
+    resumed, whole = arrays(path), arrays(tmp_path / "whole")
+    for name, values in whole.items():
+        np.testing.assert_array_equal(resumed[name], values, err_msg=name)
+
+
+def test_samples_are_what_the_twin_shows() -> None:
+    recipe = replace(RECIPE, pattern="complete", contacts=(1, 1))
+    sample = recipe.simulate(3, 1)
+    x, y, radius, pressure = (float(v) for v in sample["contacts"][0, 0])
+    twin = VirtualSkin(PAPER, 0)
+    quiet = np.mean([twin.scan(recipe.drive_pattern).voltages for _ in range(20)], axis=0)
+    twin.press(0, x, y, radius, pressure)
+    change = np.mean([twin.scan(recipe.drive_pattern).voltages for _ in range(20)], axis=0) - quiet
+    noise = PAPER.converter.noise
+    np.testing.assert_allclose(sample["voltages"][0] - quiet, change, atol=6 * noise)
+    assert np.abs(change).max() > 30 * noise
+    assert sample["truth"].max() == pytest.approx(pressure, rel=1e-6)
+    ny, nx = np.unravel_index(np.argmax(sample["truth"][0]), sample["truth"][0].shape)
+    assert np.hypot((nx + 0.5) * 0.2 / 32 - x, (ny + 0.5) * 0.2 / 32 - y) < radius + 0.01
+    np.testing.assert_allclose(recipe.quiet().mean(axis=0), quiet, atol=4 * noise)
+
+
+def test_contacts_keep_their_distance_and_stay_in_range() -> None:
+    for index in range(300):
+        presses = RECIPE.presses(index)
+        for k, press in enumerate(presses):
+            assert 4e-3 <= press.radius <= 15e-3
+            assert 1e3 <= press.pressure <= 60e3
+            assert min(press.position) >= 0
+            assert max(press.position) <= 0.2
+            for other in presses[:k]:
+                assert np.hypot(*np.subtract(press.position, other.position)) >= press.radius + other.radius + 5e-3
+    pressures = [p.pressure for i in range(300) for p in RECIPE.presses(i)]
+    assert np.median(pressures) == pytest.approx(np.sqrt(1e3 * 60e3), rel=0.25)  # even in the logarithm
+
+
+def test_another_recipe_or_folder_is_refused_and_loses_nothing(tmp_path: Path) -> None:
+    generate(tmp_path / "set", RECIPE, 8, jobs=1)
+    before = arrays(tmp_path / "set")
+    with pytest.raises(DataError, match="another recipe: seed 5, not 6"):
+        generate(tmp_path / "set", replace(RECIPE, seed=6), 8, jobs=1)
+    np.testing.assert_array_equal(arrays(tmp_path / "set")["voltages"], before["voltages"])
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("precious")
+    with pytest.raises(DataError, match="not a data set"):
+        generate(tmp_path / "mine", RECIPE, 8, jobs=1)
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pattern": "99X"},
+        {"contacts": (2, 1)},
+        {"contacts": (0, 17)},
+        {"radius": (0.0, 0.01)},
+        {"pressure": (1e3, np.nan)},
+        {"gap": -1.0},
+        {"pixels": 1},
+        {"seed": -1},
+    ],
+)
+def test_recipe_out_of_range_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(DataError):
+        replace(RECIPE, **change)
+
+
+def test_tasks_in_flight_are_bounded() -> None:
+    from ohmskin.evaluate import runner
+
+    started = 0
+
+    def tasks() -> list[Chunk]:
+        return [Chunk(RECIPE, k, 1) for k in range(40)]
+
+    class Counted(list):  # the runner takes tasks from its iterator only as it hands them out
+        def __iter__(self) -> Any:
+            nonlocal started
+            for task in super().__iter__():
+                started += 1
+                yield task
+
+    results = runner.spread(Counted(tasks()), 2)
+    next(results)
+    assert started <= 2 * runner._AHEAD
+    assert 1 + sum(1 for _ in results) == 40
+
+
+def test_command_line(tmp_path: Path) -> None:
+    def ohmskin(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, check=False)
+
+    path = str(tmp_path / "touches.zarr")
+    first = ohmskin("dataset", path, "--count", "20", "--pattern", "12B", "--jobs", "1", "--contacts", "1", "2")
+    assert first.returncode == 0, first.stderr
+    assert "20 samples made" in first.stdout
+    assert set(arrays(Path(path))["count"]) == {1, 2}
+    wrong = ohmskin("dataset", path, "--count", "20", "--pattern", "12B", "--seed", "3", "--contacts", "1", "2")
+    assert wrong.returncode == 2
+    assert wrong.stderr.count("\n") == 1
+    assert "another recipe" in wrong.stderr

@@ -1,0 +1,349 @@
+"""Several skins on one robot: the body file, one stream in the robot's frames, one page."""
+
+import http.client
+import json
+import math
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from ohmskin.client import Board, Client, Contact, Patch, Sighting
+from ohmskin.client.felt import LARGEST, felt, pack
+from ohmskin.device import connect as connect_device
+from ohmskin.errors import SkinError, ViewError
+from ohmskin.publish import Body
+from ohmskin.publish.body import axes, read_links
+from ohmskin.publish.patches import Merger
+from ohmskin.view.overview import Gallery, Overview
+
+URDF = '<robot name="r"><link name="base"/><link name="forearm"/><joint name="j"/></robot>'
+BODY = """
+name = "torso"
+urdf = "robot.urdf"
+
+[[patch]]
+name = "front"
+link = "base"
+position = [0.1, 0.2, 0.3]
+rotation = [0.0, 1.5707963267948966, 0.0]
+
+[[patch]]
+name = "arm"
+link = "forearm"
+skin = "paper-rim16"
+mode = "16B"
+"""
+
+
+@pytest.fixture(autouse=True)
+def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder of boards of one's own."""
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+
+
+def write(folder: Path, body: str = BODY, urdf: str = URDF) -> Path:
+    (folder / "robot.urdf").write_text(urdf, encoding="utf-8")
+    (folder / "body.toml").write_text(body, encoding="utf-8")
+    return folder / "body.toml"
+
+
+def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, "this did not happen in time"
+        time.sleep(0.01)
+    return value
+
+
+# --- the body file ------------------------------------------------------------------------------------------------------
+
+
+def test_a_body_is_what_its_file_says(tmp_path: Path) -> None:
+    body = Body.load(write(tmp_path))
+    front, arm = body.patches
+    assert (body.name, body.scale) == ("torso", None)
+    assert (front.patch.name, front.patch.frame, front.device, front.skin.name) == ("front", "base", "virtual:", "paper")
+    assert (arm.patch.name, arm.patch.frame, arm.mode, arm.skin.name) == ("arm", "forearm", "16B", "paper-rim16")
+    # turned a quarter about y: the sheet's x points down, its normal along the link's x
+    np.testing.assert_allclose(front.patch.place(0.05, 0.12), (0.1, 0.32, 0.25), atol=1e-15)
+    np.testing.assert_allclose(front.patch.normal, (1, 0, 0), atol=1e-15)
+
+
+def test_the_body_of_the_guide_is_one(tmp_path: Path) -> None:
+    guide = (Path(__file__).parents[1] / "docs" / "guide" / "several-skins.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)
+    body = Body.load(write(tmp_path, example, '<robot><link name="torso_link"/><link name="forearm_link"/></robot>'))
+    assert [(placed.patch.name, placed.mode) for placed in body.patches] == [("chest", ""), ("forearm", "12B")]
+
+
+@given(st.tuples(*[st.floats(-6, 6)] * 3))
+def test_turns_are_those_of_urdf(angles: tuple[float, float, float]) -> None:
+    np.testing.assert_allclose(np.array(axes(*angles)).T, Rotation.from_euler("xyz", angles).as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('link = "base"', 'link = "bass"', "'bass' is not in the URDF file; it has base, forearm"),
+        ('link = "base"', "", "link is missing"),
+        ('name = "arm"', 'name = "front"', "two patches are called 'front'"),
+        ('name = "arm"', 'name = "../arm"', "letters, digits"),
+        ('name = "torso"', 'name = "a/b"', "letters, digits"),
+        ('name = "torso"', "name = 5", "letters, digits"),
+        ("[0.1, 0.2, 0.3]", "[0.1, 0.2]", "3 numbers"),
+        ("[0.1, 0.2, 0.3]", "[0.1, 0.2, nan]", "3 numbers"),
+        ("[0.1, 0.2, 0.3]", "[0.1, 0.2, 1e9]", "3 numbers"),
+        ("[0.1, 0.2, 0.3]", '"here"', "3 numbers"),
+        ("position", "positon", "unknown entry 'positon'; choose from name, link"),
+        ('urdf = "robot.urdf"', 'urdf = "nosuch.urdf"', "cannot read URDF file"),
+        ('urdf = "robot.urdf"', 'urdf = "../../robot.urdf"', "outside the folder"),
+        ('urdf = "robot.urdf"', "urdf = 5", "name of a file"),
+        ('"paper-rim16"', '"/etc/skin.toml"', "outside the folder"),
+        ('"paper-rim16"', '"../skin.toml"', "outside the folder"),
+        ('"paper-rim16"', '"nosuch"', "no skin named 'nosuch'"),
+        ('"16B"', '"99Z"', "mode '99Z' is not possible"),
+        ('name = "torso"', "newtons = -5", "positive"),
+        ("[[patch]]", "[patch]", "not valid TOML"),
+        ("name =", "name ==", "not valid TOML"),
+        ('name = "torso"', f"x = {'[' * 5000}{']' * 5000}", "body.toml"),
+    ],
+)
+def test_a_wrong_body_says_what_and_where(tmp_path: Path, old: str, new: str, says: str) -> None:
+    with pytest.raises(SkinError, match=re.escape(says)) as told:
+        Body.load(write(tmp_path, BODY.replace(old, new, 1)))
+    assert "body.toml" in str(told.value)
+
+
+def test_a_body_without_patches_and_one_that_is_too_large_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SkinError, match="1 to 64 tables"):
+        Body.load(write(tmp_path, 'name = "x"'))
+    with pytest.raises(SkinError, match="1 to 64 tables"):
+        Body.load(write(tmp_path, 'name = "x"\n' + "".join(f'[[patch]]\nname = "p{k}"\nlink = "l"\n' for k in range(65))))
+    with pytest.raises(SkinError, match="more than 1048576 bytes"):
+        Body.load(write(tmp_path, "#" * 2**20 + BODY))
+
+
+@pytest.mark.parametrize(
+    ("urdf", "says"),
+    [
+        ("<robot", "not valid XML"),
+        ("<robot/>", "no URDF file"),
+        ('<model><link name="a"/></model>', "no URDF file"),
+        ('<!DOCTYPE r [<!ENTITY a "aaaa">]><robot><link name="&a;"/></robot>', "XML entities"),
+        ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot><link name="x"/></robot>', "XML entities"),
+    ],
+)
+def test_a_wrong_urdf_file_is_told(tmp_path: Path, urdf: str, says: str) -> None:
+    (tmp_path / "r.urdf").write_text(urdf, encoding="utf-8")
+    with pytest.raises(SkinError, match=re.escape(says)):
+        read_links(tmp_path / "r.urdf")
+
+
+# --- one stream of several ----------------------------------------------------------------------------------------------
+
+LEFT, RIGHT = Patch("left", "l_link", (0.0, 1.0, 0.0)), Patch("right", "r_link", (0.0, -1.0, 0.0))
+
+
+def speak(board: Board, patch: Patch, sequence: int, count: int, ago: float = 0.0) -> None:
+    seen = Sighting(patch.name, patch.frame, sequence, time.monotonic() - ago, time.time_ns() - round(1e9 * ago), "16O")
+    contacts = [
+        Contact(k + 1, patch.name, patch.frame, patch.place(0.05, 0.1), patch.normal, 1e-4, 2e-4, 0.9, 0.3) for k in range(count)
+    ]
+    board.write(pack(felt(sequence, [seen], contacts), [patch]))
+
+
+def test_patches_are_felt_together_and_as_old_as_the_oldest() -> None:
+    left = Board("torso.left", {"patches": [asdict(LEFT)]}, LARGEST)
+    right = Board("torso.right", {"patches": [asdict(RIGHT)]}, LARGEST)
+    merger = Merger("torso", [LEFT, RIGHT], ["torso.left", "torso.right"])
+    with Client("shm:torso") as client:
+        assert merger.step() is None
+        speak(left, LEFT, 5, 1)
+        assert until(merger.step).age == math.inf  # the other patch has not been heard of
+        speak(right, RIGHT, 8, 2, ago=0.5)
+        both = until(merger.step)
+        assert merger.step() is None
+        assert 0.5 <= both.age < 5.0
+        assert [(seen.patch, seen.sequence) for seen in both.patches] == [("left", 5), ("right", 8)]
+        assert [(c.patch, c.frame, c.id, c.position) for c in both.contacts] == [
+            ("left", "l_link", 1, (0.05, 1.1, 0.0)),
+            ("right", "r_link", 1, (0.05, -0.9, 0.0)),
+            ("right", "r_link", 2, (0.05, -0.9, 0.0)),
+        ]
+        speak(left, LEFT, 6, 0)
+        again = until(merger.step)
+        assert again.sequence == both.sequence + 1
+        assert {c.patch for c in again.contacts} == {"right"}
+        assert again.time == both.time  # the right one has not spoken anew
+        heard = until(client.newest)
+        assert heard.contacts[0].position == (0.05, -0.9, 0.0)
+        assert (heard.sequence, heard.age >= 0.5) == (again.sequence, True)
+        right.close()
+        right = Board("torso.right", {"patches": [asdict(RIGHT)]}, LARGEST)  # the patch's process was started anew
+        speak(right, RIGHT, 1, 0)
+        assert until(merger.step).contacts == ()
+    for thing in (merger, left, right):
+        thing.close()
+
+
+# --- the page -----------------------------------------------------------------------------------------------------------
+
+RASTER = {"x0": 0.05, "y0": 0.05, "pitch": 0.1, "nx": 2, "ny": 2}
+
+
+@pytest.fixture
+def shown() -> Iterator[Any]:
+    """Boards of two patches; the left one is touched and has an image."""
+    setup = {"patches": [asdict(LEFT)], "domain": {"kind": "rectangle", "width": 0.2, "height": 0.2}, "raster": RASTER}
+    left, picture = Board("torso.left", setup, LARGEST), Board("torso.left.image", setup, 100)
+    merger = Merger("torso", [LEFT, RIGHT], ["torso.left", "torso.right"])
+    speak(left, LEFT, 5, 1)
+    merger.step()
+    picture.write(struct.pack("<Qq4f", 5, 0, 0.0, math.nan, -0.2, 0.4))
+    yield merger
+    for thing in (merger, left, picture):
+        thing.close()
+
+
+def read(frame: bytes) -> tuple[dict[str, Any], np.ndarray]:
+    (length,) = struct.unpack_from("<I", frame)
+    return json.loads(frame[4 : 4 + length]), np.frombuffer(frame[4 + length :], np.int8)
+
+
+def test_the_gallery_shows_images_and_contacts_on_their_sheets(shown: Any) -> None:
+    header, pixels = read(Gallery("torso", ["torso.left", "torso.right"]).frame())
+    left, right = header["patches"]
+    assert (header["name"], left["name"], left["link"], left["mode"]) == ("torso", "left", "l_link", "16O")
+    assert left["contacts"][0]["at"] == pytest.approx([0.05, 0.1])  # on the sheet
+    assert left["contacts"][0]["in"] == [0.05, 1.1, 0.0]  # on the robot
+    assert pixels.tolist() == [0, 0, -64, 127]
+    assert left["peak"] == pytest.approx(0.4)
+    assert left["age"] >= 0
+    assert (right["name"], right["age"], right["contacts"]) == ("right", None, [])
+
+
+def test_the_page_is_guarded_as_the_live_page_is(shown: Any) -> None:
+    with Overview("torso", ["torso.left", "torso.right"], port=0, token="open-sesame") as page:
+        port = int(re.search(r":(\d+)/", page.url)[1])  # type: ignore[index]
+        channel = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+
+        def get(path: str, **headers: str) -> http.client.HTTPResponse:
+            channel.request("GET", path, headers=headers)
+            response = channel.getresponse()
+            response.read()
+            return response
+
+        assert get("/").status == 403
+        assert get("/?token=open-sesame", Host="evil.example").status == 403
+        index = get("/?token=open-sesame")
+        assert index.status == 200
+        assert "default-src 'none'" in index.headers["content-security-policy"]
+        assert get("/static/..%2f..%2foverview.py").status == 404
+        channel.close()
+        where = f"ws://127.0.0.1:{port}/socket"
+        for address, options in ((where, {}), (f"{where}?token=open-sesame", {"origin": "http://evil.example"})):
+            with pytest.raises(InvalidStatus):
+                connect(address, **options).close()
+        with connect(f"{where}?token=open-sesame") as browser:
+            for _ in range(3):
+                assert read(browser.recv(10))[0]["name"] == "torso"  # type: ignore[arg-type]
+                browser.send("drawn")
+            browser.send("x" * 17)  # more than a browser has to say
+            with pytest.raises(ConnectionClosed):
+                list(browser)
+
+
+def test_a_page_for_others_needs_a_token() -> None:
+    with pytest.raises(ViewError, match="token"):
+        Overview("torso", [], host="0.0.0.0")
+
+
+# --- the whole ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def torso(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    body = BODY.replace('skin = "paper-rim16"\nmode = "16B"', 'mode = "12B"')
+    command = [sys.executable, "-m", "ohmskin", "patches", str(write(tmp_path, body)), "--no-demo", "--no-browser", "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=dict(os.environ))
+    assert process.stdout is not None
+    try:
+        yield process
+        family = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(signal.SIGTERM)
+        rest = process.communicate(timeout=30)[0]
+        assert process.returncode == 0, rest
+        assert "Traceback" not in rest
+        until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in family), 10)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(torso: "subprocess.Popen[str]", chromium: Any) -> None:
+    assert torso.stdout is not None
+    assert "shm:torso" in torso.stdout.readline()
+    url = re.search(r"http://\S+", torso.stdout.readline())
+    assert url
+    with Client("shm:torso") as robot:
+        until(lambda: (newest := robot.newest()) and newest.age < 1.0)
+        processes = patch_processes(torso.pid)
+        assert len(processes) == 2
+        front = next(process for process in processes if '"front"' in settings_of(process, robot))
+        with pressed(front, 50, 120):
+            there = until(lambda: (newest := robot.newest()) and newest.contacts)
+            assert {(contact.patch, contact.frame) for contact in there} == {("front", "base")}
+            np.testing.assert_allclose(there[0].position, (0.1, 0.32, 0.25), atol=12e-3)  # as the body file places it
+            page = chromium.new_page(viewport={"width": 900, "height": 700})
+            page.goto(url[0])
+            until(lambda: page.evaluate("Boolean(window.ohmskin?.frame?.patches.some((p) => p.contacts.length > 0))"))
+            assert page.locator(".patch").count() == 2
+            page.close()
+        front.kill()
+        until(lambda: robot.newest().age > 1.0)  # type: ignore[union-attr]
+        arm = next(seen for seen in robot.newest().patches if seen.patch == "arm")  # type: ignore[union-attr]
+        assert arm.age < 1.0  # the other one goes on meanwhile
+        until(lambda: robot.newest().age < 0.5)  # type: ignore[union-attr]
+
+
+def patch_processes(pid: int) -> list[psutil.Process]:
+    return [child for child in psutil.Process(pid).children() if "ohmskin.publish.patch" in child.cmdline()]
+
+
+def settings_of(process: psutil.Process, robot: Client) -> str:
+    """Which patch a process is: the one that falls silent while it is stopped."""
+    process.suspend()
+    until(lambda: robot.newest().age > 0.5)  # type: ignore[union-attr]
+    silent = max(robot.newest().patches, key=lambda seen: seen.age).patch  # type: ignore[union-attr]
+    process.resume()
+    until(lambda: robot.newest().age < 0.5)  # type: ignore[union-attr]
+    return json.dumps(silent)
+
+
+@contextmanager
+def pressed(process: psutil.Process, x: int, y: int) -> Iterator[None]:
+    """A finger on the virtual skin of a patch (mm)."""
+    (served,) = [child for child in process.children() if "serve-skin" in child.cmdline()]
+    (port,) = {c.laddr.port for c in served.net_connections("inet") if c.status == psutil.CONN_LISTEN}
+    with connect_device(f"tcp://127.0.0.1:{port}") as skin:
+        skin.press(9, (x * 1e-3, y * 1e-3), 8e-3, 20e3)
+        yield

@@ -1,0 +1,624 @@
+"""Publishing: readers that share no code with us read what was felt, and the loop never waits for any of them."""
+
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ohmskin.client import Client, Contact, Patch, Sighting
+from ohmskin.client.felt import felt
+from ohmskin.errors import DataError, OhmskinError, PublishError
+from ohmskin.publish import Publisher
+from ohmskin.publish.body import axes
+from ohmskin.publish.messages import (
+    decode_contacts,
+    encode_cloud,
+    encode_contacts,
+    encode_markers,
+    encode_wrench,
+    quaternion,
+)
+from ohmskin.publish.outlet import KINDS, is_loopback, open_outlet
+from ohmskin.publish.publisher import _worst
+from ohmskin.publish.relay import RelayProcess
+from ohmskin.publish.topics import TYPES, Topic, contacts_topic
+from ohmskin.publish.types import read_types, rihs01
+from ohmskin.record.messages import encode_image
+from ohmskin.skin import Skin
+
+STAMP = 1_700_000_000_123_456_789
+PATCH = Patch("arm", "forearm_link", (0.1, 0.2, 0.3), axes(0.3, -0.4, 1.1))
+CONTACT = Contact(7, "arm", "forearm_link", PATCH.place(0.05, 0.12), PATCH.normal, 2e-4, 3e-4, 0.97, 0.4, 1.5e-3)
+SIGHTING = Sighting("arm", "forearm_link", 41, 12.5, STAMP, "16O")
+PUBLISHED = {
+    "/ohmskin/contacts": "ohmskin_msgs/msg/Contacts",
+    "/ohmskin/markers": "visualization_msgs/msg/MarkerArray",
+    "/ohmskin/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/ohmskin/image": "sensor_msgs/msg/Image",
+    "/ohmskin/points": "sensor_msgs/msg/PointCloud2",
+}
+
+
+@pytest.fixture(autouse=True)
+def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder of boards of one's own."""
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+
+
+@pytest.fixture(scope="module")
+def store() -> Any:
+    """ROS 2's own types, and ours as a ROS 2 tool reads them from the definition that is published."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types: dict[str, Any] = {}
+    for part in re.split(r"={80}\n", contacts_topic("skin").definition):
+        head, _, rest = part.partition("\n")
+        name = head.removeprefix("MSG: ").replace("/", "/msg/") if head.startswith("MSG: ") else "ohmskin_msgs/msg/Contacts"
+        if name.startswith("ohmskin_msgs"):
+            types |= get_types_from_msg(rest if head.startswith("MSG: ") else part, name)
+    store.register(types)
+    return store
+
+
+def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, "this did not happen in time"
+        time.sleep(0.01)
+    return value
+
+
+# --- types --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(PUBLISHED.values()))
+def test_types_are_known_to_others_by_the_same_hash(name: str, store: Any) -> None:
+    assert rihs01(name, TYPES) == store.hash_rihs01(name)
+
+
+def test_a_hash_is_the_one_that_ros_itself_publishes() -> None:
+    # as `ros2 topic info --verbose` prints them
+    assert rihs01("sensor_msgs/msg/Image", TYPES).endswith("d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47")
+    strings = {"std_msgs/msg/String": read_types("std_msgs/msg/String", "string data\n")["std_msgs/msg/String"]}
+    assert rihs01("std_msgs/msg/String", strings).endswith("df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
+
+
+def test_a_hash_changes_with_every_name_and_type() -> None:
+    own = TYPES["ohmskin_msgs/msg/PlacedContact"]
+    known = rihs01("ohmskin_msgs/msg/Contacts", TYPES)
+    for number, field in enumerate(own):
+        for other in (replace(field, name=field.name + "x"), replace(field, type="int64"), replace(field, count=3)):
+            changed = {**TYPES, "ohmskin_msgs/msg/PlacedContact": (*own[:number], other, *own[number + 1 :])}
+            assert rihs01("ohmskin_msgs/msg/Contacts", changed) != known
+
+
+def test_arrays_and_sequences_hash_as_others_have_them() -> None:
+    text = "uint8[4] fixed\nfloat32[] many\nbool yes\nbyte raw\nint8 small\nstring[2] names\n"
+    other = get_typestore(Stores.EMPTY)
+    other.register(get_types_from_msg(text, "x_msgs/msg/Sample"))
+    assert rihs01("x_msgs/msg/Sample", read_types("x_msgs/msg/Sample", text)) == other.hash_rihs01("x_msgs/msg/Sample")
+
+
+@pytest.mark.parametrize("line", ["float64", "float64 X", "float64 a b", "float64[n] a"])
+def test_a_definition_that_is_none_is_told(line: str) -> None:
+    with pytest.raises(PublishError, match="no field"):
+        read_types("x_msgs/msg/Sample", line)
+
+
+# --- messages, read by rosbags ------------------------------------------------------------------------------------------
+
+
+def test_contacts_are_read_field_by_field(store: Any) -> None:
+    message = store.deserialize_cdr(
+        encode_contacts(replace(felt(9, [SIGHTING], [CONTACT]), boot=2**63 + 5)), "ohmskin_msgs/msg/Contacts"
+    )
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(STAMP, 10**9)
+    assert (message.boot, message.sequence) == (2**63 + 5, 9)
+    (patch,) = message.patches
+    assert (patch.name, patch.frame_id, patch.sequence, patch.mode) == ("arm", "forearm_link", 41, "16O")
+    assert (patch.stamp.sec, patch.stamp.nanosec) == divmod(STAMP, 10**9)
+    (c,) = message.contacts
+    assert (c.patch, c.id) == (0, 7)
+    assert (c.position.x, c.position.y, c.position.z) == CONTACT.position
+    assert (c.normal.x, c.normal.y, c.normal.z) == CONTACT.normal
+    figures = (CONTACT.extent, CONTACT.strength, CONTACT.confidence, CONTACT.peak, CONTACT.spread)
+    assert (c.extent, c.strength, c.confidence, c.peak, c.spread) == figures
+
+
+def test_contacts_come_back_as_they_went() -> None:
+    silent = Sighting("hand", "palm_link")
+    what = replace(felt(3, [SIGHTING, silent], [CONTACT, replace(CONTACT, patch="hand", frame="palm_link", id=8)]), boot=77)
+    back = decode_contacts(encode_contacts(what), offset=12.5 - STAMP * 1e-9)
+    assert back.contacts == what.contacts
+    assert (back.boot, back.sequence, back.stamp, back.age) == (77, 3, 0, math.inf)
+    assert back.patches[1] == silent
+    assert back.patches[0].time == pytest.approx(12.5, abs=1e-3)  # a double of seconds since 1970 has no more
+
+
+@given(st.binary(max_size=300))
+def test_bytes_that_are_no_contacts_give_one_error(data: bytes) -> None:
+    good = encode_contacts(felt(1, [SIGHTING], [CONTACT]))
+    for candidate in (b"\0\1\0\0" + data, good[: len(data)], good[: len(data)] + data):
+        with suppress(DataError):
+            decode_contacts(candidate, 0.0)
+
+
+def test_an_image_is_read_in_its_own_frame(store: Any) -> None:
+    message = store.deserialize_cdr(encode_image(np.arange(6.0).reshape(2, 3), STAMP, "forearm_link"), "sensor_msgs/msg/Image")
+    assert (message.header.frame_id, message.encoding, message.height, message.width) == ("forearm_link", "32FC1", 2, 3)
+    assert message.data.view("<f4").tolist() == [3, 4, 5, 0, 1, 2]  # top row first
+
+
+def test_points_lie_where_the_pixels_are(store: Any) -> None:
+    pixels = np.array([[1.0, np.nan, 2.0], [3.0, 4.0, np.nan]])
+    x, y = np.array([0.0, 0.1, 0.2]), np.array([0.0, 0.1])
+    message = store.deserialize_cdr(encode_cloud(pixels, x, y, PATCH, STAMP), "sensor_msgs/msg/PointCloud2")
+    assert message.header.frame_id == "forearm_link"
+    assert [(f.name, f.offset, f.datatype, f.count) for f in message.fields] == [
+        ("x", 0, 7, 1),
+        ("y", 4, 7, 1),
+        ("z", 8, 7, 1),
+        ("change", 12, 7, 1),
+    ]
+    assert (message.height, message.width, message.point_step, message.row_step, message.is_dense) == (1, 4, 16, 64, True)
+    points = message.data.view("<f4").reshape(-1, 4)
+    assert points[:, 3].tolist() == [1, 2, 3, 4]
+    places = [PATCH.place(*at) for at in ((0.0, 0.0), (0.2, 0.0), (0.0, 0.1), (0.1, 0.1))]
+    np.testing.assert_allclose(points[:, :3], places, atol=1e-7)
+
+
+def test_a_wrench_pushes_into_the_skin_where_the_contact_is(store: Any) -> None:
+    message = store.deserialize_cdr(encode_wrench(CONTACT, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped").wrench
+    force = np.array([message.force.x, message.force.y, message.force.z])
+    torque = np.array([message.torque.x, message.torque.y, message.torque.z])
+    assert np.linalg.norm(force) == pytest.approx(2e4 * CONTACT.strength)
+    assert force @ CONTACT.normal < 0
+    # the work of a small turn w about the origin is the same for torque and force: w . t = (w x r) . f
+    for turn in np.eye(3):
+        assert turn @ torque == pytest.approx(np.cross(turn, CONTACT.position) @ force)
+    none = store.deserialize_cdr(encode_wrench(None, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped").wrench
+    assert (none.force.x, none.force.y, none.force.z, none.torque.x, none.torque.y, none.torque.z) == (0,) * 6
+
+
+def test_markers_lie_flat_on_the_skin(store: Any) -> None:
+    message = store.deserialize_cdr(encode_markers((CONTACT,), (PATCH,), STAMP), "visualization_msgs/msg/MarkerArray")
+    gone, marker = message.markers
+    assert gone.action == 3
+    assert (marker.header.frame_id, marker.ns, marker.id, marker.type, marker.action) == ("forearm_link", "arm", 7, 3, 0)
+    assert (marker.pose.position.x, marker.pose.position.y, marker.pose.position.z) == CONTACT.position
+    turn = marker.pose.orientation
+    np.testing.assert_allclose(rotate((turn.x, turn.y, turn.z, turn.w), [0, 0, 1]), PATCH.normal, atol=1e-12)
+    assert math.pi * marker.scale.x**2 / 4 == pytest.approx(CONTACT.extent)
+
+
+def rotate(turn: tuple[float, ...], vector: Any) -> np.ndarray:
+    """A vector turned by a quaternion (x, y, z, w)."""
+    axis, w, v = np.array(turn[:3]), turn[3], np.asarray(vector, float)
+    return v + 2 * w * np.cross(axis, v) + 2 * np.cross(axis, np.cross(axis, v))
+
+
+@given(st.tuples(*[st.floats(-3.2, 3.2)] * 3))
+def test_a_quaternion_turns_as_its_matrix(angles: tuple[float, float, float]) -> None:
+    matrix = np.array(axes(*angles)).T
+    turn = quaternion(matrix)
+    for vector in np.eye(3):
+        np.testing.assert_allclose(rotate(turn, vector), matrix @ vector, atol=1e-12)
+
+
+# --- the whole path: one skin, published everywhere at once --------------------------------------------------------------
+
+
+class Ears:
+    """A zenoh subscriber to everything, which knows nothing of ohmskin but the layout that rmw_zenoh documents."""
+
+    def __init__(self, place: str) -> None:
+        import zenoh
+
+        config = zenoh.Config()
+        config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("connect/endpoints", json.dumps([place]))
+        config.insert_json5("listen/endpoints", "[]")
+        self.session = zenoh.open(config)
+        self.heard: dict[str, list[tuple[bytes, bytes, int]]] = defaultdict(list)
+        self.subscriber = self.session.declare_subscriber("0/ohmskin/**", self.take)
+
+    def take(self, sample: Any) -> None:
+        self.heard[str(sample.key_expr)].append((sample.payload.to_bytes(), sample.attachment.to_bytes(), time.time_ns()))
+
+    def of(self, name: str) -> list[tuple[bytes, bytes, int]]:
+        return next((messages for key, messages in dict(self.heard).items() if key.split("/")[2] == name), [])
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    """`ohmskin live` as a user runs it, and the addresses that it prints."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    folder = str(tmp_path_factory.mktemp("live") / "boards")
+    outlets = ["shm", f"zenoh:listen/{place}", "dds", "foxglove::0"]  # Foxglove where it is unless told, at a free port
+    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--no-demo", "--port", "0", "--newtons", "1000"]
+    process = subprocess.Popen(
+        [*command, *(word for outlet in outlets for word in ("--publish", outlet))],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ | {"OHMSKIN_BOARDS": folder},
+    )
+    assert process.stdout is not None
+    seen = ""
+    try:
+        for line in process.stdout:
+            seen += line
+            if "calibrating" in line:
+                break
+        found = re.search(r"publishing at (.*)", seen)
+        device = re.search(r"tcp://\S+", seen)
+        assert found, seen
+        assert device, seen
+        ears = Ears(place)
+        until(lambda: ears.of("contacts"))
+        subprocess.run(
+            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "2", "--device", device[0]], check=True, timeout=60
+        )
+        addresses = found[1].split(", ")
+        yield {"ears": ears, "addresses": addresses, "device": device[0], "process": process, "boards": folder}
+        ears.session.close()
+        process.send_signal(signal.SIGTERM)
+        rest = process.communicate(timeout=20)[0]
+        assert process.returncode == 0, rest
+        assert "Traceback" not in rest
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_every_topic_arrives_with_its_type_and_hash(published: dict[str, Any], store: Any) -> None:
+    until(lambda: len(published["ears"].heard) >= len(PUBLISHED))
+    keys = {key.split("/", 1)[1] for key in published["ears"].heard}
+    assert keys == {
+        f"{topic[1:]}/{kind.replace('/', '::').replace('::msg::', '::msg::dds_::')}_/{store.hash_rihs01(kind)}"
+        for topic, kind in PUBLISHED.items()
+    }
+
+
+def test_the_contact_is_where_it_was_pressed(published: dict[str, Any], store: Any) -> None:
+    messages = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/contacts"]) for data, _, _ in published["ears"].of("contacts")]
+    places = np.array([(c.position.x, c.position.y, c.position.z) for m in messages for c in m.contacts])
+    assert len(places) > 20
+    assert np.abs(np.median(places, axis=0) - [0.06, 0.14, 0.0]).max() < 12e-3
+    numbers = np.array([m.sequence for m in messages])
+    assert (np.diff(numbers) > 0).all()
+    assert {(m.patches[0].name, m.patches[0].frame_id, m.patches[0].mode) for m in messages} == {("skin", "skin", "16O")}
+    pushes = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/wrench"]).wrench for data, _, _ in published["ears"].of("wrench")]
+    strengths = {1000 * c.strength for m in messages for c in m.contacts}
+    assert sum(-push.force.z in strengths for push in pushes) > 20
+    (end,) = {m.stamp.sec * 10**9 + m.stamp.nanosec for m in [messages[-1].header]}
+    assert abs(end - time.time_ns()) < 60e9
+
+
+def test_stamps_are_those_of_the_last_sample(published: dict[str, Any], store: Any) -> None:
+    # Not the time of sending: a contacts message bears the very time of its patch's sample, and an image's stamp is that of the
+    # contacts of its cycle, although it is sent later.
+    contacts = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/contacts"]) for data, _, _ in published["ears"].of("contacts")]
+    stamps = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in contacts}
+    for m in contacts:
+        assert m.header.stamp == m.patches[0].stamp
+    images = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/image"]) for data, _, _ in published["ears"].of("image")]
+    shared = [i.header.stamp.sec * 10**9 + i.header.stamp.nanosec in stamps for i in images]
+    assert np.mean(shared) > 0.5  # contacts of a cycle that came while the process was busy are passed over, so not all
+    delays = np.array([at - stamped(data) for data, _, at in published["ears"].of("contacts")])
+    assert delays.min() > 0
+
+
+def stamped(data: bytes) -> int:
+    """The stamp at the beginning of a message (ns)."""
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    return seconds * 10**9 + nanoseconds
+
+
+def test_attachments_count_stamp_and_name_the_sender(published: dict[str, Any]) -> None:
+    senders = set()
+    for key, messages in list(published["ears"].heard.items()):
+        numbers = []
+        for data, attachment, _ in messages:
+            number, stamp, length, sender = struct.unpack("<qqB16s", attachment)
+            assert length == 16
+            if "Marker" not in key:  # which begins with the number of its markers
+                assert stamp == stamped(data)
+            numbers.append(number)
+        senders.add(sender)
+        steps = np.diff(numbers)  # more than 1 where this busy process did not read in time: such messages are dropped
+        assert (steps >= 1).all()
+        assert np.mean(steps == 1) > 0.5
+    assert len(senders) == len(PUBLISHED)
+
+
+def test_liveliness_tokens_tell_nodes_what_there_is(published: dict[str, Any], store: Any) -> None:
+    tokens = [str(reply.ok.key_expr).split("/") for reply in published["ears"].session.liveliness().get("@ros2_lv/**")]
+    nodes = [token for token in tokens if token[5] == "NN"]
+    assert [token[6:] for token in nodes] == [["%", "%", "ohmskin_skin"]]
+    entries = [token for token in tokens if token[5] == "MP"]
+    assert len({token[4] for token in entries}) == len(PUBLISHED)  # each has a number of its own
+    assert {token[9].replace("%", "/"): token[11] for token in entries} == {t: store.hash_rihs01(k) for t, k in PUBLISHED.items()}
+    qos = {token[9]: token[12] for token in entries}
+    assert qos["%ohmskin%contacts"] == "::,10:,:,:,,"  # reliable, as ROS 2 has it by default
+    assert qos["%ohmskin%image"] == "2::,5:,:,:,,"  # best effort, for sensor data
+
+
+def test_shared_memory_says_the_same(published: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", published["boards"])
+    with Client() as client:
+        newest = until(client.newest)
+    assert [patch.patch for patch in newest.patches] == ["skin"]
+    data = until(
+        lambda: next((d for d, _, _ in published["ears"].of("contacts") if decode_contacts(d, 0.0).sequence == newest.sequence), 0)
+    )
+    far = decode_contacts(data, 0.0)
+    assert (far.boot, far.stamp) == (newest.boot, newest.stamp)
+    assert len(far.contacts) == len(newest.contacts)
+
+
+@pytest.mark.skipif(not Path("/usr/include/fastdds").is_dir() or not shutil.which("g++"), reason="needs libfastrtps-dev and g++")
+def test_fast_dds_reads_it(published: dict[str, Any], tmp_path: Path) -> None:
+    source = Path(__file__).with_name("fastdds_listener.cpp")
+    program = tmp_path / "listener"
+    subprocess.run(["g++", "-std=c++17", str(source), "-o", str(program), "-lfastrtps", "-lfastcdr"], check=True, timeout=120)
+    with subprocess.Popen([str(program), "/ohmskin", "40"], stdout=subprocess.PIPE, text=True) as listener:
+        assert listener.stdout is not None
+        first = listener.stdout.readline()  # it has found us
+        press = [sys.executable, "-m", "ohmskin", "press", "150", "50", "--seconds", "2", "--device", published["device"]]
+        subprocess.run(press, check=True, timeout=60)
+        out = first + listener.communicate(timeout=60)[0]
+    assert listener.returncode == 0, out[-500:]
+    lines = [json.loads(line) for line in out.splitlines()]
+    found = {(line["stamp"], line["sequence"]): line for line in lines if line["topic"] == "contacts"}
+    heard = {}
+    for data, _, _ in list(published["ears"].of("contacts")):
+        other = decode_contacts(data, 0.0)
+        heard[other.stamp, other.sequence] = other
+    both = found.keys() & heard.keys()
+    assert len(both) > 20
+    for key in both:
+        line, other = found[key], heard[key]
+        assert line["boot"] == other.boot
+        assert line["patches"] == [["skin", "skin", other.stamp, "16O"]]
+        assert line["contacts"] == [[0, c.id, *c.position, c.extent, c.strength] for c in other.contacts]
+    assert any(line["contacts"] for line in found.values())
+    images = [line for line in lines if line["topic"] == "image"]
+    assert {(i["frame"], i["height"], i["width"], i["encoding"], i["step"]) for i in images} == {("skin", 64, 64, "32FC1", 256)}
+    sums = [
+        float(np.nansum(np.frombuffer(data, "<f4", offset=len(data) - 4 * 64 * 64).astype(float)))
+        for data, _, _ in published["ears"].of("image")
+    ]
+    assert any(np.isclose(sums, image["sum"], rtol=1e-6).any() for image in images)
+    assert any(line["topic"] == "wrench" and line["force"][2] < 0 for line in lines)
+
+
+def test_foxglove_lists_and_sends_every_topic(published: dict[str, Any], store: Any) -> None:
+    from websockets.sync.client import connect
+
+    (address,) = [a for a in published["addresses"] if a.startswith("ws://")]
+    with connect(address, subprotocols=["foxglove.sdk.v1"]) as socket_:  # type: ignore[list-item]
+        channels: dict[str, Any] = {}
+        while len(channels) < len(PUBLISHED):
+            message = json.loads(socket_.recv(10))
+            if message["op"] == "serverInfo":
+                assert message.get("capabilities", []) in ([], ["time"])  # nothing that could be changed
+            if message["op"] == "advertise":
+                channels |= {channel["topic"]: channel for channel in message["channels"]}
+        assert {topic: channel["schemaName"] for topic, channel in channels.items()} == PUBLISHED
+        assert {(channel["encoding"], channel["schemaEncoding"]) for channel in channels.values()} == {("cdr", "ros2msg")}
+        wanted = channels["/ohmskin/contacts"]
+        socket_.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": wanted["id"]}]}))
+        while not isinstance(data := socket_.recv(10), bytes) or data[0] != 1:
+            pass
+        kind, subscription, at = struct.unpack_from("<BIQ", data)
+        heard = store.deserialize_cdr(data[13:], "ohmskin_msgs/msg/Contacts")
+        assert (kind, subscription, heard.patches[0].name) == (1, 1, "skin")
+        assert at == heard.header.stamp.sec * 10**9 + heard.header.stamp.nanosec
+
+
+def test_the_layout_for_foxglove_shows_topics_that_there_are() -> None:
+    import ohmskin.publish.outlet
+
+    text = Path(ohmskin.publish.outlet.__file__).with_name("foxglove-layout.json").read_text(encoding="utf-8")
+    shown = set(re.findall(r"/ohmskin/\w+", text))
+    assert {"/ohmskin/points", "/ohmskin/image", "/ohmskin/contacts", "/ohmskin/markers"} <= shown <= PUBLISHED.keys()
+    layout = json.loads(text)
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == set(layout["configById"])
+
+
+def test_nothing_listens_beyond_this_machine(published: dict[str, Any]) -> None:
+    family = [psutil.Process(published["process"].pid), *psutil.Process(published["process"].pid).children(recursive=True)]
+    assert len(family) >= 4  # the loop, the virtual skin, the page, the publisher
+    open_ = [c for process in family for c in process.net_connections("inet") if c.status in (psutil.CONN_LISTEN, psutil.CONN_NONE)]
+    assert len(open_) >= 4
+    reached = [c for c in open_ if not is_loopback(c.laddr.ip.removeprefix("::ffff:"))]
+    assert {c.type for c in reached} <= {socket.SOCK_DGRAM}, reached  # those of DDS, which the next test looks at
+    assert {c.laddr.port for c in reached} <= set(range(7400, 7500)) | set(range(32768, 65536)), reached
+
+
+@pytest.mark.skipif(not hasattr(socket, "SO_BINDTODEVICE"), reason="no such option on this system")
+def test_sockets_of_dds_hear_one_interface_only() -> None:
+    code = (
+        "import os, socket\nfrom ohmskin.publish.outlet import open_outlet\n"
+        "from ohmskin.publish.topics import contacts_topic\n"
+        "outlet = open_outlet('dds', [contacts_topic('skin')], 'test', None)\n"
+        "for entry in os.listdir('/proc/self/fd'):\n"
+        "    try:\n        own = socket.socket(fileno=os.dup(int(entry)))\n    except OSError:\n        continue\n"
+        "    if own.family in (socket.AF_INET, socket.AF_INET6):\n"
+        "        device = own.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)\n"
+        "        print(own.getsockname()[1], device.rstrip(b'\\0').decode())\n"
+        "outlet.close()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    sockets = [line.split() for line in done.stdout.splitlines()]
+    assert len(sockets) >= 2, done.stderr
+    assert all(entry[1:] == ["lo"] for entry in sockets), sockets
+
+
+# --- the loop does not wait ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def relay() -> Iterator[RelayProcess]:
+    from ohmskin.client import Board
+
+    with Board("skin", {"patches": []}, 1000):
+        process = RelayProcess("skin", [], None, ["foxglove:127.0.0.1:0"], None, 30.0)
+        yield process
+        process.close()
+
+
+def test_a_stopped_publishing_process_does_not_stop_the_loop(relay: RelayProcess) -> None:
+    assert relay._process is not None
+    relay._process.send_signal(signal.SIGSTOP)
+
+    def many() -> None:
+        for _ in range(200_000):  # three times what the pipe holds: a write that waits never comes back
+            relay.wake()
+
+    thread = threading.Thread(target=many, daemon=True)
+    thread.start()
+    thread.join(60)
+    came_back = not thread.is_alive()
+    relay._process.send_signal(signal.SIGCONT)
+    assert came_back
+    assert relay._process.poll() is None
+
+
+def test_a_killed_publishing_process_is_told_and_the_loop_goes_on(relay: RelayProcess, caplog: pytest.LogCaptureFixture) -> None:
+    assert relay._process is not None
+    relay._process.kill()
+    relay._process.wait()
+    for _ in range(3):
+        relay.wake()
+    assert [record.getMessage() for record in caplog.records] == [
+        "the publishing process has ended (exit status -9); the loop goes on without it"
+    ]
+
+
+def test_the_publishing_process_ends_with_the_loop() -> None:
+    code = (
+        "import os, signal\nfrom ohmskin.client import Board\nfrom ohmskin.publish.relay import RelayProcess\n"
+        "b = Board('skin', {'patches': []}, 100)\nr = RelayProcess('skin', [], None, ['foxglove:127.0.0.1:0'], None, 30.0)\n"
+        "print(r._process.pid, flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    pid = int(done.stdout)
+    until(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE, 10)
+
+
+# --- mistakes -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("outlet", "says"),
+    [
+        ("nosuch", "choose from shm, zenoh, dds, foxglove"),
+        ("shm:x", "choose from"),
+        ("zenoh:udp/1.2.3.4:7447", "no place"),
+        ("zenoh:listen/tcp/127.0.0.1:99999", "no place"),
+        ("zenoh:listen/tcp/0.0.0.0:7447", "give a --token"),
+        ("zenoh:listen/tcp/[::]:7447", "give a --token"),
+        ("zenoh:listen/tcp/robot.example:7447", "give a --token"),
+        ("dds:nosuch0", "ip link"),
+        ("dds:<x>", "names no network interface"),
+        ("foxglove:127.0.0.1:99999", "no place"),
+        ("foxglove:192.0.2.1:0", "cannot be served"),
+    ],
+)
+def test_an_outlet_that_cannot_be_opened_says_why(outlet: str, says: str) -> None:
+    with pytest.raises(PublishError, match=re.escape(says)):
+        open_outlet(outlet, [contacts_topic("skin")], "test", None)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "shm"])
+def test_a_missing_extra_names_the_line_that_installs_it(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, {"zenoh": "zenoh", "dds": "cyclonedds", "foxglove": "foxglove"}[kind], None)
+    with pytest.raises(PublishError, match=rf"pip install 'ohmskin\[{kind}\]'"):
+        open_outlet(kind, [], "test", None)
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"scale": 0.0}, "positive"),
+        ({"scale": math.nan}, "positive"),
+        ({"images": 0.0}, "above 0"),
+        ({"token": "short"}, "8 to 256"),
+        ({"token": "has:colon-in-it"}, "8 to 256"),
+        ({"name": "../x"}, "cannot name"),
+        ({"outlets": ["nosuch"]}, "choose from"),
+    ],
+)
+def test_settings_out_of_range_are_told_and_leave_nothing_behind(settings: dict[str, Any], says: str) -> None:
+    skin = Skin.load("paper")
+    with pytest.raises(OhmskinError, match=re.escape(says)):
+        Publisher(skin, **settings)
+    Publisher(skin).close()
+
+
+def test_a_wrong_outlet_gets_one_line_on_the_command_line() -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "ohmskin",
+        "live",
+        "--headless",
+        "--seconds",
+        "1",
+        "--publish",
+        "zenoh:listen/tcp/0.0.0.0:7447",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "give a --token" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_zenoh_joins_a_router_that_is_there_and_listens_if_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    import ohmskin.publish.zenoh as outlet
+
+    with socket.socket() as router:
+        router.bind(("127.0.0.1", 0))
+        monkeypatch.setattr(outlet, "PORT", router.getsockname()[1])
+        where = f"tcp/127.0.0.1:{router.getsockname()[1]}"
+        assert outlet._place("") == (True, where)
+        router.listen()
+        assert outlet._place("") == (False, where)
+
+
+@given(st.tuples(st.floats(1e-8, 1), st.floats(1e-8, 1), st.floats(-0.99, 0.99)))
+def test_the_spread_is_that_of_the_worst_direction(drawn: tuple[float, float, float]) -> None:
+    xx, yy, correlation = drawn
+    xy = correlation * math.sqrt(xx * yy)
+    matrix = ((xx, xy), (xy, yy))
+    assert _worst(matrix) == pytest.approx(math.sqrt(np.linalg.eigvalsh(matrix)[-1]))
+
+
+def test_topics_of_a_named_skin_are_under_its_name() -> None:
+    assert contacts_topic("torso").name == "/ohmskin/torso/contacts"
+    assert Topic("/x", "sensor_msgs/msg/Image", False, 5).dds_type == "sensor_msgs::msg::dds_::Image_"

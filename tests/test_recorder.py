@@ -1,0 +1,283 @@
+"""The recorder: never in the way, bounded, and next to nothing is lost whatever happens."""
+
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import SKIN, Bench, some_frames, wait_until
+
+import ohmskin as ohm
+from ohmskin.errors import DataError
+from ohmskin.publish import Recorder
+from ohmskin.publish.export import CONTACT_COLUMNS, FRAME_COLUMNS
+from ohmskin.record import Role, Tape, WriterPipe, recover
+from ohmskin.record.messages import encode_frame, encode_pattern
+from ohmskin.record.pipe import _MOST_WAITING
+from ohmskin.record.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOPICS, TOUCH
+from ohmskin.scan import Frame
+
+ABLE = {"n_electrodes": "16", "max_injections": "256", "max_measurements": "4096", "features": "2", "serial": "0", "name": "x"}
+METADATA = {"ohmskin": {"format": "1"}, "device": ABLE | dict.fromkeys(("excitation", "full_scale"), "0.0")}
+
+FLOOD = """
+import os, signal, sys, time
+import numpy as np
+sys.path[:0] = ["tests"]
+from recordings import SKIN, Bench
+from ohmskin.publish import Recorder
+from ohmskin.scan import Frame
+device = Bench()
+recorder = Recorder(sys.argv[1], SKIN, images=0)
+recorder.tee(device)
+pattern = SKIN.modes["16I"].base
+rng = np.random.default_rng(0)
+print(recorder._pipe.pid, flush=True)
+start = time.monotonic()
+k = 0
+while True:
+    k += 1
+    recorder.frame(Frame(pattern, rng.normal(size=pattern.n_meas), np.ones(pattern.n_inj), 0.0, k))
+    if k == int(sys.argv[2]):  # both at once, so that nothing is handed over to a writer that is dead already
+        os.kill(recorder._pipe.pid, signal.SIGKILL)
+        os.kill(os.getpid(), signal.SIGKILL)
+    sys.stdout.write(f"{k}\\n")
+    sys.stdout.flush()
+    time.sleep(max(0.0, start + k / 500 - time.monotonic()))
+"""
+
+
+def found_when_killed_at_500_frames_a_second(path: Path, count: int) -> int:
+    """Frames in the file of a program that was killed together with its writer right after frame number `count`."""
+    command = [sys.executable, "-c", FLOOD, str(path), str(count)]
+    ended = subprocess.run(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[1], timeout=60)
+    assert ended.returncode == -signal.SIGKILL
+    done = recover(path)
+    with Tape(done.path) as tape:
+        numbers = [tape.frames[k].sequence for k in range(len(tape.frames))]
+        assert tape.skin == SKIN.dump()
+    assert numbers == list(range(1, len(numbers) + 1))
+    return len(numbers)
+
+
+@pytest.mark.parametrize("count", [251, 302, 353, 404])
+def test_at_most_ten_frames_are_lost_when_everything_is_killed_at_500_frames_a_second(tmp_path: Path, count: int) -> None:
+    assert 0 <= count - found_when_killed_at_500_frames_a_second(tmp_path / "a.mcap", count) <= 10
+
+
+def test_when_only_the_loop_is_killed_the_file_is_finished(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-c", FLOOD, str(path), "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1])
+    assert process.stdout is not None
+    with process.stdout as lines:
+        writer = int(lines.readline())
+        sent = max(int(lines.readline()) for _ in range(100))
+        process.kill()
+        process.wait()
+        rest = [int(line) for line in lines if line.endswith("\n")]
+    wait_until(lambda: not _alive(writer))
+    with Tape(path) as tape:
+        assert tape.notes == ()
+        assert len(tape.frames) >= max([sent, *rest])
+
+
+def test_no_recording_is_ever_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(DataError, match="exists, and a recording is never overwritten"):
+        Recorder(path, SKIN)
+    with pytest.raises(DataError, match="never overwritten"):
+        WriterPipe(path, METADATA, {})
+    assert path.read_bytes() == b"precious"
+    with pytest.raises(DataError, match=r"cannot record to .*No such file or directory; choose another"):
+        WriterPipe(tmp_path / "nowhere" / "a.mcap", METADATA, {})
+    with pytest.raises(DataError, match="images is -1"):
+        Recorder(tmp_path / "b.mcap", SKIN, images=-1)
+
+
+def test_the_loop_never_waits_for_a_writer_that_hangs_and_images_go_first(tmp_path: Path) -> None:
+    pipe = WriterPipe(tmp_path / "a.mcap", METADATA, {})
+    os.kill(pipe.pid, signal.SIGSTOP)
+    frame = some_frames(2)[1]
+    pattern, data = encode_pattern(frame.pattern), encode_frame(frame, 0, 0.0, Role.BASE, "")
+    image, others = bytes(16384), {TOUCH: 0, HEALTH: 0, MARKERS: 0, LOG: 0}
+    assert pipe.send(PATTERN, 0, 0, pattern)
+    lost: dict[int, int] = {}
+    frames = 0
+    slowest = 0.0
+    while lost.get(FRAME, 0) < 5:
+        for topic in (IMAGE, *others, FRAME):
+            before = time.monotonic()
+            kept = pipe.send(topic, 0, 0, data if topic == FRAME else image)
+            slowest = max(slowest, time.monotonic() - before)
+            frames += kept and topic == FRAME
+            if not kept:
+                lost[topic] = lost.get(topic, 0) + 1
+        assert pipe._size <= _MOST_WAITING[FRAME]
+        assert lost.get(FRAME, 0) == 0 or len(lost) == 6  # all else went before the first frame did
+    counts = [lost[topic] for topic in (IMAGE, MARKERS, HEALTH, TOUCH, FRAME)]
+    assert counts == sorted(counts, reverse=True)
+    dropped = pipe.progress.dropped
+    assert dropped["/ohmskin/frame"] == 5
+    assert dropped["/ohmskin/image"] == lost[IMAGE]
+    os.kill(pipe.pid, signal.SIGCONT)
+    progress = pipe.close()
+    assert progress.frames == frames
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert (len(tape.frames), tape.notes) == (frames, ())
+    assert slowest < 1.0  # a wait would be for ever
+
+
+def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> None:
+    """The file may not grow beyond a limit, which the system reports as it reports a full disk."""
+    path = tmp_path / "a.mcap"
+    pipe = WriterPipe(path, METADATA, {"skin.toml": SKIN.dump()})
+    resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY))
+    patterns, frames = set(), some_frames(1000)
+    for number, frame in enumerate(frames):
+        _send(pipe, patterns, frame, number)
+    wait_until(lambda: pipe.progress.trouble)
+    assert "large" in pipe.progress.trouble.lower()  # EFBIG; ENOSPC takes the same way
+    size = path.stat().st_size
+    assert 0 < size <= 300_000
+    with Tape(path) as tape:
+        seen = len(tape.frames)
+        assert seen > 20
+        assert "cut short" in tape.notes[0]
+        assert "damaged" not in "".join(tape.notes)  # what is there is whole
+    resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    wait_until(lambda: not pipe.progress.trouble)  # room was made: it goes on, with what was kept meanwhile
+    pipe.close()
+    with Tape(path) as tape:
+        assert tape.notes == ()
+        assert [tape.frames[k].sequence for k in range(len(tape.frames))] == [frame.sequence for frame in frames]
+
+
+def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patterns(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    pipe = WriterPipe(path, METADATA, {})
+    resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (50_000, resource.RLIM_INFINITY))
+    patterns: set = set()
+    first, second = some_frames(2)
+    sent = 0
+    while not pipe.progress.dropped:  # until more than the writer keeps is waiting
+        for _ in range(200):
+            sent += 1
+            _send(pipe, patterns, Frame(first.pattern, first.voltages, first.currents, 0.0, sent), sent)
+        assert sent < 100_000
+    sent += 1
+    _send(pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent)  # its pattern comes now
+    wait_until(lambda: not pipe._size or pipe._push())
+    resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    wait_until(lambda: not pipe.progress.trouble)
+    sent += 1
+    _send(pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent)
+    progress = pipe.close()
+    with Tape(path) as tape:
+        assert tape.notes == ()
+        assert len(tape.frames) == sent - progress.dropped["all topics, by the writer"]
+        last = len(tape.frames) - 1
+        assert tape.frames[last].sequence == sent
+        assert tape.pattern(last) == second.pattern
+
+
+def test_a_writer_that_dies_is_told_and_the_loop_goes_on(tmp_path: Path) -> None:
+    device = Bench()
+    with Recorder(tmp_path / "a.mcap", SKIN) as recorder:
+        tee = recorder.tee(device)
+        pattern = SKIN.modes["12B"].base
+        tee.scan(pattern)
+        assert recorder._pipe is not None
+        os.kill(recorder._pipe.pid, signal.SIGKILL)
+        wait_until(lambda: recorder.progress.trouble)
+        for _ in range(5):
+            assert tee.scan(pattern).voltages.shape == (108,)
+        assert "process has ended (exit status -9)" in recorder.progress.trouble
+    assert recorder.progress.dropped["/ohmskin/frame"] >= 5
+
+
+def test_the_tee_is_the_device_itself_but_for_the_listener(tmp_path: Path) -> None:
+    heard = []
+    device = Bench()
+    from ohmskin.device.tee import TeeDevice
+
+    with TeeDevice(device, heard.append) as tee:
+        assert (tee.capabilities, tee.url, tee.dropped) == (device.capabilities, "bench:", 0)
+        tee.press(1, (0.05, 0.05), 8e-3, 20e3)
+        frame = tee.scan(SKIN.modes["12B"].base)
+        assert heard == [frame]
+    with pytest.raises(ohm.OhmskinError, match="closed"):
+        device.scan(SKIN.modes["12B"].base)
+
+
+def test_record_says_what_it_does_and_ends_cleanly(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ohmskin", "record", "a.mcap"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "MB/s" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    rest, complaints = process.communicate(timeout=20)
+    assert (process.returncode, complaints) == (0, "")
+    assert "a.mcap:" in rest.splitlines()[-1]
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert tape.notes == ()
+        assert set(tape.modes) == {"16O"}
+        assert f"a.mcap: {len(tape.frames)} frames" in rest
+
+
+def test_live_records_too(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ohmskin", "live", "--json", "--seconds", "0.5", "--record", "a.mcap"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert done.returncode == 0, done.stderr
+    cycles = [json.loads(line)["sequence"] for line in done.stdout.splitlines()]
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert [touch.sequence for touch in tape.touches] == cycles
+        assert np.count_nonzero(tape.roles == Role.BASE) == len(cycles)
+    again = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert (again.returncode, again.stdout) == (2, "")
+    assert again.stderr == "ohmskin: a.mcap exists, and a recording is never overwritten; choose another name\n"
+
+
+def _send(pipe: WriterPipe, patterns: set, frame: Frame, stamp: int) -> None:
+    if frame.pattern not in patterns:
+        patterns.add(frame.pattern)
+        pipe.send(PATTERN, 0, stamp, encode_pattern(frame.pattern))
+    while not pipe.send(FRAME, 0, stamp, encode_frame(frame, stamp, 0.0, Role.BASE, "")):
+        time.sleep(0.01)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+GUIDE = Path(__file__).parents[1] / "docs" / "guide"
+
+
+def test_the_guides_example_runs_and_its_page_shows_it(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", str(GUIDE / "recording.py"), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "(ohmskin_msgs/msg/Frame): 108 voltages" in done.stdout
+    assert (tmp_path / "recording.png").read_bytes().startswith(b"\x89PNG")
+    page = (GUIDE / "recording.md").read_text()
+    assert f"```python\n{(GUIDE / 'recording.py').read_text()}```" in page
+    for link in re.findall(r"\]\(([^)#:]+)\)", page):
+        assert (GUIDE / link).exists(), link
+    for topic in TOPICS:
+        assert f"| `{topic}` | `{TOPICS[topic][0]}` |" in page
+    for columns in (CONTACT_COLUMNS, FRAME_COLUMNS):
+        assert ", ".join(f"`{name}`" for name in columns) in page

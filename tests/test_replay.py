@@ -1,0 +1,402 @@
+"""Recordings as devices: the same loop sees the same, whatever the pace, and others see what they can."""
+
+import csv
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import SKIN, record_press
+
+import ohmskin as ohm
+from ohmskin.device import connect
+from ohmskin.device.replay import ReplayDevice
+from ohmskin.engine import State
+from ohmskin.errors import DataError, DeviceError, DeviceRefused, OhmskinError, PatternError
+from ohmskin.geometry import Raster
+from ohmskin.publish import ESTIMATORS, Player, Recorder, recorded_skin, reimage
+from ohmskin.publish.export import (
+    CONTACT_COLUMNS,
+    FRAME_COLUMNS,
+    contact_rows,
+    cycle_at,
+    frame_rows,
+    save_comparison,
+    write_csv,
+    write_film,
+    write_npz,
+    write_parquet,
+)
+from ohmskin.record import Role, Tape
+
+CYCLES = 30
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ohm.Touch]]:
+    path = tmp_path_factory.mktemp("replay") / "press.mcap"
+    return path, record_press(path, cycles=CYCLES)
+
+
+@pytest.fixture(scope="module")
+def changing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording with a second calibration and a change of mode, cut in the middle of its last cycle."""
+    from recordings import Bench
+
+    path = tmp_path_factory.mktemp("changing") / "changing.mcap"
+    device = Bench()
+    with Recorder(path, SKIN, images=0) as recorder, ohm.Engine(lambda: recorder.tee(device), SKIN, "16I") as engine:
+        recorder.watch(engine)
+        engine.calibrate()
+        for mode, cycles in (("16I", 5), ("16O", 6), ("", 0), ("16O", 4), ("12B", 3), ("16O", 2)):
+            if not mode:
+                engine.calibrate()
+                continue
+            engine.set_mode(mode)
+            for _ in range(cycles):
+                touch = engine.step()
+                assert touch is not None
+                recorder.publish(touch)
+        engine._scan(engine.mode.base)  # the device goes before the second scan
+    return path
+
+
+def digest(path: Path) -> str:
+    """What every image and contact of a replay comes to."""
+    sums = hashlib.sha256()
+    for cycle in reimage(path):
+        sums.update(cycle.touch.sight.image.values.tobytes())
+        sums.update(repr(cycle.touch.contacts).encode())
+    return sums.hexdigest()
+
+
+def test_a_replay_sees_what_the_live_loop_saw(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, touches = recorded
+    seen = list(reimage(path))
+    assert [cycle.touch.sequence for cycle in seen] == [touch.sequence for touch in touches]
+    raster = Raster(seen[0].perception.model.mesh, 64)
+    with Tape(path) as tape:
+        for cycle, touch, image, stored in zip(seen, touches, tape.images, tape.touches, strict=True):
+            again = raster(cycle.touch.sight.image.values)
+            np.testing.assert_allclose(again, image, rtol=1e-6, atol=1e-7)  # stored as float32
+            np.testing.assert_allclose(cycle.touch.sight.image.values, touch.sight.image.values, rtol=1e-9, atol=1e-12)
+            assert [c.id for c in cycle.touch.contacts] == [c.id for c in stored.contacts]
+            for one, other in zip(cycle.touch.contacts, stored.contacts, strict=True):
+                np.testing.assert_allclose(one.position, other.position, atol=1e-9)
+                assert one.confidence == pytest.approx(other.confidence, abs=1e-9)
+    assert any(cycle.touch.contacts for cycle in seen)
+
+
+def test_two_processes_replay_the_same_bytes(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, _ = recorded
+    code = f"import sys; sys.path[:0] = ['tests']; from test_replay import digest, Path; print(digest(Path({str(path)!r})))"
+    sums = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[1], check=True)
+        for _ in range(2)
+    ]
+    assert sums[0].stdout == sums[1].stdout
+    assert len(sums[0].stdout) == 65
+
+
+def test_other_modes_and_estimators_see_what_was_recorded(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, _ = recorded
+    base = list(reimage(path, mode="12B"))
+    assert len(base) == CYCLES
+    assert {cycle.touch.mode.name for cycle in base} == {"12B"}
+    assert all(len(cycle.touch.sight.frames) == 1 for cycle in base)
+    with pytest.raises(PatternError, match="'16I' was not recorded; choose from 12B, 16O"):
+        next(reimage(path, mode="16I"))
+    own, other = (list(reimage(path, estimator)) for estimator in (None, ESTIMATORS["matern"]))
+    assert len(own) == len(other) == CYCLES
+    pressed = [k for k in range(CYCLES) if own[k].touch.contacts]
+    assert len(pressed) > 10
+    truth = [(0.06 + 1e-3 * k, 0.12) for k in range(CYCLES)]
+    for seen in (own, other):
+        middle = [k for k in pressed if CYCLES // 5 + 1 <= k < CYCLES - CYCLES // 5 - 1]
+        errors = [np.linalg.norm(np.subtract(seen[k].touch.contacts[0].position, truth[k])) for k in middle]
+        assert max(errors) < 0.012
+    a, b = (seen[CYCLES // 2].touch.sight.image.values for seen in (own, other))
+    assert np.corrcoef(a, b)[0, 1] < 0.999  # they are not the same estimator
+    assert other[0].perception.thresholds["16O"] != own[0].perception.thresholds["16O"]
+
+
+def test_calibrations_and_modes_change_where_they_did(changing: Path) -> None:
+    seen = [cycle.touch.mode.name for cycle in reimage(changing)]
+    assert seen == ["16I"] * 5 + ["16O"] * 10 + ["12B"] * 3 + ["16O"] * 2
+    device = ReplayDevice(f"replay:{changing}", speed=np.inf, loop=False)
+    calibrated = []
+    with ohm.Engine(lambda: device, SKIN) as engine:
+        player = Player(engine)
+        engine.calibrate()
+        learned = engine.perception
+        while (touch := player.step()) is not None:
+            if engine.perception is not learned:
+                calibrated.append(touch.sequence)
+                learned = engine.perception
+        assert calibrated == [12]
+        device.seek(0.0)
+        assert player.step() is not None
+        assert engine.perception is not learned  # back before the second calibration: the first one holds again
+        assert engine.mode.name == "16I"
+
+
+def test_baselines_are_learned_from_the_very_same_frames(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, touches = recorded
+    with ReplayDevice(f"replay:{path}", speed=np.inf) as device, ohm.Engine(lambda: device, SKIN) as engine:
+        engine.calibrate()  # nobody told the device that the loop calibrates
+        assert engine.perception is not None
+        assert engine.perception.baseline.noise == touches[0].health.noise
+        assert device.position == 0.0
+        touch = engine.step()
+        assert touch is not None
+        assert touch.sight.frames[0].sequence == touches[0].sight.frames[0].sequence
+
+
+def test_a_place_can_be_sought_and_stepped_to(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, touches = recorded
+    with ReplayDevice(f"replay:{path}", speed=np.inf, loop=False) as device, ohm.Engine(lambda: device, SKIN) as engine:
+        player = Player(engine)
+        engine.calibrate()
+
+        def shown() -> int:
+            touch = player.step()
+            assert touch is not None
+            return next(k for k, t in enumerate(touches) if t.sight.frames[0].sequence == touch.sight.frames[0].sequence)
+
+        with Tape(path) as tape:
+            times = tape.times[tape.roles == Role.BASE]
+        assert device.duration == pytest.approx(times[-1], abs=1.0)
+        device.seek(float(times[17]))
+        assert device.position == times[17]
+        assert [shown(), shown()] == [17, 18]
+        device.step(-5)
+        assert shown() == 14
+        device.step(3)
+        assert shown() == 18
+        device.step(-1000)
+        assert shown() == 0
+        device.step(1000)
+        assert shown() == CYCLES - 1
+        assert device.ended
+        assert player.step() is None
+        with pytest.raises(DeviceError, match="recording has ended"):
+            device.scan(engine.mode.base)
+        device.seek(0.0)
+        assert not device.ended
+        device.loop = True
+        assert [shown() for _ in range(CYCLES + 2)] == [*range(CYCLES), 0, 1]
+        with pytest.raises(DataError, match="the recording has 0 to"):
+            device.seek(1e9)
+        with pytest.raises(DataError, match="the recording has 0 to"):
+            device.seek(float("nan"))
+
+
+def test_pace_follows_the_speed(tmp_path: Path) -> None:
+    from test_mcap import some_frames, write_frames
+
+    write_frames(tmp_path / "a.mcap", some_frames(41)[::2])  # 21 frames, one every 10 ms
+    with ReplayDevice(f"replay:{tmp_path / 'a.mcap'}", loop=False) as device:
+        pattern = ohm.adjacent([range(12)])
+
+        def seconds(speed: float) -> float:
+            device.speed = speed
+            device.seek(0.0)
+            before = time.monotonic()
+            for _ in range(21):
+                device.scan(pattern)
+            return time.monotonic() - before
+
+        slow, quick, at_once = seconds(0.5), seconds(2.0), seconds(np.inf)
+        assert slow >= 0.39  # 0.2 s of recording; sleep never ends early
+        assert quick >= 0.09
+        assert at_once < quick < slow
+        with pytest.raises(PatternError, match="speed is 0"):
+            device.speed = 0
+
+
+def test_a_recording_is_a_device_that_cannot_be_pressed(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, _ = recorded
+    with connect(f"replay:{path}?speed=4&loop=0") as device:
+        assert isinstance(device, ReplayDevice)
+        assert (device.speed, device.loop) == (4.0, False)
+        assert not device.capabilities.virtual
+        assert recorded_skin(device) == SKIN
+        with pytest.raises(DeviceRefused):
+            device.press(1, (0.1, 0.1), 8e-3, 20e3)
+        device.calibrating = lambda: False
+        with pytest.raises(PatternError, match="its modes are 16O"):
+            device.scan(ohm.opposite(range(16)))
+    with pytest.raises(DeviceError, match="no setting 'pace'"):
+        connect(f"replay:{path}?pace=4")
+    with pytest.raises(DeviceError, match="settings are numbers"):
+        connect(f"replay:{path}?speed=fast")
+
+
+def test_a_replay_that_is_recorded_replays_the_same(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path) -> None:
+    path, _ = recorded
+    device = ReplayDevice(f"replay:{path}", speed=np.inf, loop=False)
+    with Recorder(tmp_path / "b.mcap", SKIN) as recorder, ohm.Engine(lambda: recorder.tee(device), SKIN) as engine:
+        recorder.watch(engine)
+        player = Player(engine)
+        engine.calibrate()
+        while (touch := player.step()) is not None:
+            recorder.publish(touch)
+    assert digest(tmp_path / "b.mcap") == digest(path)
+
+
+def test_a_cut_recording_replays_to_the_cut(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path) -> None:
+    path, touches = recorded
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: int(0.8 * path.stat().st_size)])
+    seen = list(reimage(cut))
+    assert 0 < len(seen) < len(touches)
+    for cycle, touch in zip(seen, touches, strict=False):
+        np.testing.assert_allclose(cycle.touch.sight.image.values, touch.sight.image.values, rtol=1e-9, atol=1e-12)
+
+
+def test_formats_of_others_still_replay(tank_folder: Path) -> None:
+    file = sorted(tank_folder.glob("*/*.csv"))[0]
+    (cycle,) = reimage(file)
+    assert cycle.touch.sight.contacts
+    with connect(f"replay:{file}", rate=1000) as device:
+        frames = [device.scan(device.reference[0].pattern) for _ in range(3)]  # round and round
+    assert [frame.sequence for frame in frames] == [1, 2, 3]
+
+
+def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    path, touches = recorded
+    with Tape(path) as tape:
+        count = write_csv(tmp_path / "contacts.csv", CONTACT_COLUMNS, contact_rows(tape))
+        with (tmp_path / "contacts.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        felt = [(touch, contact) for touch in touches for contact in touch.contacts]
+        assert count == len(rows) == len(felt) > 10
+        for row, (touch, contact) in zip(rows, felt, strict=True):
+            assert (int(row["cycle"]), row["mode"], int(row["id"])) == (touch.sequence, "16O", contact.id)
+            assert (float(row["x_m"]), float(row["y_m"])) == contact.position
+            assert float(row["extent_m2"]) == contact.extent
+        assert sorted(float(row["time_s"]) for row in rows) == [float(row["time_s"]) for row in rows]
+        some = list(frame_rows(tape, 0.0))
+        assert len(some) == sum(frame.pattern.n_meas for touch in touches for frame in touch.sight.frames)
+        count = write_parquet(tmp_path / "frames.parquet", FRAME_COLUMNS, frame_rows(tape, 0.0))
+        table = pq.read_table(tmp_path / "frames.parquet").to_pydict()
+        assert count == len(some)
+        assert [tuple(table[name][k] for name in FRAME_COLUMNS) for k in (0, 500, len(some) - 1)] == [
+            some[k] for k in (0, 500, len(some) - 1)
+        ]
+        write_npz(tmp_path / "all.npz", tape)
+        with np.load(tmp_path / "all.npz", allow_pickle=False) as arrays:
+            first = int(np.argmax(arrays["frame_role"] == Role.BASE))
+            frame = touches[0].sight.frames[1]
+            k = first + 1
+            a, b = arrays["voltages_start"][k : k + 2]
+            np.testing.assert_array_equal(arrays["voltages"][a:b], frame.voltages)
+            p = arrays["frame_pattern"][k]
+            a, b = arrays["pattern_measurements_start"][p : p + 2]
+            np.testing.assert_array_equal(arrays["pattern_measurements"][a:b], frame.pattern.measurements)
+            a, b = arrays["pattern_injections_start"][p : p + 2]
+            np.testing.assert_array_equal(arrays["pattern_injections"][a:b], frame.pattern.injections)
+            assert arrays["images"].shape == (CYCLES, 64, 64)
+            assert arrays["frame_time_s"][0] < 0 == arrays["frame_time_s"][first]
+        with pytest.raises(DataError, match="never overwritten"):
+            write_npz(tmp_path / "all.npz", tape)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["all.npz", "contacts.csv", "frames.parquet"]
+
+
+def test_pictures_and_films(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, _ = recorded
+    cycle = cycle_at(path, None)
+    assert cycle.touch.sight.contacts
+    assert cycle_at(path, cycle.time).touch.sight.frames[0].sequence == cycle.touch.sight.frames[0].sequence
+    save_comparison(tmp_path / "a.png", {"one": cycle, "two": cycle})
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    with monkeypatch.context() as nothing:
+        nothing.setenv("PATH", str(tmp_path))
+        with pytest.raises(DataError, match="needs the program ffmpeg"):
+            write_film(tmp_path / "a.mp4", iter([cycle]))
+    if shutil.which("ffmpeg") is None:
+        pytest.skip("needs ffmpeg: apt-get install ffmpeg")
+    count = write_film(tmp_path / "a.mp4", reimage(path), rate=20)
+    probe = ["ffprobe", "-v", "error", "-count_frames", "-show_entries", "stream=nb_read_frames,codec_name,width", "-of", "json"]
+    told = json.loads(subprocess.run([*probe, str(tmp_path / "a.mp4")], capture_output=True, text=True, check=True).stdout)
+    (stream,) = told["streams"]
+    assert (int(stream["nb_read_frames"]), stream["width"]) == (count, 640)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["replay", "nosuch.mcap"], "cannot read recording nosuch.mcap"),
+        (["replay", "press.mcap", "--speed", "0"], "--speed is 0"),
+        (["replay", "press.mcap", "--start", "1e6"], "the recording has 0 to"),
+        (["replay", "press.mcap", "--mode", "16I", "--headless"], "mode '16I' was not recorded; choose from 12B, 16O"),
+        (["replay", "press.mcap", "--compare", "paper,magic"], "no estimator 'magic'; choose from paper"),
+        (["recover", "nosuch.mcap"], "cannot read recording nosuch.mcap"),
+        (["recover", "text.mcap"], "does not begin as an MCAP file does"),
+        (["recover", "press.mcap", "press.mcap"], "press.mcap exists and is never overwritten"),
+        (["export", "press.mcap", "--to", "csv", "--output", "text.mcap"], "text.mcap exists and is never overwritten"),
+        (["export", "text.mcap", "--to", "npz"], "text.mcap is no recording of ohmskin"),
+        (["record", "press.mcap"], "press.mcap exists, and a recording is never overwritten"),
+        (["record", "nowhere/a.mcap"], "there is no folder"),
+        (["record", "a.mcap", "--seconds", "0"], "--seconds is 0"),
+    ],
+)
+def test_a_mistake_gets_one_clear_line(
+    recorded: tuple[Path, list[ohm.Touch]],
+    tmp_path: Path,
+    arguments: list[str],
+    says: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from ohmskin.cli import app  # `main` makes one line of these errors, see test_cli
+
+    shutil.copy(recorded[0], tmp_path / "press.mcap")
+    (tmp_path / "text.mcap").write_text("not a recording")
+    before = (tmp_path / "press.mcap").read_bytes()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OhmskinError, match=re.escape(says)) as caught:
+        app(arguments)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "press.mcap").read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["press.mcap", "text.mcap"]
+
+
+def test_the_commands_do_what_they_say(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path) -> None:
+    path, touches = recorded
+
+    def run(*arguments: str) -> str:
+        command = [sys.executable, "-m", "ohmskin", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=100)
+        assert (done.returncode, done.stderr) == (0, "")
+        return done.stdout
+
+    lines = [json.loads(line) for line in run("replay", str(path), "--json", "--speed", "inf").splitlines()]
+    assert [line["sequence"] for line in lines] == [touch.sequence for touch in touches]
+    for line, touch in zip(lines, touches, strict=True):
+        places = [c.position for c in touch.contacts]
+        np.testing.assert_allclose([c["position"] for c in line["contacts"]], places, atol=1e-9)
+    assert "matern" in run("replay", str(path), "--compare", "paper,matern")
+    assert (tmp_path / "press.compare.png").read_bytes().startswith(b"\x89PNG")
+    assert "picture" in run("image", str(path), "--frame", str(CYCLES // 2))
+
+
+def test_the_end_pauses_the_page_and_going_on_begins_anew(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, _ = recorded
+    device, said = ReplayDevice(f"replay:{path}", speed=np.inf, loop=False), []
+    with ohm.Engine(lambda: device, SKIN) as engine:
+        player = Player(engine, say=said.append)
+        engine.calibrate()
+        step = player.lead(engine.step)
+        assert sum(step() is not None for _ in range(CYCLES + 3)) == CYCLES
+        assert (engine.state, said) == (State.PAUSED, ["the recording has ended"])
+        engine.pause(False)
+        assert sum(step() is not None for _ in range(CYCLES + 3)) == CYCLES
+        assert engine.state is State.PAUSED

@@ -1,0 +1,219 @@
+"""Tracking in the loop, on the physics twin without a wire."""
+
+import runpy
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from direct import DirectDevice
+
+from ohmskin.device import Capabilities
+from ohmskin.engine import Engine, State, Touch
+from ohmskin.errors import PatternError
+from ohmskin.scan import DrivePattern, Frame
+from ohmskin.skin import Skin, VirtualSkin
+
+PLACES = [(0.05, 0.12), (0.1, 0.1), (0.03, 0.03), (0.17, 0.05), (0.16, 0.16), (0.155, 0.105)]
+
+
+def open_engine(skin: Skin, *devices: DirectDevice, modes: tuple[str, ...] = ("16T",)) -> Engine:
+    """An engine with some modes of its skin, tracking, that opens these devices in turn."""
+    pending = iter(devices)
+    engine = Engine(lambda: next(pending), skin)
+    engine.modes = {name: mode for name, mode in engine.modes.items() if name in modes}
+    engine.set_mode("16T")
+    return engine
+
+
+@pytest.fixture(scope="module")
+def skin() -> Skin:
+    return Skin.load("paper")
+
+
+@pytest.fixture(scope="module")
+def calibrated(skin: Skin) -> Iterator[Engine]:
+    with open_engine(skin, DirectDevice(VirtualSkin(skin, seed=5)), modes=("16I", "16P", "16T")) as engine:
+        engine.calibrate()
+        yield engine
+
+
+@pytest.fixture
+def engine(calibrated: Engine) -> Iterator[Engine]:
+    calibrated.set_mode("16T")
+    yield calibrated
+    for number, press in calibrated.device.virtual.presses.items():  # type: ignore[attr-defined]
+        calibrated.press(number, press.position, press.radius, 0.0)
+    calibrated.set_mode("16I")
+    calibrated.set_mode("16T")
+
+
+def run(engine: Engine, cycles: int) -> Touch:
+    touch = None
+    for _ in range(cycles):
+        touch = engine.step()
+    assert touch is not None
+    return touch
+
+
+def miss(touch: Touch, at: tuple[float, float]) -> float:
+    return min((float(np.hypot(*np.subtract(c.position, at))) for c in touch.contacts), default=np.inf)
+
+
+def test_every_place_is_found_in_three_frames_of_four_injections(engine: Engine) -> None:
+    for at in PLACES:
+        engine.press(1, at, 8e-3, 20e3)
+        touch = run(engine, 3)
+        assert len(touch.contacts) == 1, f"{at}: {touch.contacts}"
+        touch = run(engine, 10)
+        assert miss(touch, at) < 4e-3, at
+        (contact,) = touch.contacts
+        assert contact.covariance is not None
+        assert contact.velocity is not None
+        assert contact.radius is not None
+        assert np.linalg.eigvalsh(contact.covariance)[0] > 0
+        assert [frame.pattern.n_inj for frame in touch.sight.frames] == [4]
+        engine.press(1, at, 8e-3, 0.0)
+        assert not run(engine, 3).contacts
+
+
+def test_nothing_is_felt_when_nothing_touches(engine: Engine) -> None:
+    assert all(not engine.step().contacts for _ in range(800))  # type: ignore[union-attr]
+
+
+def test_two_fingers_are_followed_and_keep_their_ids(engine: Engine) -> None:
+    engine.press(1, (0.05, 0.05), 8e-3, 20e3)
+    engine.press(2, (0.15, 0.15), 8e-3, 30e3)
+    ids = {c.id for c in run(engine, 10).contacts}
+    assert len(ids) == 2
+    for step in range(25):
+        engine.press(1, (0.05 + 1.5e-3 * step, 0.05), 8e-3, 20e3)
+        touch = run(engine, 1)
+        assert {c.id for c in touch.contacts} == ids
+        assert step < 10 or miss(touch, (0.05 + 1.5e-3 * step, 0.05)) < 6e-3
+        assert miss(touch, (0.15, 0.15)) < 4e-3
+
+
+def test_the_image_of_the_last_frames_peaks_at_the_contact(engine: Engine) -> None:
+    engine.press(1, (0.07, 0.13), 8e-3, 20e3)
+    touch = run(engine, 10)
+    image, mesh = touch.sight.image, engine.perception.model.mesh  # type: ignore[union-attr]
+    peak = int(np.argmax(image.values))
+    assert np.hypot(*(mesh.centroids[peak] - [0.07, 0.13])) < 12e-3
+    assert image.values[peak] > 10 * image.noise_std(peak)[0]
+    assert touch.sight.base is image
+    assert engine.perception.thresholds["16T"].final > 0  # type: ignore[union-attr]
+
+
+def test_the_number_of_injections_can_be_changed_while_it_runs(engine: Engine) -> None:
+    engine.press(1, (0.12, 0.06), 8e-3, 20e3)
+    shared = engine.mode.policy
+    for count in (2, 9, 4):
+        engine.set_injections(count)
+        touch = run(engine, 6)
+        assert engine.injections == count
+        assert touch.sight.frames[0].pattern.n_inj == count
+        assert miss(touch, (0.12, 0.06)) < 6e-3
+    assert shared is not None
+    assert shared.injections == 4  # type: ignore[attr-defined]  # that of the skin, which other engines share, stays
+
+
+def test_injections_out_of_range_or_in_another_mode_are_refused(engine: Engine) -> None:
+    low, high = engine.injection_limits(engine.mode)
+    assert (low, high) == (1, 24)  # one explores; the device takes 24
+    for count in (0, 25):
+        with pytest.raises(PatternError, match=f"{count} injections per frame; mode 16T takes 1 to 24"):
+            engine.set_injections(count)
+    engine.set_mode("16I")
+    assert engine.injections is None
+    with pytest.raises(PatternError, match="16I has no choice of injections; choose one of 16T"):
+        engine.set_injections(4)
+
+
+def test_the_frame_wise_mode_fits_contacts_to_the_data(engine: Engine) -> None:
+    engine.set_mode("16P")
+    errors = []
+    for at in PLACES:
+        engine.press(1, at, 8e-3, 20e3)
+        touch = run(engine, 6)
+        (contact,) = touch.contacts
+        assert contact.covariance is not None
+        errors.append(miss(touch, at))
+        assert len(touch.sight.frames) == 2
+    assert np.mean(errors) < 2e-3
+    engine.press(1, PLACES[-1], 8e-3, 0.0)
+    assert not run(engine, 6).contacts
+
+
+def test_clipped_voltages_are_left_out_and_a_lost_device_is_felt_again(skin: Skin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    virtual = VirtualSkin(skin, seed=3)
+    device = DirectDevice(virtual)
+    with open_engine(skin, device, DirectDevice(virtual)) as engine:
+        engine.calibrate()
+        device.blind = True
+        engine.press(1, (0.08, 0.11), 8e-3, 20e3)
+        assert miss(run(engine, 10), (0.08, 0.11)) < 5e-3
+        device.blind = False
+        device.gone = True
+        assert engine.step() is None
+        assert engine.state is State.LOST
+        assert engine.step() is None
+        assert miss(run(engine, 3), (0.08, 0.11)) < 5e-3
+        engine.pause(True)
+        assert engine.step() is None
+        engine.pause(False)
+        assert miss(run(engine, 2), (0.08, 0.11)) < 5e-3
+
+
+def test_the_same_frames_give_the_same_contacts(skin: Skin) -> None:
+    """What a recording holds is enough: the device's time counts, not the host's."""
+    device = DirectDevice(VirtualSkin(skin, seed=4))
+    frames: list[Frame] = []
+    inner = device._scan
+
+    def recorded(pattern: DrivePattern, timeout: float) -> Frame:
+        frames.append(inner(pattern, timeout))
+        return frames[-1]
+
+    device._scan = recorded  # type: ignore[method-assign]
+    with open_engine(skin, device) as engine:
+        engine.calibrate()
+        first = []
+        for k in range(25):
+            if k == 8:
+                engine.press(1, (0.13, 0.07), 8e-3, 20e3)
+            first.append(run(engine, 1).contacts)
+    again = DirectDevice(VirtualSkin(skin, seed=99))
+    queue = iter(frames)
+
+    def replayed(pattern: DrivePattern, timeout: float) -> Frame:
+        frame = next(queue)
+        assert frame.pattern == pattern
+        return frame
+
+    again._scan = replayed  # type: ignore[method-assign]
+    with open_engine(skin, again) as engine:
+        engine.calibrate()
+        assert [run(engine, 1).contacts for _ in range(25)] == first
+
+
+def test_a_device_that_takes_little_at_once_limits_the_injections(skin: Skin) -> None:
+    device = DirectDevice(VirtualSkin(skin, seed=1))
+    device.capabilities = replace(device.capabilities, max_injections=6, max_measurements=60)
+    assert isinstance(device.capabilities, Capabilities)
+    with open_engine(skin, device) as engine:
+        assert engine.injection_limits(engine.mode) == (1, 4)  # 13 voltages each
+
+
+def test_the_guides_example_follows_both_fingers_and_its_page_shows_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    guide = Path(__file__).parents[1] / "docs" / "guide"
+    script = guide / "tracking.py"
+    assert script.read_text() in (guide / "tracking.md").read_text()
+    monkeypatch.setattr("sys.argv", [str(script), str(tmp_path)])
+    runpy.run_path(str(script), run_name="__main__")
+    assert capsys.readouterr().out.count("contact ") == 2
+    assert (tmp_path / "tracking.png").stat().st_size > 10_000
