@@ -10,6 +10,7 @@ from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError
 from ohmskin.skin import Skin, VirtualSkin
+from ohmskin.touch import find_regions
 
 PLACES = [
     (0.05, 0.12),
@@ -103,8 +104,12 @@ def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engin
     touch = run(engine, 5)
     base, optimal = touch.sight.frames
     assert touch.mode.optimal is not None
+    assert engine.perception is not None
+    image, imaging = touch.sight.base.values, engine.skin.imaging
+    threshold = max(engine.perception.thresholds[touch.mode.name].base, imaging.fraction * image.max())
+    regions = find_regions(image, engine.perception.model.mesh, threshold, imaging.dip)
     assert base.pattern == touch.mode.base
-    assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in touch.sight.regions])
+    assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in regions])
 
 
 def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:

@@ -178,9 +178,7 @@ def framing(effort: Effort) -> Iterator[Figure]:
         3 * effort.seconds,
     )
     yield ratio("image product against one read of its matrix", spent["product"], spent["read"], most=1.2)
-    note = (
-        f"m = {cycle._desk.rows.shape[0]}; {sum(a.nbytes for a in arrays) / 2**20:.1f} MiB, read from the cache as the frame does"
-    )
+    note = f"m = {cycle._n_meas}; {sum(a.nbytes for a in arrays) / 2**20:.1f} MiB, read from the cache as the frame does"
     yield ratio("adaptive frame against one read of its matrices", spent["frame"], spent["all"], most=3, note=note)
     import gc
 

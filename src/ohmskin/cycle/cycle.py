@@ -1,8 +1,9 @@
-"""One cycle of the adaptive loop on a raster, compiled: base image, regions, choice (eq. 7), second image, contacts.
+"""One cycle of the adaptive loop, compiled: base image, regions, choice (eq. 7), second image, contacts.
 
-The same as `ohmskin.engine.Perception` with an estimator on `Pixels`, arranged so that a frame reads its matrices once and little
-else. The modes of the image are turned so that the base scan sees each by itself: with its rows H_0 = U diag(s) V^T, and modes
-counted along V, the base image needs two products. The second scan then is an update of as many unknowns as it has voltages m,
+The same as its parts in `ohmskin.inverse`, `ohmskin.drive` and `ohmskin.touch`, arranged so that a frame reads its matrices once
+and little else. The modes of the image are turned so that the base scan sees each by itself: with its rows H_0 = U diag(s) V^T,
+and modes counted along V, the base image needs two products. The second scan then is an update of as many unknowns as it has
+voltages m,
 
     u = u_0 + D H^T (I + H D H^T)^-1 (v - H u_0),        D = (s^2 + w^2)^-1,
 
@@ -31,7 +32,7 @@ class FastCycle:
     """Sees contacts in an adaptive mode, ten thousand times a second. Not for several threads at once: make one for each.
 
     Args:
-        estimator: On pixels, see `GaussNewton`.
+        estimator: Of a flat sheet, on its triangles or on pixels.
         mode: An adaptive mode whose choice is eq. (7).
         thresholds: gamma_0 of eq. (6) for the base image and for the final one, see `ohmskin.engine.Thresholds`.
         currents: Current that each injection of the base scan usually has, one value or (n_inj,) (A). Base data are scaled from
@@ -40,10 +41,10 @@ class FastCycle:
         fraction, dip: See `ohmskin.touch.ContactFinder`.
 
     Attributes:
-        base_image, image: (n_pixels,) float32, the newest.
+        base_image, image: (n_cells,) float32, the newest; overwritten by the next frame.
 
     Raises:
-        ModelError: If the estimator is not on pixels, or its images are nowhere negative.
+        ModelError: If the sheet is not flat, or the estimator's images are nowhere negative.
         PatternError: If the mode does not choose by eq. (7), or the baseline has not seen all its patterns.
     """
 
@@ -57,11 +58,9 @@ class FastCycle:
         fraction: float = 0.3,
         dip: float = 0.2,
     ) -> None:
-        pixels = estimator.pixels
-        if pixels is None or estimator.positive:
-            raise ModelError(
-                "a fast cycle needs a linear estimator on pixels; make it with GaussNewton(..., pixels=Pixels.over(mesh))"
-            )
+        cells = estimator.cells
+        if cells.centroids.shape[1] != 2 or estimator.positive:
+            raise ModelError("a fast cycle needs a flat sheet and a linear estimator; see each frame with GaussNewton.reconstruct")
         if not isinstance(mode.optimal, OptimalDrive):
             raise PatternError(f"mode {mode.name} does not choose by eq. (7); a fast cycle needs one that does, such as 16O")
         self.estimator, self.mode, self.thresholds, self.fraction, self.dip = estimator, mode, thresholds, fraction, dip
@@ -71,8 +70,6 @@ class FastCycle:
         squares, turn = np.linalg.eigh(rows.T @ rows)
         squares, turn = squares[::-1], turn[:, ::-1]
         rank = max(1, int(np.count_nonzero(squares > 1e-14 * squares[0])))
-        grid = np.full(len(pixels.x) * len(pixels.y), -1)
-        grid[pixels.cells] = np.arange(len(pixels))
         self._tables = Tables(
             base_columns=np.ascontiguousarray((rows @ turn[:, :rank]).T),
             base_squares=squares[:rank].copy(),
@@ -85,33 +82,35 @@ class FastCycle:
             reference=np.zeros(complete.n_meas) if baseline is None else baseline.reference(complete),
             pairs=complete.injections.copy(),
             electrodes=np.ascontiguousarray(estimator.model.electrodes.positions),
-            neighbours=pixels.neighbours.astype(np.int32),
-            numbers=grid.reshape(len(pixels.y), len(pixels.x)).astype(np.int32),
-            centres=np.ascontiguousarray(pixels.centres),
-            areas=np.ascontiguousarray(pixels.areas),
+            neighbours=cells.neighbours.astype(np.int32),
+            centroids=np.ascontiguousarray(cells.centroids),
+            measures=np.ascontiguousarray(cells.measures),
         )
         if not (np.isfinite(self._tables.base_reference).all() and np.isfinite(self._tables.reference).all()):
             raise DataError("some quiet references are not known; a fast cycle needs them all: calibrate again, or use GaussNewton")
         self._per_pair = complete.n_meas // complete.n_inj
-        n_meas, n_pixels, n_modes = mode.optimal.pairs * self._per_pair, len(pixels), len(modes.modes)
+        self._n_meas = mode.optimal.pairs * self._per_pair
+        n_cells, n_modes = len(cells.measures), len(modes.modes)
+        rows, columns = (-(-n // 4) * 4 for n in (self._n_meas, n_modes))
+        size = min(rows, columns)
         self._desk = Desk(
-            base_image=np.zeros(n_pixels, np.float32),
-            image=np.zeros(n_pixels, np.float32),
+            base_image=np.zeros(n_cells, np.float32),
+            image=np.zeros(n_cells, np.float32),
             base_volts=np.zeros(base.n_meas),
             projected=np.zeros(rank),
-            u=np.zeros(n_modes),
             u_single=np.zeros(n_modes, np.float32),
-            inverse=np.zeros(n_modes),
-            pixel=np.zeros(n_modes),
-            rows=np.zeros((n_meas, n_modes)),
-            scaled=np.zeros((n_meas, n_modes)),
-            system=np.zeros((n_meas, n_meas)),
-            volts=np.zeros(n_meas),
-            solved=np.zeros(n_meas),
-            keys=np.zeros(n_pixels, np.int64),
-            parent=np.full(n_pixels, -1, np.int32),
-            labels=np.full(n_pixels, -1, np.int32),
-            regions=np.zeros((MOST_CONTACTS, 8)),
+            root=np.zeros(columns),
+            scaled=np.zeros((rows, columns)),
+            turned=np.zeros((columns if columns < rows else 0, rows)),
+            system=np.zeros((size, size)),
+            residual=np.zeros(rows),
+            solved=np.zeros(size),
+            four=np.zeros((size, 4)),
+            own=np.zeros((4, columns)),
+            keys=np.zeros(n_cells, np.int64),
+            parent=np.full(n_cells, -1, np.int32),
+            labels=np.full(n_cells, -1, np.int32),
+            regions=np.zeros((MOST_CONTACTS, 6)),
             anchors=np.zeros((MOST_CONTACTS, 3, 2)),
             crossed=np.zeros((MOST_CONTACTS, len(complete.injections))),
             chosen=np.zeros(mode.optimal.pairs, np.int64),
@@ -120,7 +119,7 @@ class FastCycle:
         self._settings = np.array(
             [
                 estimator.noise, estimator.amplitude, estimator.model_error, thresholds[0], thresholds[1], fraction, dip,
-                float(mode.fuse), float(squares[:rank].sum()), pixels.pitch, pixels.x[0], pixels.y[0],
+                float(mode.fuse), float(squares[:rank].sum()),
             ]
         )  # fmt: skip
         self.base_image, self.image = self._desk.base_image, self._desk.image
@@ -148,7 +147,7 @@ class FastCycle:
         """
         if not self._looked:
             raise DataError("see() completes a cycle that look() begins; call look() with the base scan first")
-        volts, currents = _checked(volts, len(self._desk.rows), currents, len(self._desk.chosen))
+        volts, currents = _checked(volts, self._n_meas, currents, len(self._desk.chosen))
         count = see(self._tables, self._desk, self._settings, volts, currents)
         self._looked = False
         if count < 0:

@@ -1,6 +1,7 @@
 """The compiled steps of a cycle; `ohmskin.cycle.reference` is their plain twin.
 
-They run without Python's global lock and, but for systems of more than 128 measurements, touch no memory but their tables and desk.
+They run without Python's global lock and touch no memory but their tables and desk. Measurements and modes are
+padded to a multiple of four with zeros, so that products and factors work on blocks of four rows by four.
 """
 
 from typing import NamedTuple
@@ -9,16 +10,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ohmskin.forward.cholesky import eliminate_dense
 from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.mesh import Ints
 
 Singles = NDArray[np.float32]
 Shorts = NDArray[np.int32]
 
-_TILE = 128  # columns of a large system made at once
-
-NOISE, AMPLITUDE, MODEL_ERROR, GAMMA_BASE, GAMMA_FINAL, FRACTION, DIP, FUSE, TRACE, PITCH, X0, Y0 = range(12)
+NOISE, AMPLITUDE, MODEL_ERROR, GAMMA_BASE, GAMMA_FINAL, FRACTION, DIP, FUSE, TRACE = range(9)
 
 
 class Tables(NamedTuple):
@@ -31,13 +29,12 @@ class Tables(NamedTuple):
         base_currents: (n_inj,) usual currents (A).
         base_reference, reference: (n_base,), (n_complete,) untouched transfer resistances (ohm).
         mixing: C V (n_pairs, n_modes) in ohms.
-        modes: V^T B (n_modes, n_pixels).
+        modes: V^T B (n_modes, n_cells).
         quadruples: (n_complete, 4) of all that can be asked for, pair by pair.
         pairs: (n_pairs, 2) electrodes.
         electrodes: (n_elec, 2) in metres.
-        neighbours: (n_pixels, 4), -1 where there is none.
-        numbers: (ny, nx) the pixel of each cell of the grid, -1 where there is none.
-        centres, areas: (n_pixels, 2), (n_pixels,) in m, m2.
+        neighbours: (n_cells, 3 or 4), -1 where there is none.
+        centroids, measures: (n_cells, 2), (n_cells,) in m, m2.
     """
 
     base_columns: Floats
@@ -52,27 +49,46 @@ class Tables(NamedTuple):
     pairs: Ints
     electrodes: Floats
     neighbours: Shorts
-    numbers: Shorts
-    centres: Floats
-    areas: Floats
+    centroids: Floats
+    measures: Floats
 
 
 class Desk(NamedTuple):
-    """Memory for one frame; nothing is allocated while frames come."""
+    """Memory for one frame; nothing is allocated while frames come.
+
+    Args:
+        base_image, image: (n_cells,), the newest.
+        base_volts: (n_base,) changes of voltage at the usual currents (V).
+        projected: (rank,) V^T H_0^T v.
+        u_single: (n_modes,) coordinates of an image.
+        root: (n_modes,) D^1/2.
+        scaled: S = H D^1/2 (n_meas, n_modes), padded.
+        turned: Its transpose where there are fewer modes than measurements, else empty.
+        system: I + S S^T, or I + S^T S if that is smaller; then its Cholesky factor.
+        residual: (n_meas,) padded, voltages that the base scan does not explain (V).
+        solved, four: (n,), (n, 4) right-hand sides of the system.
+        own: (4, n_modes) modes of four peaks, padded.
+        keys, parent, labels: (n_cells,) of `flood`.
+        regions: (most, 6) mass, moments, area, peak and its cell of each region.
+        anchors: (most, 3, 2) in metres.
+        crossed: (most, n_pairs) summed areas of eq. (7) (m2).
+        chosen: Pairs to drive.
+        found: (most, 6) contacts.
+    """
 
     base_image: Singles
     image: Singles
     base_volts: Floats
     projected: Floats
-    u: Floats
     u_single: Singles
-    inverse: Floats
-    pixel: Floats
-    rows: Floats
+    root: Floats
     scaled: Floats
+    turned: Floats
     system: Floats
-    volts: Floats
+    residual: Floats
     solved: Floats
+    four: Floats
+    own: Floats
     keys: Ints
     parent: Shorts
     labels: Shorts
@@ -99,11 +115,7 @@ def look(t: Tables, desk: Desk, settings: Floats, volts: Floats, currents: Float
     for k in range(rank):
         desk.u_single[k] = desk.projected[k] / (t.base_squares[k] + weight2)
     combine(desk.u_single[:rank], t.modes[:rank], desk.base_image)
-    highest = np.float32(-np.inf)
-    peak = 0
-    for p in range(len(desk.base_image)):
-        if desk.base_image[p] > highest:
-            highest, peak = desk.base_image[p], p
+    highest = largest(desk.base_image)
     threshold = max(settings[GAMMA_BASE], settings[FRACTION] * highest)
     count, above = flood(desk.base_image, t.neighbours, threshold, settings[DIP], desk.keys, desk.parent, desk.labels)
     count = min(count, len(desk.anchors))
@@ -111,9 +123,12 @@ def look(t: Tables, desk: Desk, settings: Floats, volts: Floats, currents: Float
         _sum_regions(desk.base_image, t, desk, above, count, -np.inf)
         for r in range(count):
             mass = desk.regions[r, 0]
-            _closest(t, settings, desk.regions[r, 1] / mass, desk.regions[r, 2] / mass, desk.anchors[r])
+            _closest(t.centroids, desk.regions[r, 1] / mass, desk.regions[r, 2] / mass, desk.anchors[r])
     else:
-        _closest(t, settings, t.centres[peak, 0], t.centres[peak, 1], desk.anchors[0])
+        peak = 0
+        while desk.base_image[peak] < highest:
+            peak += 1
+        _closest(t.centroids, t.centroids[peak, 0], t.centroids[peak, 1], desk.anchors[0])
         count = 1
     choose(t.electrodes, t.pairs, desk.anchors[:count], desk.crossed, desk.chosen)
     return count
@@ -122,34 +137,36 @@ def look(t: Tables, desk: Desk, settings: Floats, volts: Floats, currents: Float
 @njit(cache=True, nogil=True)
 def see(t: Tables, desk: Desk, settings: Floats, volts: Floats, currents: Floats) -> int:
     """The final image and its contacts (`desk.found`); how many, or -1 if a datum is not finite."""
-    n_meas, n_modes = desk.rows.shape
-    rank = len(desk.projected)
-    per_pair = n_meas // len(desk.chosen)
+    n_modes, rank = len(desk.u_single), len(desk.projected)
+    per_pair = len(volts) // len(currents)
     fuse = settings[FUSE] != 0.0
     squares = 0.0
-    for c in range(len(desk.chosen)):
-        for k in range(per_pair):
-            m, whole = c * per_pair + k, desk.chosen[c] * per_pair + k
-            desk.volts[m] = volts[m] - currents[c] * t.reference[whole]
-            squares += desk.volts[m] ** 2
-            _row(t.quadruples[whole], t.mixing, len(t.electrodes), currents[c], desk.rows[m])
+    for m in range(len(volts)):
+        c = m // per_pair
+        desk.residual[m] = volts[m] - currents[c] * t.reference[desk.chosen[c] * per_pair + m % per_pair]
+        squares += desk.residual[m] ** 2
     if not np.isfinite(squares):
         return -1
-    count = n_meas
+    count = len(volts)
     if fuse:
         for m in range(len(desk.base_volts)):
             squares += desk.base_volts[m] ** 2
         count += len(desk.base_volts)
     weight2 = _weight2(settings, squares, count)
+    z = desk.own[0]  # D^-1/2 u; the memory is free until a contact is found
     for k in range(n_modes):
-        seen = t.base_squares[k] if fuse and k < rank else 0.0
-        desk.inverse[k] = 1.0 / (seen + weight2)
-        desk.u[k] = desk.projected[k] * desk.inverse[k] if fuse and k < rank else 0.0
-    _update(desk)
+        seen = fuse and k < rank
+        desk.root[k] = 1.0 / np.sqrt((t.base_squares[k] if seen else 0.0) + weight2)
+        z[k] = desk.projected[k] * desk.root[k] if seen else 0.0
+    for m in range(len(volts)):
+        c = m // per_pair
+        quadruple = t.quadruples[desk.chosen[c] * per_pair + m % per_pair]
+        desk.residual[m] -= _row(quadruple, t.mixing, len(t.electrodes), currents[c], desk.root, z, desk.scaled[m])
+    _update(desk, z)
     for k in range(n_modes):
-        desk.u_single[k] = desk.u[k]
+        desk.u_single[k] = desk.root[k] * z[k]
     combine(desk.u_single, t.modes, desk.image)
-    return _contacts(t, desk, settings, weight2)
+    return _contacts(t, desk, settings)
 
 
 @njit(cache=True, nogil=True)
@@ -190,15 +207,26 @@ def combine(u: Singles, modes: Singles, image: Singles) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _row(quadruple: Shorts, mixing: Floats, n_elec: int, current: float, row: Floats) -> None:
-    """Fill what one measurement sees of each mode (V)."""
+def largest(values: Singles) -> float:
+    """The largest value."""
+    highest = values[0]
+    for k in range(len(values)):
+        highest = max(highest, values[k])
+    return float(highest)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _row(quadruple: Shorts, mixing: Floats, n_elec: int, current: float, root: Floats, z: Floats, scaled: Floats) -> float:
+    """Fill what one measurement sees of each mode, times its root (V); what it sees of D^1/2 z."""
     a, b, c, d = quadruple[0], quadruple[1], quadruple[2], quadruple[3]
     # no measurement of the complete pattern touches a driven electrode, so that all four pairs exist
     ad, bc = mixing[_pair(a, d, n_elec)], mixing[_pair(b, c, n_elec)]
     ac, bd = mixing[_pair(a, c, n_elec)], mixing[_pair(b, d, n_elec)]
-    half = 0.5 * current
-    for k in range(len(row)):
-        row[k] = half * (ad[k] + bc[k] - ac[k] - bd[k])
+    half, total = 0.5 * current, 0.0
+    for k in range(mixing.shape[1]):
+        scaled[k] = half * root[k] * (ad[k] + bc[k] - ac[k] - bd[k])
+        total += scaled[k] * z[k]
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -207,40 +235,77 @@ def _pair(i: int, j: int, n_elec: int) -> int:
     return low * n_elec - low * (low + 1) // 2 + high - low - 1
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _update(desk: Desk) -> None:
-    """u += D H^T (I + H D H^T)^-1 (volts - H u); leaves the Cholesky factor in `desk.system`."""
-    n_meas, n_modes = desk.rows.shape
-    u, inverse, root = desk.u, desk.inverse, desk.pixel  # the last is free until a contact is found
-    for k in range(n_modes):
-        root[k] = np.sqrt(inverse[k])
-    for m in range(n_meas):
-        row, scaled = desk.rows[m], desk.scaled[m]
-        total = 0.0
-        for k in range(n_modes):
-            total += row[k] * u[k]
-        for k in range(n_modes):
-            scaled[k] = row[k] * root[k]
-        desk.solved[m] = desk.volts[m] - total
-    if n_meas <= _TILE:
-        np.dot(desk.scaled, desk.scaled.T, desk.system)
-    else:  # large ones: the lower half only
-        for low in range(0, n_meas, _TILE):
-            high = min(low + _TILE, n_meas)
-            desk.system[low:, low:high] = np.dot(desk.scaled[low:], desk.scaled[low:high].T)
-    for m in range(n_meas):
-        desk.system[m, m] += 1.0
-    eliminate_dense(desk.system, n_meas, 32)
-    _back(desk.system, desk.solved)
-    for m in range(n_meas):
-        row, y = desk.rows[m], desk.solved[m]
-        for k in range(n_modes):
-            u[k] += inverse[k] * row[k] * y
+@njit(cache=True, nogil=True)
+def _update(desk: Desk, z: Floats) -> None:
+    """z += S^T (I + S S^T)^-1 residual = (I + S^T S)^-1 S^T residual, by the smaller of the two systems."""
+    if len(desk.turned):
+        for m in range(len(desk.scaled)):
+            for k in range(len(z)):
+                desk.turned[k, m] = desk.scaled[m, k]
+        for k in range(len(z)):
+            desk.solved[k] = _dot(desk.turned[k], desk.residual)
+        factorise(desk.turned, desk.system)
+        substitute(desk.system, desk.solved)
+        for k in range(len(z)):
+            z[k] += desk.solved[k]
+    else:
+        desk.solved[:] = desk.residual
+        factorise(desk.scaled, desk.system)
+        substitute(desk.system, desk.solved)
+        add_rows(desk.solved, desk.scaled, z)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _back(factor: Floats, x: Floats) -> None:
-    """Solve L L^T x = x in place."""
+def _dot(a: Floats, b: Floats) -> float:
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _products(a: Floats, i: int, b: Floats, j: int, n: int, out: Floats, row: int, column: int, sign: float) -> None:
+    """Add sign a[i : i + 4, :n] b[j : j + 4, :n]^T to out[row : row + 4, column : column + 4]."""
+    a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
+    b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
+    s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
+    s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
+    for k in range(n):  # sixteen sums, so that a number read is used four times
+        x0, x1, x2, x3 = a0[k], a1[k], a2[k], a3[k]
+        y0, y1, y2, y3 = b0[k], b1[k], b2[k], b3[k]
+        s00, s01, s02, s03 = s00 + x0 * y0, s01 + x0 * y1, s02 + x0 * y2, s03 + x0 * y3
+        s10, s11, s12, s13 = s10 + x1 * y0, s11 + x1 * y1, s12 + x1 * y2, s13 + x1 * y3
+        s20, s21, s22, s23 = s20 + x2 * y0, s21 + x2 * y1, s22 + x2 * y2, s23 + x2 * y3
+        s30, s31, s32, s33 = s30 + x3 * y0, s31 + x3 * y1, s32 + x3 * y2, s33 + x3 * y3
+    sums = ((s00, s01, s02, s03), (s10, s11, s12, s13), (s20, s21, s22, s23), (s30, s31, s32, s33))
+    for r in range(4):
+        for c in range(4):
+            out[row + r, column + c] += sign * sums[r][c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def factorise(scaled: Floats, system: Floats) -> None:
+    """The Cholesky factor of I + scaled scaled^T (n, n), n a multiple of four; its lower half."""
+    n, length = scaled.shape
+    for i in range(0, n, 4):
+        system[i : i + 4, : i + 4] = 0.0
+        for j in range(0, i + 4, 4):
+            _products(scaled, i, scaled, j, length, system, i, j, 1.0)
+            _products(system, i, system, j, j, system, i, j, -1.0)
+            if i == j:
+                for r in range(i, i + 4):
+                    system[r, r] += 1.0
+            for c in range(j, j + 4):
+                for r in range(max(i, c), i + 4):
+                    total = system[r, c]
+                    for k in range(j, c):
+                        total -= system[r, k] * system[c, k]
+                    system[r, c] = np.sqrt(total) if r == c else total / system[c, c]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def substitute(factor: Floats, x: Floats) -> None:
+    """Solve L L^T x = x (n,) in place."""
     for i in range(len(x)):
         total = x[i]
         for k in range(i):
@@ -252,27 +317,58 @@ def _back(factor: Floats, x: Floats) -> None:
             x[k] -= factor[i, k] * x[i]
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def substitute_four(factor: Floats, x: Floats) -> None:
+    """The same for four right-hand sides (n, 4)."""
+    for i in range(len(x)):
+        a, b, c, d = x[i, 0], x[i, 1], x[i, 2], x[i, 3]
+        for k in range(i):
+            f = factor[i, k]
+            a, b, c, d = a - f * x[k, 0], b - f * x[k, 1], c - f * x[k, 2], d - f * x[k, 3]
+        f = 1.0 / factor[i, i]
+        x[i, 0], x[i, 1], x[i, 2], x[i, 3] = f * a, f * b, f * c, f * d
+    for i in range(len(x) - 1, -1, -1):
+        f = 1.0 / factor[i, i]
+        a, b, c, d = f * x[i, 0], f * x[i, 1], f * x[i, 2], f * x[i, 3]
+        x[i, 0], x[i, 1], x[i, 2], x[i, 3] = a, b, c, d
+        for k in range(i):
+            f = factor[i, k]
+            x[k, 0] -= f * a
+            x[k, 1] -= f * b
+            x[k, 2] -= f * c
+            x[k, 3] -= f * d
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def add_rows(weights: Floats, rows: Floats, total: Floats) -> None:
+    """total += weights (n,) @ rows (n, n_modes), n a multiple of four."""
+    for m in range(0, len(rows), 4):
+        a, b, c, d = weights[m], weights[m + 1], weights[m + 2], weights[m + 3]
+        for k in range(len(total)):
+            total[k] += (a * rows[m, k] + b * rows[m + 1, k]) + (c * rows[m + 2, k] + d * rows[m + 3, k])
+
+
 @njit(cache=True, nogil=True)
 def flood(
     image: Singles, neighbours: Shorts, threshold: float, dip: float, keys: Ints, parent: Shorts, labels: Shorts
 ) -> tuple[int, int]:
-    """`ohmskin.touch.label_peaks` without new memory: `labels` of the pixels above a threshold, which must not be negative.
+    """`ohmskin.touch.label_peaks` without new memory: `labels` of the cells above a threshold, which must not be negative.
 
     Returns:
-        How many regions there are, and how many pixels are above; these are left in `keys`, see `_pixel`, the highest last.
+        How many regions there are, and how many cells are above; these are left in `keys`, see `_cell`, the highest last.
     """
     above = 0
     bits = image.view(np.int32)
+    labels[:] = -1
+    parent[:] = -1
     for p in range(len(image)):
-        labels[p] = -1
-        parent[p] = -1
         if image[p] > threshold:
             # of positive floats the bits sort as the values do; of equal ones the lower number is the higher key
             keys[above] = (np.int64(bits[p]) << 32) | np.int64(len(image) - p)
             above += 1
     keys[:above].sort()
     for at in range(above - 1, -1, -1):
-        e = _pixel(keys[at], len(image))
+        e = _cell(keys[at], len(image))
         root = -1
         for k in range(neighbours.shape[1]):
             other = neighbours[e, k]
@@ -291,7 +387,7 @@ def flood(
         parent[e] = e if root < 0 else root
     count = 0
     for at in range(above - 1, -1, -1):
-        e = _pixel(keys[at], len(image))
+        e = _cell(keys[at], len(image))
         root = e
         while parent[root] != root:
             root = parent[root]
@@ -303,57 +399,46 @@ def flood(
 
 
 @njit(cache=True, nogil=True)
-def _pixel(key: int, n_pixels: int) -> int:
-    return n_pixels - (key & 0xFFFFFFFF)
+def _cell(key: int, n_cells: int) -> int:
+    return n_cells - (key & 0xFFFFFFFF)
 
 
 @njit(cache=True, nogil=True)
 def _sum_regions(image: Singles, t: Tables, desk: Desk, above: int, count: int, share: float) -> None:
-    """Of each region: mass, first moments, area, peak and its pixel, over the pixels above `share` of the peak."""
+    """Of each region: mass, first moments, area, peak and its cell, over the cells above `share` of the peak."""
     regions = desk.regions
     for r in range(count):
         regions[r, :] = 0.0
         regions[r, 4] = -np.inf
-    for at in range(above - 1, -1, -1):  # from the highest: a region's first pixel is its peak
-        p = _pixel(desk.keys[at], len(image))
+    for at in range(above - 1, -1, -1):  # from the highest: a region's first cell is its peak
+        p = _cell(desk.keys[at], len(image))
         r = desk.labels[p]
         if r >= count:
             continue
         if regions[r, 4] == -np.inf:
             regions[r, 4], regions[r, 5] = image[p], p
         if image[p] > share * regions[r, 4]:
-            mass = image[p] * t.areas[p]
+            mass = image[p] * t.measures[p]
             regions[r, 0] += mass
-            regions[r, 1] += mass * t.centres[p, 0]
-            regions[r, 2] += mass * t.centres[p, 1]
-            regions[r, 3] += t.areas[p]
+            regions[r, 1] += mass * t.centroids[p, 0]
+            regions[r, 2] += mass * t.centroids[p, 1]
+            regions[r, 3] += t.measures[p]
 
 
 @njit(cache=True, nogil=True)
-def _closest(t: Tables, settings: Floats, x: float, y: float, anchors: Floats) -> None:
-    """The centres of the three pixels closest to a point, the lower number first of equals."""
-    ny, nx = t.numbers.shape
-    column, row = int(np.round((x - settings[X0]) / settings[PITCH])), int(np.round((y - settings[Y0]) / settings[PITCH]))
-    reach = 2
-    while True:
-        best0 = best1 = best2 = np.inf
-        p0 = p1 = p2 = -1
-        for j in range(max(0, row - reach), min(ny, row + reach + 1)):
-            for i in range(max(0, column - reach), min(nx, column + reach + 1)):
-                p = t.numbers[j, i]
-                if p < 0:
-                    continue
-                away = (t.centres[p, 0] - x) ** 2 + (t.centres[p, 1] - y) ** 2
-                if away < best0:
-                    best2, p2, best1, p1, best0, p0 = best1, p1, best0, p0, away, p
-                elif away < best1:
-                    best2, p2, best1, p1 = best1, p1, away, p
-                elif away < best2:
-                    best2, p2 = away, p
-        if (p2 >= 0 and np.sqrt(best2) <= reach * settings[PITCH]) or reach > max(nx, ny):
-            break
-        reach *= 2
-    anchors[0], anchors[1], anchors[2] = t.centres[p0], t.centres[p1], t.centres[p2]
+def _closest(centroids: Floats, x: float, y: float, anchors: Floats) -> None:
+    """The three centroids closest to a point, the lower number first of equals."""
+    best0 = best1 = best2 = np.inf
+    p0 = p1 = p2 = 0
+    for p in range(len(centroids)):
+        away = (centroids[p, 0] - x) ** 2 + (centroids[p, 1] - y) ** 2
+        if away < best2:
+            best2, p2 = away, p
+            if best2 < best1:
+                best1, p1, best2, p2 = best2, p2, best1, p1
+            if best1 < best0:
+                best0, p0, best1, p1 = best1, p1, best0, p0
+    anchors[0], anchors[1], anchors[2] = centroids[p0], centroids[p1], centroids[p2]
 
 
 @njit(cache=True, nogil=True)
@@ -398,11 +483,9 @@ def choose(electrodes: Floats, pairs: Ints, anchors: Floats, crossed: Floats, ch
 
 
 @njit(cache=True, nogil=True)
-def _contacts(t: Tables, desk: Desk, settings: Floats, weight2: float) -> int:
+def _contacts(t: Tables, desk: Desk, settings: Floats) -> int:
     """`ContactFinder.find`: place, extent, strength, peak and its standard deviation of each contact, strongest first."""
-    highest = np.float32(-np.inf)
-    for p in range(len(desk.image)):
-        highest = max(highest, desk.image[p])
+    highest = largest(desk.image)
     cut = max(settings[GAMMA_FINAL], settings[FRACTION] * highest)
     if not highest > cut:
         return 0
@@ -416,31 +499,46 @@ def _contacts(t: Tables, desk: Desk, settings: Floats, weight2: float) -> int:
             continue
         desk.found[found, 0], desk.found[found, 1] = desk.regions[r, 1] / mass, desk.regions[r, 2] / mass
         desk.found[found, 2], desk.found[found, 3], desk.found[found, 4] = desk.regions[r, 3], mass, peak
-        desk.found[found, 5] = settings[NOISE] * _deviation(t, desk, int(desk.regions[r, 5]), weight2)
+        desk.found[found, 5] = desk.regions[r, 5]  # the peak's number, until its deviation takes the place
         found += 1
+    for first in range(0, found, 4):
+        _deviations(t, desk, desk.found[first : min(first + 4, found)], settings[NOISE], settings[FUSE] != 0.0)
     return found
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _deviation(t: Tables, desk: Desk, pixel: int, weight2: float) -> float:
-    """What white noise of one volt makes of a pixel: |H N^-1 b|, N = H^T H + w^2 the normal matrix and b the pixel's modes."""
-    n_meas, n_modes = desk.rows.shape
-    u, inverse, own = desk.u, desk.inverse, desk.pixel
-    for k in range(n_modes):
-        own[k] = t.modes[k, pixel]
-        u[k] = inverse[k] * own[k]
-    for m in range(n_meas):
-        row = desk.rows[m]
-        total = 0.0
+def _deviations(t: Tables, desk: Desk, found: Floats, noise: float, fuse: bool) -> None:
+    """What white noise makes of up to four peaks: noise |H N^-1 b|, N the normal matrix and b a peak's modes.
+
+    With S = H D^1/2, q = D^1/2 b and y = (I + S S^T)^-1 S q, N^-1 b is D^1/2 (q - S^T y), and the second scan sees y of it.
+    """
+    n_modes, rank, in_modes = len(desk.u_single), len(desk.projected), len(desk.turned) > 0
+    for f in range(4):
+        cell = int(found[min(f, len(found) - 1), 5])
         for k in range(n_modes):
-            total += row[k] * u[k]
-        desk.solved[m] = total
-    _back(desk.system, desk.solved)
-    for m in range(n_meas):
-        row, y = desk.rows[m], desk.solved[m]
+            desk.own[f, k] = desk.root[k] * t.modes[k, cell]
+    desk.four[:] = 0.0
+    if in_modes:
         for k in range(n_modes):
-            u[k] -= inverse[k] * row[k] * y
-    seen = 0.0
-    for k in range(n_modes):
-        seen += own[k] * u[k] - weight2 * u[k] ** 2
-    return float(np.sqrt(max(seen, 0.0)))
+            for f in range(4):
+                desk.four[k, f] = desk.own[f, k]
+    else:
+        for m in range(0, len(desk.scaled), 4):
+            _products(desk.scaled, m, desk.own, 0, n_modes, desk.four, m, 0, 1.0)
+    substitute_four(desk.system, desk.four)
+    for f in range(len(found)):
+        rest, y = desk.own[f], desk.residual
+        if in_modes:
+            for k in range(n_modes):
+                rest[k] = desk.four[k, f]
+            for m in range(len(y)):
+                y[m] = _dot(desk.scaled[m], rest)
+        else:
+            for m in range(len(y)):
+                y[m] = -desk.four[m, f]
+            add_rows(y, desk.scaled, rest)
+        seen = _dot(y, y)
+        if fuse:
+            for k in range(rank):
+                seen += t.base_squares[k] * (desk.root[k] * rest[k]) ** 2
+        found[f, 5] = noise * np.sqrt(seen)

@@ -20,11 +20,10 @@ class ReferenceCycle:
     """
 
     def __init__(self, fast: FastCycle) -> None:
-        assert fast.estimator.pixels is not None
         assert isinstance(fast.mode.optimal, OptimalDrive)
-        self.fast, self.estimator, self.pixels, self.optimal = fast, fast.estimator, fast.estimator.pixels, fast.mode.optimal
-        self.base_image: Floats = np.zeros(len(self.pixels))
-        self.image: Floats = np.zeros(len(self.pixels))
+        self.fast, self.estimator, self.cells, self.optimal = fast, fast.estimator, fast.estimator.cells, fast.mode.optimal
+        self.base_image: Floats = np.zeros(len(self.cells.measures))
+        self.image: Floats = np.zeros(len(self.cells.measures))
         self._base: tuple[Floats, Floats] = (np.zeros((0, 0)), np.zeros(0))
         self.chosen: Ints = np.zeros(0, np.int64)
 
@@ -39,9 +38,9 @@ class ReferenceCycle:
         self.base_image, _ = self._solve(*self._base)
         peak = int(np.argmax(self.base_image))
         threshold = max(self.fast.thresholds[0], self.fast.fraction * self.base_image[peak])
-        labels = label_peaks(self.base_image, self.pixels.neighbours, threshold, self.fast.dip)
+        labels = label_peaks(self.base_image, self.cells.neighbours, threshold, self.fast.dip)
         middles = [self._middle(self.base_image, labels == r)[0] for r in range(int(labels.max(initial=-1)) + 1)]
-        centres = self.pixels.centres
+        centres = self.cells.centroids
         away = [np.sum((centres - middle) ** 2, axis=1) for middle in middles or [centres[peak]]]
         pattern = self.optimal.pattern([centres[np.argsort(d, kind="stable")[:3]] for d in away])
         pairs = self.optimal.complete.injections
@@ -60,7 +59,7 @@ class ReferenceCycle:
         cut = max(gamma, self.fast.fraction * highest)
         if highest <= cut:
             return []
-        labels = label_peaks(self.image, self.pixels.neighbours, cut / 2, self.fast.dip)
+        labels = label_peaks(self.image, self.cells.neighbours, cut / 2, self.fast.dip)
         found = []
         for r in range(int(labels.max()) + 1):
             peak_pixel = int(np.argmax(np.where(labels == r, self.image, -np.inf)))
@@ -72,7 +71,7 @@ class ReferenceCycle:
             response = rows @ np.linalg.solve(covariance, self.estimator.modes.modes[:, peak_pixel])
             std = self.estimator.noise * float(np.linalg.norm(response))
             sure = 0.5 * (1 + erf((peak - gamma) / (np.sqrt(2) * std)))
-            found.append(Contact((float(middle[0]), float(middle[1])), float(self.pixels.areas[core].sum()), mass, sure, peak))
+            found.append(Contact((float(middle[0]), float(middle[1])), float(self.cells.measures[core].sum()), mass, sure, peak))
         return found
 
     def frame(self, base: Measured, second: Measured) -> list[Contact]:
@@ -86,5 +85,5 @@ class ReferenceCycle:
         return np.linalg.solve(normal, rows.T @ volts) @ self.estimator.modes.modes, normal
 
     def _middle(self, image: Floats, core: Ints) -> tuple[Floats, float]:
-        mass = np.where(core, image * self.pixels.areas, 0.0)
-        return mass @ self.pixels.centres / mass.sum(), float(mass.sum())
+        mass = np.where(core, image * self.cells.measures, 0.0)
+        return mass @ self.cells.centroids / mass.sum(), float(mass.sum())

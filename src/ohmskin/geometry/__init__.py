@@ -1,5 +1,6 @@
-"""Where things are: domains, meshes, electrode layouts, rasters."""
+"""Where things are: domains, meshes, cells of an image, electrode layouts, rasters."""
 
+from ohmskin.geometry.cells import Cells
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.files import read_mesh, write_mesh
@@ -11,6 +12,7 @@ from ohmskin.geometry.raster import Raster
 from ohmskin.geometry.thick import thicken
 
 __all__ = [
+    "Cells",
     "Disc",
     "Domain",
     "ElectrodeKind",

@@ -20,6 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
+from ohmskin.geometry import Cells
 from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system
@@ -50,6 +51,7 @@ class GaussNewton:
 
     Attributes:
         modes: The modes it works in.
+        cells: What its images are made of: the model's mesh, or the pixels.
 
     Raises:
         ModelError: If noise or amplitude is not positive, `model_error` is negative, or the prior is unknown.
@@ -69,6 +71,7 @@ class GaussNewton:
         check_share(model_error=model_error)
         self.model, self.noise, self.amplitude, self.model_error = model, noise, amplitude, model_error
         self.positive, self.pixels = positive, pixels
+        self.cells: Cells = model.mesh if pixels is None else pixels
         self._penalty = penalty_of(model, prior) if pixels is None else pixels.penalty
         self.modes = ImageModes.of_relative(self._relative(), self._penalty, len(model.electrodes))
 

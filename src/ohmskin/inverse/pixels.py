@@ -11,6 +11,8 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from ohmskin.errors import GeometryError
 from ohmskin.forward import TransferModel
@@ -31,7 +33,7 @@ class Pixels:
         pitch: Side of a pixel (m).
         cells: (n_pixels,) number of each pixel in the grid (ny, nx), rising.
         shares: (n_elem, n_pixels) sparse, the share of each element that lies in each pixel; rows sum to one.
-        areas: (n_pixels,) area of the mesh in each pixel (m2).
+        measures: (n_pixels,) area of the mesh in each pixel (m2).
     """
 
     x: Floats
@@ -39,7 +41,7 @@ class Pixels:
     pitch: float
     cells: Ints
     shares: sp.csc_array
-    areas: Floats
+    measures: Floats
 
     @classmethod
     def over(cls, mesh: Mesh, count: int = 48) -> "Pixels":
@@ -75,8 +77,8 @@ class Pixels:
         return len(self.cells)
 
     @cached_property
-    def centres(self) -> Floats:
-        """(n_pixels, 2) in metres."""
+    def centroids(self) -> Floats:
+        """Pixel centres (n_pixels, 2) in metres."""
         return np.column_stack([self.x[self.cells % len(self.x)], self.y[self.cells // len(self.x)]])
 
     @cached_property
@@ -88,6 +90,14 @@ class Pixels:
         number[row, column] = np.arange(len(self.cells))
         return np.stack([number[row + dy, column + dx] for dy, dx in ((0, -1), (0, 1), (-1, 0), (1, 0))], axis=1)
 
+    def closest_elements(self, points: ArrayLike, count: int = 3) -> Ints:
+        """Numbers (n, count) of the pixels whose centres are closest to `points` (n, 2)."""
+        return np.asarray(self._tree.query(np.asarray(points, float), k=count)[1], np.int64)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.centroids)
+
     @cached_property
     def penalty(self) -> Penalty:
         """Eq. (5) of the paper read for pixels: 4 on the diagonal, -1 for neighbours; pulled to zero at the rim as there."""
@@ -97,11 +107,11 @@ class Pixels:
         adjacency = sp.csc_array((np.ones(int(inside.sum())), (row[inside], column[inside])), shape=(n, n))
         matrix = sp.csc_array(4 * sp.eye_array(n) - adjacency)
         if n < len(self.x) * len(self.y):
-            return Penalty(matrix, places=self.centres)
+            return Penalty(matrix, places=self.centroids)
         # of a whole rectangle the eigenvalues are known, and the mean of their inverses is the average variance
         across, along = (4 * np.sin(np.pi * np.arange(1, len(axis) + 1) / (2 * len(axis) + 2)) ** 2 for axis in (self.x, self.y))
         variance = float(np.mean(1 / (across[:, None] + along)))
-        return Penalty(matrix, mean_variance=variance, places=self.centres)
+        return Penalty(matrix, mean_variance=variance, places=self.centroids)
 
     def sensitivity(self, model: TransferModel) -> Floats:
         """Change (n_pairs, n_pixels) of two-terminal resistances with the relative conductivity change of each pixel (ohm)."""

@@ -6,7 +6,7 @@ from math import erf, sqrt
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.geometry import Mesh
+from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 from ohmskin.touch.regions import find_regions
 
@@ -54,25 +54,25 @@ class ContactFinder:
     dip: float = 0.2
     falls: bool = False
 
-    def find(self, image: Image, mesh: Mesh) -> list[Contact]:
-        """The contacts of an image on `mesh`, strongest peak first."""
+    def find(self, image: Image, cells: Cells) -> list[Contact]:
+        """The contacts of an image made of `cells`, strongest peak first."""
         signed = [(1, image.values), (-1, -image.values)] if self.falls else [(1, image.values)]
         largest = max(float(values.max()) for _, values in signed)
         cut = max(self.threshold, self.fraction * largest)
         contacts = []
         for sign, values in signed:
             # flooded from half the cut, so that the extent at half the peak is not cut short
-            for region in find_regions(values, mesh, cut / 2, self.dip):
+            for region in find_regions(values, cells, cut / 2, self.dip):
                 if region.peak <= cut:
                     continue
                 core = region.elements[values[region.elements] > region.peak / 2]
-                mass = values[core] * mesh.measures[core]
-                x, y = mass @ mesh.centroids[core][:, :2] / mass.sum()
+                mass = values[core] * cells.measures[core]
+                x, y = mass @ cells.centroids[core][:, :2] / mass.sum()
                 std = float(image.noise_std(region.peak_element)[0])
                 contacts.append(
                     Contact(
                         position=(float(x), float(y)),
-                        extent=float(mesh.measures[core].sum()),
+                        extent=float(cells.measures[core].sum()),
                         strength=sign * float(mass.sum()),
                         confidence=0.5 * (1 + erf((region.peak - self.threshold) / (sqrt(2) * max(std, 1e-300)))),
                         peak=sign * region.peak,

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ohmskin.geometry import Mesh
+from ohmskin.geometry import Cells
 from ohmskin.geometry.domain import Floats
 
 Ints = NDArray[np.int64]
@@ -17,11 +17,11 @@ class Region:
     """A connected part of an image above the threshold.
 
     Args:
-        elements: (n,) numbers of its triangles.
+        elements: (n,) numbers of its cells.
         centroid: (2,) centroid weighted by image value and area (m).
-        anchors: (3, 2) centroids of the three triangles closest to it (m), from which eq. (7) chooses the drive.
+        anchors: (3, 2) centroids of the three cells closest to it (m), from which eq. (7) chooses the drive.
         peak: Largest image value in it.
-        peak_element: The triangle that holds it.
+        peak_element: The cell that holds it.
     """
 
     elements: Ints
@@ -31,23 +31,23 @@ class Region:
     peak_element: int
 
 
-def find_regions(values: Floats, mesh: Mesh, threshold: float, dip: float = 1.0) -> list[Region]:
+def find_regions(values: Floats, cells: Cells, threshold: float, dip: float = 1.0) -> list[Region]:
     """The regions above `threshold`, strongest first.
 
     Args:
         values: Image (n_elem,).
-        mesh: Its mesh.
+        cells: Its mesh, or the pixels it is made of.
         threshold: gamma_0 of eq. (6).
         dip: Two peaks of one connected region count as two where the saddle between them lies at least this share below
             the lower one. 1 never splits, which is eq. (6) to the letter.
     """
-    labels = label_peaks(values, mesh.neighbours, threshold, dip)
+    labels = label_peaks(values, cells.neighbours, threshold, dip)
     regions = []
     for number in range(int(labels.max(initial=-1)) + 1):
         elements = np.flatnonzero(labels == number)
-        mass = values[elements] * mesh.measures[elements]
-        centroid = mass @ mesh.centroids[elements] / mass.sum()
-        anchors = mesh.centroids[mesh.closest_elements(centroid[None], 3)[0]]
+        mass = values[elements] * cells.measures[elements]
+        centroid = mass @ cells.centroids[elements] / mass.sum()
+        anchors = cells.centroids[cells.closest_elements(centroid[None], 3)[0]]
         peak_element = int(elements[np.argmax(values[elements])])
         regions.append(Region(elements, centroid, anchors, float(values[peak_element]), peak_element))
     return regions
