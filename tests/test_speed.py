@@ -325,9 +325,8 @@ def test_the_compiled_cycle_sees_what_its_twin_sees(pairs: int, fuse: bool) -> N
         assert len(set(chosen.tolist())) == pairs
         # float32 may turn the order of pairs that are alike, and exchange the last for one as good; no more
         assert len(set(chosen.tolist()) & set(expected.tolist())) >= pairs - 1
-        plain.chosen = chosen
         second = scanned(pressed, fast.pattern(chosen), rng)
-        found, right = fast.see(*second), plain.see(*second)
+        found, right = fast.see(*second), plain.see(*second, chosen)
         assert_allclose(fast.image, plain.image, rtol=0, atol=5e-6 * np.abs(plain.image).max())
         assert len(found) == len(right)
         for a, b in zip(found, right, strict=True):
@@ -335,6 +334,26 @@ def test_the_compiled_cycle_sees_what_its_twin_sees(pairs: int, fuse: bool) -> N
             assert_allclose([a.extent, a.strength, a.peak, a.confidence], [b.extent, b.strength, b.peak, b.confidence], rtol=1e-4)
         seen += len(found)
     assert seen >= 12  # it was not empty agreement
+
+
+@pytest.mark.parametrize("pairs", [3, 9])
+def test_the_compiled_cycle_pads_measurements_and_modes(pairs: int) -> None:
+    """Ten electrodes have 45 modes, and 21 or 63 measurements: none of them a multiple of four."""
+    ten = Electrodes.rim(SHEET, 10)
+    where = mesh_domain(SHEET, 0.015, ten)
+    quiet = TransferModel(where, ten, 1.83e-3)
+    pressed = quiet.with_conductivity(1.83e-3 * np.where(np.linalg.norm(where.centroids - [0.05, 0.12], axis=1) < 0.02, 1.5, 1.0))
+    mode = modes(ten, pairs, fuse=True)["10O"]
+    fast = FastCycle(GaussNewton(quiet, 1e-5, amplitude=0.1), mode, (0.02, 0.02))
+    plain = ReferenceCycle(fast)
+    base = pressed.voltages(mode.base, 1e-3) - quiet.voltages(mode.base, 1e-3), np.full(mode.base.n_inj, 1e-3)
+    chosen = fast.look(*base)
+    pattern = fast.pattern(chosen)
+    plain.look(*base)
+    second = pressed.voltages(pattern, 1e-3) - quiet.voltages(pattern, 1e-3), np.full(pattern.n_inj, 1e-3)
+    (found,), (right,) = fast.see(*second), plain.see(*second, chosen)
+    assert_allclose(fast.image, plain.image, rtol=0, atol=5e-6 * plain.image.max())
+    assert_allclose([*found.position, found.confidence], [*right.position, right.confidence], rtol=1e-5)
 
 
 def test_the_compiled_cycle_is_the_estimator_with_the_contact_finder() -> None:
@@ -406,6 +425,9 @@ def test_a_cycle_refuses_bad_data_and_orders() -> None:
         fast.look(volts, currents)
     with pytest.raises(DataError, match="shape"):
         fast.look(np.zeros(7), currents)
+    fast.look(np.zeros(mode.base.n_meas), currents)
+    with pytest.raises(DataError, match=r"0\.\.119"):
+        fast.see(np.zeros(52), np.full(4, 1e-3), chosen=[0, 1, 2, 120])
     with pytest.raises(ModelError, match="linear"):
         FastCycle(GaussNewton(even(), 1e-6, positive=True), mode, (0.1, 0.1))
     with pytest.raises(PatternError, match="16O"):

@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from time import perf_counter, process_time
 from typing import Any
 
@@ -20,6 +21,14 @@ from ohmskin.geometry.domain import Floats
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 Job = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure: seconds for a comparison, and whether to leave out what takes minutes."""
+
+    seconds: float
+    quick: bool
 
 
 def in_turns(jobs: Mapping[str, Job], seconds: float, most: int = 200, least: int = 3) -> dict[str, Floats]:

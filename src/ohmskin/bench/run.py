@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from time import perf_counter, process_time
 
 import numpy as np
@@ -11,8 +10,9 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ohmskin.bench import peers, sheets
-from ohmskin.bench.clock import apart, duration, in_turns, ratio, read
+from ohmskin.bench.clock import Effort, apart, duration, in_turns, ratio, read
 from ohmskin.bench.figure import Figure
+from ohmskin.bench.live import living
 from ohmskin.bench.tasks import set_up
 from ohmskin.cycle import FastCycle
 from ohmskin.cycle.kernels import combine
@@ -22,17 +22,9 @@ from ohmskin.forward import TouchTable, TransferModel
 from ohmskin.forward.assembly import assemble
 from ohmskin.forward.cholesky import Elimination
 from ohmskin.geometry.domain import Floats
-from ohmskin.scan import Difference, DrivePattern, adjacent, all_pairs, measure_others
+from ohmskin.scan import DrivePattern, adjacent
 
 _NO_PEER = "pyEIT is not installed: pip install 'ohmskin[bench]'"
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How long to measure: seconds for a comparison, and whether to leave out what takes minutes."""
-
-    seconds: float
-    quick: bool
 
 
 Group = Callable[[Effort], Iterator[Figure]]
@@ -98,19 +90,22 @@ def in_once(job: Callable[[], object], rounds: int) -> Floats:
 
 
 def changing(effort: Effort) -> Iterator[Figure]:
-    """A drive pattern never seen before, to the image of one frame."""
+    """A drive pattern never driven before, to the image of one frame and its contacts."""
     rng = np.random.default_rng(0)
     for cells, least in ((24, 1000), (48, 10_000)):
         estimator, _ = set_up(cells)
         layout, mesh = estimator.model.electrodes, estimator.model.mesh
         name = f"change of drive pattern to image, {mesh.n_elem:,} triangles, against pyEIT"
-        patterns = [measure_others(all_pairs(16)[rng.permutation(120)[:16]], range(16)) for _ in range(4000)]
-        fresh = iter(range(10**9))
+        cycle = FastCycle(estimator, list(modes(layout, 16, fuse=False).values())[-1], (0.005, 0.005))
+        touched = np.where(np.linalg.norm(mesh.centroids - [0.07, 0.12], axis=1) < 0.01, 1.5, 1.0)
+        pressed = estimator.model.with_conductivity(estimator.model.conductivity * touched)
+        choices = [rng.permutation(120)[:16] for _ in range(256)]
+        changes = [pressed.voltages(p, 1e-3) - estimator.model.voltages(p, 1e-3) for p in map(cycle.pattern, choices)]
+        fresh, currents = iter(range(10**9)), np.full(16, 1e-3)
 
-        def ours(estimator=estimator, patterns=patterns, fresh=fresh) -> None:  # type: ignore[no-untyped-def]
-            pattern = patterns[next(fresh) % len(patterns)]
-            volts = np.full(pattern.n_meas, 1e-5)
-            estimator.reconstruct(Difference(pattern, np.full(pattern.n_meas, 1e-3), volts))
+        def ours(cycle=cycle, choices=choices, changes=changes, fresh=fresh, currents=currents) -> None:  # type: ignore[no-untyped-def]
+            k = next(fresh) % len(choices)
+            cycle.see(changes[k], currents, choices[k])
 
         if not peers.has_pyeit():
             yield Figure(name, None, "times", least=least, note=_NO_PEER)
@@ -309,10 +304,10 @@ def accuracy(effort: Effort) -> Iterator[Figure]:
     cycle, frames = _cycle_and_frames()
     plain, worst = ReferenceCycle(cycle), 0.0
     for base, second in frames:
-        cycle.frame(base, lambda _, second=second: second)  # type: ignore[misc]
+        chosen = cycle.look(*base)
+        cycle.see(*second)
         plain.look(*base)
-        plain.chosen = cycle._desk.chosen.copy()  # float32 may turn the order of pairs that are alike
-        plain.see(*second)
+        plain.see(*second, chosen)  # float32 may turn the order of pairs that are alike
         for quick, exact in ((cycle.base_image, plain.base_image), (cycle.image, plain.image)):
             worst = max(worst, float(np.abs(quick - exact).max() / np.abs(exact).max()))
     yield Figure("fast frame against dense float64, largest relative error", worst, "", most=5e-5, note="of the largest value")
@@ -366,6 +361,7 @@ GROUPS: dict[str, Group] = {
     "pattern": changing,
     "solver": solving,
     "frame": framing,
+    "live": living,
     "touches": touching,
     "scale": scaling,
     "electrodes": electrodes,

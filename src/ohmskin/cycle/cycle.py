@@ -14,6 +14,7 @@ from collections.abc import Callable
 from math import erf, sqrt
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ohmskin.cycle.kernels import Desk, Tables, look, see
 from ohmskin.drive import Mode, OptimalDrive, part_of
@@ -25,6 +26,7 @@ from ohmskin.scan import Baseline, DrivePattern
 from ohmskin.touch import Contact
 
 MOST_CONTACTS = 64
+_KEPT_PATTERNS = 1024
 Measured = tuple[Floats, Floats]  # voltages (n_meas,) in volts, currents (n_inj,) in amperes
 
 
@@ -124,6 +126,7 @@ class FastCycle:
         )  # fmt: skip
         self.base_image, self.image = self._desk.base_image, self._desk.image
         self._looked = False
+        self._patterns: dict[bytes, DrivePattern] = {}
         self._warm()
 
     def look(self, volts: Floats, currents: Floats) -> Ints:
@@ -139,14 +142,23 @@ class FastCycle:
         self._looked = True
         return self._desk.chosen.copy()
 
-    def see(self, volts: Floats, currents: Floats) -> list[Contact]:
-        """The contacts, strongest peak first, from the scan that `look` asked for; arguments as there.
+    def see(self, volts: Floats, currents: Floats, chosen: ArrayLike | None = None) -> list[Contact]:
+        """The contacts, strongest peak first, from the second scan.
+
+        Args:
+            volts, currents: As those of `look`.
+            chosen: The injections really driven (n,), numbers of pairs, if not those that `look` asked for.
 
         Raises:
-            DataError: As `look`, or if that was not called before.
+            DataError: As `look`, if that was not called before and is needed, or if a number of `chosen` is out of range.
         """
-        if not self._looked:
+        if not self._looked and (self.mode.fuse or chosen is None):
             raise DataError("see() completes a cycle that look() begins; call look() with the base scan first")
+        if chosen is not None:
+            pairs, count = np.asarray(chosen), len(self._tables.pairs)
+            if pairs.shape != self._desk.chosen.shape or pairs.dtype.kind not in "iu" or not ((pairs >= 0) & (pairs < count)).all():
+                raise DataError(f"chosen must be {len(self._desk.chosen)} numbers of pairs, 0..{count - 1}; given {chosen!r}")
+            self._desk.chosen[:] = pairs
         volts, currents = _checked(volts, self._n_meas, currents, len(self._desk.chosen))
         count = see(self._tables, self._desk, self._settings, volts, currents)
         self._looked = False
@@ -163,9 +175,14 @@ class FastCycle:
         return self.see(*measure(self.look(*base)))
 
     def pattern(self, chosen: Ints) -> DrivePattern:
-        """The drive pattern of chosen pairs (n,), to scan."""
+        """The drive pattern of chosen pairs (n,), to scan; the same object as before if they were chosen before."""
         assert isinstance(self.mode.optimal, OptimalDrive)
-        return part_of(self.mode.optimal.complete, chosen)
+        key = chosen.tobytes()
+        if key not in self._patterns:
+            if len(self._patterns) >= _KEPT_PATTERNS:
+                self._patterns.clear()
+            self._patterns[key] = part_of(self.mode.optimal.complete, chosen)
+        return self._patterns[key]
 
     def _warm(self) -> None:
         """Compile now, or load what was compiled before; not at the first touch."""

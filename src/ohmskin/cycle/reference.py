@@ -47,9 +47,9 @@ class ReferenceCycle:
         self.chosen = np.array([int(np.flatnonzero((pairs == pair).all(axis=1))[0]) for pair in pattern.injections])
         return self.chosen
 
-    def see(self, volts: Floats, currents: Floats) -> list[Contact]:
+    def see(self, volts: Floats, currents: Floats, chosen: Ints | None = None) -> list[Contact]:
         """As `FastCycle.see`."""
-        pattern = part_of(self.optimal.complete, self.chosen)
+        pattern = part_of(self.optimal.complete, self.chosen if chosen is None else chosen)
         n_elec = len(self.estimator.model.electrodes)
         rows = pattern.combination(n_elec) @ self.estimator.modes.mixing * currents[pattern.measurements[:, 0], None]
         if self.fast.mode.fuse:

@@ -36,7 +36,8 @@ class Cost:
     def time(self, pattern: DrivePattern) -> float:
         """How long a scan of `pattern` takes (s)."""
         measured = np.bincount(pattern.measurements[:, 0], minlength=pattern.n_inj)
-        return self.overhead + sum(self._injection(int(count)) for count in measured)
+        counts, repeats = np.unique(measured, return_counts=True)
+        return self.overhead + float(sum(n * self._injection(c) for c, n in zip(counts.tolist(), repeats.tolist(), strict=True)))
 
     def injections(self, pattern: DrivePattern, seconds: float) -> int:
         """How many injections out of `pattern`, whichever they are, fit into a scan of so many seconds.
