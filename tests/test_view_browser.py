@@ -492,8 +492,8 @@ def test_page_reconnects_to_a_program_that_comes_back(chromium: Browser) -> None
         assert not view.port_was_taken
         reader.until(view.wants_frame)
         expect(reader.page.locator("#state")).not_to_have_text("disconnected")
-    reader.errors = [error for error in reader.errors if "WebSocket connection" not in error]  # the attempts in between
-    reader.close()
+        reader.errors = [error for error in reader.errors if "WebSocket connection" not in error]  # the attempts in between
+        reader.close()  # before the program goes again
 
 
 def test_test_hook_is_read_only(reader: Reader) -> None:
