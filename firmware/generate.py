@@ -11,7 +11,7 @@ from ohmskin.device import analogue
 from ohmskin.device.capabilities import Feature
 from ohmskin.device.layout import CHECKSUM, HEADER, LAYOUTS, MAX_PACKET, VERSION, Kind, Layout
 from ohmskin.device.messages import ErrorCode
-from ohmskin.device.press import _RANGES as RANGES
+from ohmskin.device.press import RANGES
 from ohmskin.scan import FrameFlag
 
 HERE = Path(__file__).parent

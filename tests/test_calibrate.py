@@ -1,5 +1,6 @@
 """Calibration: the quiet skin, strength to newtons, and what is kept in the skin's file."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +11,8 @@ import pytest
 from direct import DirectDevice
 
 from ohmskin.calibrate import PressGuide, PressSample, calibrate_quiet, fit_force, press_plan
-from ohmskin.errors import DataError, DeviceError, SkinError
+from ohmskin.cli.calibrate import calibrate
+from ohmskin.errors import DataError, DeviceError, OhmskinError, SkinError
 from ohmskin.scan import n_pairs
 from ohmskin.skin import Calibration, Fault, Press, Skin, VirtualSkin
 from ohmskin.touch import Contact
@@ -125,7 +127,7 @@ def test_a_plan_stays_on_the_sheet_and_loads_and_unloads() -> None:
         assert [step.loading for step in plan[:5]] == [True, True, True, False, False]
         assert len({step.at for step in plan}) == 4
         assert (skin.domain.depth([step.at for step in plan]) > 0).all()
-    assert "put on 102 g (1.00 N) at x 100 mm, y 100 mm" in str(press_plan(PAPER, [1.0, 2.0])[0])
+    assert "put 102 g in all (1.00 N) at x 100 mm, y 100 mm" in str(press_plan(PAPER, [1.0, 2.0])[0])
     with pytest.raises(SkinError, match="two or more"):
         press_plan(PAPER, [1.0])
 
@@ -174,7 +176,7 @@ def test_a_calibration_is_kept_in_the_file_and_old_files_still_load(quiet: Calib
 def test_a_calibration_of_another_skin_is_refused(quiet: Calibration, change: dict[str, dict[str, float]]) -> None:
     ((table, values),) = change.items()
     other = replace(PAPER, **{table: replace(getattr(PAPER, table), **values)})  # type: ignore[arg-type]
-    with pytest.raises(SkinError, match=r"was made for another skin .* run `ohmskin calibrate`, or remove"):
+    with pytest.raises(SkinError, match=r"was made for another skin .* remove \[calibration\] and run `ohmskin calibrate`"):
         replace(other, calibration=quiet)
     replace(PAPER, sheet=replace(PAPER.sheet, conductivity=1e-3), calibration=quiet)  # which calibration finds out itself
 
@@ -205,3 +207,24 @@ def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path
     assert (skin.calibration.mode, skin.calibration.made_for) == ("16I", PAPER.digest)
     assert skin.calibration.forces == pytest.approx((1.961, 4.903), rel=1e-3)
     assert (tmp_path / "force.png").read_bytes().startswith(b"\x89PNG")
+    assert re.findall(r"\[(\d) of 6\] .*\n    strength \d", done.stdout) == list("123456")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"out": "no/such/folder.toml"}, "cannot write no/such"),
+        ({"out": "."}, "is a folder"),
+        ({"mode": "9Z"}, "mode .9Z. is not possible"),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_measured(
+    settings: dict[str, str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    device = DirectDevice(VirtualSkin(PAPER, 1))
+    monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda *_: (device, PAPER))
+    monkeypatch.setattr(DirectDevice, "_scan", lambda *_: pytest.fail("scanned"))
+    out = Path(settings.pop("out", "mine.toml"))
+    with pytest.raises(OhmskinError, match=words):
+        calibrate(out=out, **settings)  # type: ignore[arg-type]

@@ -1,5 +1,6 @@
 """The client: the newest contacts in another process, whatever happens on the other side."""
 
+import errno
 import math
 import os
 import re
@@ -166,6 +167,26 @@ def test_no_name_leads_out_of_the_folder(name: str) -> None:
             use(name)
 
 
+def test_a_board_without_room_is_told_before_anybody_writes_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page of shared memory that is not to be had at the first write kills the program with SIGBUS."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as short:
+        short.setattr("os.posix_fallocate", full)
+        with pytest.raises(PublishError, match="No space left on device; make room"):
+            board()
+    board().close()  # the name is free, and nothing is left behind
+    assert [path.name for path in board_path("skin").parent.iterdir()] == [".skin.lock"]
+
+
+def test_a_folder_that_cannot_be_made_gives_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", "/proc/nowhere/boards")
+    with pytest.raises(PublishError, match="cannot make the folder /proc/nowhere/boards"):
+        Client()
+
+
 def test_a_folder_that_others_may_use_is_refused(boards: Path) -> None:
     boards.mkdir(mode=0o755)
     with pytest.raises(PublishError, match="chmod 700"):
@@ -314,7 +335,7 @@ def test_the_client_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("address", ["", "skin", "tcp:skin", "shm:skin@tcp/127.0.0.1:1", "shm:../skin", "shm:a b"])
+@pytest.mark.parametrize("address", ["", "skin", "tcp:skin", "shm:skin@tcp/127.0.0.1:1", "shm:../skin", "shm:a b", "zenoh:a..b"])
 def test_an_address_that_is_none_is_refused(address: str) -> None:
     with pytest.raises(PublishError, match=r"shm:NAME|cannot name"):
         Client(address)

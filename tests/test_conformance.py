@@ -96,6 +96,7 @@ def test_the_virtual_driver_passes_from_the_command_line() -> None:
         [sys.executable, "-m", "ohmskin", "check-device", "virtual:"], capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stdout
+    assert "passed: reciprocity" in done.stdout
     assert "15 checks, 0 failed" in done.stdout
 
 
@@ -185,6 +186,21 @@ def test_a_board_or_card_that_fails_leaves_no_current_flowing() -> None:
     assert rig.log[-1] == "release"
     with pytest.raises(DeviceError, match="shunt is 0 ohm"):
         rig_device(rig, shunt=0)
+    with pytest.raises(DeviceError, match="settle is -1 s"):
+        rig_device(rig, settle=-1)
+
+
+def test_a_board_that_was_pulled_out_is_closed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(self: Rig) -> None:
+        self.log.append("failed")
+        raise DeviceError("no such board")
+
+    monkeypatch.setattr(Rig, "close", fail)
+    rig = Rig()
+    rig_device(rig).close()
+    assert rig.log == ["release", "failed", "failed"]
+    monkeypatch.setattr(Rig, "release", fail)
+    rig_device(rig).scan(TWO)
 
 
 def _slots_mixed_up(device: Changed, frame: Frame) -> Frame:

@@ -66,6 +66,15 @@ def test_stopped_run_goes_on_and_a_data_set_grows(tmp_path: Path) -> None:
         np.testing.assert_array_equal(resumed[name], values, err_msg=name)
 
 
+def test_a_run_that_was_stopped_while_the_arrays_grew_goes_on(tmp_path: Path) -> None:
+    generate(tmp_path / "set", RECIPE, 8, jobs=1)
+    group: Any = zarr.open_group(str(tmp_path / "set"), mode="r+")
+    for name in ("voltages", "currents", "contacts", "count"):
+        group[name].resize((CHUNK + 4, *group[name].shape[1:]))
+    assert generate(tmp_path / "set", RECIPE, CHUNK + 4, jobs=1) == CHUNK + 4
+    assert all(len(values) == CHUNK + 4 for values in arrays(tmp_path / "set").values())
+
+
 def test_samples_are_what_the_twin_shows() -> None:
     recipe = replace(RECIPE, pattern="complete", contacts=(1, 1))
     sample = recipe.simulate(3, 1)

@@ -501,6 +501,26 @@ def test_too_many_presses_are_refused(server: DeviceServer) -> None:
             device.press(64, (0.1, 0.1), 0.01, 1.0)
 
 
+def test_a_refused_press_takes_no_number_and_a_refused_lift_leaves_it_down() -> None:
+    class Choosy(FakeSkin):
+        def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
+            if radius > 1:
+                raise DeviceRefused("too large")
+            super().press(number, x, y, radius, pressure)
+
+    skin = Choosy()
+    with DeviceServer(skin, port=0) as server, connect(server.url) as device:
+        for number in range(65):
+            with pytest.raises(DeviceRefused, match="too large"):
+                device.press(number, (0.1, 0.1), 2.0, 1.0)
+        device.press(65, (0.1, 0.1), 0.01, 1.0)
+        with pytest.raises(DeviceRefused, match="too large"):
+            device.press(65, (0.1, 0.1), 2.0, 0.0)
+        assert len(skin.down) == 1
+        device.press(65, (0.1, 0.1), 0.01, 0.0)
+        assert not skin.down
+
+
 def test_close_is_safe_twice_and_final(server: DeviceServer) -> None:
     device = connect(server.url)
     device.close()
@@ -541,6 +561,10 @@ def test_rubbish_does_not_take_the_server_down(server: DeviceServer) -> None:
         ("tcp://127.0.0.1:1?fast=1", "option 'fast'; tcp takes none"),
         ("serial:///dev/ttyS0?speed=1", "option 'speed'; serial takes baud"),
         ("serial:///dev/ttyS0?baud=fast", "baud is 'fast'"),
+        ("serial:///dev/ttyS0?baud=99999999999", "baud is '99999999999'; need a number of 1 to 100000000"),
+        ("serial:///dev/ttyS0?baud=" + 5000 * "9", "need a number"),
+        ("tcp://[::1", "Invalid IPv6 URL; need such as tcp"),
+        ("tcp://a..b:7155", "cannot reach a..b:7155"),
         ("serial://", "names no port"),
         ("udp://127.0.0.1:1", "no transport 'udp'"),
     ],

@@ -239,7 +239,7 @@ def test_a_reset_in_mid_scan_is_made_good(image: Path, quiet_skin: Skin, monkeyp
 
         monkeypatch.setattr(AnalogueSide, "sample", sample_and_reset)
         frame = device.scan(pattern)
-        assert samples == 5 + 12 or samples > 5 + 12  # four and a lost one, then a whole scan, or a repeated one
+        assert samples >= 5 + 12  # four and a lost one, then a whole scan, or a repeated one
         np.testing.assert_allclose(frame.voltages, expected.voltages, atol=3.1e-4)
         assert device.link.resets == 1
         assert device.capabilities.boot != boot
@@ -255,13 +255,13 @@ def test_a_late_sample_is_not_taken_for_the_next_one(image: Path, quiet_skin: Sk
     def sample_late(*args: object) -> object:
         if not stuck.is_set():
             stuck.set()
-            time.sleep(2.0)
+            time.sleep(3.0)
         return sample(*args)  # type: ignore[arg-type]
 
     with EmulatedBoard(quiet_skin, image) as board, wired(board) as device:
         monkeypatch.setattr(AnalogueSide, "sample", sample_late)
         with pytest.raises(DeviceRefused, match="the converter did not answer"):
-            device.scan(SMALL)
+            device.scan(SMALL, timeout=10)
         time.sleep(2.5)  # its answer comes now, when nobody waits for it
         np.testing.assert_allclose(device.scan(other).voltages, expected.voltages, atol=3.1e-4)
 

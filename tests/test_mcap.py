@@ -354,3 +354,25 @@ def test_hostile_messages_are_data_errors(topic: str, content: bytes) -> None:
     for bytes_ in (content, b"\0\1\0\0" + content):
         with suppress(DataError):  # any other error fails
             decode(bytes_)
+
+
+def test_recovery_that_is_interrupted_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_frames(tmp_path / "a.mcap", some_frames(300))
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ohmskin.record.repair._commit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        recover(tmp_path / "a.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_file_that_shrinks_while_it_is_read_ends_early(tmp_path: Path) -> None:
+    write_frames(tmp_path / "a.mcap", some_frames(200))
+    with Container(tmp_path / "a.mcap") as container:
+        messages = container.messages()
+        next(messages)
+        (tmp_path / "a.mcap").write_bytes(b"")
+        assert len(list(messages)) < 200
+        assert not container.whole

@@ -80,6 +80,8 @@ def test_a_body_is_what_its_file_says(tmp_path: Path) -> None:
     body = Body.load(write(tmp_path))
     front, arm = body.patches
     assert (body.name, body.scale) == ("torso", None)
+    again = Body.load(write(tmp_path, BODY.replace('mode = "16B"', 'device = "replay:a.mcap?loop=0"')))
+    assert again.patches[1].device == f"replay:{tmp_path.resolve() / 'a.mcap'}?loop=0"  # wherever the program is started
     assert (front.patch.name, front.patch.frame, front.device, front.skin.name) == ("front", "base", "virtual:", "paper")
     assert (arm.patch.name, arm.patch.frame, arm.mode, arm.skin.name) == ("arm", "forearm", "16B", "paper-rim16")
     # turned a quarter about y: the sheet's x points down, its normal along the link's x
@@ -118,6 +120,9 @@ def test_turns_are_those_of_urdf(angles: tuple[float, float, float]) -> None:
         ('urdf = "robot.urdf"', "urdf = 5", "name of a file"),
         ('"paper-rim16"', '"/etc/skin.toml"', "outside the folder"),
         ('"paper-rim16"', '"../skin.toml"', "outside the folder"),
+        ('"paper-rim16"', '"/etc/hostname"', "no skin named '/etc/hostname'"),
+        ('mode = "16B"', 'device = "replay:../a.mcap"', "outside the folder"),
+        ('mode = "16B"', 'device = "virtual:tank"', "`skin` says which"),
         ('"paper-rim16"', '"nosuch"', "no skin named 'nosuch'"),
         ('"16B"', '"99Z"', "mode '99Z' is not possible"),
         ('name = "torso"', "newtons = -5", "positive"),
@@ -202,6 +207,17 @@ def test_patches_are_felt_together_and_as_old_as_the_oldest() -> None:
         assert until(merger.step).contacts == ()
     for thing in (merger, left, right):
         thing.close()
+
+
+def test_a_board_of_something_else_under_the_name_of_a_patch_is_passed_over() -> None:
+    merger = Merger("torso", [LEFT], ["torso.left"])
+    elsewhere = Patch("left", "other_link")
+    for patch, heard in ((elsewhere, False), (LEFT, True)):
+        with Board("torso.left", {"patches": [asdict(patch)]}, LARGEST) as board:
+            speak(board, patch, 1, 1)
+            time.sleep(0.1)  # a reader looks that often whether there is a new board
+            assert (merger.step() is not None) == heard
+    merger.close()
 
 
 # --- the page -----------------------------------------------------------------------------------------------------------

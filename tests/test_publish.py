@@ -479,6 +479,16 @@ def test_sockets_of_dds_hear_one_interface_only() -> None:
     assert all(entry[1:] == ["lo"] for entry in sockets), sockets
 
 
+def test_dds_that_cannot_be_tied_to_an_interface_says_so_and_leaks_nothing(caplog: pytest.LogCaptureFixture) -> None:
+    from ohmskin.publish.dds import _stay_on
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM), socket.socket():
+        before = len(os.listdir("/proc/self/fd"))
+        _stay_on("nosuch0")  # refused by the system, as without the right to do so
+        assert len(os.listdir("/proc/self/fd")) == before
+    assert "cannot tie DDS to nosuch0" in caplog.text
+
+
 # --- the loop does not wait ----------------------------------------------------------------------------------------------
 
 
@@ -490,6 +500,17 @@ def relay() -> Iterator[RelayProcess]:
         process = RelayProcess("skin", [], None, ["foxglove:127.0.0.1:0"], None, 30.0)
         yield process
         process.close()
+
+
+def test_nothing_is_said_of_the_push_on_a_patch_that_was_never_heard_of() -> None:
+    from ohmskin.publish.process import Relay
+
+    sent: list[bytes] = []
+    relay = object.__new__(Relay)
+    relay._wrench = Topic("/w", "geometry_msgs/msg/WrenchStamped", True, 10)
+    relay._send = lambda topic, stamp, data: sent.append(data)  # type: ignore[method-assign]
+    relay._send_wrenches(felt(1, [Sighting("a", "x", 1, 0.0, STAMP), Sighting("b", "y")], []), 1.0)
+    assert len(sent) == 1
 
 
 def test_a_stopped_publishing_process_does_not_stop_the_loop(relay: RelayProcess) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ohmskin.errors import DataError
 from ohmskin.inverse import GaussNewton
-from ohmskin.record import read_recording
+from ohmskin.record import eidors, read_recording
 from ohmskin.scan import Baseline, adjacent
 from ohmskin.skin import Skin
 from ohmskin.touch import ContactFinder
@@ -131,3 +131,22 @@ def test_any_bytes_are_a_recording_or_a_clear_error(tmp_path: Path, data: bytes)
         assert str(path) in str(outcome)
     else:
         assert outcome.frames[0].voltages.shape == outcome.quiet[0].voltages.shape
+
+
+def test_a_current_in_the_table_holds_for_the_pattern_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("# current = 55e-6\n0.1,0.11\n0.2,0.21\n")
+    (tmp_path / "a.pattern.csv").write_text("source,sink,plus,minus\n0,1,2,3\n1,2,3,0\n")
+    assert read_recording(tmp_path / "a.csv").frames[0].currents.tolist() == [55e-6, 55e-6]
+
+
+def test_each_stimulation_has_its_own_unit_and_there_is_at_least_one_frame() -> None:
+    def stimulation(a: int, unit: str) -> dict[str, object]:
+        drive, measure = np.zeros((5, 1)), np.zeros((1, 5))
+        drive[[a, a + 1], 0] = measure[0, [(a + 2) % 5, (a + 3) % 5]] = 1, -1
+        return {"stim_pattern": drive, "meas_pattern": measure, "stimulation": unit}
+
+    data = {"fmdl": [{"stimulation": [stimulation(0, "mA"), stimulation(1, "Amp")]}], "vh": np.ones((2, 1)), "vi": np.ones((2, 1))}
+    _, (frame,), *_ = eidors.read(data, "a.mat", False)
+    assert frame.currents.tolist() == [1e-3, 1.0]
+    with pytest.raises(DataError, match="vi has no frames"):
+        eidors.read(data | {"vi": np.ones((2, 0))}, "a.mat", False)

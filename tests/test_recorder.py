@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings import SKIN, Bench, some_frames, wait_until
+from recordings import SKIN, Bench, record_press, some_frames, wait_until
 
 import ohmskin as ohm
-from ohmskin.errors import DataError
+from ohmskin.errors import DataError, PatternError
 from ohmskin.publish import Recorder
 from ohmskin.publish.export import CONTACT_COLUMNS, FRAME_COLUMNS
 from ohmskin.record import Role, Tape, WriterPipe, recover
+from ohmskin.record.container import Container
 from ohmskin.record.messages import encode_frame, encode_pattern
 from ohmskin.record.pipe import _MOST_WAITING
 from ohmskin.record.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOPICS, TOUCH
@@ -187,6 +188,41 @@ def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patt
         last = len(tape.frames) - 1
         assert tape.frames[last].sequence == sent
         assert tape.pattern(last) == second.pattern
+
+
+def test_the_writer_goes_on_though_nobody_asks_how_it_goes(tmp_path: Path) -> None:
+    """What it says is read while messages are sent: unread, it would fill its pipe after some minutes and hold up the writer."""
+    pipe = WriterPipe(tmp_path / "a.mcap", METADATA, {})
+
+    def heard() -> bool:
+        pipe.send(LOG, 0, 0, b"\0\1\0\0")
+        return "written" in pipe._said
+
+    wait_until(heard)
+    pipe.close()
+
+
+def test_messages_that_die_with_the_writer_are_counted_by_topic(tmp_path: Path) -> None:
+    pipe = WriterPipe(tmp_path / "a.mcap", METADATA, {})
+    os.kill(pipe.pid, signal.SIGKILL)
+    pipe._process.wait()
+    for topic in (FRAME, TOUCH, TOUCH):
+        pipe.send(topic, 0, 0, b"x")
+    assert pipe.close().dropped == {"/ohmskin/frame": 1, "/ohmskin/touch": 2}
+
+
+def test_a_recording_of_nothing_leaves_no_file(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "a.mcap", SKIN) as recorder, pytest.raises(PatternError):
+        ohm.Engine(lambda: recorder.tee(Bench()), SKIN, "99Z")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_images_there_are_no_markers(tmp_path: Path) -> None:
+    record_press(tmp_path / "a.mcap", "12B", cycles=2, images=0)
+    with Container(tmp_path / "a.mcap") as container:
+        topics = {message.topic for message in container.messages()}
+    assert "/ohmskin/touch" in topics
+    assert not topics & {"/ohmskin/image", "/ohmskin/markers"}
 
 
 def test_a_writer_that_dies_is_told_and_the_loop_goes_on(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -28,6 +29,7 @@ from ohmskin.publish.export import (
     cycle_at,
     frame_rows,
     save_comparison,
+    strongest,
     write_csv,
     write_film,
     write_npz,
@@ -313,7 +315,7 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
 
 def test_pictures_and_films(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, _ = recorded
-    cycle = cycle_at(path, None)
+    cycle = strongest(reimage(path))
     assert cycle.touch.sight.contacts
     assert cycle_at(path, cycle.time).touch.sight.frames[0].sequence == cycle.touch.sight.frames[0].sequence
     save_comparison(tmp_path / "a.png", {"one": cycle, "two": cycle})
@@ -347,6 +349,7 @@ def test_pictures_and_films(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Pa
         (["record", "press.mcap"], "press.mcap exists, and a recording is never overwritten"),
         (["record", "nowhere/a.mcap"], "there is no folder"),
         (["record", "a.mcap", "--seconds", "0"], "--seconds is 0"),
+        (["serve-skin", "--seed", "-1"], "--seed is -1; it must be 0 to"),
     ],
 )
 def test_a_mistake_gets_one_clear_line(
@@ -400,3 +403,82 @@ def test_the_end_pauses_the_page_and_going_on_begins_anew(recorded: tuple[Path, 
         engine.pause(False)
         assert sum(step() is not None for _ in range(CYCLES + 3)) == CYCLES
         assert engine.state is State.PAUSED
+
+
+def test_contacts_and_images_have_the_times_of_their_frames_whatever_the_calendar_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import types
+
+    stamps = iter(range(10**18, 0, -(10**12)))  # the calendar goes back at every look
+    clock = types.SimpleNamespace(**vars(time) | {"time_ns": lambda: next(stamps)})
+    monkeypatch.setattr("ohmskin.publish.recorder.time", clock)
+    touches = record_press(tmp_path / "a.mcap")
+    with Tape(tmp_path / "a.mcap") as tape:
+        last = {touch.sight.frames[-1].sequence: touch.sequence for touch in touches}
+        times = {last[s]: t for k, t in enumerate(tape.times) if (s := tape.frames[k].sequence) in last}
+        rows = list(contact_rows(tape))
+        assert rows
+        assert [row[0] for row in rows] == [times[row[1]] for row in rows]
+        np.testing.assert_array_equal(tape.times_of(tape.images), list(times.values()))
+
+
+def test_exports_obey_the_umask_and_need_no_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")  # as on a USB stick
+
+    monkeypatch.setattr("os.link", refused)
+    before = os.umask(0o077)
+    try:
+        write_csv(tmp_path / "a.csv", ["x"], [(1,)])
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.csv").stat().st_mode & 0o777 == 0o600
+    with pytest.raises(DataError, match="never overwritten"):
+        write_csv(tmp_path / "a.csv", ["x"], [(2,)])
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_parquet_takes_every_sequence_number(tmp_path: Path) -> None:
+    assert write_parquet(tmp_path / "a.parquet", ["sequence", "id"], [(2**64 - 1, -1)]) == 1
+
+
+def test_thresholds_of_another_estimator_are_learned_in_the_same_order_every_time() -> None:
+    """The order of a set of names changes from run to run, and each mode takes the quiet frames behind those of the one before."""
+    from types import SimpleNamespace
+    from typing import Any
+
+    from ohmskin.publish.player import _exchange
+
+    names, learned = [f"mode {k}" for k in range(12)], []
+    perception = SimpleNamespace(learn_thresholds=lambda mode, *_: learned.append(mode))
+    engine: Any = SimpleNamespace(perception=perception, mode=SimpleNamespace(name=names[5]), modes={n: n for n in names})
+    device = SimpleNamespace(reference=(), calibrating=None, scan=None, modes=tuple(reversed(names[:-1])))
+    player: Any = SimpleNamespace(device=device)
+    _exchange(engine, player, lambda _: None)  # type: ignore[arg-type, return-value]
+    assert learned == names[:-1]
+
+
+def test_a_recording_can_be_recorded_and_ends_where_it_ends(
+    recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ohmskin.cli.record import record
+
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    record(tmp_path / "b.mcap", device=f"replay:{recorded[0]}?speed=inf&loop=0")
+    with Tape(tmp_path / "b.mcap") as tape:
+        assert len(tape.touches) == CYCLES
+
+
+def test_every_contact_that_comes_is_told_once_though_ids_begin_anew(capsys: pytest.CaptureFixture[str]) -> None:
+    from types import SimpleNamespace
+    from typing import Any
+
+    from ohmskin.cli.live import _Arrivals
+    from ohmskin.touch import Contact
+
+    arrivals: Any = _Arrivals()
+    # two at once, the younger one stronger; one goes for a moment; then a calibration, after which ids count from 1
+    for at, ids in ((0.0, [2, 1]), (0.1, [2, 1]), (0.2, [2]), (0.3, [2, 1]), (5.0, [1])):
+        arrivals(SimpleNamespace(time=at, contacts=[Contact((0.0, 0.0), 1e-4, 1e-4, 1.0, 1.0, number) for number in ids]))
+    assert re.findall(r"contact (\d)", capsys.readouterr().out) == ["2", "1", "1"]

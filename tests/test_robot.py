@@ -17,6 +17,7 @@ from ohmskin import Engine, Skin, connect
 from ohmskin.errors import ModelError
 from ohmskin.robot import Arm, Demonstration, Encounter, summary
 from ohmskin.robot.arm import FINGER, above
+from ohmskin.robot.film import Snapshot
 
 SKIN = Skin.load("paper")
 
@@ -106,6 +107,20 @@ def test_summary_counts_what_was_not_felt() -> None:
     assert figures["reaction_time"] == {"median": 0.02, "p95": 0.02, "worst": 0.02}
     assert figures["peak_force"]["worst"] == 50.0  # type: ignore[index]
     assert summary([missed])["reaction_time"] is None
+    json.dumps(figures, allow_nan=False)
+
+
+def test_a_snapshot_is_a_png_whatever_its_name_and_says_where_it_cannot_be_written(tmp_path: Path) -> None:
+    from types import SimpleNamespace
+    from typing import Any
+
+    film: Any = SimpleNamespace(draw=lambda _: np.zeros((4, 8, 3), np.uint8))
+    moment: Any = SimpleNamespace(poke=SimpleNamespace(force=1.0), touch=SimpleNamespace(contacts=[1]))
+    with Snapshot(tmp_path / "arm.picture", film) as snapshot:
+        snapshot.show(moment)
+    assert (tmp_path / "arm.picture").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ModelError, match="cannot write"), Snapshot(tmp_path, film) as snapshot:
+        snapshot.show(moment)
 
 
 def test_round_skin_is_refused() -> None:
@@ -157,7 +172,7 @@ def test_command_line_draws_and_films(tmp_path: Path) -> None:
 
 
 def test_command_line_mistakes(tmp_path: Path) -> None:
-    for arguments in (["--pokes", "0"], ["--picture", str(tmp_path / "no" / "arm.png")], ["--skin", "tank"]):
+    for arguments in (["--pokes", "0"], ["--seed", "-1"], ["--picture", str(tmp_path / "no" / "arm.png")], ["--skin", "tank"]):
         done = subprocess.run([sys.executable, "-m", "ohmskin", "robot", *arguments], capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert done.stderr.strip().splitlines()[-1].startswith("ohmskin:")

@@ -147,6 +147,11 @@ def test_a_dead_instrument_is_one_finding_not_sixteen() -> None:
     (finding,) = diagnose(PAPER, replace(frame, voltages=0 * frame.voltages)).findings
     assert finding.kind == "silent"
     assert "check the source" in finding.text
+    unplugged = [f"open {e}" for e in range(16)]  # every wire picks up something
+    assert [finding.kind for finding in diagnosed(*unplugged).findings] == ["silent"]
+    assert outcome(lambda frame: frame, *unplugged).table() == []
+    noise = np.random.default_rng(0).normal(0, 0.05, len(frame.voltages))
+    assert [finding.kind for finding in diagnose(PAPER, replace(frame, voltages=noise)).findings] == ["contradicts"]
     with pytest.raises(DataError, match=r"terminal_pattern\(16\)"):
         diagnose(PAPER, virtual(PAPER, (), 1).scan(PAPER.modes["12B"].base))
 

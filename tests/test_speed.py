@@ -124,10 +124,10 @@ def test_factor_solves_as_superlu_does(case: str) -> None:
 
 
 def test_factor_stays_sparse() -> None:
-    """Nested dissection: n log n numbers, not n^2; a bad order would keep several times as many."""
+    """Nested dissection: n log n numbers, not n^2; places at random make it nine times as many."""
     system = assemble(even().mesh, GRID, even().conductivity)
     n = system.matrix.shape[0]
-    assert system.elimination().factor_start[-1] < 3 * n * np.log2(n)
+    assert system.elimination().factor_start[-1] < 3.5 * n * np.log2(n)
 
 
 def test_a_matrix_that_is_not_positive_is_refused() -> None:

@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 typedef struct {
-    uint8_t *data;
+    volatile uint8_t *data;  /* written before `head` moves, read before `tail` does */
     uint16_t size;           /* one byte of it stays free, to tell full from empty */
     volatile uint16_t head;  /* where the next byte is put */
     volatile uint16_t tail;  /* where the next byte is taken */

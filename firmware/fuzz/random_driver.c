@@ -1,13 +1,10 @@
 /* A plain stand-in for libFuzzer: mutates the files of a folder at random. Takes FOLDER and -max_total_time=SECONDS. */
+#include <dirent.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
-
-#ifdef __linux__
-#include <dirent.h>
-#endif
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 

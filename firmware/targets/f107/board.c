@@ -19,6 +19,7 @@ enum {
     DRIVE_ENABLE = 1 << 0,   /* PD0, high: the source's and the sink's multiplexers conduct */
     SENSE_ENABLE = 1 << 1,   /* PD1, likewise for plus and minus */
     CURRENT_LIMITED = 1 << 8, /* PD8, low: the source's comparator sees its limit */
+    LET_GO = 1,              /* us until a multiplexer without EN has opened; data sheets say some 0.3 */
     SENSE_SETTLE = 10,       /* us after the plus and minus multiplexers were switched */
     WARM_UP = 20000,         /* us until the reference is settled */
     OSCILLATOR_TRIES = 100000,
@@ -64,6 +65,13 @@ void before_memory(void)
 
 void usart1_handler(void);
 void usart1_handler(void) { uart_serve(&host); }
+
+/* At least so long; the first microsecond of the clock may be a short one. */
+static void wait_micros(uint32_t micros)
+{
+    for (const uint64_t start = clock_micros(); clock_micros() - start <= micros;) {
+    }
+}
 
 static bool oscillator_is_up(uint32_t ready)
 {
@@ -124,8 +132,7 @@ static void start_converters(void)
         both[i]->SMPR1 = 3u << 3 * i; /* 28.5 cycles of 12 MHz */
         both[i]->SQR3 = 10 + i;
         both[i]->CR2 = BY_SOFTWARE | ON;
-        for (uint64_t start = clock_micros(); clock_micros() - start < 10;) {
-        }
+        wait_micros(10);
         both[i]->CR2 |= RESET_CALIBRATION;
         while (both[i]->CR2 & RESET_CALIBRATION) {
         }
@@ -150,7 +157,7 @@ static void start_watchdog(void)
 {
     IWDG->KR = 0x5555; /* writable */
     IWDG->PR = 4;      /* 40 kHz / 64 */
-    IWDG->RLR = 2500;  /* 4 s: the clock wakes the main loop every 1.9 s, or 3.7 s without a crystal */
+    IWDG->RLR = 4095;  /* 4.4 s at its fastest, 60 kHz: the clock wakes the main loop every 1.9 s, or 3.7 s without a crystal */
     IWDG->KR = 0xCCCC; /* on, for good */
 }
 
@@ -175,6 +182,7 @@ const board_t *board(void) { return clock_micros() < WARM_UP ? NULL : &about; }
 void board_drive(uint8_t source, uint8_t sink)
 {
     GPIOD->BRR = DRIVE_ENABLE; /* break before make: no two electrodes are ever shorted */
+    wait_micros(LET_GO);
     GPIOE->ODR = (GPIOE->ODR & 0xFF00u) | (uint32_t)sink << 4 | source;
     GPIOD->BSRR = DRIVE_ENABLE;
 }
@@ -186,8 +194,7 @@ static void connect_sense(pair_t pair)
     GPIOD->BRR = SENSE_ENABLE;
     GPIOE->ODR = (GPIOE->ODR & 0x00FFu) | (uint32_t)pair.minus << 12 | (uint32_t)pair.plus << 8;
     GPIOD->BSRR = SENSE_ENABLE;
-    for (const uint64_t start = clock_micros(); clock_micros() - start < SENSE_SETTLE + 1;) {
-    }
+    wait_micros(SENSE_SETTLE);
 }
 
 /* Voltage in the lower half, current in the upper one; false if the converters do not answer. */

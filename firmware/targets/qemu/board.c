@@ -15,7 +15,7 @@
 
 enum {
     CLOCK = 24000000,          /* Hz */
-    PATIENCE = 500000,         /* us until the analogue side counts as gone */
+    PATIENCE = 1500000,        /* us until the analogue side counts as gone; a busy computer holds it up for half a second */
     RETRY = 100000,            /* us between questions who it is */
     ASK_HEAD = 2,              /* kind and tag */
     LONGEST_ANSWER = 128,

@@ -30,8 +30,8 @@ class PressStep:
 
     def __str__(self) -> str:
         x, y = self.at
-        change = "put on" if self.loading else "leave"
-        return f"{change} {1e3 * self.force / GRAVITY:.0f} g ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
+        change = "put" if self.loading else "leave"
+        return f"{change} {1e3 * self.force / GRAVITY:.0f} g in all ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
 
 
 def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[PressStep, ...]:

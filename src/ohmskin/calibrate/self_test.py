@@ -88,10 +88,10 @@ class SelfTest:
     def table(self) -> list[tuple[str, str]]:
         """What was measured, as rows of name and value in words."""
         d = self.diagnosis
-        rows = [
-            ("sheet conductivity that fits", f"{1e3 * d.conductivity:.4g} mS per square"),
-            ("measured against the model", f"{100 * d.misfit:.2g} % rms"),
-        ]
+        rows = []
+        if math.isfinite(d.conductivity):
+            rows.append(("sheet conductivity that fits", f"{1e3 * d.conductivity:.4g} mS per square"))
+            rows.append(("measured against the model", f"{100 * d.misfit:.2g} % rms"))
         if (n := self.noise) is not None:
             rows.append(("noise of a voltage", f"{_si(n.typical, 'V')} (described {_si(n.described, 'V')})"))
         if (o := self.offset) is not None:

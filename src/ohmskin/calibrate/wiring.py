@@ -25,8 +25,10 @@ from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, Frame, all_pairs, n_pairs
 from ohmskin.skin import Skin
 
+_IDLE = 0.01  # share of the described current below which a pair carries none, whatever voltages its wires pick up
 _SILENT = 0.1  # share of the typical signal below which nothing is connected
 _CONTRADICTS = 0.03  # share of the typical voltage that may contradict every resistive network
+_NONSENSE = 0.5  # the same from which on nothing more is told of the wiring
 _SEARCH = 3e-3  # relative misfit below which the wiring is as the model says; mesh and noise leave 1e-3
 _EXPLAINS = 0.7  # share of the squared misfit that an exchange must not leave
 _EXPLAINS_LITTLE = 0.9  # the same of a bridge, which is seen in its own pair first
@@ -108,7 +110,7 @@ def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
     n_elec = len(skin.electrodes)
     if frame.pattern != terminal_pattern(n_elec):
         raise DataError(f"the wiring is told from terminal_pattern({n_elec}); this frame has another pattern")
-    findings = _unreached(frame, n_elec)
+    findings = _unreached(frame, skin)
     nothing = np.full(n_pairs(n_elec), np.nan)
     if findings and findings[0].kind == "silent":
         return Diagnosis(findings, nothing, nothing, float("nan"), np.full(n_elec, np.nan), float("nan"), float("nan"))
@@ -117,7 +119,7 @@ def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
     findings = (*findings, *contradicting)
     useless = sorted(e for f in findings for e in f.electrodes)
     alive = np.array([e for e in range(n_elec) if e not in useless])
-    if len(alive) < 4:
+    if len(alive) < 4 or contradiction > _NONSENSE:
         return Diagnosis(findings, measured, nothing, float("nan"), np.full(n_elec, np.nan), float("nan"), contradiction)
     model = _SheetModel(skin, alive)
     wired = model.explain(measured[model.pairs_of_all(n_elec)])
@@ -136,22 +138,33 @@ def _potentials(frame: Frame, n_elec: int) -> Floats:
     return volts
 
 
-def _unreached(frame: Frame, n_elec: int) -> tuple[Finding, ...]:
+def _unreached(frame: Frame, skin: Skin) -> tuple[Finding, ...]:
     """Electrodes that give no current to any other: driving them, all the rest of the sheet is at one potential."""
-    injections = frame.pattern.injections
+    injections, n_elec = frame.pattern.injections, len(skin.electrodes)
     signal = np.full(len(injections), np.nan)
     for k, (row, driven) in enumerate(zip(_potentials(frame, n_elec), injections, strict=True)):
         rest = np.delete(row, driven)
         rest = rest[np.isfinite(rest)]
         if len(rest) > n_elec / 2:  # the median, as a loose wire among the rest may pick up anything
             signal[k] = np.median(np.abs(rest - np.median(rest)))
-    # a sheet without a way back follows the source, perhaps out of range, but carries nothing
-    signal[np.isnan(signal) & (frame.currents < _SILENT * np.nanmedian(frame.currents))] = 0.0
+    # a sheet without a way back follows the source, perhaps out of range, but carries nothing; loose wires pick up anything
+    currents = np.nan_to_num(frame.currents)
+    idle = currents < _IDLE * _described_current(skin)
+    signal[idle | (np.isnan(signal) & (currents < _SILENT * np.median(currents)))] = 0.0
     best = np.array([np.nanmax(signal[(injections == e).any(axis=1)], initial=0.0) for e in range(n_elec)])
     if best.max() <= 0 or (best < _SILENT * best.max()).mean() > 0.5:
         words = "hardly a voltage anywhere on the sheet: check the source, the multiplexers and the plug of the skin"
         return (Finding("silent", tuple(range(n_elec)), words),)
     return tuple(Finding("open", (e,), f"electrode {e} is open") for e in np.flatnonzero(best < _SILENT * np.median(best)).tolist())
+
+
+def _described_current(skin: Skin) -> float:
+    """The current of a typical pair of the untouched skin as described (A)."""
+    source, limit = skin.source, skin.excitation.current_limit
+    if source is None:
+        return min(skin.excitation.amplitude, limit)
+    _, columns = _sheet(skin)
+    return min(source.amplitude / (float(np.median(columns[:, 0])) + source.resistance), limit)
 
 
 def _out_of_range(frame: Frame, useless: list[int], n_elec: int) -> Iterator[Finding]:

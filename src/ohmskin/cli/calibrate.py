@@ -1,5 +1,6 @@
 """``ohmskin calibrate``: the quiet skin, its sheet and contacts, and newtons."""
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -53,18 +54,21 @@ def calibrate(
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin)
     description = replace(description, calibration=Calibration())
-    with opened:
+    path = out or Path(f"{description.name}-calibrated.toml")
+    with opened, Engine(lambda: opened, description, mode) as engine:
         plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
+        for file in (path, picture) if picture and force else (path,):
+            _check_writable(file)  # now, rather than after an hour of presses
         console.print("measuring the quiet skin; nothing may touch it")
         found = calibrate_quiet(opened, description, ohmskin.__version__)
         contact = f"{found.contact_resistance:.3g} ohm more than described" if found.contact_resistance else "as described"
         console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square, misfit {100 * found.misfit:.2g} %; contacts {contact}")
         console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
         if force:
-            with Engine(lambda: opened, description, mode) as engine:
-                engine.calibrate()
-                guide = PressGuide(plan)
-                _walk(engine, guide, description)
+            console.print(f"learning what mode {engine.mode.name} sees of it")
+            engine.calibrate()
+            guide = PressGuide(plan)
+            _walk(engine, guide, description)
             curve = fit_force(guide.samples)
             found = curve.put_into(replace(found, mode=engine.mode.name))
             console.print(
@@ -75,24 +79,32 @@ def calibrate(
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
                 console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
-            if picture is not None:
-                save_calibration(picture, guide.samples, curve)
-    path = out or Path(f"{description.name}-calibrated.toml")
     try:
         path.write_text(replace(description, calibration=found).dump(), encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error}; choose another file with --out") from error
     console.print(f"wrote {path}; use it with --skin {path}")
+    if picture is not None and force:
+        save_calibration(picture, guide.samples, curve)
+
+
+def _check_writable(path: Path) -> None:
+    """Raise DataError if a file cannot be written."""
+    place = path if path.exists() else path.parent
+    if path.is_dir() or not os.access(place, os.W_OK):
+        raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or not ours to write'}")
 
 
 def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
     """Press, or have someone press, all that the guide asks for."""
     virtual = engine.device.capabilities.virtual
     while (step := guide.step) is not None:
+        words = f"[{len(guide.samples) + 1} of {len(guide.plan)}] {step}"
         if virtual:
+            print(words, flush=True)
             _press(engine, step, skin)
         else:
-            _ask(f"[{len(guide.samples) + 1} of {len(guide.plan)}] {step}, then press Enter")
+            _ask(f"{words}, then press Enter")
         guide.begin()
         for _ in range(_PATIENCE):
             touch = engine.step()
@@ -100,6 +112,8 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
                 break
         else:
             raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; calibrate again")
+        strength = guide.samples[-1].strength
+        print(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not felt: it does not count", flush=True)
     if virtual:
         engine.press(0, guide.plan[-1].at, _TIP, 0.0)
 

@@ -4,8 +4,6 @@ import json as json_module
 import sys
 from dataclasses import asdict
 
-from rich.console import Console
-
 from ohmskin.device import connect
 from ohmskin.device.conformance import check_device as run_checks
 
@@ -20,14 +18,8 @@ def check_device(url: str, *, json: bool = False) -> None:
     json
         Print JSON instead of lines.
     """
-    checks = run_checks(connect(url))
+    checks = run_checks(connect(url), lambda check: None if json else print(check, flush=True))
     failed = sum(check.outcome == "failed" for check in checks)
-    if json:
-        print(json_module.dumps([asdict(check) for check in checks]))
-    else:
-        console = Console(highlight=False, soft_wrap=True)
-        for check in checks:
-            console.print(str(check))
-        console.print(f"{len(checks)} checks, {failed} failed")
+    print(json_module.dumps([asdict(check) for check in checks]) if json else f"{len(checks)} checks, {failed} failed")
     if failed:
         sys.exit(1)

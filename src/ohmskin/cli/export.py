@@ -82,10 +82,10 @@ def _show(
     file: Path, to: str, target: Path, start: float, stop: float, at: float | None, options: dict[str, Any], rate: float
 ) -> None:
     if to == "png":
-        if at is None and start > 0:
+        if at is None:
             cycle = exporting.strongest(reimage(file, start=start, stop=stop, **options))
         else:
-            cycle = exporting.cycle_at(file, at, stop, **options)
+            cycle = exporting.cycle_at(file, at, **options)
         exporting.write_picture(target, cycle)
         print(f"picture of {cycle.time:.2f} s: {target}")
         return

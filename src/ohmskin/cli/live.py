@@ -9,11 +9,11 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 from cyclopts import Parameter
 
-from ohmskin.cli.options import has_display, open_skin
+from ohmskin.cli.options import has_display, open_skin, say
 from ohmskin.cli.recording import Teller, refuse_existing, summary
 from ohmskin.client.felt import Patch
 from ohmskin.device import Device
@@ -26,6 +26,7 @@ from ohmskin.publish.recorder import Recorder
 from ohmskin.view.session import Session
 
 _ROWS_PER_SECOND = 5
+_GONE_AFTER = 1.0  # s; longer than a contact goes unseen and keeps its id
 
 
 def live(
@@ -89,7 +90,7 @@ def live(
     if record is not None:
         refuse_existing(record)
     stop = Stop()
-    say = _say if not json else lambda _: None
+    tell = say if not json else lambda _: None
     opened, description = open_skin(device, skin)
     first: list[Device] = [opened]
     recorder = Recorder(record, description) if record is not None else None
@@ -101,13 +102,13 @@ def live(
     def report(sentence: str) -> None:
         if recorder:
             recorder.note(sentence)
-        say(sentence)
+        tell(sentence)
 
     with ExitStack() as stack:
         if recorder:
-            stack.callback(lambda: say(summary(recorder.path, recorder.close())))
+            stack.callback(_sum_up, recorder, sys.stderr if json else sys.stdout)
         engine = stack.enter_context(Engine(open_device, description, mode, report=report))
-        player = Player(engine, mode, say) if isinstance(opened, ReplayDevice) else None
+        player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
         sinks: list[Callable[[Touch], None]] = []
         if recorder:
             recorder.watch(engine)
@@ -116,9 +117,9 @@ def live(
             publisher = Publisher(description, publish, name, Patch(name, frame), newtons, token or None)
             stack.enter_context(publisher)
             sinks.insert(0, publisher.publish)  # first, because robots wait for it
-            say(f"publishing at {', '.join(publisher.addresses)}")
+            tell(f"publishing at {', '.join(publisher.addresses)}")
         if headless or json:
-            say("calibrating: keep the skin untouched")
+            tell("calibrating: keep the skin untouched")
             engine.calibrate()
             ended = player.until(stop) if player else stop
             run(player.step if player else engine.step, ended, seconds, *sinks, _print_json if json else _Table())
@@ -127,7 +128,7 @@ def live(
             if session.view.port_was_taken:
                 say(f"port {port} is in use; taking the next free one")
             say(f"open {session.view.url}   (Ctrl-C ends)")
-            if (address := getattr(opened, "address", "")) and address:
+            if address := getattr(opened, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             if browser and has_display():
                 webbrowser.open(session.view.url)
@@ -153,7 +154,12 @@ class Stop:
         return self._asked
 
 
+def _sum_up(recorder: Recorder, where: TextIO) -> None:
+    print(summary(recorder.path, recorder.close()), file=where, flush=True)
+
+
 def run(step: Callable[[], Touch | None], stop: object, seconds: float | None, *sinks: Callable[[Touch], None]) -> None:
+    """Hand what every cycle feels to the sinks, until told to stop or so many seconds are over."""
     gc.collect()
     gc.freeze()  # a full collection of what was set up would stop the loop for many frames
     end = float("inf") if seconds is None else time.monotonic() + seconds
@@ -167,14 +173,15 @@ class _Arrivals:
     """A line for every contact that comes."""
 
     def __init__(self) -> None:
-        self._newest = 0
+        self._last: dict[int, float] = {}  # when each was seen last; ids are counted anew after a calibration
 
     def __call__(self, touch: Touch) -> None:
+        self._last = {number: seen for number, seen in self._last.items() if touch.time - seen < _GONE_AFTER}
         for contact in touch.contacts:
-            if contact.id > self._newest:
-                self._newest = contact.id
+            if contact.id not in self._last:
                 x, y = contact.position
-                _say(f"contact {contact.id} at ({x * 1e3:.0f}, {y * 1e3:.0f}) mm, {contact.extent * 1e4:.1f} cm2")
+                say(f"contact {contact.id} at ({x * 1e3:.0f}, {y * 1e3:.0f}) mm, {contact.extent * 1e4:.1f} cm2")
+            self._last[contact.id] = touch.time
 
 
 class _Table:
@@ -224,7 +231,3 @@ def _print_json(touch: Touch) -> None:
         "waiting": health.waiting,
     }
     print(json_module.dumps(line), flush=True)
-
-
-def _say(message: str) -> None:
-    print(message, flush=True)

@@ -1,11 +1,13 @@
 """What several commands share."""
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 from ohmskin.device import Device, connect
-from ohmskin.errors import SkinError
+from ohmskin.errors import OhmskinError, SkinError
 from ohmskin.skin import Fault, Skin
 
 
@@ -29,6 +31,32 @@ def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Dev
     except BaseException:
         opened.close()
         raise
+
+
+def check_seed(seed: int | None) -> None:
+    """Raise unless noise can be made of this seed."""
+    if seed is not None and not 0 <= seed < 2**63:
+        raise OhmskinError(f"--seed is {seed}; it must be 0 to 2^63 - 1")
+
+
+def asked_to_stop(lifeline: bool = False) -> threading.Event:
+    """Set at Ctrl-C or SIGTERM and, with a `lifeline`, at the end of standard input."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    if lifeline:
+
+        def end_with_input() -> None:
+            sys.stdin.read()
+            stop.set()
+
+        threading.Thread(target=end_with_input, daemon=True).start()
+    return stop
+
+
+def say(sentence: str) -> None:
+    """Print a sentence now, whoever reads it."""
+    print(sentence, flush=True)
 
 
 def has_display() -> bool:

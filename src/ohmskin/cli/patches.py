@@ -1,8 +1,6 @@
 """``ohmskin patches``: several skins of one robot, and all they feel as one."""
 
-import signal
 import sys
-import threading
 import time
 import webbrowser
 from contextlib import ExitStack
@@ -10,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from ohmskin.cli.options import has_display
+from ohmskin.cli.options import asked_to_stop, has_display, say
 from ohmskin.client.felt import Felt
 from ohmskin.errors import OhmskinError
 from ohmskin.publish.body import Body
@@ -58,15 +56,13 @@ def patches(
     if seconds is not None and not seconds > 0:
         raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
     loaded = Body.load(body)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = asked_to_stop()
     with ExitStack() as stack:
-        all_patches = stack.enter_context(Patches(loaded, publish, token or None, demo, report=_say))
-        _say(f"publishing at {', '.join(all_patches.addresses)}")
+        all_patches = stack.enter_context(Patches(loaded, publish, token or None, demo, report=say))
+        say(f"publishing at {', '.join(all_patches.addresses)}")
         if not headless:
             page = stack.enter_context(Overview(loaded.name, all_patches.boards, host, port, token or None))
-            _say(f"open {page.url}   (Ctrl-C ends)")
+            say(f"open {page.url}   (Ctrl-C ends)")
             if browser and has_display():
                 webbrowser.open(page.url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
@@ -91,7 +87,3 @@ def _table(all_patches: Patches, felt: Felt, rate: float) -> None:
         print(f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}  {latency:>15}  {count:8d}  {age}{state}")
     print(f"merged: {rate:.0f} messages/s\n")
     sys.stdout.flush()
-
-
-def _say(message: str) -> None:
-    print(message, flush=True)

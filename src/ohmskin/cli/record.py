@@ -3,11 +3,13 @@
 from pathlib import Path
 
 from ohmskin.cli.live import Stop, run
-from ohmskin.cli.options import open_skin
+from ohmskin.cli.options import open_skin, say
 from ohmskin.cli.recording import Teller, refuse_existing, summary
 from ohmskin.device import Device
+from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
+from ohmskin.publish.player import Player
 from ohmskin.publish.recorder import Recorder
 
 
@@ -49,7 +51,7 @@ def record(
 
     def report(sentence: str) -> None:
         recorder.note(sentence)
-        _say(sentence)
+        say(sentence)
 
     try:
         recorder = Recorder(file, description, images)
@@ -59,13 +61,11 @@ def record(
     try:
         with Engine(open_device, description, mode, report=report) as engine:
             recorder.watch(engine)
-            _say("calibrating: keep the skin untouched")
+            say("calibrating: keep the skin untouched")
             engine.calibrate()
-            _say(f"recording to {file}   (Ctrl-C ends)")
-            run(engine.step, stop, seconds, recorder.publish, Teller(recorder))
+            say(f"recording to {file}   (Ctrl-C ends)")
+            player = Player(engine, mode, say) if isinstance(opened, ReplayDevice) else None
+            step, ended = (player.step, player.until(stop)) if player else (engine.step, stop)
+            run(step, ended, seconds, recorder.publish, Teller(recorder))
     finally:
-        _say(summary(file, recorder.close()))
-
-
-def _say(message: str) -> None:
-    print(message, flush=True)
+        say(summary(file, recorder.close()))

@@ -56,6 +56,8 @@ def refuse_existing(file: Path) -> None:
 
 def summary(file: Path, progress: Progress) -> str:
     """What became of a recording, in a sentence."""
+    if not file.exists():
+        return f"nothing was recorded; there is no {file}"
     lost = ", ".join(f"{count} of {topic}" for topic, count in progress.dropped.items())
     return (
         f"{file}: {progress.frames} frames, {progress.written / 1e6:.2f} MB"

@@ -1,7 +1,6 @@
 """``ohmskin replay``: a recording through the loop and the page again, or as other estimators see it."""
 
 import math
-import sys
 from pathlib import Path
 
 from ohmskin.cli.live import live
@@ -80,19 +79,19 @@ def replay(
 
 
 def _compare(file: Path, names: list[str], at: float | None, mode: str, skin: str, output: Path) -> None:
-    from ohmskin.publish.export import cycle_at, save_comparison
-    from ohmskin.publish.player import ESTIMATORS
+    from ohmskin.publish.export import cycle_at, save_comparison, strongest
+    from ohmskin.publish.player import ESTIMATORS, reimage
 
     if unknown := [name for name in names if name not in ESTIMATORS]:
         raise OhmskinError(f"no estimator {unknown[0]!r}; choose from {', '.join(ESTIMATORS)}")
     if output.exists():
         raise OhmskinError(f"{output} exists and is never overwritten; choose another with --output")
     if at is None:
-        at = cycle_at(file, None, mode=mode, skin=skin).time
+        at = strongest(reimage(file, mode=mode, skin=skin)).time
     cycles = {}
     for name in names:
         cycles[name] = cycle = cycle_at(file, at, estimator=ESTIMATORS[name], mode=mode, skin=skin)
         places = ", ".join(f"({1e3 * c.position[0]:.1f}, {1e3 * c.position[1]:.1f}) mm" for c in cycle.touch.sight.contacts)
-        print(f"{name:10s} {places or 'no contact'}", file=sys.stdout)
+        print(f"{name:10s} {places or 'no contact'}")
     save_comparison(output, {f"{name}, {cycle.time:.2f} s": cycle for name, cycle in cycles.items()})
     print(f"picture: {output}")

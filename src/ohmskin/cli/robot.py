@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from ohmskin.cli.options import check_seed
 from ohmskin.device import connect
 from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
@@ -50,6 +51,7 @@ def robot(
     """
     if not 1 <= pokes <= 10_000:
         raise OhmskinError(f"--pokes is {pokes}; choose 1 to 10000")
+    check_seed(seed)
     for path in (video, picture):
         if path is not None and not path.parent.is_dir():
             raise OhmskinError(f"there is no folder {path.parent}; make it first")
@@ -79,6 +81,8 @@ def robot(
 
         for encounter in track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console):
             encounters.append(encounter)
+    if picture and not picture.exists():
+        console.print("no poke was felt, so that there is no picture")
     figures = summary(encounters)
     if json:
         print(json_module.dumps(figures))

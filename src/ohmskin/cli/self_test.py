@@ -47,7 +47,8 @@ def self_test(
         table = Table("measured", "value", box=None)
         for row in result.table():
             table.add_row(*row)
-        console.print(table)
+        if table.rows:
+            console.print(table)
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)

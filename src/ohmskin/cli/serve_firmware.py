@@ -1,13 +1,11 @@
 """``ohmskin serve-firmware``: the real firmware, emulated, on a virtual skin."""
 
-import signal
-import sys
-import threading
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from ohmskin.cli.options import asked_to_stop, check_seed
 from ohmskin.device.firmware import EmulatedBoard
 from ohmskin.skin import Skin
 
@@ -46,18 +44,10 @@ def serve_firmware(
     lifeline
         End when standard input ends.
     """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    check_seed(seed)
+    stop = asked_to_stop(lifeline)
     with EmulatedBoard(Skin.load(skin), image, host, port, press_port, seed, averages) as board:
         print(f"firmware on a virtual skin {skin!r} at {board.url}", flush=True)
         print(f"press it at {board.press_url}", flush=True)
-        if lifeline:
-            threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         while not stop.is_set():
             board.wait(_POLL)
-
-
-def _end_with_input(stop: threading.Event) -> None:
-    sys.stdin.read()
-    stop.set()

@@ -1,12 +1,10 @@
 """``ohmskin serve-skin``: the virtual device."""
 
-import signal
-import sys
-import threading
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from ohmskin.cli.options import asked_to_stop, check_seed
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.skin import Fault, Skin
@@ -45,19 +43,11 @@ def serve_skin(
     lifeline
         End when standard input ends.
     """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    check_seed(seed)
+    stop = asked_to_stop(lifeline)
     instrument = VirtualInstrument(Skin.load(skin), seed, realtime, [Fault.parse(text) for text in fault])
     with DeviceServer(instrument, host=host, port=port, pty=pty) as server:
         print(f"virtual skin {skin!r} at {server.url}", flush=True)
         if server.pty_path:
             print(f"and at serial://{server.pty_path}", flush=True)
-        if lifeline:
-            threading.Thread(target=_end_with_input, args=(stop,), daemon=True).start()
         stop.wait()
-
-
-def _end_with_input(stop: threading.Event) -> None:
-    sys.stdin.read()
-    stop.set()

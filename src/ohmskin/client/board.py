@@ -38,18 +38,30 @@ def board_folder() -> Path:
     """The folder of this user's boards, in memory where the system has such a place; nobody else may look into it.
 
     Raises:
-        PublishError: If somebody else owns it or may look into it.
+        PublishError: If somebody else owns it or may look into it, or it cannot be made.
     """
     given = os.environ.get("OHMSKIN_BOARDS")
     shared = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else Path(tempfile.gettempdir())
     folder = Path(given) if given else shared / f"ohmskin-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-    with suppress(FileExistsError):
-        folder.mkdir(mode=0o700, parents=bool(given))
-    if hasattr(os, "getuid"):
+    try:
+        with suppress(FileExistsError):
+            folder.mkdir(mode=0o700, parents=bool(given))
         found = folder.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-            raise PublishError(f"{folder} must be a folder that only you may use (chmod 700); remove it, or set OHMSKIN_BOARDS")
+    except OSError as error:
+        raise PublishError(f"cannot make the folder {folder}: {error.strerror}; set OHMSKIN_BOARDS to another one") from error
+    if hasattr(os, "getuid") and (not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077):
+        raise PublishError(f"{folder} must be a folder that only you may use (chmod 700); remove it, or set OHMSKIN_BOARDS")
     return folder
+
+
+def check_name(name: str) -> None:
+    """Hold a name against what boards and topics may be called.
+
+    Raises:
+        PublishError: If it is none.
+    """
+    if not _NAME.fullmatch(name):
+        raise PublishError(f"{name!r} cannot name what a skin publishes; use letters, digits and '_', 32 at most, a letter first")
 
 
 def board_path(name: str) -> Path:
@@ -58,8 +70,7 @@ def board_path(name: str) -> Path:
     Raises:
         PublishError: If that is no name of a board; so a name can never lead out of the folder.
     """
-    if not _NAME.fullmatch(name):
-        raise PublishError(f"{name!r} cannot name what a skin publishes; use letters, digits and '_', 32 at most, a letter first")
+    check_name(name)
     return board_folder() / name
 
 
@@ -72,7 +83,7 @@ class Board:
         largest: Bytes of the largest message.
 
     Raises:
-        PublishError: If another program writes this board now, or the name or the sizes cannot be used.
+        PublishError: If another program writes this board now, the name or the sizes cannot be used, or there is no room.
     """
 
     def __init__(self, name: str, setup: Mapping[str, Any], largest: int) -> None:
@@ -87,13 +98,15 @@ class Board:
         self._lock: int | None = _lock(path, name)
         # Made beside and then renamed, so that a reader of the board of before keeps what it has and nobody sees half a board.
         fresh = path.with_name(f".{name}-{os.getpid()}")
-        fresh.unlink(missing_ok=True)
-        file = os.open(fresh, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         try:
-            os.ftruncate(file, size)
-            self._memory = mmap.mmap(file, size)
-        finally:
-            os.close(file)
+            self._memory = _new_memory(fresh, size)
+        except OSError as error:
+            fresh.unlink(missing_ok=True)
+            os.close(self._lock)
+            self._lock = None
+            raise PublishError(
+                f"cannot make the board {path}: {error.strerror}; make room there, or set OHMSKIN_BOARDS to another folder"
+            ) from error
         self._words = memoryview(self._memory)[:_HEAD_BYTES].cast("Q")  # a word is stored in one go, other than by `pack_into`
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
         self.boot = int.from_bytes(os.urandom(8), "little") or 1
@@ -242,6 +255,20 @@ class BoardReader:
         self._memory, self._words, self.setup = memory, words, setup
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
         self._identity = (found.st_dev, found.st_ino)
+
+
+def _new_memory(path: Path, size: int) -> mmap.mmap:
+    """A new file of so many bytes, mapped. They are taken now: one that is not to be had later would kill who writes to it."""
+    path.unlink(missing_ok=True)
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file, 0, size)
+        else:
+            os.ftruncate(file, size)
+        return mmap.mmap(file, size)
+    finally:
+        os.close(file)
 
 
 def _lock(path: Path, name: str) -> int:

@@ -96,11 +96,11 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
             raise DataError(
                 f"{path} was made by another recipe: {_unlike(found, described)}; give another folder, or the same recipe"
             )
-        if count > group["count"].shape[0]:
-            for name in recipe.arrays():
-                group[name].resize((count, *group[name].shape[1:]))
-            group["done"].resize((-(-count // CHUNK),))
+        for name, most in {**dict.fromkeys(recipe.arrays(), count), "done": -(-count // CHUNK)}.items():
+            if most > group[name].shape[0]:  # each for itself: a run may have been stopped between two of them
+                group[name].resize((most, *group[name].shape[1:]))
         return group, group["done"]
+    quiet = recipe.quiet()  # what takes time comes first: a group without its attributes would not be taken for ours
     group = zarr.open_group(str(path), mode="w", zarr_format=3)
     for name, (shape, kind, fill, meaning) in recipe.arrays().items():
         array = group.create_array(name, shape=(count, *shape), dtype=kind, chunks=(CHUNK, *shape), fill_value=kind(fill))
@@ -109,7 +109,7 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
     for name, values, meaning in (
         ("pattern_injections", pattern.injections, "source and sink electrode of each injection, from 0"),
         ("pattern_measurements", pattern.measurements, "injection, plus and minus electrode of each voltage"),
-        ("quiet", recipe.quiet(), "V, frames of the untouched skin"),
+        ("quiet", quiet, "V, frames of the untouched skin"),
     ):
         array = group.create_array(name, data=np.ascontiguousarray(values))
         array.attrs["meaning"] = meaning

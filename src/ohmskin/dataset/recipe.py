@@ -94,7 +94,7 @@ class Recipe:
 
     def simulate(self, first: int, count: int) -> dict[str, np.ndarray]:
         """Samples `first` to `first + count - 1`, by array name; see `arrays`."""
-        kitchen, most = _kitchen(self), self.contacts[1]
+        kitchen = _kitchen(self)
         samples: dict[str, np.ndarray] = {
             name: np.full((count, *shape), fill, kind) for name, (shape, kind, fill, _) in self.arrays().items()
         }
@@ -104,7 +104,7 @@ class Recipe:
             frame = kitchen.twin.scan(kitchen.pattern)
             samples["voltages"][row], samples["currents"][row] = frame.voltages, frame.currents
             samples["count"][row] = len(presses)
-            for k, press in enumerate(presses[:most]):
+            for k, press in enumerate(presses):
                 samples["contacts"][row, k] = *press.position, press.radius, press.pressure
             samples["truth"][row] = kitchen.pressure(presses)
         return samples

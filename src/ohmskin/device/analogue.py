@@ -68,7 +68,7 @@ class AnalogueSide:
         averages: Samples that the firmware makes one value of.
 
     Raises:
-        SkinError: If the skin has more electrodes or bits than the emulated board.
+        SkinError: If the skin has more electrodes or bits than the emulated board, or a number is out of range.
     """
 
     def __init__(self, skin: Skin, seed: int | None = None, averages: int = 1) -> None:
@@ -123,16 +123,14 @@ class AnalogueSide:
         Returns:
             Code of the current, codes (n,) of the voltages, and whether the source ran into its current limit.
         """
-        excitation, converter = self.skin.excitation, self.skin.converter
+        excitation, converter, supply = self.skin.excitation, self.skin.converter, self.skin.source
         with self._lock:
             r = self._resistance
         drive = r[source] - r[sink]
-        current = excitation.amplitude
-        if excitation.source == "voltage":
-            series = excitation.resistance + 2 * excitation.multiplexer_resistance + converter.shunt
-            current /= drive[source] - drive[sink] + series
-        limited = current > excitation.current_limit
-        current = min(current, excitation.current_limit)
+        wanted = excitation.amplitude
+        if supply is not None:
+            wanted = supply.amplitude / (drive[source] - drive[sink] + supply.resistance)
+        limited, current = wanted > excitation.current_limit, min(wanted, excitation.current_limit)
         if (source, sink) != self._driven or elapsed < self._elapsed:
             self._before = self._potentials
         self._driven, self._elapsed = (source, sink), elapsed

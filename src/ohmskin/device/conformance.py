@@ -50,31 +50,36 @@ class _Skipped(Exception):
     pass
 
 
-def check_device(device: Device) -> list[Check]:
+def check_device(device: Device, report: Callable[[Check], None] = lambda _: None) -> list[Check]:
     """Check a device; it is closed afterwards.
 
     Args:
         device: Freshly opened, with an untouched skin.
+        report: Called with each outcome as soon as it is there.
 
     Returns:
         One outcome for each check, in the order they ran.
     """
     checks = []
     for name, check in _CHECKS.items():
-        try:
-            check(device)
-        except _Failed as failure:
-            checks.append(Check(name, "failed", str(failure)))
-        except _Skipped as reason:
-            checks.append(Check(name, "skipped", str(reason)))
-        except OhmskinError as error:
-            checks.append(Check(name, "failed", f"{type(error).__name__}: {error}"))
-        except Exception as error:  # noqa: BLE001  a driver of someone else's may raise anything; that is a finding
-            words = f"raised {type(error).__name__}: {error}; drivers raise DeviceLost, DeviceRefused or ProtocolError"
-            checks.append(Check(name, "failed", words))
-        else:
-            checks.append(Check(name, "passed"))
+        checks.append(_outcome(name, check, device))
+        report(checks[-1])
     return checks
+
+
+def _outcome(name: str, check: Callable[[Device], None], device: Device) -> Check:
+    try:
+        check(device)
+    except _Failed as failure:
+        return Check(name, "failed", str(failure))
+    except _Skipped as reason:
+        return Check(name, "skipped", str(reason))
+    except OhmskinError as error:
+        return Check(name, "failed", f"{type(error).__name__}: {error}")
+    except Exception as error:  # noqa: BLE001  a driver of someone else's may raise anything; that is a finding
+        words = f"raised {type(error).__name__}: {error}; drivers raise DeviceLost, DeviceRefused or ProtocolError"
+        return Check(name, "failed", words)
+    return Check(name, "passed")
 
 
 def _need(condition: object, words: str) -> None:

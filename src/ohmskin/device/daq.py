@@ -5,6 +5,7 @@ over a shunt in the sink's path. Fill two small protocols for your own parts; `M
 """
 
 import time
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
@@ -57,7 +58,7 @@ class MuxDaqDevice(Device):
         name: Name of the device.
 
     Raises:
-        DeviceError: If a number is out of range.
+        DeviceError: If a number is out of range (ProtocolError if it is one that the capabilities tell).
     """
 
     def __init__(
@@ -77,6 +78,8 @@ class MuxDaqDevice(Device):
     ) -> None:
         if not shunt > 0:
             raise DeviceError(f"shunt is {shunt} ohm; it must be positive")
+        if not settle >= 0:
+            raise DeviceError(f"settle is {settle} s; it must not be negative")
         if averages < 1:
             raise DeviceError(f"averages is {averages}; it must be 1 or more")
         able = Capabilities(
@@ -110,7 +113,7 @@ class MuxDaqDevice(Device):
         except OSError as error:
             raise DeviceLost(f"{self.url} failed in mid-scan: {error}; check its cables and connect again") from error
         finally:
-            self._try_release()  # current flows only while it is measured, whatever goes wrong
+            self._release()  # current flows only while it is measured, whatever goes wrong
         which, plus, minus = pattern.measurements.T
         limit = self.capabilities.full_scale
         over = np.abs(potentials) >= limit
@@ -132,18 +135,15 @@ class MuxDaqDevice(Device):
         mean = np.where(np.abs(worst) >= limit, worst, potentials.mean(axis=0))
         return mean, float(np.mean([shunt for _, shunt in samples]))
 
-    def _try_release(self) -> None:
-        try:
+    def _release(self) -> None:
+        with suppress(OSError, DeviceError):  # it is gone; the next scan says so, if the last one has not
             self._mux.release()
-        except OSError:
-            return  # it is gone; the error that brought us here says so
 
     def _press(self, press: Press) -> None:
         raise DeviceRefused("a real skin is pressed with a finger")
 
     def _close(self) -> None:
-        try:
-            self._try_release()
-        finally:
-            self._mux.close()
-            self._daq.close()
+        self._release()
+        for part in (self._mux, self._daq):
+            with suppress(OSError, DeviceError):
+                part.close()

@@ -48,6 +48,7 @@ class Device(ABC):
             PatternError: If the pattern names an electrode that is not there or is too large.
             DeviceLost: If no frame comes in time.
             DeviceRefused: If the device says no.
+            DeviceError: If it was closed, or the timeout is not positive.
         """
         limit = 2.0 + 4 * self.capabilities.scan_time(pattern) if timeout is None else timeout
         if not limit > 0:
@@ -58,19 +59,21 @@ class Device(ABC):
             return self._scan(pattern, limit)
 
     @final
-    def press(self, name: int, at: tuple[float, float], radius: float, pressure: float) -> None:
+    def press(self, number: int, at: tuple[float, float], radius: float, pressure: float) -> None:
         """Touch a virtual skin, move a touch, or lift it.
 
         Args:
-            name: Which touch, 0..65535, among those of this connection.
+            number: Which touch, 0..65535, among those of this connection.
             at: Place (x, y) on the sheet (m).
             radius: Radius (m).
             pressure: Pressure (Pa); 0 lifts it.
 
         Raises:
             DeviceRefused: If a value is out of range or the skin is a real one.
+            DeviceLost: If the device does not answer.
+            DeviceError: If it was closed.
         """
-        press = Press(name, *at, radius, pressure)
+        press = Press(number, *at, radius, pressure)
         if not self.capabilities.virtual:
             raise DeviceRefused(f"device {self.capabilities.name!r} is not virtual; press it with a finger")
         with self._lock:

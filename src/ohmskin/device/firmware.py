@@ -12,8 +12,7 @@ from typing import Self
 
 from ohmskin.device.analogue import AnalogueSide
 from ohmskin.device.capabilities import Capabilities, Feature
-from ohmskin.device.server import DeviceServer
-from ohmskin.device.server import _listen as listen
+from ohmskin.device.server import DeviceServer, listen
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, SkinError
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Skin

@@ -35,6 +35,7 @@ class SharedInstrument:
         self._numbers: dict[tuple[object, int], int] = {}  # (host, its number) -> the instrument's number
 
     def scan(self, pattern: DrivePattern) -> Frame:
+        """Drive `pattern` once, when no other host does."""
         with self._lock:
             return self._instrument.scan(pattern)
 
@@ -42,18 +43,22 @@ class SharedInstrument:
         """Put, move or lift a touch of a host.
 
         Raises:
-            DeviceRefused: If too many touches are down.
+            DeviceRefused: If too many touches are down, or the instrument refuses.
         """
         with self._lock:
             key = (host, press.number)
-            if key not in self._numbers:
+            number = self._numbers.get(key)
+            if number is None:
                 if press.pressure == 0:
                     return
                 if len(self._numbers) >= _MOST_PRESSES:
                     raise DeviceRefused(f"{_MOST_PRESSES} presses are down, which is the most; lift one first")
-                self._numbers[key] = min(set(range(_MOST_PRESSES)).difference(self._numbers.values()))
-            number = self._numbers.pop(key) if press.pressure == 0 else self._numbers[key]
-            self._instrument.press(number, press.x, press.y, press.radius, press.pressure)
+                number = min(set(range(_MOST_PRESSES)).difference(self._numbers.values()))
+            self._instrument.press(number, press.x, press.y, press.radius, press.pressure)  # may refuse: then nothing has changed
+            if press.pressure == 0:
+                del self._numbers[key]
+            else:
+                self._numbers[key] = number
 
     def lift(self, host: object) -> None:
         """Lift every touch of a host."""

@@ -20,8 +20,8 @@ class ErrorCode(IntEnum):
     WRONG_VERSION = 1  # the request is of another protocol version; the header of the reply tells the device's own
     UNKNOWN_KIND = 2  # no such request
     BAD_REQUEST = 3  # the payload is malformed or out of range
-    BAD_PATTERN = 4  # an electrode that is not there, or source and sink the same
-    TOO_LARGE = 5  # more injections, measurements, slots or presses than the device takes
+    BAD_PATTERN = 4  # an electrode or injection that is not there, source and sink the same, measurements out of order
+    TOO_LARGE = 5  # more injections, measurements or slots than the device takes
     UNKNOWN_SLOT = 6  # no pattern in this slot: the device was reset
     DIGEST_MISMATCH = 7  # another pattern in this slot: the device was reset
     NOT_SUPPORTED = 8  # this device cannot do that
@@ -87,6 +87,7 @@ class FrameData:
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
+        """What travels of a frame."""
         with np.errstate(over="ignore"):  # a voltage beyond f32 arrives as inf: clipped
             currents, voltages = frame.currents.astype(np.float32), frame.voltages.astype(np.float32)
         microseconds = max(0, round(frame.time * 1e6))

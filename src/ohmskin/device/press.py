@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from ohmskin.errors import DeviceRefused
 
-# Each limit is exact as a 32-bit float, which is how it travels.
-_RANGES = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "radius": (2.0**-20, 10.0), "pressure": (0.0, 1e9)}
+# The least and the most of each value; each limit is exact as a 32-bit float, which is how it travels.
+RANGES = {"x": (-100.0, 100.0), "y": (-100.0, 100.0), "radius": (2.0**-20, 10.0), "pressure": (0.0, 1e9)}
 _UNITS = {"x": "m", "y": "m", "radius": "m", "pressure": "Pa"}
 
 
@@ -34,7 +34,7 @@ class Press:
     def __post_init__(self) -> None:
         if not 0 <= self.number <= 0xFFFF:
             raise DeviceRefused(f"press number {self.number}; it must be 0..65535")
-        for name, (low, high) in _RANGES.items():
+        for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise DeviceRefused(f"press {name} is {value} {_UNITS[name]}; it must be {low:g}..{high:g} {_UNITS[name]}")

@@ -61,6 +61,7 @@ class Tally:
 
     @property
     def damaged(self) -> int:
+        """Packets that were thrown away."""
         return self.bad_cobs + self.bad_crc + self.overlong
 
 

@@ -30,7 +30,7 @@ def connect(url: str, **options: Any) -> Device:
         options: What this driver takes beside the address.
 
     Raises:
-        DeviceError: If there is no such driver, or it has no such option.
+        DeviceError: If there is no such driver, it has no such option, or the address cannot be read.
         DeviceLost: If nothing answers.
     """
     scheme, colon, _ = url.partition(":")

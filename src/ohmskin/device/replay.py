@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -81,6 +80,7 @@ class ReplayDevice(Device):
     Raises:
         DataError: If the file is not a recording.
         PatternError: If `rate` or `speed` is not positive.
+        DeviceError: If the address has a setting that is none.
     """
 
     def __init__(self, url: str, rate: float = 30.0, speed: float = 1.0, start: float = 0.0, loop: bool = True) -> None:
@@ -103,13 +103,15 @@ class ReplayDevice(Device):
             if not len(self._run):
                 raise DataError(f"{path} holds a calibration and nothing else; there is nothing to replay")
             self._bases = self._base_patterns()
+            self._codes_by_pattern: dict[int, tuple[Ints, Ints]] = {}
             chosen = self._reel.roles == Role.CHOSEN
             self._adaptive = np.bincount(self._reel.mode_of[chosen], minlength=len(self._reel.modes)) > 0
             self._at, self._quiet_at, self._was_quiet = 0, 0, False
             self._served = 0
             self._quiet_left = 0 if self.reference else len(self._segments[0])
             self._ended = False
-            self.loop, self.calibrating = loop, None  # type: tuple[bool, Callable[[], bool] | None]
+            self.loop = loop
+            self.calibrating: Callable[[], bool] | None = None
             self.speed = speed
             self.seek(start)
         except BaseException:
@@ -259,7 +261,7 @@ class ReplayDevice(Device):
         wanted = _codes(pattern)
         for k in range(count):
             index = int(segment[(self._quiet_at + k) % count])
-            codes = self._known_codes(int(self._reel.pattern_numbers[index]), index)
+            codes = self._sorted_codes(index)
             place = np.minimum(np.searchsorted(codes[0], wanted), len(codes[0]) - 1)
             found = missing & (codes[0][place] == wanted)
             if found.any():
@@ -276,18 +278,14 @@ class ReplayDevice(Device):
             "replay it with the skin it was made with"
         )
 
-    @property
-    def _known_codes(self) -> Callable[[int, int], tuple[Ints, Ints]]:
-        if not hasattr(self, "_codes_cache"):
-
-            @lru_cache(64)
-            def sorted_codes(_number: int, index: int) -> tuple[Ints, Ints]:
-                codes = _codes(self._reel.pattern(index))
-                order = np.argsort(codes)
-                return codes[order], order
-
-            self._codes_cache = sorted_codes
-        return self._codes_cache
+    def _sorted_codes(self, index: int) -> tuple[Ints, Ints]:
+        """The codes (n_meas,) of a quiet frame's measurements, rising, and the measurement of each."""
+        number = int(self._reel.pattern_numbers[index])
+        if number not in self._codes_by_pattern:
+            codes = _codes(self._reel.pattern(index))
+            order = np.argsort(codes)
+            self._codes_by_pattern[number] = codes[order], order
+        return self._codes_by_pattern[number]
 
     def _base_patterns(self) -> dict[DrivePattern, int]:
         begins = self._run[self._reel.roles[self._run] != Role.CHOSEN]

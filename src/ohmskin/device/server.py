@@ -29,12 +29,12 @@ class DeviceServer:
         pty: Whether to offer a pseudo-terminal, too.
 
     Raises:
-        DeviceError: If the port is in use or the address is not this machine's.
+        DeviceError: If the port is in use, the address is not this machine's, or there are no pseudo-terminals here.
     """
 
     def __init__(self, instrument: Instrument, host: str = "127.0.0.1", port: int = 7155, pty: bool = False) -> None:
         self._instrument = SharedInstrument(instrument)
-        self._listener = _listen(host, port)
+        self._listener = listen(host, port)
         self._terminal = PseudoTerminal() if pty else None
         self._stop = threading.Event()
         self._threads: set[threading.Thread] = set()
@@ -47,9 +47,9 @@ class DeviceServer:
 
     def start(self) -> None:
         """Answer in the background. Connections made before now have waited."""
-        self._spawn(self._accept)
         if self._terminal:
             self._spawn(self._serve_terminal, self._terminal)
+        self._spawn(self._accept)  # last: from now on it alone starts threads
 
     def serve_forever(self) -> None:
         """Answer until `close` is called elsewhere or the user interrupts."""
@@ -79,23 +79,23 @@ class DeviceServer:
         self.close()
 
     def _spawn(self, work: Callable[..., None], *args: object) -> None:
-        self._threads = {thread for thread in self._threads if thread.is_alive()}
-        thread = threading.Thread(target=work, args=args, daemon=True, name=f"{self.url} {work.__name__}")
-        self._threads.add(thread)
-        thread.start()
+        new = threading.Thread(target=work, args=args, daemon=True, name=f"{self.url} {work.__name__}")
+        self._threads = {new, *(thread for thread in self._threads if thread.is_alive())}  # `close` may be looking at the old ones
+        new.start()
 
     def _accept(self) -> None:
         self._listener.settimeout(_POLL)
         while not self._stop.is_set():
             try:
                 connected, (host, port, *_) = self._listener.accept()
+                line = SocketTransport(connected, f"tcp://{host}:{port}")
             except TimeoutError:
                 continue
             except OSError as error:  # too many open files, or a host that was gone before it was greeted
                 _LOG.warning("a connection failed: %s", error)
                 self._stop.wait(_POLL)
                 continue
-            self._spawn(self._serve_socket, SocketTransport(connected, f"tcp://{host}:{port}"))
+            self._spawn(self._serve_socket, line)
 
     def _serve_socket(self, transport: SocketTransport) -> None:
         with closing(transport):
@@ -119,7 +119,12 @@ class DeviceServer:
             session.end()
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> socket.socket:
+    """A listening TCP socket; port 0 chooses a free one.
+
+    Raises:
+        DeviceError: If the port is in use or the address is not this machine's.
+    """
     if not 0 <= port <= 65535:
         raise DeviceError(f"port {port}; it must be 1..65535, or 0 for any free one")
     try:

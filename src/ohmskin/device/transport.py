@@ -17,6 +17,7 @@ _CONNECT_TIMEOUT = 3.0
 _WRITE_TIMEOUT = 2.0
 _POLL = 0.02  # pyserial waits in steps of this, because changing its timeout reconfigures the port
 _BAUD = 921600
+_MOST_BAUD = 100_000_000
 
 
 class Transport(Protocol):
@@ -43,7 +44,10 @@ def open_transport(url: str) -> Transport:
         DeviceError: If the address cannot be read.
         DeviceLost: If nothing answers there.
     """
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:
+        raise DeviceError(f"{url!r}: {error}; need such as tcp://127.0.0.1:7155 or serial:///dev/ttyACM0") from error
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     allowed: dict[str, set[str]] = {"tcp": set(), "serial": {"baud"}}
     if parts.scheme not in allowed:
@@ -61,8 +65,8 @@ def open_transport(url: str) -> Transport:
             raise DeviceError(f"{url!r} lacks a host or a port; need tcp://host:port such as tcp://127.0.0.1:7155")
         return SocketTransport.connect(host, port)
     baud = options.get("baud", str(_BAUD))
-    if not (baud.isascii() and baud.isdigit() and int(baud) > 0):
-        raise DeviceError(f"{url!r}: baud is {baud!r}; need a positive number such as {_BAUD}")
+    if not (baud.isascii() and baud.isdigit() and len(baud) < 10 and 0 < int(baud) <= _MOST_BAUD):
+        raise DeviceError(f"{url!r}: baud is {baud!r}; need a number of 1 to {_MOST_BAUD} such as {_BAUD}")
     port_name = parts.netloc + parts.path
     if not port_name:
         raise DeviceError(f"{url!r} names no port; need serial:///dev/ttyACM0 or serial://COM3; {_ports()}")
@@ -98,7 +102,7 @@ class SocketTransport:
             raise DeviceLost(f"nothing listens on {host}:{port}; is `ohmskin serve-skin` running there?") from error
         except TimeoutError as error:
             raise DeviceLost(f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall") from error
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # a name that cannot be one, such as "a..b"
             raise DeviceLost(f"cannot reach {host}:{port}: {error}; check the address and the network") from error
 
     def read(self, timeout: float) -> bytes:

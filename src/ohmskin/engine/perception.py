@@ -164,14 +164,20 @@ class Perception:
         return Sight(frames, lambda: (base, image), contacts)
 
     def _see_quickly(self, cycle: FastCycle, mode: Mode, scan: Scan) -> Sight:
-        frames = [scan(mode.base)]
+        scanned: dict[DrivePattern, Frame] = {}
+
+        def checked(pattern: DrivePattern) -> tuple[Floats, Floats]:
+            frame = scanned[pattern] = scan(pattern)
+            if frame.pattern != pattern:  # a recording has what was driven then
+                raise DataError("another pattern was driven than was asked for")
+            return frame.voltages, frame.currents
+
         try:
-            chosen = cycle.look(frames[0].voltages, frames[0].currents)
-            frames.append(scan(cycle.pattern(chosen)))
-            contacts = cycle.see(frames[1].voltages, frames[1].currents)
-        except DataError:  # a voltage or current is missing
-            known = {frame.pattern: frame for frame in frames}
-            return self._see_plainly(mode, lambda pattern: known.get(pattern) or scan(pattern))
+            chosen = cycle.look(*checked(mode.base))
+            contacts = cycle.see(*checked(cycle.pattern(chosen)))
+        except DataError:  # that, or a voltage or current is missing
+            return self._see_plainly(mode, lambda pattern: scanned.get(pattern) or scan(pattern))
+        frames = tuple(scanned.values())
 
         def drawn(values: Floats, *used: Frame) -> Image:
             return Image(values, lambda cells: self.estimator.reconstruct(*map(self._difference, used)).noise_std(cells))
@@ -180,7 +186,7 @@ class Perception:
             drawn(cycle.base_image.astype(float), frames[0]),
             drawn(cycle.image.astype(float), *frames[0 if mode.fuse else 1 :]),
         )
-        return Sight(tuple(frames), lambda: images, tuple(contacts))
+        return Sight(frames, lambda: images, tuple(contacts))
 
     def _compiled(self, mode: Mode) -> FastCycle | None:
         """The cycle of an adaptive mode, compiled; None where it does not apply."""

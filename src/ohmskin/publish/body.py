@@ -11,7 +11,7 @@ from typing import Any
 
 from ohmskin.client.felt import MOST_PATCHES, Patch
 from ohmskin.errors import OhmskinError, SkinError
-from ohmskin.skin import Skin
+from ohmskin.skin import Skin, shipped_skins
 
 _LARGEST_FILE, _LARGEST_URDF = 2**20, 16 * 2**20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
@@ -130,13 +130,35 @@ def _placed(
         turns = _numbers(entry, "rotation", 3, 2 * pi)
         source = _text(entry, "skin", "paper", _LINK)
         if source not in skins:
-            skins[source] = Skin.load(_inside(folder, source, "skin") if source.endswith(".toml") else source)
-        device, mode = _text(entry, "device", "virtual:", _LINK), _text(entry, "mode", "", re.compile(r"\w{0,32}"))
+            skins[source] = _skin(folder, source)
+        device = _device(folder, _text(entry, "device", "virtual:", _LINK))
+        mode = _text(entry, "mode", "", re.compile(r"\w{0,32}"))
         if mode and mode not in skins[source].modes:
             raise SkinError(f"mode {mode!r} is not possible with this skin; choose from {', '.join(skins[source].modes)}")
         return PlacedSkin(Patch(name, link, (x, y, z), axes(*turns)), skins[source], device, mode)
     except OhmskinError as error:
         raise SkinError(f"{where}{error}") from None
+
+
+def _skin(folder: Path, source: str) -> Skin:
+    if source.endswith(".toml"):
+        return Skin.load(_inside(folder, source, "skin"))
+    if source not in shipped_skins():  # not even if there is such a file somewhere
+        raise SkinError(f"no skin named {source!r}; give a .toml file beside the body file or one of {', '.join(shipped_skins())}")
+    return Skin.load(source)
+
+
+def _device(folder: Path, address: str) -> str:
+    """The address; a recording is a file that the body file names."""
+    kind, _, rest = address.partition(":")
+    if kind == "virtual" and rest:
+        raise SkinError(f"device is {address!r}; a virtual one is 'virtual:', and `skin` says which")
+    if kind == "virtual":
+        return "virtual:"
+    if kind == "replay":
+        name, mark, settings = rest.partition("?")
+        return f"replay:{_inside(folder, name, 'device')}{mark}{settings}"
+    return address
 
 
 def _inside(folder: Path, name: Any, what: str) -> Path:

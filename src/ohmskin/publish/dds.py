@@ -7,7 +7,8 @@ import logging
 import os
 import re
 import socket
-from collections.abc import Sequence
+import stat
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Any
@@ -100,13 +101,25 @@ def _stay_on(interface: str) -> None:
 
     Cyclone binds them to all addresses, whatever interface it is told to use (its issues 1923 and 2090).
     """
-    if not hasattr(socket, "SO_BINDTODEVICE"):
-        log.warning("this system cannot tie DDS to %s; a firewall should keep UDP ports 7400 to 7500 from others", interface)
-        return
-    for entry in os.listdir("/proc/self/fd"):
-        with suppress(OSError), socket.socket(fileno=os.dup(int(entry))) as own:  # OSError: not a socket, or closed meanwhile
-            if own.type == socket.SOCK_DGRAM and own.family in (socket.AF_INET, socket.AF_INET6):
+    try:
+        for own in _udp_sockets():
+            with own:
                 own.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode() + b"\0")
+    except (AttributeError, OSError):  # no such option, or no right to use it
+        log.warning("this system cannot tie DDS to %s; a firewall should keep UDP ports 7400 to 7500 from others", interface)
+
+
+def _udp_sockets() -> Iterator[socket.socket]:
+    """Every UDP socket that this process has, once more."""
+    for entry in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # closed meanwhile
+            if not stat.S_ISSOCK(os.stat(f"/proc/self/fd/{entry}").st_mode):
+                continue
+            own = socket.socket(fileno=os.dup(int(entry)))
+            if own.type == socket.SOCK_DGRAM and own.family in (socket.AF_INET, socket.AF_INET6):
+                yield own
+            else:
+                own.close()
 
 
 @cache

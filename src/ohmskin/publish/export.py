@@ -2,9 +2,9 @@
 
 import csv
 import os
+import secrets
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
@@ -19,7 +19,7 @@ from ohmskin.errors import DataError
 from ohmskin.geometry import Raster
 from ohmskin.plot import draw_image
 from ohmskin.publish.player import Replayed, reimage
-from ohmskin.record import Role, Tape
+from ohmskin.record import Tape
 
 CONTACT_COLUMNS = ("time_s", "cycle", "mode", "id", "x_m", "y_m", "extent_m2", "strength_m2", "confidence", "peak")
 """A row per contact and cycle; `time_s` counts from the first frame behind the calibration."""
@@ -47,7 +47,7 @@ _RASTER = 256  # as in `draw_image`
 
 def contact_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
     """The recorded contacts (`CONTACT_COLUMNS`) between two times (s)."""
-    times = _seconds(tape, tape.touches.stamps)
+    times = tape.times_of(tape.touches)
     for k in np.flatnonzero((times >= start) & (times <= stop)):
         touch = tape.touches[int(k)]
         for c in touch.contacts:
@@ -92,9 +92,10 @@ def write_parquet(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, 
         import pyarrow.parquet as pq
     except ImportError as error:
         raise DataError("Parquet needs pyarrow: pip install 'ohmskin[export]'; or choose csv or npz") from error
-    texts, counts = {"mode", "role"}, {"cycle", "id", "sequence", "source", "sink", "plus", "minus"}
     names = tuple(columns)
-    kinds = [pa.string() if name in texts else pa.int64() if name in counts else pa.float64() for name in names]
+    known = dict.fromkeys(("mode", "role"), pa.string()) | dict.fromkeys(("cycle", "sequence"), pa.uint64())
+    known |= dict.fromkeys(("id", "source", "sink", "plus", "minus"), pa.int64())
+    kinds = [known.get(name, pa.float64()) for name in names]
     schema = pa.schema(list(zip(names, kinds, strict=True)))
     total, rows = 0, iter(rows)
     with _new(path) as part, pq.ParquetWriter(part, schema) as writer:
@@ -114,18 +115,24 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
         DataError: If the file exists or cannot be written, or so much does not fit into memory.
     """
     frames = _within(tape, start, stop)
-    numbers, which = np.unique(tape.pattern_numbers[frames], return_inverse=True)
-    first = {int(n): int(frames[k]) for k, n in reversed(list(enumerate(tape.pattern_numbers[frames])))}
-    patterns = [tape.pattern(first[int(n)]) for n in numbers]
+    _, first, which = np.unique(tape.pattern_numbers[frames], return_index=True, return_inverse=True)
+    patterns = [tape.pattern(int(frames[k])) for k in first]
     sizes = np.array([p.n_meas for p in patterns], np.int64)
     if (total := int(sizes[which].sum())) > _MOST_VALUES:
         raise DataError(f"{total} voltages are too many for one file; choose a part with --start and --seconds")
     records = [tape.frames[int(k)] for k in frames]
-    image_times = _seconds(tape, tape.images.stamps)
-    images = [tape.images[int(k)] for k in np.flatnonzero((image_times >= start) & (image_times <= stop))]
-    if sum(image.size for image in images) > _MOST_VALUES:
-        raise DataError("the images are too many for one file; choose a part with --start and --seconds")
-    shape = images[0].shape if images else (0, 0)
+    images: list[Any] = []
+    image_times, shape = [], (0, 0)
+    times = tape.times_of(tape.images)
+    for k in np.flatnonzero((times >= start) & (times <= stop)):
+        image = tape.images[int(k)]
+        shape = shape if images else image.shape
+        if image.shape != shape:
+            raise DataError(f"image {k} of {tape.path} has the shape {image.shape}, not {shape}; export a part without it")
+        if (len(images) + 1) * image.size > _MOST_VALUES:
+            raise DataError("the images are too many for one file; choose a part with --start and --seconds")
+        images.append(image.astype(np.float32))
+        image_times.append(times[k])
     contacts = list(contact_rows(tape, start, stop))
     columns = (
         dict(zip(CONTACT_COLUMNS, zip(*contacts, strict=True), strict=True)) if contacts else dict.fromkeys(CONTACT_COLUMNS, ())
@@ -145,8 +152,8 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
         "pattern_injections_start": _starts([p.n_inj for p in patterns]),
         "pattern_measurements": np.concatenate([p.measurements for p in patterns] or [np.empty((0, 3), np.int64)]).astype(np.int32),
         "pattern_measurements_start": _starts([p.n_meas for p in patterns]),
-        "image_time_s": image_times[(image_times >= start) & (image_times <= stop)],
-        "images": np.array([image for image in images if image.shape == shape], np.float32).reshape(-1, *shape),
+        "image_time_s": np.array(image_times),
+        "images": np.array(images, np.float32).reshape(-1, *shape),
         "skin_toml": np.array(tape.skin),
         **{f"contact_{name}": np.array(column) for name, column in columns.items()},
     }
@@ -233,10 +240,12 @@ def strongest(cycles: Iterable[Replayed]) -> Replayed:
     return best
 
 
-def cycle_at(path: str | Path, at: float | None, stop: float = np.inf, **options: Any) -> Replayed:
-    """The first cycle from a time on (s), or the strongest one; `options` are those of `reimage`."""
-    if at is None:
-        return strongest(reimage(path, stop=stop, **options))
+def cycle_at(path: str | Path, at: float, **options: Any) -> Replayed:
+    """The first cycle from a time on (s); `options` are those of `reimage`.
+
+    Raises:
+        DataError: If there is none.
+    """
     for cycle in reimage(path, start=at, **options):
         return cycle
     raise DataError(f"no whole cycle was recorded from {at:g} s on; choose an earlier time")
@@ -287,12 +296,6 @@ class _Film:
         return bytes(self._canvas.buffer_rgba())
 
 
-def _seconds(tape: Tape, stamps: Any) -> Any:
-    """Calendar stamps (ns) as seconds, 0 where `tape.times` is."""
-    first = int(np.argmax(tape.roles != Role.QUIET))
-    return (stamps - tape.frames.stamps[first]) * 1e-9
-
-
 def _within(tape: Tape, start: float, stop: float) -> Any:
     return np.flatnonzero((tape.times >= start) & (tape.times <= stop))
 
@@ -310,16 +313,25 @@ def _new(path: Path) -> Iterator[Path]:
     """
     if path.exists():
         raise DataError(f"{path} exists and is never overwritten; choose another name")
-    part = None
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        os.close(handle)
-        part = Path(name)
-        yield part
-        os.chmod(part, 0o644)
-        os.link(part, path)
+        part.touch(exist_ok=False)  # who may read it is for the user's umask to say
+        try:
+            yield part
+            _rename(part, path)
+        finally:
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise DataError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
-    finally:
-        if part is not None:
-            part.unlink(missing_ok=True)
+
+
+def _rename(part: Path, path: Path) -> None:
+    """Give a file its name unless another one has it."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # no hard links here: a USB stick, say
+        if path.exists():
+            raise
+        part.rename(path)

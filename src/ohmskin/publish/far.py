@@ -4,6 +4,7 @@ import threading
 import time
 from typing import Any
 
+from ohmskin.client.board import check_name
 from ohmskin.client.felt import Felt
 from ohmskin.errors import DataError, PublishError
 from ohmskin.publish.messages import decode_contacts
@@ -11,22 +12,25 @@ from ohmskin.publish.topics import contacts_topic
 
 
 class Far:
-    """The newest contacts of a sender elsewhere; see `Client`. Its clock and ours should agree (NTP), for ages come from stamps."""
+    """The newest contacts of a sender elsewhere; see `Client`. Its clock and ours should agree (NTP), for ages come from stamps.
+
+    Raises:
+        PublishError: If the extra `zenoh` is missing, or the name or the place cannot be used.
+    """
 
     def __init__(self, name: str, where: str, token: str | None) -> None:
         try:
             from ohmskin.publish.zenoh import data_key, open_session
         except ImportError as error:
             raise PublishError("hearing a skin over zenoh needs a package: pip install 'ohmskin[zenoh]'") from error
+        check_name(name)
         self._fresh: Felt | None = None
         self._here = threading.Condition()
         self._session = open_session(where, False, token)
         self._subscriber = self._session.declare_subscriber(data_key(contacts_topic(name)), self._take)
 
     def newest(self) -> Felt | None:
-        with self._here:
-            fresh, self._fresh = self._fresh, None
-            return fresh
+        return self.wait(0.0)
 
     def wait(self, timeout: float) -> Felt | None:
         with self._here:

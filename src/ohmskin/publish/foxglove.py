@@ -32,7 +32,7 @@ class FoxgloveOutlet:
         found = _PLACE.fullmatch(place)
         if not found or int(found[2] or 0) > 65535:
             raise PublishError(f"foxglove:{place} is no place; use foxglove or foxglove:HOST:PORT")
-        host, port = found[1].strip("[]") or "127.0.0.1", int(found[2] or PORT) if found[2] != "0" else 0
+        host, port = found[1].strip("[]") or "127.0.0.1", int(found[2] or PORT)
         context = self._context = foxglove.Context()  # its channels close when it goes
         self._channels = {
             topic: foxglove.Channel(

@@ -5,17 +5,17 @@ import numpy as np
 from ohmskin.client.felt import Contact, Felt, Patch, Sighting
 from ohmskin.errors import DataError
 from ohmskin.record.cdr import Decoder, Encoder
+from ohmskin.record.messages import Cylinder, encode_cylinders
 from ohmskin.scan.frame import Floats
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
-_DELETE_ALL, _ADD, _CYLINDER = 3, 0, 3  # of visualization_msgs/Marker
 
 
 def encode_contacts(felt: Felt) -> bytes:
     """`ohmskin_msgs/msg/Contacts`."""
-    encoder = _header(felt.stamp, "").put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
+    encoder = Encoder().stamp(felt.stamp).text("").put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
     for patch in felt.patches:
-        encoder.text(patch.patch).text(patch.frame).put("iIQ", *divmod(patch.stamp, 10**9), patch.sequence).text(patch.mode)
+        encoder.text(patch.patch).text(patch.frame).stamp(patch.stamp).put("Q", patch.sequence).text(patch.mode)
     numbers = {patch.patch: number for number, patch in enumerate(felt.patches)}
     encoder.put("I", len(felt.contacts))
     for c in felt.contacts:
@@ -35,12 +35,12 @@ def decode_contacts(data: bytes, offset: float) -> Felt:
         DataError: If it is not such a message.
     """
     decoder = Decoder(data)
-    stamp = _stamp(decoder)
+    stamp = decoder.stamp()
     decoder.text()
     boot, sequence = (int(value) for value in decoder.take("QQ"))
     patches = []
     for _ in range(decoder.count(28)):
-        name, frame, seen = decoder.text(), decoder.text(), _stamp(decoder)
+        name, frame, seen = decoder.text(), decoder.text(), decoder.stamp()
         number, mode = int(decoder.take("Q")[0]), decoder.text()
         patches.append(Sighting(name, frame, number, seen * 1e-9 + offset if seen else float("-inf"), seen, mode))
     contacts = []
@@ -68,19 +68,14 @@ def encode_wrench(contact: Contact | None, frame: str, stamp: int, scale: float)
         force = -scale * abs(contact.strength) * np.array(contact.normal)
         torque = np.cross(contact.position, force)
     force, torque = force + 0.0, torque + 0.0  # no minus zeros
-    return _header(stamp, frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
+    return Encoder().stamp(stamp).text(frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
 
 
 def encode_markers(contacts: tuple[Contact, ...], patches: tuple[Patch, ...], stamp: int) -> bytes:
-    """`visualization_msgs/msg/MarkerArray`: the markers of before go, each contact becomes a flat cylinder of its extent."""
-    encoder = Encoder().put("I", 1 + len(contacts))
+    """`visualization_msgs/msg/MarkerArray` of contacts on the robot; see `encode_cylinders`."""
     turns = {patch.name: quaternion(np.array(patch.axes, float).T) for patch in patches}
-    _marker(encoder, stamp, patches[0].frame, "", (0, _DELETE_ALL), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 1.0, True)
-    for contact in contacts:
-        width = 2 * float(np.sqrt(contact.extent / np.pi))
-        kind, rises = (contact.id, _ADD), contact.strength >= 0
-        _marker(encoder, stamp, contact.frame, contact.patch, kind, contact.position, turns[contact.patch], width, rises)
-    return encoder.done()
+    cylinders = [Cylinder(c.frame, c.patch, c.id, c.position, turns[c.patch], c.extent, c.strength) for c in contacts]
+    return encode_cylinders(cylinders, stamp, patches[0].frame)
 
 
 def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int) -> bytes:
@@ -96,7 +91,7 @@ def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int)
     axes = np.array(patch.axes)
     places = np.array(patch.position) + x[column, None] * axes[0] + y[row, None] * axes[1]
     points = np.column_stack([places, pixels[row, column]]).astype("<f4")
-    encoder = _header(stamp, patch.frame).put("II", 1, len(points)).put("I", 4)
+    encoder = Encoder().stamp(stamp).text(patch.frame).put("II", 1, len(points)).put("I", 4)
     for number, name in enumerate(("x", "y", "z", "change")):
         encoder.text(name).put("IBI", 4 * number, _FLOAT32, 1)
     encoder.put("?II", False, 16, 16 * len(points)).array(points.view("u1").ravel())
@@ -118,33 +113,3 @@ def quaternion(rotation: Floats) -> tuple[float, float, float, float]:
     x, y, z, w = np.linalg.eigh(k)[1][:, -1]
     sign = -1.0 if w < 0 else 1.0
     return float(sign * x), float(sign * y), float(sign * z), float(sign * w)
-
-
-def _marker(
-    encoder: Encoder,
-    stamp: int,
-    frame: str,
-    group: str,
-    kind: tuple[int, int],
-    place: tuple[float, float, float],
-    turn: tuple[float, float, float, float],
-    width: float,
-    rises: bool,
-) -> None:
-    number, action = kind
-    colour = (0.84, 0.19, 0.15, 0.7) if rises else (0.19, 0.36, 0.76, 0.7)
-    encoder.put("iI", *divmod(stamp, 10**9)).text(frame).text(group).put("iii", number, _CYLINDER, action)
-    encoder.put("ddddddd", *place, *turn).put("dddffff", width, width, 1e-3, *colour)
-    encoder.put("iI?", 0, 0, False)  # shown until replaced; not locked to a moving frame
-    encoder.put("II", 0, 0).text("")  # points, colours, texture's name
-    encoder.put("iI", 0, 0).text("").text("").put("I", 0)  # texture: header, format, data
-    encoder.put("I", 0).text("").text("").text("").put("I", 0).put("?", False)  # texture's places, text, mesh
-
-
-def _header(stamp: int, frame: str) -> Encoder:
-    return Encoder().put("iI", *divmod(stamp, 10**9)).text(frame)
-
-
-def _stamp(decoder: Decoder) -> int:
-    seconds, nanoseconds = decoder.take("iI")
-    return int(seconds) * 10**9 + int(nanoseconds)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from ohmskin.client.felt import patches_from
-from ohmskin.device import connect
+from ohmskin.device import Device, connect
 from ohmskin.engine import Engine, State
 from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.publish.publisher import Publisher
@@ -25,7 +25,8 @@ class PatchLoop:
     """Senses with one patch until it is told to stop.
 
     Args:
-        settings: Device, skin (TOML), mode, patch, name of its boards, whether a demonstration finger wanders.
+        settings: `device`, `skin` (TOML), `mode`, `patch`, `name` of its boards, most `images` per second, and whether a
+            demonstration finger presses it (`demo`).
         stop: Set to end.
     """
 
@@ -49,9 +50,9 @@ class PatchLoop:
                     self.tell(state="lost", message=str(error))
                     self._stop.wait(_RETRY_AFTER)
 
-    def _open(self) -> Any:
-        if self._device.partition(":")[0] == "virtual":
-            return connect("virtual:", skin=self._skin)
+    def _open(self) -> Device:
+        if self._device == "virtual:":
+            return connect(self._device, skin=self._skin)
         return connect(self._device)
 
     def _sense(self, engine: Engine, publisher: Publisher) -> None:

@@ -43,7 +43,7 @@ class PatchProcess:
             "device": placed.device,
             "mode": placed.mode,
             "name": name,
-            "demo": demo and placed.device.startswith("virtual:"),
+            "demo": demo and placed.device == "virtual:",
             "images": images,
         }
         self._patch, self._report = placed.patch.name, report
@@ -219,9 +219,10 @@ class Merger:
         """
         news = False
         for number, reader in enumerate(self._readers):
-            if (record := reader.newest()) is not None:
+            # the name may have been another program's, or have been left by one that had the patch elsewhere
+            if (record := reader.newest()) is not None and (told := patches_from(reader.setup)) == (self._patches[number],):
                 news = True
-                own = unpack(record, patches_from(reader.setup), reader.boot)
+                own = unpack(record, told, reader.boot)
                 self._seen[number], self._contacts[number] = own.patches[0], own.contacts
         if not news:
             return None

@@ -224,7 +224,8 @@ def _exchange(engine: Engine, player: Player, make: MakeEstimator) -> None:
         return
     asked, device.calibrating = device.calibrating, lambda: True
     try:
-        for name in {engine.mode.name, *device.modes} & set(engine.modes):
-            perception.learn_thresholds(engine.modes[name], device.scan, _QUIET_CYCLES)
+        for name, mode in engine.modes.items():  # in this order, because each takes the quiet frames behind those of the one before
+            if name in (engine.mode.name, *device.modes):
+                perception.learn_thresholds(mode, device.scan, _QUIET_CYCLES)
     finally:
         device.calibrating = asked

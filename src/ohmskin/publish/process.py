@@ -92,6 +92,8 @@ class Relay:
 
     def _send_wrenches(self, felt: Felt, scale: float) -> None:
         for patch in felt.patches:
+            if not patch.sequence:  # not heard of: that it is not pushed is not known
+                continue
             own = [contact for contact in felt.contacts if contact.patch == patch.patch]
             for contact in own or (None,):  # none: a wrench of zero, so that the end of a push is told
                 self._send(self._wrench, patch.stamp, encode_wrench(contact, patch.frame, patch.stamp, scale))

@@ -11,7 +11,7 @@ import numpy as np
 from ohmskin.client.board import Board
 from ohmskin.client.felt import LARGEST, Contact, Felt, Patch, Sighting, felt, pack
 from ohmskin.engine import Touch
-from ohmskin.errors import GeometryError, PublishError
+from ohmskin.errors import PublishError
 from ohmskin.geometry import Disc, Raster
 from ohmskin.publish.picture import Picture
 from ohmskin.publish.relay import RelayProcess
@@ -52,17 +52,15 @@ class Publisher:
     ) -> None:
         check_settings(scale, token, images)
         self.patch = patch
-        self._raster = _raster(skin)
+        self._raster = Raster(skin.mesh(), _PIXELS)
         self._every, self._due = 1 / images, 0.0
         setup = {"skin": skin.name, "domain": _domain(skin), "patches": [asdict(patch)]}
-        pictures = [f"{name}.image"] if self._raster is not None else []
         self._board = Board(name, setup, LARGEST)
         self._picture: Board | None = None
         self._relay: RelayProcess | None = None
         try:
-            if self._raster is not None:
-                self._picture = Board(pictures[0], setup | Picture.setup(self._raster), Picture.size(self._raster))
-            self._relay = RelayProcess(name, pictures, scale, outlets, token, images)
+            self._picture = Board(f"{name}.image", setup | Picture.setup(self._raster), Picture.size(self._raster))
+            self._relay = RelayProcess(name, [f"{name}.image"], scale, outlets, token, images)
         except BaseException:
             self.close()
             raise
@@ -73,7 +71,7 @@ class Publisher:
         # The calendar may be set anew at any time, so that each stamp is taken from how long ago the sample was.
         stamp = time.time_ns() - round((time.monotonic() - touch.time) * 1e9)
         self._board.write(pack(self.felt(touch, stamp), [self.patch]))
-        if self._picture is not None and self._raster is not None and (now := time.monotonic()) >= self._due:
+        if self._picture is not None and (now := time.monotonic()) >= self._due:
             self._due = now + self._every
             self._picture.write(Picture.pack(self._raster(touch.sight.image.values), touch.sequence, stamp))
         if self._relay is not None:
@@ -124,13 +122,6 @@ def _worst(covariance: tuple[tuple[float, float], tuple[float, float]]) -> float
     """Standard deviation in the worst direction (m)."""
     (xx, xy), (_, yy) = covariance
     return float(np.sqrt((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)))
-
-
-def _raster(skin: Skin) -> Raster | None:
-    try:
-        return Raster(skin.mesh(), _PIXELS)
-    except GeometryError:  # a surface in space, which has no flat image
-        return None
 
 
 def _domain(skin: Skin) -> dict[str, Any]:

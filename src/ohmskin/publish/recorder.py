@@ -2,6 +2,7 @@
 
 import platform
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -23,7 +24,6 @@ from ohmskin.record.messages import (
     encode_markers,
     encode_pattern,
     encode_touch,
-    now,
 )
 from ohmskin.record.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOUCH
 from ohmskin.record.tape import FORMAT
@@ -50,7 +50,7 @@ class Recorder:
     Args:
         path: The recording, a file that is not there yet.
         skin: What the device is.
-        images: Most images per second; they can be made again from the frames. 0 for none, infinity for all.
+        images: Most images and markers per second; they can be made again from the frames. 0 for none, infinity for all.
 
     Raises:
         DataError: If the file is there already or cannot be made.
@@ -86,7 +86,7 @@ class Recorder:
         """Record one frame; `tee` calls it."""
         if self._pipe is None:
             raise DataError("this recorder has no device yet; open one with recorder.tee(device)")
-        stamp, mode = now(), ""
+        stamp, mode = time.time_ns(), ""
         if self._engine is not None:
             mode = self._engine.mode.name
             if role is None:
@@ -104,15 +104,14 @@ class Recorder:
         """Record what a cycle felt: contacts, an image and the loop's health as often as they are due."""
         if self._pipe is None:
             return
-        stamp, number = now(), touch.sequence
+        stamp, number = time.time_ns(), touch.sequence
         frames = [frame.sequence & 0xFFFFFFFFFFFFFFFF for frame in touch.sight.frames]
         data = encode_touch(number, touch.time, stamp, touch.mode.name, frames, touch.contacts)
         self._pipe.send(TOUCH, number, stamp, data)
         clock = time.monotonic()
-        if clock >= self._image_at:
-            self._image_at = clock + self._image_every if self._image_every < np.inf else np.inf
-            if self._raster is not None and self._image_every < np.inf:
-                self._pipe.send(IMAGE, number, stamp, encode_image(self._raster(touch.sight.image.values), stamp))
+        if self._raster is not None and clock >= self._image_at:
+            self._image_at = clock + self._image_every
+            self._pipe.send(IMAGE, number, stamp, encode_image(self._raster(touch.sight.image.values), stamp))
             self._pipe.send(MARKERS, number, stamp, encode_markers(touch.contacts, stamp))
         if clock >= self._health_at:
             self._health_at = clock + _HEALTH_EVERY
@@ -125,7 +124,7 @@ class Recorder:
     def note(self, sentence: str) -> None:
         """Record a sentence of the loop."""
         if self._pipe is not None:
-            stamp = now()
+            stamp = time.time_ns()
             self._pipe.send(LOG, 0, stamp, encode_log(sentence, stamp))
 
     @property
@@ -135,14 +134,16 @@ class Recorder:
             return self._ended
         progress = self._pipe.progress
         if self._unnamed:
-            progress.dropped["frames without room for their pattern"] = self._unnamed  # type: ignore[index]
+            return replace(progress, dropped={**progress.dropped, "frames without room for their pattern": self._unnamed})
         return progress
 
     def close(self) -> Progress:
-        """Finish the file and say how it went. Safe twice."""
+        """Finish the file and say how it went; a file without a single frame is taken away again. Safe twice."""
         if self._pipe is not None:
             self._pipe.close()
             self._ended, self._pipe = self.progress, None
+            if not self._frames:
+                self.path.unlink(missing_ok=True)
         return self._ended
 
     def __enter__(self) -> Self:

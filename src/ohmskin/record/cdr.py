@@ -24,6 +24,10 @@ class Encoder:
             self._data += struct.pack("<" + kind, value)
         return self
 
+    def stamp(self, nanoseconds: int) -> "Encoder":
+        """`builtin_interfaces/msg/Time` of ns since 1970."""
+        return self.put("iI", *divmod(nanoseconds, 10**9))
+
     def text(self, value: str) -> "Encoder":
         """A string; a NUL, which would end it early for a reader in C, becomes a blank."""
         encoded = value.replace("\0", " ").encode(errors="replace") + b"\0"
@@ -66,6 +70,11 @@ class Decoder:
             self._align(_SIZES[kind])
             values.append(struct.unpack("<" + kind, self._bytes(_SIZES[kind]))[0])
         return tuple(values)
+
+    def stamp(self) -> int:
+        """`builtin_interfaces/msg/Time` as ns since 1970."""
+        seconds, nanoseconds = self.take("iI")
+        return int(seconds) * 10**9 + int(nanoseconds)
 
     def text(self) -> str:
         """A string."""

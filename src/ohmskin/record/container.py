@@ -90,7 +90,9 @@ class Container:
         while self.end + _RECORD.size <= self.size:
             start = self.end
             self._file.seek(start)
-            opcode, length = _RECORD.unpack(self._file.read(_RECORD.size))
+            if len(head := self._file.read(_RECORD.size)) < _RECORD.size:  # cut while it is read
+                return
+            opcode, length = _RECORD.unpack(head)
             if start + _RECORD.size + length > self.size or opcode == 0:
                 return
             self.end = start + _RECORD.size + length

@@ -52,19 +52,19 @@ def read(variables: dict[str, Any], name: str, driven: bool) -> tuple[tuple[Fram
 def _protocol(variables: dict[str, Any], driven: bool) -> tuple[Protocol, np.ndarray | None]:
     for key, value in variables.items():
         if stimulation := _stimulation(value):
-            drives, measures, unit = [], [], 1.0
+            drives, measures = [], []
             for number, entry in enumerate(stimulation, 1):
                 where = f"{key}, stimulation {number}"
-                drives.append(numbers(entry["stim_pattern"], f"{where}: stim_pattern").ravel())
-                measures.append(numbers(entry.get("meas_pattern"), f"{where}: meas_pattern"))
                 unit = _unit(entry.get("stimulation"), where)
+                drives.append(unit * numbers(entry["stim_pattern"], f"{where}: stim_pattern").ravel())
+                measures.append(numbers(entry.get("meas_pattern"), f"{where}: meas_pattern"))
             if len({len(drive) for drive in drives}) > 1:
                 raise DataError(f"{key}: the stimulations have different numbers of electrodes")
-            return from_matrices(np.column_stack(drives), measures, unit, driven), _select(value)
+            return from_matrices(np.column_stack(drives), measures, driven), _select(value)
     if "stim_pattern" in variables and "meas_pattern" in variables:
         drive = numbers(variables["stim_pattern"], "stim_pattern")
         measure = numbers(variables["meas_pattern"], "meas_pattern")
-        return from_matrices(drive, [measure] * drive.shape[1], 1.0, driven), None
+        return from_matrices(drive, [measure] * drive.shape[1], driven), None
     if "stim_meas_list" in variables:
         quads = numbers(variables["stim_meas_list"], "stim_meas_list")
         if not np.array_equal(quads, np.round(quads)) or quads.shape[1] != 4 or not (np.abs(quads) < 1e6).all():
@@ -114,6 +114,8 @@ def _frames(variables: dict[str, Any], names: Iterable[str], protocol: Protocol,
     structs = entries(variables[key])
     values = [numbers(entry.get("meas"), f"{key}.meas") for entry in structs] or [numbers(variables[key], key)]
     columns = [column for block in values for column in (block.T if block.shape[0] > 1 else block)]
+    if not columns:
+        raise DataError(f"{key} has no frames; need at least one, a column for each")
     if len(columns) > _MOST_FRAMES:
         raise DataError(f"{key} has {len(columns)} frames; at most {_MOST_FRAMES} are read. Is it (n_frames, n_meas)? Transpose it")
     frames = []

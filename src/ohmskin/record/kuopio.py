@@ -100,7 +100,7 @@ def _protocol(variables: dict[str, Any], name: str, driven: bool) -> Protocol:
             "and a column per injection or voltage"
         )
     try:
-        return from_matrices(drive, [measure.T] * drive.shape[1], _MILLIAMPERE, driven)
+        return from_matrices(_MILLIAMPERE * drive, [measure.T] * drive.shape[1], driven)
     except DataError as error:
         raise DataError(f"{name}: {error}") from error
 

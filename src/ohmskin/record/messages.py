@@ -4,7 +4,6 @@ Their definitions, with units, are in `ohmskin.record.schemas` and in every reco
 """
 
 import struct
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -89,7 +88,7 @@ class TouchRecord:
     Args:
         sequence: Number of the cycle.
         time: Of its last sample, on the host's monotonic clock (s).
-        stamp: By the calendar (ns since 1970).
+        stamp: When it was recorded, by the calendar (ns since 1970).
         mode: Name of the drive mode.
         frames: Sequence numbers of its frames.
         contacts: Tracked contacts.
@@ -157,7 +156,8 @@ def decode_frame(data: bytes) -> FrameRecord:
         DataError: If it is not one.
     """
     decoder = Decoder(data)
-    seconds, nanoseconds, at, arrived, sequence, pattern, flags, role = decoder.take("iIddQIIB")
+    stamp = decoder.stamp()
+    at, arrived, sequence, pattern, flags, role = decoder.take("ddQIIB")
     voltages, currents, mode = decoder.array("f8"), decoder.array("f8"), decoder.text()
     known = Role(int(role)) if role in Role._value2member_map_ else Role.UNTOLD
     return FrameRecord(
@@ -167,7 +167,7 @@ def decode_frame(data: bytes) -> FrameRecord:
         sequence=int(sequence),
         flags=FrameFlag(int(flags)) if flags else _FLAGS,
         arrived=float(arrived),
-        stamp=int(seconds) * 10**9 + int(nanoseconds),
+        stamp=stamp,
         pattern=int(pattern),
         role=known,
         mode=mode,
@@ -196,7 +196,7 @@ def frame_head(data: bytes) -> FrameHead:
 
 def encode_touch(sequence: int, at: float, stamp: int, mode: str, frames: Sequence[int], contacts: Sequence[Contact]) -> bytes:
     """`ohmskin_msgs/msg/Touch`."""
-    encoder = _stamped(stamp).put("Qd", sequence, at).text(mode)
+    encoder = Encoder().stamp(stamp).put("Qd", sequence, at).text(mode)
     encoder.array(np.array(frames, "u8")).put("I", len(contacts))
     for c in contacts:
         encoder.put("idddddd", c.id, *c.position, c.extent, c.strength, c.confidence, c.peak)
@@ -210,22 +210,21 @@ def decode_touch(data: bytes) -> TouchRecord:
         DataError: If it is not one.
     """
     decoder = Decoder(data)
-    seconds, nanoseconds, sequence, at = decoder.take("iIQd")
+    stamp = decoder.stamp()
+    sequence, at = decoder.take("Qd")
     mode, frames = decoder.text(), decoder.array("u8")
     contacts = []
     for _ in range(decoder.count(52)):
         number, x, y, extent, strength, confidence, peak = decoder.take("idddddd")
         contacts.append(Contact((float(x), float(y)), extent, strength, confidence, peak, int(number)))
-    return TouchRecord(
-        int(sequence), float(at), int(seconds) * 10**9 + int(nanoseconds), mode, tuple(frames.tolist()), tuple(contacts)
-    )
+    return TouchRecord(int(sequence), float(at), stamp, mode, tuple(frames.tolist()), tuple(contacts))
 
 
 def encode_image(pixels: Floats, stamp: int, frame_id: str = FRAME_ID) -> bytes:
     """`sensor_msgs/msg/Image`, 32FC1, of pixels (ny, nx) with row 0 at the bottom, as `Raster` gives them."""
     height, width = pixels.shape
     flipped = np.ascontiguousarray(pixels[::-1], "<f4")
-    encoder = _stamped(stamp).text(frame_id).put("II", height, width).text("32FC1")
+    encoder = Encoder().stamp(stamp).text(frame_id).put("II", height, width).text("32FC1")
     return encoder.put("BI", 0, 4 * width).array(flipped.view("u1").ravel()).done()
 
 
@@ -236,7 +235,7 @@ def decode_image(data: bytes) -> Floats:
         DataError: If it is not a 32FC1 image.
     """
     decoder = Decoder(data)
-    decoder.take("iI")
+    decoder.stamp()
     decoder.text()
     height, width = (int(n) for n in decoder.take("II"))
     encoding = decoder.text()
@@ -247,38 +246,56 @@ def decode_image(data: bytes) -> Floats:
     return content.view("<f4").reshape(height, width)[::-1].astype(float)
 
 
-def encode_markers(contacts: Sequence[Contact], stamp: int) -> bytes:
-    """`visualization_msgs/msg/MarkerArray`: the markers of before go, each contact becomes a flat cylinder of its extent."""
-    encoder = Encoder().put("I", 1 + len(contacts))
-    _marker(encoder, stamp, 0, _DELETE_ALL, (0.0, 0.0), 1.0, (0.0, 0.0, 0.0, 0.0))
-    for contact in contacts:
-        width = 2 * float(np.sqrt(contact.extent / np.pi))
-        colour = (0.84, 0.19, 0.15, 0.7) if contact.strength >= 0 else (0.19, 0.36, 0.76, 0.7)
-        _marker(encoder, stamp, contact.id, _ADD, contact.position, width, colour)
+@dataclass(frozen=True)
+class Cylinder:
+    """A contact as it is drawn in space: a flat cylinder of its extent, red where conductivity rises, blue where it falls.
+
+    Args:
+        frame: The frame of its place.
+        group: What it belongs to; `number` tells it from others there.
+        number: Id of the contact.
+        place: x, y, z (m).
+        turn: Quaternion x, y, z, w that turns z to its axis.
+        extent: Its area (m2).
+        strength: Of the contact (m2); its sign chooses the colour.
+    """
+
+    frame: str
+    group: str
+    number: int
+    place: tuple[float, float, float]
+    turn: tuple[float, float, float, float]
+    extent: float
+    strength: float
+
+
+def encode_cylinders(cylinders: Sequence[Cylinder], stamp: int, frame_id: str = FRAME_ID) -> bytes:
+    """`visualization_msgs/msg/MarkerArray`: the markers of before go, which is said in `frame_id`, and these come."""
+    encoder = Encoder().put("I", 1 + len(cylinders))
+    nothing = Cylinder(frame_id, "", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, 0.0)
+    for action, c in [(_DELETE_ALL, nothing), *((_ADD, cylinder) for cylinder in cylinders)]:
+        width = 2 * float(np.sqrt(c.extent / np.pi))
+        colour = (0.84, 0.19, 0.15, 0.7) if c.strength >= 0 else (0.19, 0.36, 0.76, 0.7)
+        encoder.stamp(stamp).text(c.frame).text(c.group).put("iii", c.number, _CYLINDER, action)
+        encoder.put("ddddddd", *c.place, *c.turn).put("dddffff", width, width, 1e-3, *colour)
+        encoder.put("iI?", 0, 0, False)  # shown until replaced; not locked to a moving frame
+        encoder.put("II", 0, 0).text("")  # points, colours, texture's name
+        encoder.put("iI", 0, 0).text("").text("").put("I", 0)  # texture: header, format, data
+        encoder.put("I", 0).text("").text("").text("").put("I", 0).put("?", False)  # texture's places, text, mesh
     return encoder.done()
 
 
-def _marker(
-    encoder: Encoder,
-    stamp: int,
-    number: int,
-    action: int,
-    place: tuple[float, float],
-    width: float,
-    colour: tuple[float, float, float, float],
-) -> None:
-    encoder.put("iI", *divmod(stamp, 10**9)).text(FRAME_ID).text("contacts").put("iii", number, _CYLINDER, action)
-    encoder.put("ddddddd", *place, 0.0, 0.0, 0.0, 0.0, 1.0)  # pose: position, then a quaternion that turns nothing
-    encoder.put("dddffff", width, width, 1e-3, *colour)
-    encoder.put("iI?", 0, 0, False)  # shown until replaced; not locked to a moving frame
-    encoder.put("II", 0, 0).text("")  # points, colours, texture's name
-    encoder.put("iI", 0, 0).text("").text("").put("I", 0)  # texture: header, format, data
-    encoder.put("I", 0).text("").text("").text("").put("I", 0).put("?", False)  # texture's places, text, mesh
+def encode_markers(contacts: Sequence[Contact], stamp: int) -> bytes:
+    """`visualization_msgs/msg/MarkerArray` of contacts on the sheet; see `encode_cylinders`."""
+    flat = (0.0, 0.0, 0.0, 1.0)
+    return encode_cylinders(
+        [Cylinder(FRAME_ID, "contacts", c.id, (*c.position, 0.0), flat, c.extent, c.strength) for c in contacts], stamp
+    )
 
 
 def encode_health(values: Mapping[str, float], message: str, device: str, stamp: int) -> bytes:
     """`diagnostic_msgs/msg/DiagnosticArray` with one status; a message makes it a warning."""
-    encoder = _stamped(stamp).text(FRAME_ID).put("I", 1)
+    encoder = Encoder().stamp(stamp).text(FRAME_ID).put("I", 1)
     encoder.put("B", 1 if message else 0).text("ohmskin").text(message or "running").text(device).put("I", len(values))
     for name, value in values.items():
         encoder.text(name).text(f"{value:.6g}")
@@ -287,7 +304,7 @@ def encode_health(values: Mapping[str, float], message: str, device: str, stamp:
 
 def encode_log(message: str, stamp: int) -> bytes:
     """`rcl_interfaces/msg/Log` at the level INFO."""
-    return _stamped(stamp).put("B", 20).text("ohmskin").text(message).text("").text("").put("I", 0).done()
+    return Encoder().stamp(stamp).put("B", 20).text("ohmskin").text(message).text("").text("").put("I", 0).done()
 
 
 def decode_log(data: bytes) -> str:
@@ -297,15 +314,7 @@ def decode_log(data: bytes) -> str:
         DataError: If it is not one.
     """
     decoder = Decoder(data)
-    decoder.take("iIB")
+    decoder.stamp()
+    decoder.take("B")
     decoder.text()
     return decoder.text()
-
-
-def now() -> int:
-    """The calendar's time (ns since 1970)."""
-    return time.time_ns()
-
-
-def _stamped(stamp: int) -> Encoder:
-    return Encoder().put("iI", *divmod(stamp, 10**9))

@@ -60,7 +60,7 @@ class WriterPipe:
         if self.path.exists():
             raise DataError(f"{self.path} exists, and a recording is never overwritten; choose another name")
         self._dropped = dict.fromkeys(TOPICS, 0)
-        self._waiting: deque[bytes] = deque()
+        self._waiting: deque[tuple[int, bytes]] = deque()  # topic, and what is still to be written of a message
         self._size = 0
         self._lock = threading.Lock()
         self._answers = b""
@@ -123,13 +123,14 @@ class WriterPipe:
         with self._lock:
             if self._closed:
                 return False
+            self._listen()  # or the writer would wait for somebody to read what it says, as soon as that fills its pipe
             if self._size and self._size + len(data) > _MOST_WAITING[topic]:
                 self._push()
                 if self._size and self._size + len(data) > _MOST_WAITING[topic]:
                     self._dropped[list(TOPICS)[topic]] += 1
                     return False
             message = PREFIX.pack(topic, sequence & 0xFFFFFFFF, stamp, len(data)) + data
-            self._waiting.append(message)
+            self._waiting.append((topic, message))
             self._size += len(message)
             self._push()
             return True
@@ -151,17 +152,18 @@ class WriterPipe:
         """Write as much as the pipe takes."""
         try:
             while self._waiting:
-                first = self._waiting[0]
+                topic, first = self._waiting[0]
                 done = os.write(self._in, first)
                 self._size -= done
                 if done < len(first):
-                    self._waiting[0] = first[done:]
+                    self._waiting[0] = topic, first[done:]
                 else:
                     self._waiting.popleft()
         except BlockingIOError:
             pass
         except OSError:  # the writer's process has gone, which `progress` tells
-            self._dropped[list(TOPICS)[FRAME]] += len(self._waiting)
+            for topic, _ in self._waiting:
+                self._dropped[list(TOPICS)[topic]] += 1
             self._waiting.clear()
             self._size = 0
 

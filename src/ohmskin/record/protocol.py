@@ -107,13 +107,12 @@ def from_list(
     return Protocol(pattern, amperes, kept[order], gains[kept[order]], len(quadruples), tuple(notes))
 
 
-def from_matrices(drive: Floats, measure: Sequence[Floats], unit: float, driven: bool) -> Protocol:
+def from_matrices(drive: Floats, measure: Sequence[Floats], driven: bool) -> Protocol:
     """The protocol of current and measurement matrices.
 
     Args:
-        drive: (n_elec, n_inj) current into each electrode.
+        drive: (n_elec, n_inj) current into each electrode (A).
         measure: For each injection the weights (n, n_elec) that make its voltages of the electrode potentials.
-        unit: Amperes per unit of `drive`.
         driven: Whether to keep voltages at driven electrodes.
 
     Raises:
@@ -134,7 +133,7 @@ def from_matrices(drive: Floats, measure: Sequence[Floats], unit: float, driven:
         for j, row in enumerate(weights):
             plus, minus, gain = _pair(row, f"injection {k + 1}, measurement {j + 1}", "weight")
             quadruples.append((source, sink, plus, minus))
-            currents.append(current * unit)
+            currents.append(current)
             gains.append(gain)
             injection.append(k)
     listed = np.array(quadruples, np.int64).reshape(-1, 4)

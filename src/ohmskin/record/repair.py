@@ -80,12 +80,12 @@ def recover(source: str | Path, target: str | Path | None = None) -> Recovery:
             writer.add_attachment(attached.create_time, attached.log_time, name, attached.media_type, attached.data)
         writer.finish()
         _commit(disk, target)
-    except (OSError, DataError) as error:
+    except BaseException as error:  # Ctrl-C, too, leaves nothing behind
         disk.close()
         target.unlink(missing_ok=True)
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"cannot read recording {source}: {error}") from error
+        if isinstance(error, OSError):
+            raise DataError(f"cannot read recording {source}: {error}") from error
+        raise
     finally:
         container.close()
     disk.close()

@@ -38,7 +38,7 @@ float64 peak        # largest relative conductivity change
 
 _TOUCH = """\
 # What one cycle of the loop felt.
-builtin_interfaces/Time stamp
+builtin_interfaces/Time stamp  # when it was recorded, by the calendar
 uint64 sequence    # number of the cycle
 float64 time       # of the last sample, on the host's monotonic clock (s)
 string mode        # drive mode
@@ -131,5 +131,4 @@ TOPICS = {
 }
 """Type and definition of each topic; a topic's number is its place here, from 0."""
 
-NUMBERS = {topic: number for number, topic in enumerate(TOPICS)}
 PATTERN, FRAME, TOUCH, IMAGE, MARKERS, HEALTH, LOG = range(len(TOPICS))

@@ -16,7 +16,7 @@ volts, a row for each adjacent measurement; the real parts are used, the current
 import csv
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,8 +65,8 @@ def read(text: str, description: str | None, path: Path, pattern_path: Path | No
     pattern = _parse(description, str(pattern_path)) if description is not None else data
     if missing := [name for name in _ELECTRODES if name not in pattern.header]:
         raise DataError(f"{pattern.name} lacks the column {missing[0]}; its header must name {', '.join(_ELECTRODES)}")
-    protocol = _protocol(pattern, driven)
     settings = {**pattern.settings, **data.settings}
+    protocol = _protocol(replace(pattern, settings=settings), driven)
     used = {*_ELECTRODES, "current"} if description is None else set()
     names = data.header or tuple(f"column {k + 1}" for k in range(data.cells.shape[1]))
     columns = [k for k, name in enumerate(names) if name not in used]

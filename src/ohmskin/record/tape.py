@@ -55,6 +55,11 @@ class Shelf(Sequence[Value], Generic[Value]):
         self._sequences.append(sequence)
 
     @property
+    def order(self) -> Ints:
+        """(n,) grows with the place in the file."""
+        return (np.array(self._starts, np.int64) << 25) + np.array(self._offsets, np.int64)
+
+    @property
     def stamps(self) -> Ints:
         return np.array(self._stamps, np.int64)
 
@@ -137,6 +142,14 @@ class Tape:
     def select(self, *roles: Role) -> Sequence[Frame]:
         """The frames scanned for one of these purposes, in order."""
         return _Selection(self, np.flatnonzero(np.isin(self.roles, roles)))
+
+    def times_of(self, shelf: Shelf[Any]) -> Floats:
+        """(n,) times of `touches`, `images` or `log` (s), as in `times`: that of the newest frame before each.
+
+        By the order in the file and not by the calendar, which may be set anew in the middle of a recording.
+        """
+        newest = np.searchsorted(self.frames.order, shelf.order) - 1
+        return np.asarray(self.times[np.maximum(newest, 0)])
 
     @property
     def pattern_numbers(self) -> Ints:

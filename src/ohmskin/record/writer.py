@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from ohmskin.record.schemas import FRAME, PATTERN, TOPICS
 
 CHUNK_BYTES = 16 * 1024
-CHUNK_FRAMES = 4  # what a crash of the whole machine's programs may cost
+CHUNK_FRAMES = 4  # what a crash of loop and writer may cost, beside what is in the pipe
 CHUNK_SECONDS = 0.05
 MOST_UNWRITTEN = 4 * 2**20  # bytes kept while the disk takes none
 MOST_OWED = 1024  # patterns kept beside them
@@ -123,7 +123,7 @@ class RecordingWriter:
 
     Args:
         path: The file, which must not be there yet.
-        metadata: Records of names and texts, for `ohmskin.record.mcapfile`.
+        metadata: Texts by record and name.
         attachments: Texts by file name, such as the skin's description.
 
     Attributes:
@@ -140,7 +140,7 @@ class RecordingWriter:
         self._recent = self._messages = 0
         self._owed: dict[bytes, tuple[int, int, int, bytes]] = {}  # patterns that later frames will refer to
         self._due = float("inf")
-        self._writer = open_writer(self.disk, 2**30)  # chunks end where `_flush_due` says
+        self._writer = open_writer(self.disk, 2**30)  # chunks end where `_add` says
         self._writer.start("ros2", library="ohmskin")
         for name, entries in metadata.items():
             self._writer.add_metadata(name, entries)

@@ -40,7 +40,14 @@ class Encounter:
 
 @dataclass(frozen=True)
 class Moment:
-    """The state after one cycle of the loop, for pictures."""
+    """The state after one cycle of the loop, for pictures.
+
+    Args:
+        time: Simulated time (s).
+        touch: What was felt.
+        poke: What presses the skin; None if nothing does.
+        arm: The arm, which goes on moving: draw it now.
+    """
 
     time: float
     touch: Touch
@@ -140,7 +147,10 @@ class Demonstration:
 
 
 def summary(encounters: list[Encounter]) -> dict[str, object]:
-    """Figures of a run: how many pokes were felt, position errors (m), reaction times (s), forces (N)."""
+    """Figures of a run, for JSON: how many pokes were felt, position errors (m), reaction times (s), forces (N).
+
+    What there is not, such as the reaction to a poke that was not felt, is None.
+    """
     errors = np.concatenate([np.zeros(0), *(e.errors for e in encounters)])
     reactions = np.array([e.reaction for e in encounters])
     felt = np.isfinite(reactions)
@@ -157,5 +167,12 @@ def summary(encounters: list[Encounter]) -> dict[str, object]:
         "position_error": spread(errors),
         "reaction_time": spread(reactions[felt]),
         "peak_force": spread(np.array([e.peak_force for e in encounters])),
-        "encounters": [asdict(e) | {"errors": list(e.errors)} for e in encounters],
+        "encounters": [{name: _told(value) for name, value in asdict(e).items()} for e in encounters],
     }
+
+
+def _told(value: float | tuple[float, ...]) -> float | list[float] | None:
+    """A figure as JSON has it, which knows no NaN."""
+    if isinstance(value, tuple):
+        return list(value)
+    return value if np.isfinite(value) else None

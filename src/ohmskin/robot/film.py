@@ -86,7 +86,11 @@ class Film:
 
 
 class Snapshot:
-    """A PNG file of the moment with the largest force among those in which a contact is sensed."""
+    """A PNG file of the moment with the largest force among those in which a contact is sensed; none if there is no such moment.
+
+    Raises:
+        ModelError: At the end, if the file cannot be written.
+    """
 
     def __init__(self, path: Path, film: Film) -> None:
         self._path, self._film, self._best, self._picture = path, film, 0.0, np.zeros(0)
@@ -101,7 +105,10 @@ class Snapshot:
 
     def __exit__(self, *_: object) -> None:
         if self._picture.size:
-            imsave(self._path, self._picture)
+            try:
+                imsave(self._path, self._picture, format="png")
+            except OSError as error:
+                raise ModelError(f"cannot write {self._path}: {error.strerror}; choose another place") from error
 
 
 class Video:
@@ -114,8 +121,6 @@ class Video:
     def __init__(self, path: Path, film: Film) -> None:
         if (ffmpeg := shutil.which("ffmpeg")) is None:
             raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
-        if not path.parent.is_dir():
-            raise ModelError(f"there is no folder {path.parent}; make it first")
         command = [ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{2 * _SIDE}x{_SIDE}"]
         command += ["-r", str(_RATE), "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", str(path)]
         self._film, self._due = film, 0.0

@@ -161,7 +161,7 @@ class Skin:
         if self.calibration.date and self.calibration.made_for != self.digest:
             raise SkinError(
                 f"the calibration of {self.calibration.date} was made for another skin (sheet, electrodes, imaging have digest "
-                f"{self.digest}, it is for {self.calibration.made_for or 'none'}); run `ohmskin calibrate`, or remove [calibration]"
+                f"{self.digest}, it is for {self.calibration.made_for or 'none'}); remove [calibration] and run `ohmskin calibrate`"
             )
 
     @classmethod

@@ -98,15 +98,11 @@ class VirtualSkin:
 
     def _drive(self, pattern: DrivePattern) -> tuple[Floats, bool]:
         """The current (n_inj,) of each injection; a voltage source drives it through the pair and all that is in series."""
-        source, sink = pattern.injections.T
-        excitation, r = self.skin.excitation, self._resistance
-        if excitation.source == "current":
-            currents = np.where(self._unconnected(pattern).any(axis=1), 0.0, excitation.amplitude)
-            return np.minimum(currents, excitation.current_limit), excitation.amplitude > excitation.current_limit
+        (source, sink), r, supply = pattern.injections.T, self._resistance, self.skin.source
         pair = r[source, source] + r[sink, sink] - 2 * r[source, sink]
-        series = excitation.resistance + 2 * excitation.multiplexer_resistance + self.skin.converter.shunt
-        currents = np.where(self._unconnected(pattern).any(axis=1), 0.0, excitation.amplitude / (pair + series))
-        return np.minimum(currents, excitation.current_limit), bool((currents > excitation.current_limit).any())
+        wanted = self.skin.excitation.amplitude if supply is None else supply.amplitude / (pair + supply.resistance)
+        currents, limit = np.where(self._unconnected(pattern).any(axis=1), 0.0, wanted), self.skin.excitation.current_limit
+        return np.minimum(currents, limit), bool((currents > limit).any())
 
     def _settle(self, pattern: DrivePattern, currents: Floats) -> Floats:
         """Voltages (n_meas,) when they are sampled: each injection starts from where the one before it left the channels."""
