@@ -6,7 +6,8 @@ import scipy.sparse as sp
 from numba import njit
 from numpy.testing import assert_allclose
 
-from ohmskin.forward.cholesky import Elimination, eliminate_dense, tile
+from ohmskin.forward.cholesky import Elimination
+from ohmskin.forward.tiles import eliminate_dense, tile
 
 
 @njit

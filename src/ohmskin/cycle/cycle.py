@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from ohmskin.cycle.kernels import Desk, Tables, look, see
 from ohmskin.drive import Mode, OptimalDrive, part_of
 from ohmskin.errors import DataError, ModelError, PatternError
+from ohmskin.forward.tiles import padded
 from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.mesh import Ints
 from ohmskin.inverse import GaussNewton
@@ -93,7 +94,7 @@ class FastCycle:
         self._per_pair = complete.n_meas // complete.n_inj
         self._n_meas = mode.optimal.pairs * self._per_pair
         n_cells, n_modes = len(cells.measures), len(modes.modes)
-        rows, columns = (-(-n // 4) * 4 for n in (self._n_meas, n_modes))
+        rows, columns = (-(-n // 4) * 4 for n in (self._n_meas, n_modes))  # whole tiles
         size = min(rows, columns)
         self._desk = Desk(
             base_image=np.zeros(n_cells, np.float32),
@@ -101,14 +102,16 @@ class FastCycle:
             base_volts=np.zeros(base.n_meas),
             projected=np.zeros(rank),
             u_single=np.zeros(n_modes, np.float32),
-            root=np.zeros(columns),
-            scaled=np.zeros((rows, columns)),
-            turned=np.zeros((columns if columns < rows else 0, rows)),
-            system=np.zeros((size, size)),
-            residual=np.zeros(rows),
-            solved=np.zeros(size),
-            four=np.zeros((size, 4)),
-            own=np.zeros((4, columns)),
+            root=np.zeros(n_modes),
+            z=np.zeros(n_modes),
+            scaled=np.zeros(rows * padded(columns)),
+            turned=np.zeros(columns * padded(rows) if rows <= columns else 0),
+            system=np.zeros(size * padded(size)),
+            residual=np.zeros(self._n_meas),
+            solved=np.zeros(size * 8),
+            own=np.zeros(columns * 8),
+            seen=np.zeros(rows * 8),
+            sizes=np.array([rows, columns]),
             keys=np.zeros(n_cells, np.int64),
             parent=np.full(n_cells, -1, np.int32),
             labels=np.full(n_cells, -1, np.int32),

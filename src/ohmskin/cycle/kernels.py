@@ -1,7 +1,7 @@
 """The compiled steps of a cycle; `ohmskin.cycle.reference` is their plain twin.
 
 They run without Python's global lock and touch no memory but their tables and desk. Measurements and modes are
-padded to a multiple of four with zeros, so that products and factors work on blocks of four rows by four.
+padded with zeros to whole tiles, see `ohmskin.forward.tiles`; what is padded is flat, see `padded` there.
 """
 
 from typing import NamedTuple
@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ohmskin.forward.tiles import eliminate_front, padded, solve_front, tile
 from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.mesh import Ints
 
@@ -62,12 +63,15 @@ class Desk(NamedTuple):
         projected: (rank,) V^T H_0^T v.
         u_single: (n_modes,) coordinates of an image.
         root: (n_modes,) D^1/2.
-        scaled: S = H D^1/2 (n_meas, n_modes), padded.
-        turned: Its transpose where there are fewer modes than measurements, else empty.
-        system: I + S S^T, or I + S^T S if that is smaller; then its Cholesky factor.
-        residual: (n_meas,) padded, voltages that the base scan does not explain (V).
-        solved, four: (n,), (n, 4) right-hand sides of the system.
-        own: (4, n_modes) modes of four peaks, padded.
+        z: (n_modes,) D^-1/2 u.
+        scaled: S = H D^1/2 (n_meas, n_modes), flat.
+        turned: S^T, flat; empty where there are fewer modes than measurements.
+        system: I + S S^T, or I + S^T S if that is smaller; then eliminated.
+        residual: (n_meas,) voltages that the base scan does not explain (V).
+        solved: (n_meas or n_modes, 8) right-hand sides of the system, flat.
+        own: (n_modes, 8) modes of eight peaks, flat.
+        seen: (n_meas, 8) what the second scan sees of them, flat.
+        sizes: n_meas, n_modes, in whole tiles.
         keys, parent, labels: (n_cells,) of `flood`.
         regions: (most, 6) mass, moments, area, peak and its cell of each region.
         anchors: (most, 3, 2) in metres.
@@ -82,13 +86,15 @@ class Desk(NamedTuple):
     projected: Floats
     u_single: Singles
     root: Floats
+    z: Floats
     scaled: Floats
     turned: Floats
     system: Floats
     residual: Floats
     solved: Floats
-    four: Floats
     own: Floats
+    seen: Floats
+    sizes: Ints
     keys: Ints
     parent: Shorts
     labels: Shorts
@@ -153,18 +159,19 @@ def see(t: Tables, desk: Desk, settings: Floats, volts: Floats, currents: Floats
             squares += desk.base_volts[m] ** 2
         count += len(desk.base_volts)
     weight2 = _weight2(settings, squares, count)
-    z = desk.own[0]  # D^-1/2 u; the memory is free until a contact is found
     for k in range(n_modes):
-        seen = fuse and k < rank
-        desk.root[k] = 1.0 / np.sqrt((t.base_squares[k] if seen else 0.0) + weight2)
-        z[k] = desk.projected[k] * desk.root[k] if seen else 0.0
+        known = fuse and k < rank
+        desk.root[k] = 1.0 / np.sqrt((t.base_squares[k] if known else 0.0) + weight2)
+        desk.z[k] = desk.projected[k] * desk.root[k] if known else 0.0
+    step = padded(desk.sizes[1])
     for m in range(len(volts)):
         c = m // per_pair
         quadruple = t.quadruples[desk.chosen[c] * per_pair + m % per_pair]
-        desk.residual[m] -= _row(quadruple, t.mixing, len(t.electrodes), currents[c], desk.root, z, desk.scaled[m])
-    _update(desk, z)
+        row = desk.scaled[m * step : (m + 1) * step]
+        desk.residual[m] -= _row(quadruple, t.mixing, len(t.electrodes), currents[c], desk.root, desk.z, row)
+    _update(desk)
     for k in range(n_modes):
-        desk.u_single[k] = desk.root[k] * z[k]
+        desk.u_single[k] = desk.root[k] * desk.z[k]
     combine(desk.u_single, t.modes, desk.image)
     return _contacts(t, desk, settings)
 
@@ -232,116 +239,51 @@ def _pair(i: int, j: int, n_elec: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _update(desk: Desk, z: Floats) -> None:
+def _update(desk: Desk) -> None:
     """z += S^T (I + S S^T)^-1 residual = (I + S^T S)^-1 S^T residual, by the smaller of the two systems."""
-    if len(desk.turned):
-        for m in range(len(desk.scaled)):
-            for k in range(len(z)):
-                desk.turned[k, m] = desk.scaled[m, k]
-        for k in range(len(z)):
-            desk.solved[k] = _dot(desk.turned[k], desk.residual)
-        factorise(desk.turned, desk.system)
-        substitute(desk.system, desk.solved)
-        for k in range(len(z)):
-            z[k] += desk.solved[k]
-    else:
-        desk.solved[:] = desk.residual
-        factorise(desk.scaled, desk.system)
-        substitute(desk.system, desk.solved)
-        add_rows(desk.solved, desk.scaled, z)
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _dot(a: Floats, b: Floats) -> float:
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _products(a: Floats, i: int, b: Floats, j: int, n: int, out: Floats, row: int, column: int, sign: float) -> None:
-    """Add sign a[i : i + 4, :n] b[j : j + 4, :n]^T to out[row : row + 4, column : column + 4]."""
-    a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
-    b0, b1, b2, b3 = b[j], b[j + 1], b[j + 2], b[j + 3]
-    s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
-    s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
-    for k in range(n):  # sixteen sums, so that a number read is used four times
-        x0, x1, x2, x3 = a0[k], a1[k], a2[k], a3[k]
-        y0, y1, y2, y3 = b0[k], b1[k], b2[k], b3[k]
-        s00, s01, s02, s03 = s00 + x0 * y0, s01 + x0 * y1, s02 + x0 * y2, s03 + x0 * y3
-        s10, s11, s12, s13 = s10 + x1 * y0, s11 + x1 * y1, s12 + x1 * y2, s13 + x1 * y3
-        s20, s21, s22, s23 = s20 + x2 * y0, s21 + x2 * y1, s22 + x2 * y2, s23 + x2 * y3
-        s30, s31, s32, s33 = s30 + x3 * y0, s31 + x3 * y1, s32 + x3 * y2, s33 + x3 * y3
-    sums = ((s00, s01, s02, s03), (s10, s11, s12, s13), (s20, s21, s22, s23), (s30, s31, s32, s33))
-    for r in range(4):
-        for c in range(4):
-            out[row + r, column + c] += sign * sums[r][c]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def factorise(scaled: Floats, system: Floats) -> None:
-    """The Cholesky factor of I + scaled scaled^T (n, n), n a multiple of four; its lower half."""
-    n, length = scaled.shape
-    for i in range(0, n, 4):
-        system[i : i + 4, : i + 4] = 0.0
-        for j in range(0, i + 4, 4):
-            _products(scaled, i, scaled, j, length, system, i, j, 1.0)
-            _products(system, i, system, j, j, system, i, j, -1.0)
-            if i == j:
-                for r in range(i, i + 4):
-                    system[r, r] += 1.0
-            for c in range(j, j + 4):
-                for r in range(max(i, c), i + 4):
-                    total = system[r, c]
-                    for k in range(j, c):
-                        total -= system[r, k] * system[c, k]
-                    system[r, c] = np.sqrt(total) if r == c else total / system[c, c]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def substitute(factor: Floats, x: Floats) -> None:
-    """Solve L L^T x = x (n,) in place."""
-    for i in range(len(x)):
-        total = x[i]
-        for k in range(i):
-            total -= factor[i, k] * x[k]
-        x[i] = total / factor[i, i]
-    for i in range(len(x) - 1, -1, -1):
-        x[i] /= factor[i, i]
-        for k in range(i):
-            x[k] -= factor[i, k] * x[i]
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def substitute_four(factor: Floats, x: Floats) -> None:
-    """The same for four right-hand sides (n, 4)."""
-    for i in range(len(x)):
-        a, b, c, d = x[i, 0], x[i, 1], x[i, 2], x[i, 3]
-        for k in range(i):
-            f = factor[i, k]
-            a, b, c, d = a - f * x[k, 0], b - f * x[k, 1], c - f * x[k, 2], d - f * x[k, 3]
-        f = 1.0 / factor[i, i]
-        x[i, 0], x[i, 1], x[i, 2], x[i, 3] = f * a, f * b, f * c, f * d
-    for i in range(len(x) - 1, -1, -1):
-        f = 1.0 / factor[i, i]
-        a, b, c, d = f * x[i, 0], f * x[i, 1], f * x[i, 2], f * x[i, 3]
-        x[i, 0], x[i, 1], x[i, 2], x[i, 3] = a, b, c, d
-        for k in range(i):
-            f = factor[i, k]
-            x[k, 0] -= f * a
-            x[k, 1] -= f * b
-            x[k, 2] -= f * c
-            x[k, 3] -= f * d
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def add_rows(weights: Floats, rows: Floats, total: Floats) -> None:
-    """total += weights (n,) @ rows (n, n_modes), n a multiple of four."""
-    for m in range(0, len(rows), 4):
-        a, b, c, d = weights[m], weights[m + 1], weights[m + 2], weights[m + 3]
+    n_meas, n_modes = desk.sizes
+    step, across = padded(n_modes), padded(n_meas)
+    if len(desk.turned) == 0:
+        total = desk.own[: len(desk.z)]  # free until a contact is found
+        total[:] = 0.0
+        for m in range(len(desk.residual)):
+            add_row(desk.residual[m], desk.scaled, m * step, total)
         for k in range(len(total)):
-            total[k] += (a * rows[m, k] + b * rows[m + 1, k]) + (c * rows[m + 2, k] + d * rows[m + 3, k])
+            desk.solved[8 * k] = total[k]
+        factorise(desk.scaled, n_meas, desk.system, n_modes)
+        solve_front(desk.system, step, n_modes, desk.solved)
+        for k in range(len(total)):
+            desk.z[k] += desk.solved[8 * k]
+    else:
+        for m in range(0, n_meas, 4):
+            for k in range(n_modes):
+                for r in range(m, m + 4):
+                    desk.turned[k * across + r] = desk.scaled[r * step + k]
+        for m in range(len(desk.residual)):
+            desk.solved[8 * m] = desk.residual[m]
+        factorise(desk.turned, n_modes, desk.system, n_meas)
+        solve_front(desk.system, across, n_meas, desk.solved)
+        for m in range(len(desk.residual)):
+            add_row(desk.solved[8 * m], desk.scaled, m * step, desk.z)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def add_row(weight: float, rows: Floats, at: int, total: Floats) -> None:
+    """total += weight times the row that begins at `at`."""
+    for k in range(len(total)):
+        total[k] += weight * rows[at + k]
+
+
+@njit(cache=True, nogil=True)
+def factorise(rows: Floats, depth: int, system: Floats, n: int) -> None:
+    """Eliminate I + R^T R (n, n), R (depth, n); in flat arrays."""
+    step = padded(n)
+    for i in range(0, n, 4):
+        for j in range(i, n, 8):
+            tile(system, i * step + j, step, False, rows, i, step, 1, rows, j, step, depth)
+        for k in range(i, i + 4):
+            system[k * step + k] += 1.0
+    eliminate_front(system, 0, step, n, n)
 
 
 @njit(cache=True, nogil=True)
@@ -497,44 +439,40 @@ def _contacts(t: Tables, desk: Desk, settings: Floats) -> int:
         desk.found[found, 2], desk.found[found, 3], desk.found[found, 4] = desk.regions[r, 3], mass, peak
         desk.found[found, 5] = desk.regions[r, 5]  # the peak's number, until its deviation takes the place
         found += 1
-    for first in range(0, found, 4):
-        _deviations(t, desk, desk.found[first : min(first + 4, found)], settings[NOISE], settings[FUSE] != 0.0)
+    for first in range(0, found, 8):
+        _deviations(t, desk, desk.found[first : min(first + 8, found)], settings[NOISE], settings[FUSE] != 0.0)
     return found
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _deviations(t: Tables, desk: Desk, found: Floats, noise: float, fuse: bool) -> None:
-    """What white noise makes of up to four peaks: noise |H N^-1 b|, N the normal matrix and b a peak's modes.
+    """What white noise makes of up to eight peaks: noise |H N^-1 b|, N the normal matrix and b a peak's modes.
 
-    With S = H D^1/2, q = D^1/2 b and y = (I + S S^T)^-1 S q, N^-1 b is D^1/2 (q - S^T y), and the second scan sees y of it.
+    With S = H D^1/2, q = D^1/2 b and y = (I + S S^T)^-1 S q, N^-1 b is D^1/2 r, r = q - S^T y = (I + S^T S)^-1 q, and the second
+    scan sees y = S r of it.
     """
-    n_modes, rank, in_modes = len(desk.u_single), len(desk.projected), len(desk.turned) > 0
-    for f in range(4):
-        cell = int(found[min(f, len(found) - 1), 5])
-        for k in range(n_modes):
-            desk.own[f, k] = desk.root[k] * t.modes[k, cell]
-    desk.four[:] = 0.0
-    if in_modes:
-        for k in range(n_modes):
-            for f in range(4):
-                desk.four[k, f] = desk.own[f, k]
-    else:
-        for m in range(0, len(desk.scaled), 4):
-            _products(desk.scaled, m, desk.own, 0, n_modes, desk.four, m, 0, 1.0)
-    substitute_four(desk.system, desk.four)
+    n_meas, n_modes = desk.sizes
+    step, across = padded(n_modes), padded(n_meas)
     for f in range(len(found)):
-        rest, y = desk.own[f], desk.residual
-        if in_modes:
-            for k in range(n_modes):
-                rest[k] = desk.four[k, f]
-            for m in range(len(y)):
-                y[m] = _dot(desk.scaled[m], rest)
-        else:
-            for m in range(len(y)):
-                y[m] = -desk.four[m, f]
-            add_rows(y, desk.scaled, rest)
-        seen = _dot(y, y)
+        cell = int(found[f, 5])
+        for k in range(len(desk.root)):
+            desk.own[8 * k + f] = desk.root[k] * t.modes[k, cell]
+    if len(desk.turned) == 0:
+        solve_front(desk.system, step, n_modes, desk.own)
+        for m in range(0, n_meas, 4):
+            tile(desk.seen, 8 * m, 8, False, desk.scaled, m * step, 1, step, desk.own, 0, 8, n_modes)
+    else:
+        for m in range(0, n_meas, 4):
+            tile(desk.seen, 8 * m, 8, False, desk.turned, m, across, 1, desk.own, 0, 8, n_modes)
+        solve_front(desk.system, across, n_meas, desk.seen)
         if fuse:
-            for k in range(rank):
-                seen += t.base_squares[k] * (desk.root[k] * rest[k]) ** 2
-        found[f, 5] = noise * np.sqrt(seen)
+            for k in range(0, n_modes, 4):
+                tile(desk.own, 8 * k, 8, True, desk.scaled, k, step, 1, desk.seen, 0, 8, n_meas)
+    for f in range(len(found)):
+        squares = 0.0
+        for m in range(n_meas):
+            squares += desk.seen[8 * m + f] ** 2
+        if fuse:
+            for k in range(len(desk.projected)):
+                squares += t.base_squares[k] * (desk.root[k] * desk.own[8 * k + f]) ** 2
+        found[f, 5] = noise * np.sqrt(squares)

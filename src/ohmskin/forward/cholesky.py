@@ -8,22 +8,17 @@ products of small dense matrices; for n unknowns in the plane it grows as n^1.5,
 Fronts of a few dozen unknowns are too small for BLAS: all products are made of one small one, `tile`, that stays in registers.
 """
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sp
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from numba import njit
 
 from ohmskin.errors import ModelError
+from ohmskin.forward.dissection import borders, dissect
+from ohmskin.forward.tiles import eliminate_front, tile
 from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.mesh import Ints
 
 _LEAF = 24  # unknowns below which a part is cut no further: dense work is cheaper than book-keeping
-_PANEL = 32  # rows of a front eliminated at once
-_STRIP = 64  # columns of a front that a panel is taken from at once
 
 
 class Elimination:
@@ -97,172 +92,6 @@ class Factor:
     def _layout(self) -> tuple[Ints, Ints, Ints, Ints, Ints, Floats, int]:
         e = self.elimination
         return e.order, e.start, e.border_start, e.border, e.factor_start, self.values, e.largest
-
-
-@njit(cache=True, nogil=True)
-def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int) -> tuple[Ints, Ints, Ints, Ints]:
-    """Nested dissection by coordinates: space is cut first, then unknowns that see others across a cut are lifted to it.
-
-    Returns:
-        order (n,) of elimination; the part of each unknown (n,), -1 of the one left out; of each part its first place in the order
-        (n_parts + 1,), and the later part that it hangs on (n_parts,), -1 of the last.
-    """
-    n, dim = places.shape
-    order = np.array([v for v in range(n) if v != without])
-    count = len(order)
-    buffer, part_of, parent = np.empty(count, np.int64), np.full(n, -1), np.empty(2 * count + 1, np.int64)
-    low_of, high_of, above = np.empty(count + 1, np.int64), np.empty(count + 1, np.int64), np.empty(count + 1, np.int64)
-    low_of[0], high_of[0], above[0] = 0, count, -1
-    waiting, parts = 1, 0
-    while waiting > 0:  # each part, all of its right half, all of its left half: the order of elimination turned round
-        waiting -= 1
-        low, high, part = low_of[waiting], high_of[waiting], parts
-        parent[part] = above[waiting]
-        parts += 1
-        if high - low <= leaf:
-            for i in range(low, high):
-                part_of[order[i]] = part
-            continue
-        axis, widest, cut = 0, -1.0, 0.0
-        for k in range(dim):
-            least = most = places[order[low], k]
-            total = 0.0
-            for i in range(low, high):
-                x = places[order[i], k]
-                least, most = min(least, x), max(most, x)
-                total += x
-            if most - least > widest:
-                axis, widest, cut = k, most - least, total / (high - low)  # the mean: quicker to find than the median
-        n_left = n_right = 0
-        for i in range(low, high):
-            v = order[i]
-            is_left = places[v, axis] < cut
-            order[low + n_left] = buffer[n_right] = v
-            n_left += is_left
-            n_right += not is_left
-        for i in range(n_right):
-            order[low + n_left + i] = buffer[i]
-        if n_left == 0 or n_right == 0:  # most unknowns share a coordinate: cut the list instead
-            n_left = (high - low) // 2
-        for first, last in ((low, low + n_left), (low + n_left, high)):
-            low_of[waiting], high_of[waiting], above[waiting] = first, last, part
-            waiting += 1
-    # the edges across each cut, in a linked list
-    left, right, following = np.empty(len(indices), np.int64), np.empty(len(indices), np.int64), np.empty(len(indices), np.int64)
-    newest = np.full(parts, -1)
-    edges = 0
-    for v in range(n):
-        for at in range(indptr[v], indptr[v + 1]):
-            one, other = part_of[v], part_of[indices[at]]
-            if one > other >= 0:
-                left[edges], right[edges] = v, indices[at]
-                while one != other:
-                    one, other = (parent[one], other) if one > other else (one, parent[other])
-                following[edges], newest[one] = newest[one], edges
-                edges += 1
-    seen = np.full(n, -1)
-    for part in range(parts):
-        n_left = n_right = 0
-        edge = newest[part]
-        while edge >= 0:
-            v, w = left[edge], right[edge]
-            if part_of[v] > part and part_of[w] > part:  # else the edge is cut already
-                n_left += seen[v] != part
-                n_right += seen[w] != part
-                seen[v] = seen[w] = part
-            edge = following[edge]
-        thinner, thicker = (left, right) if n_left <= n_right else (right, left)
-        edge = newest[part]
-        while edge >= 0:
-            if part_of[thinner[edge]] > part and part_of[thicker[edge]] > part:
-                part_of[thinner[edge]] = part
-            edge = following[edge]
-    start = np.zeros(parts + 1, np.int64)
-    for v in order:
-        part_of[v] = parts - 1 - part_of[v]
-        start[part_of[v] + 1] += 1
-    start = np.cumsum(start)
-    free = start.copy()
-    for v in order:
-        buffer[free[part_of[v]]] = v
-        free[part_of[v]] += 1
-    parent = parts - 1 - parent[:parts][::-1]
-    parent[-1] = -1
-    return buffer, part_of, start, parent
-
-
-@njit(cache=True, nogil=True)
-def borders(indptr: Ints, indices: Ints, order: Ints, part_of: Ints, start: Ints, parent: Ints) -> tuple[Ints, Ints]:
-    """Of each front, the later unknowns (places in the order, rising) that eliminating its own ties together.
-
-    They are in the borders of the parts of their earlier neighbours and of all parts on the way up to their own (Liu 1990).
-    """
-    parts = len(parent)
-    border_start, border = np.zeros(parts + 1, np.int64), np.empty(0, np.int64)
-    for filling in (False, True):
-        newest, free = np.full(parts, -1), np.zeros(parts, np.int64)
-        for part in range(parts):
-            for j in range(start[part], start[part + 1]):
-                for at in range(indptr[order[j]], indptr[order[j] + 1]):
-                    below = part_of[indices[at]]
-                    while 0 <= below < part and newest[below] != j:
-                        newest[below] = j
-                        if filling:
-                            border[border_start[below] + free[below]] = j
-                        free[below] += 1
-                        below = parent[below]
-        if not filling:
-            for part in range(parts):
-                border_start[part + 1] = border_start[part] + free[part]
-            border = np.empty(border_start[-1], np.int64)
-    return border_start, border
-
-
-def _tile(
-    typing: Any, c: Any, c_at: Any, c_step: Any, less: Any, a: Any, a_at: Any, a_step: Any, a_next: Any,
-    b: Any, b_at: Any, b_step: Any, depth: Any,
-) -> tuple[Any, Any]:  # fmt: skip
-    """C = A^T B, or C - A^T B if `less`, for 4 rows and 8 columns of C, which may be B; in flat arrays (n,).
-
-    The loops below in plain Python, but with all of C in registers; LLVM itself does not see that C, A and B do not overlap.
-
-        for i in range(4):
-            for j in range(8):
-                total = sum(a[a_at + k * a_step + i * a_next] * b[b_at + k * b_step + j] for k in range(depth))
-                c[c_at + i * c_step + j] = c[c_at + i * c_step + j] - total if less else total
-    """
-    tools: Any = cgutils
-    vector = ir.VectorType(ir.DoubleType(), 8)
-    nothing, zeros = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        c, c_at, c_step, less, a, a_at, a_step, a_next, b, b_at, b_step, depth = arguments
-        c, a, b = (context.make_array(signature.args[k])(context, builder, arguments[k]).data for k in (0, 4, 8))
-
-        def eight(array: Any, at: Any) -> Any:
-            return builder.bitcast(builder.gep(array, [at]), vector.as_pointer())
-
-        totals = [tools.alloca_once_value(builder, ir.Constant(vector, [0.0] * 8)) for _ in range(4)]
-        with tools.for_range(builder, depth) as loop:
-            row = builder.load(eight(b, builder.add(b_at, builder.mul(loop.index, b_step))), align=8)
-            at = builder.add(a_at, builder.mul(loop.index, a_step))
-            for total in totals:
-                one = builder.insert_element(nothing, builder.load(builder.gep(a, [at])), ir.Constant(ir.IntType(32), 0))
-                product = builder.fmul(builder.shuffle_vector(one, nothing, zeros), row, flags=["contract"])
-                builder.store(builder.fadd(builder.load(total), product, flags=["contract"]), total)
-                at = builder.add(at, a_next)
-        for total in totals:
-            place, value = eight(c, c_at), builder.load(total)
-            difference = builder.fsub(builder.load(place, align=8), value)
-            builder.store(builder.select(less, difference, value), place, align=8)
-            c_at = builder.add(c_at, c_step)
-        return context.get_dummy_value()
-
-    whole = types.int64
-    return types.void(c, whole, whole, types.boolean, a, whole, whole, whole, b, whole, whole, whole), emit
-
-
-tile: Any = intrinsic(_tile)
 
 
 @njit(cache=True, nogil=True)
@@ -341,56 +170,6 @@ def eliminate(
 
 
 @njit(cache=True, nogil=True)
-def eliminate_front(work: Floats, front: int, step: int, own: int, width: int) -> int:
-    """Eliminate the first `own` unknowns of a front in place, panel by panel; the number of a bad one, else -1.
-
-    A front is the upper half of a matrix, by rows from `front` on. Its own rows are filled up to whole tiles, and its columns with
-    them, so that tiles that reach beyond do no harm. Squares on the diagonal are left as R^-1, which is all that solving asks for.
-    """
-    for first in range(0, own, _PANEL):
-        last = min(first + _PANEL, own)
-        top, beyond = front + first * step, last + 3 & -4
-        for i in range(first, last, 4):
-            row, rows = front + i * step, min(4, last - i)
-            for j in range(i, width, 8):
-                tile(work, row + j, step, True, work, top + i, step, 1, work, top + j, step, i - first)
-            bad = invert_root(work, row + i, step, rows)
-            if bad >= 0:
-                return i + bad
-            for j in range(i + 4, width, 8):
-                tile(work, row + j, step, False, work, row + i, step, 1, work, row + j, step, rows)
-        for strip in range(beyond, width, _STRIP):
-            end = min(strip + _STRIP, width)
-            for i in range(beyond, end, 4):
-                for j in range(strip + max(0, i - strip & -8), end, 8):
-                    tile(work, front + i * step + j, step, True, work, top + i, step, 1, work, top + j, step, last - first)
-    return -1
-
-
-@njit(cache=True, nogil=True)
-def invert_root(work: Floats, at: int, step: int, rows: int) -> int:
-    """Replace a small square matrix R^T R by the upper triangle R^-1; the number of a bad row, else -1."""
-    for k in range(rows):
-        for i in range(k):
-            for j in range(k, rows):
-                work[at + k * step + j] -= work[at + i * step + k] * work[at + i * step + j]
-        if not work[at + k * step + k] > 0.0:
-            return k
-        scale = 1 / np.sqrt(work[at + k * step + k])
-        work[at + k * step + k] = scale  # of R^-1
-        for j in range(k + 1, rows):
-            work[at + k * step + j] *= scale
-    for j in range(rows - 1, -1, -1):
-        for i in range(j - 1, -1, -1):
-            total = 0.0
-            for k in range(i + 1, j + 1):
-                total -= work[at + i * step + k] * work[at + k * step + j]
-            work[at + i * step + j] = total * work[at + i * step + i]
-            work[at + j * step + i] = 0.0
-    return -1
-
-
-@njit(cache=True, nogil=True)
 def substitute_down(
     order: Ints, start: Ints, border_start: Ints, border: Ints, factor_start: Ints, factor: Floats, largest: int,
     loads: Floats, x: Floats,
@@ -454,40 +233,3 @@ def substitute_up(
         for i in range(own):
             for c in range(columns):
                 result[order[first + i], c] = front[i, c]
-
-
-# sums may be taken in any order, which makes them quick; no other "fast" arithmetic, so that what is not finite is still seen
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def eliminate_dense(front: Floats, own: int, panel: int) -> int:
-    """Eliminate the first `own` unknowns of a front, lower half, in place; the number of a bad one, else -1."""
-    size = len(front)
-    for k0 in range(0, own, panel):
-        k1 = min(k0 + panel, own)
-        for j in range(k0, k1):
-            known = front[j, k0:j]
-            for i in range(j, size):
-                row = front[i, k0:j]
-                total = 0.0
-                for k in range(j - k0):
-                    total += row[k] * known[k]
-                front[i, j] -= total
-            if not front[j, j] > 0.0:
-                return j
-            scale = np.sqrt(front[j, j])
-            front[j, j] = scale
-            for i in range(j + 1, size):
-                front[i, j] /= scale
-        rest = size - k1
-        turned = np.zeros((k1 - k0, rest + 4))  # four columns of nothing, as tiles reach so far too far to the left
-        step = rest + 4
-        for i in range(rest):
-            for k in range(k1 - k0):
-                turned[k, 4 + i] = front[k1 + i, k0 + k]
-        for i in range(0, rest & -4, 4):
-            for j in range(i - 4, -8, -8):
-                tile(front, (k1 + i) * size + k1 + j, size, True, turned, 4 + i, step, 1, turned, 4 + j, step, k1 - k0)
-        for i in range(rest & -4, rest):
-            for j in range(i + 1):
-                for k in range(k1 - k0):
-                    front[k1 + i, k1 + j] -= turned[k, 4 + i] * turned[k, 4 + j]
-    return -1

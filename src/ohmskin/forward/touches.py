@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import local_stiffness
-from ohmskin.forward.cholesky import eliminate_dense
+from ohmskin.forward.tiles import eliminate_dense
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 from ohmskin.geometry.domain import Floats
