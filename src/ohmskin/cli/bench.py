@@ -31,7 +31,7 @@ def bench(
     out
         Folder for benchmarks.json, benchmarks.md and the plot.
     only
-        Parts wanted: machine, setup, fields, pattern, solver, frame, touches, scale, electrodes, accuracy, start.
+        Parts wanted: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes, accuracy, start.
     """
     started = time.monotonic()
     console = Console()
