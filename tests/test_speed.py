@@ -420,6 +420,8 @@ def test_a_cycle_refuses_bad_data_and_orders() -> None:
     fast.look(volts, currents)
     with pytest.raises(DataError, match="second scan"):
         fast.see(np.full(52, np.nan), np.full(4, 1e-3))
+    with pytest.raises(DataError, match="base scan"):
+        fast.look(volts, 0 * currents)  # no current, no resistance
     volts[5] = np.nan
     with pytest.raises(DataError, match="base scan"):
         fast.look(volts, currents)

@@ -105,7 +105,7 @@ class Desk(NamedTuple):
     found: Floats
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def look(t: Tables, desk: Desk, settings: Floats, volts: Floats, currents: Floats) -> int:
     """The base image, its regions and the pairs to drive (`desk.chosen`); -1 if a datum is not finite."""
     squares = 0.0
