@@ -112,6 +112,14 @@ def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engin
     assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in regions])
 
 
+def test_a_mode_that_is_not_there_leaves_no_device_open(skin: Skin) -> None:
+    device = DirectDevice(VirtualSkin(skin, seed=3))
+    with pytest.raises(PatternError, match="choose from"):
+        Engine(lambda: device, skin, "99X")
+    with pytest.raises(DeviceError, match="closed"):
+        device.scan(skin.modes["12B"].base)
+
+
 def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:
     device, told = DirectDevice(VirtualSkin(skin, seed=3)), []
     with Engine(lambda: device, skin, report=told.append) as engine:

@@ -77,7 +77,11 @@ class Engine:
         self.modes = (
             {"recorded": Mode("recorded", "the recording's own pattern", recorded[0].pattern)} if recorded else dict(skin.modes)
         )
-        self.mode = self._named(mode or list(self.modes)[-1])
+        try:
+            self.mode = self._named(mode or list(self.modes)[-1])
+        except PatternError:
+            self.device.close()
+            raise
         self._sheet = skin.transfer_model()
         self.perception: Perception | None = None
         self._tracker, self._tracks = Tracker(), Tracks()
