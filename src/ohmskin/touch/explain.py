@@ -5,7 +5,6 @@ there is compared with its noise (a generalised likelihood-ratio test); the bar 
 ready to accept, summed over all places (Bonferroni: the true rate is lower, neighbouring places being alike).
 """
 
-from dataclasses import dataclass
 from math import erf, sqrt
 
 import numpy as np
@@ -19,7 +18,8 @@ from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.scan import Difference
 from ohmskin.touch.contacts import Contact
-from ohmskin.touch.likelihood import PER_CONTACT, Data, Misfit, responses
+from ohmskin.touch.likelihood import Data, Misfit, no_directions, responses
+from ohmskin.touch.solution import Solution, effect_std, nothing, unknown
 
 _LEAST, _MOST = 0.1, 4.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
@@ -29,30 +29,6 @@ _BLUR = 2.0  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _HALO = 8  # places around a contact where the model of it may err
 _DIRECTIONS = np.column_stack([np.cos(np.arange(_HALO) * 2 * np.pi / _HALO), np.sin(np.arange(_HALO) * 2 * np.pi / _HALO)])
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Contacts that explain some data.
-
-    Args:
-        params: (n, 4) x, y (m), effect (m2), squared radius (m2) of each.
-        cost: Squared misfit in units of its noise, what is believed beforehand included.
-        normal: (4 n, 4 n) curvature: the inverse of their covariance.
-        caused: (n_meas,) what they cause (V).
-        slopes: (n_meas, 4 n) its derivatives by their parameters.
-    """
-
-    params: Floats
-    cost: float
-    normal: Floats
-    caused: Floats
-    slopes: Floats
-
-    @property
-    def covariance(self) -> Floats:
-        """Of all contacts together (4 n, 4 n)."""
-        return inverse(self.normal)
 
 
 class Explainer:
@@ -119,7 +95,11 @@ class Explainer:
     def misfit(self, data: Data, more: Floats | None = None) -> Misfit:
         """The noise of data; `more` (n_meas, k) are further directions not known (V)."""
         sigma = float(np.hypot(self.noise, self.model_error * data.root_mean_square))
-        return Misfit(sigma, np.zeros((len(data.volts), 0)) if more is None else more)
+        return Misfit(sigma, no_directions(data) if more is None else more)
+
+    def _misfit_after(self, found: Solution, misfit: Misfit, left: Floats) -> Misfit:
+        """The noise of what is `left` (n_meas,) of data (V) after a fit whose contacts are still free to change."""
+        return Misfit(self.noise, np.hstack([misfit.directions, unknown(found.slopes, left)]))
 
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
@@ -130,6 +110,13 @@ class Explainer:
         far = distance > self.table.radius
         if far.any():
             inside[far] = self.table.places[closest[far]]
+        return inside
+
+    def within(self, params: Floats) -> Floats:
+        """Parameters (n, 4 or more) with places on the sheet and radii that the table has."""
+        inside = params.copy()
+        inside[:, :2] = self.onto(params[:, :2])
+        inside[:, 3] = np.clip(params[:, 3], *self.squares)
         return inside
 
     # --- one contact more? -----------------------------------------------------------------------------------------------
@@ -192,7 +179,6 @@ class Explainer:
         if mean is None or information is None:
             centre, precision = self.prior
             mean, information = np.tile(centre, len(start)), np.diag(np.tile(precision, len(start)))
-        square = self.table.radius**2
         params, damping = start, 1e-3
         state = self._linearise(data, params, misfit, mean, information)
         for _ in range(rounds):
@@ -202,13 +188,7 @@ class Explainer:
             step = cho_solve(cho_factor(damped, check_finite=False), gradient, check_finite=False).reshape(params.shape)
             if float(step.ravel() @ gradient) < _ENOUGH:
                 break
-            length = np.linalg.norm(step[:, :2], axis=1, keepdims=True)
-            step[:, :2] *= np.minimum(1.0, self.table.radius / np.maximum(length, 1e-300))
-            moved = params + step
-            moved[:, :2] = self.onto(moved[:, :2])
-            moved[:, 3] = np.clip(moved[:, 3], *self.squares)
-            if not self.falls:
-                moved[:, 2] = np.maximum(moved[:, 2], 1e-3 * square)
+            moved = self._stepped(params, step)
             trial = self._linearise(data, moved, misfit, mean, information)
             gain = cost - trial[0]
             if gain > 0:
@@ -218,6 +198,16 @@ class Explainer:
             if abs(gain) < _ENOUGH or damping > 1e4:
                 break
         return Solution(params, *state[:2], *state[3:])
+
+    def _stepped(self, params: Floats, step: Floats) -> Floats:
+        """Parameters (n, 4) after a step, no longer than a radius, that keeps them within what a contact may be."""
+        length = np.linalg.norm(step[:, :2], axis=1, keepdims=True)
+        bounded = step.copy()
+        bounded[:, :2] *= np.minimum(1.0, self.table.radius / np.maximum(length, 1e-300))
+        moved = self.within(params + bounded)
+        if not self.falls:
+            moved[:, 2] = np.maximum(moved[:, 2], 1e-3 * self.table.radius**2)
+        return moved
 
     def _linearise(
         self, data: Data, params: Floats, misfit: Misfit, mean: Floats, information: Floats
@@ -249,8 +239,7 @@ class Explainer:
 
     def contacts(self, found: Solution) -> tuple[Contact, ...]:
         """The contacts of a fit, strongest first."""
-        covariance = found.covariance if len(found.params) else np.empty((0, 0))
-        listed = [self.contact(one, covariance[at : at + 4, at : at + 4]) for at, one in _blocks(found.params)]
+        listed = [self.contact(*one) for one in zip(found.params, found.covariances, strict=True)]
         return tuple(sorted(listed, key=lambda contact: -abs(contact.strength)))
 
     # --- one frame, nothing known before ----------------------------------------------------------------------------------
@@ -266,30 +255,27 @@ class Explainer:
             DataError: If no finite datum is left.
         """
         data = Data.of(self.table.n_elec, *differences)
-        err = np.zeros((len(data.volts), 0)) if unsure is None else unsure[data.known]
+        misfit = self.misfit(data, None if unsure is None else unsure[data.known])
         found = nothing(data)
         while len(found.params) < self.most:
             left = data.volts - found.caused
-            score, power = self.scores(data, left, Misfit(self.noise, np.hstack([err, unknown(found.slopes, left)])))
+            score, power = self.scores(data, left, self._misfit_after(found, misfit, left))
             wrong = self.model_error * float(np.linalg.norm(found.caused)) / self.noise
             if self.heights(score, power).max() < self.bar + wrong:
                 break
             count = len(found.params)
-            found = self._cleared(
-                data, self.misfit(data, err), self.added(data, self.misfit(data, err), score, power, found.params)
-            )
+            found = self._cleared(data, misfit, self.added(data, misfit, score, power, found.params))
             if len(found.params) <= count:
                 break
         for k in range(len(found.params)):
             if len(found.params) < self.most:
-                found = self.split(data, found, k, unsure=err) or found
+                found = self.split(data, found, k, unsure=misfit.directions) or found
         return found
 
     def _cleared(self, data: Data, misfit: Misfit, found: Solution) -> Solution:
         """The fit without contacts that turn out not to be needed, now that all have been refined together."""
         while len(found.params) > 1:
-            covariance = found.covariance
-            sure = [abs(one[2]) / effect_std(covariance[at : at + 4, at : at + 4]) for at, one in _blocks(found.params)]
+            sure = np.abs(found.params[:, 2]) / [effect_std(covariance) for covariance in found.covariances]
             faintest = int(np.argmin(sure))
             if sure[faintest] > FAINT:
                 break
@@ -310,7 +296,7 @@ class Explainer:
         ends = one[:2] + reach * np.concatenate([axes, -axes, [[0.0, 0.0]]])
         values = self.table(self.onto(ends), np.sqrt(one[3])).values
         bend = data.rows(np.ascontiguousarray((values[:4] + values[4:8] - 2 * values[8]).T))
-        score, power = Misfit(self.noise, np.hstack([misfit.directions, unknown(found.slopes, left)])).gains(bend, left)
+        score, power = self._misfit_after(found, misfit, left).gains(bend, left)
         height = score / np.sqrt(power)
         if height.max() < 1.0:
             return None
@@ -327,39 +313,6 @@ class Explainer:
         better = (few.cost - many.cost) * self.misfit(data).sigma ** 2
         wrong = self.model_error * float(np.linalg.norm(few.caused))
         return (better - wrong**2) / self.noise**2
-
-
-def nothing(data: Data) -> Solution:
-    """Data explained by no contact. Its cost is not told."""
-    n_meas = len(data.volts)
-    return Solution(np.empty((0, PER_CONTACT)), 0.0, np.empty((0, 0)), np.zeros(n_meas), np.zeros((n_meas, 0)))
-
-
-def unknown(slopes: Floats, residual: Floats) -> Floats:
-    """Directions (n_meas, k) in which data say nothing: parameters that are fitted to them, with next to no prior."""
-    size = 1e3 * np.linalg.norm(residual)
-    return np.asarray(slopes * (size / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)))
-
-
-def inverse(normal: Floats) -> Floats:
-    """Inverse of a normal matrix whose parameters have unlike units."""
-    scale = 1 / np.sqrt(np.diag(normal))
-    unit = np.linalg.inv(normal * np.outer(scale, scale))
-    both: Floats = (unit + unit.T) / 2 * np.outer(scale, scale)
-    return both
-
-
-def effect_std(covariance: Floats) -> float:
-    """How surely there is a contact: standard deviation of its effect (m2) if it is where and as large as its parameters say.
-
-    From their covariance (4, 4). What is told of the effect without knowing the place is less; that it is not zero is not.
-    """
-    return float(1 / sqrt(inverse(covariance)[2, 2]))
-
-
-def _blocks(params: Floats) -> list[tuple[int, Floats]]:
-    """Where each contact begins among all parameters, and its own (4,)."""
-    return [(PER_CONTACT * k, one) for k, one in enumerate(params)]
 
 
 def _spaced(places: Floats, spacing: float) -> np.ndarray:

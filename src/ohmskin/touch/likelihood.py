@@ -148,6 +148,11 @@ class Misfit:
         return score / variance, np.maximum(power, 1e-12 * power.max()) / variance
 
 
+def no_directions(data: Data) -> Floats:
+    """None in which data err beside white noise (n_meas, 0)."""
+    return np.zeros((len(data.volts), 0))
+
+
 def gain_directions(difference: Difference, reference: Floats, gain: float) -> Floats:
     """What an error of each injection's current does (n_meas, n_inj): all its voltages change by the same share (V).
 
@@ -166,7 +171,7 @@ def responses(table: ContactTable, data: Data, params: Floats) -> tuple[Floats, 
     A contact's parameters are x, y (m), effect (m2), squared radius (m2).
     """
     if not len(params):
-        return np.zeros(len(data.volts)), np.zeros((len(data.volts), 0))
+        return np.zeros(len(data.volts)), no_directions(data)
     found = table(params[:, :2], np.sqrt(params[:, 3]))
     effect = params[:, 2, None]
     parts = np.stack([effect * found.slopes[:, 0], effect * found.slopes[:, 1], found.values, effect * found.widening], axis=1)
