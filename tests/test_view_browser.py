@@ -126,6 +126,15 @@ class SyntheticLoop:
                 self.header["state"] = "paused" if command["paused"] else "running"
             case "demo":
                 self.header["demo"] = command["on"]
+            case "seek":
+                self.header["recording"] |= {"position": command["position"]}
+            case "step":
+                self.header["state"] = "paused"
+                self.header["recording"] |= {"position": self.header["recording"]["position"] + command["cycles"] / 50}
+            case "speed":
+                self.header["recording"] |= {"speed": command["speed"]}
+            case "loop":
+                self.header["recording"] |= {"loop": command["on"]}
 
     def _header(self, sequence: int, now: float, points: list[tuple[float, float]]) -> dict[str, Any]:
         contacts = [
@@ -468,6 +477,70 @@ def test_disc_and_real_skin(chromium: Browser) -> None:
         assert not reader.presses()
     finally:
         reader.close()
+        loop.close()
+
+
+def test_a_recording_is_led_from_the_page_and_all_browsers_agree(chromium: Browser) -> None:
+    loop = SyntheticLoop(make_setup(virtual=False) | {"recording": {"length": 40.0}})
+    loop.header["recording"] = {"position": 8.0, "length": 40.0, "speed": 3.0, "loop": False}
+    reader = Reader(chromium, loop)
+    other = Reader(chromium, loop, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page, seek = reader.page, reader.page.locator("#seek")
+
+    def place() -> float:
+        return float(loop.header["recording"]["position"])
+
+    try:
+        expect(page.locator("#position")).to_have_text("8.00 / 40.00 s")
+        expect(page.get_by_label("Speed")).to_have_value("3")  # as the command line set it
+        expect(page.locator("#pause")).to_be_hidden()
+        page.click("#play")
+        expect(page.locator("#play")).to_have_text("Play")
+        box = seek.bounding_box()
+        assert box is not None
+        middle = box["y"] + box["height"] / 2
+        page.mouse.click(box["x"] + box["width"] / 2, middle)
+        reader.until(lambda: place() == pytest.approx(20, abs=0.5))
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.8 * box["width"], middle, steps=4)
+        reader.until(lambda: place() == pytest.approx(32, abs=1))
+        loop.header["recording"] |= {"position": 1.0}  # it plays on; the bar stays under the finger
+        page.wait_for_timeout(700)
+        assert float(seek.input_value()) == pytest.approx(32, abs=1)
+        page.mouse.up()
+        expect(page.locator("#position")).to_have_text("1.00 / 40.00 s")
+        page.keyboard.press("ArrowRight")  # the bar has the focus
+        reader.until(lambda: place() == pytest.approx(2))
+        page.keyboard.press("Shift+ArrowLeft")  # a twentieth of the length at most
+        reader.until(lambda: place() == pytest.approx(0))
+        expect(page.get_by_label("Position in the recording")).to_have_attribute("aria-valuetext", "0.00 of 40.00 seconds")
+        page.keyboard.press("End")
+        reader.until(lambda: place() == 40)
+        page.get_by_label("One frame back").click()
+        reader.until(lambda: place() == pytest.approx(39.98))
+        page.get_by_label("One frame on").click()
+        for told in ("0.25", "1", "4", "null"):
+            page.get_by_label("Speed").select_option(told)
+        page.click("#loop")
+        reader.until(lambda: reader.heard("loop"))
+        assert [command["speed"] for command in reader.heard("speed")] == [0.25, 1, 4, None]
+        assert reader.heard("pause") == [{"type": "pause", "paused": True}]
+        for shown in (page, other.page):
+            expect(shown.locator("#loop")).to_have_attribute("aria-pressed", "true")
+            expect(shown.get_by_label("Speed")).to_have_value("null")
+            expect(shown.locator("#position")).to_have_text("40.00 / 40.00 s")
+        assert other.page.evaluate("document.documentElement.scrollWidth") == 390
+        for control in other.page.locator(".transport > :not(output)").all():
+            box = control.bounding_box()
+            assert box is not None
+            assert min(box["width"], box["height"]) >= 38
+        loop.header["recording"] = None
+        loop.change(make_setup())
+        expect(page.locator("#transport")).to_be_hidden()
+        expect(page.locator("#pause")).to_be_visible()
+    finally:
+        reader.close()
+        other.close()
         loop.close()
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
@@ -76,6 +77,7 @@ class ReplayDevice(Device):
         recording: What is replayed.
         loop: As above; may be changed at any time.
         calibrating: Asked whether the loop calibrates; until it is set, quiet frames come once, at the start.
+        jumps: How often it was sent elsewhere; whoever follows contacts begins anew when this changes.
 
     Raises:
         DataError: If the file is not a recording.
@@ -102,11 +104,17 @@ class ReplayDevice(Device):
             self._run = _whole_cycles(self._reel, np.flatnonzero(~quiet))
             if not len(self._run):
                 raise DataError(f"{path} holds a calibration and nothing else; there is nothing to replay")
+            self._tracking = _tracking_modes(self._reel, self._run)
+            tracked = self._tracking[self._reel.mode_of[self._run]]
+            begins = (self._reel.roles[self._run] != Role.CHOSEN) | tracked
+            self._firsts = np.flatnonzero(begins)  # where cycles begin: not at second scans, but at every frame of tracking modes
             self._bases = self._base_patterns()
+            self._steady = {int(number) for number in self._reel.pattern_numbers[self._run[begins & ~tracked]]}
             self._codes_by_pattern: dict[int, tuple[Ints, Ints]] = {}
             chosen = self._reel.roles == Role.CHOSEN
             self._adaptive = np.bincount(self._reel.mode_of[chosen], minlength=len(self._reel.modes)) > 0
             self._at, self._quiet_at, self._was_quiet = 0, 0, False
+            self._sought, self.jumps = 0, 0
             self._served = 0
             self._quiet_left = 0 if self.reference else len(self._segments[0])
             self._ended = False
@@ -152,6 +160,16 @@ class ReplayDevice(Device):
         return not self.loop and (self._ended or self._at >= len(self._run))
 
     @property
+    def exhausted(self) -> bool:
+        """Whether no cycle begins from here on; it is over, or begins again if it loops."""
+        return bool(len(self._firsts)) and self._at > int(self._firsts[-1])
+
+    @property
+    def leading(self) -> bool:
+        """Whether the next frame is of the lead before the place that was sought."""
+        return self._at < self._sought
+
+    @property
     def mode(self) -> str:
         """The drive mode of the next frame; empty if it is not told."""
         return str(self._reel.modes[int(self._reel.mode_of[self._next()])])
@@ -172,26 +190,32 @@ class ReplayDevice(Device):
         """Whether cycles that begin with this pattern were recorded; adaptive ones must have been so here."""
         return pattern in self._bases and (not adaptive or bool(self._adaptive[self._reel.mode_of[self._next()]]))
 
-    def seek(self, position: float) -> None:
-        """Go to a place (s from the first frame); the next cycle is the first one from there.
+    def seek(self, position: float, lead: int = 0) -> None:
+        """Go to a place (s from the first frame); the next cycle is the first one from there, or the last one of all.
+
+        Args:
+            position: The place.
+            lead: So many cycles before it come first, without waiting, so that contacts are known when it is reached.
 
         Raises:
             DataError: If it is not within the recording.
         """
         if not 0 <= position <= self.duration:
             raise DataError(f"position {position:g} s; the recording has 0 to {self.duration:g} s")
-        times = self._reel.times[self._run]
-        self._go(int(np.searchsorted(times, position - 1e-9)))
+        times = self._reel.times[self._run[self._firsts]]
+        self._go(int(np.searchsorted(times, position - 1e-9)), lead)
 
-    def step(self, cycles: int = 1) -> None:
-        """Go so many cycles on, or back if negative; stops at the ends."""
-        firsts = np.flatnonzero(self._reel.roles[self._run] != Role.CHOSEN)
-        here = int(np.searchsorted(firsts, self._at))
-        self._go(int(firsts[min(max(here + cycles, 0), len(firsts) - 1)]) if len(firsts) else 0)
+    def step(self, cycles: int = 1, lead: int = 0) -> None:
+        """Go so many cycles on, or back if negative; stops at the ends. For `lead` see `seek`."""
+        self._go(int(np.searchsorted(self._firsts, max(self._at, self._sought))) + cycles, lead)
 
-    def _go(self, at: int) -> None:
+    def _go(self, cycle: int, lead: int) -> None:
+        cycle = min(max(cycle, 0), len(self._firsts) - 1)
         with self._lock:
-            self._at, self._ended, self._anchor = min(at, len(self._run) - 1), False, None
+            self._sought = int(self._firsts[cycle]) if len(self._firsts) else 0
+            self._at = int(self._firsts[max(cycle - lead, 0)]) if len(self._firsts) else 0
+            self._ended, self._anchor = False, None
+            self.jumps += 1
 
     def _next(self) -> int:
         return int(self._run[min(self._at, len(self._run) - 1)])
@@ -206,7 +230,9 @@ class ReplayDevice(Device):
             return replace(self._quiet(pattern), time=time.monotonic())
         self._was_quiet, self._quiet_left = False, 0
         index = self._find(pattern)
-        self._wait(float(self._reel.times[index]), timeout)
+        if self._at > self._sought:
+            self._sought = 0
+            self._wait(float(self._reel.times[index]), timeout)
         frame = self._reel.frame(index)
         self._served += 1
         sequence = frame.sequence if self.recording.tape else self._served
@@ -215,13 +241,17 @@ class ReplayDevice(Device):
     def _find(self, pattern: DrivePattern) -> int:
         """The frame to give for a pattern; the next one is behind it."""
         if self._at >= len(self._run) and self.loop:
-            self._at, self._anchor = 0, None
+            self._at, self._sought, self._anchor = 0, 0, None
         if self._at < len(self._run):
             index = int(self._run[self._at])
             if self._reel.pattern(index) == pattern:
                 self._at += 1
                 return index
-            if (number := self._bases.get(pattern)) is not None:
+            number = self._bases.get(pattern)
+            if self._tracking[self._reel.mode_of[index]] and number not in self._steady:
+                self._at += 1  # of a loop that tracks; it chooses other pairs where contacts are tracked anew
+                return index
+            if number is not None:
                 return self._skip_to(number)
             if self._reel.roles[index] == Role.CHOSEN:
                 self._at += 1
@@ -243,7 +273,7 @@ class ReplayDevice(Device):
             raise DeviceError("the recording has ended; seek back or let it loop")
         at = int(ahead[0] if len(ahead) else there[0])
         if at < self._at:
-            self._anchor = None
+            self._sought, self._anchor = 0, None
         self._at = at + 1
         return int(self._run[at])
 
@@ -349,6 +379,16 @@ def _whole_cycles(reel: _Reel, run: Ints) -> Ints:
     followed = np.append(roles[1:] == Role.CHOSEN, False)
     whole: Ints = run[~((roles == Role.BASE) & adaptive & ~followed)]
     return whole
+
+
+def _tracking_modes(reel: _Reel, run: Ints) -> NDArray[np.bool_]:
+    """Which modes track (one scan a cycle): those whose choices follow each other (n_modes,)."""
+    modes, chosen = reel.mode_of[run], reel.roles[run] == Role.CHOSEN
+    again = np.append(False, chosen[1:] & chosen[:-1] & (modes[1:] == modes[:-1]))
+    count = len(reel.modes)
+    # a frame that the recorder lost leaves two choices together too, but seldom
+    tracking: NDArray[np.bool_] = np.bincount(modes[again], minlength=count) > 0.1 * np.bincount(modes[chosen], minlength=count)
+    return tracking
 
 
 def _plain_capabilities(recording: Recording) -> Capabilities:

@@ -184,6 +184,10 @@ class Engine:
         most = min(policy.complete.n_inj, able.max_injections, able.max_measurements // per_injection)
         return 1, most
 
+    def forget(self) -> None:
+        """Let go of the contacts that are followed, because what comes next is another time."""
+        self._tracks, self._scene, self._before = Tracks(), None, None
+
     def pause(self, paused: bool) -> None:
         """Stop scanning, or go on."""
         if self.state in (State.RUNNING, State.PAUSED):

@@ -81,17 +81,22 @@ class Player:
         self.device = device
         self._engine, self._say = engine, say
         device.calibrating = lambda: engine.state is State.CALIBRATING
-        self._recorded, self._calibration = device.mode, device.calibration
+        self._recorded, self._calibration, self._jumps = device.mode, device.calibration, device.jumps
         if mode:
             if not self._possible():
                 raise PatternError(f"mode {mode!r} was not recorded; choose from {', '.join(self._modes()) or 'none'}")
         elif device.mode in engine.modes:
             engine.set_mode(device.mode)
-        self._fixed, self._paused = bool(mode), False
+        self._fixed, self._before = bool(mode), engine.state
 
     def prepare(self) -> None:
         """Call it before every `engine.step`."""
         engine, device = self._engine, self.device
+        if device.loop and device.exhausted and not device.reference and engine.state is State.RUNNING:
+            device.seek(0.0)  # now, so that the first cycle has the calibration and the mode of the beginning
+        if device.jumps != self._jumps:
+            self._jumps = device.jumps
+            engine.forget()
         if engine.state is not State.RUNNING or device.reference or device.ended:
             return
         if device.calibration != self._calibration:
@@ -118,13 +123,14 @@ class Player:
         """A loop's own `step`, led through the recording. At its end it pauses; going on from there begins anew."""
 
         def led() -> Touch | None:
+            before, self._before = self._before, self._engine.state
             if self.device.ended and self._engine.state is State.RUNNING:
-                if self._paused:
+                if before is State.PAUSED:
                     self.device.seek(0.0)
                 else:
                     self._engine.pause(True)
+                    self._before = State.PAUSED
                     self._say("the recording has ended")
-                self._paused = not self._paused
             self.prepare()
             return self._unless_over(step)
 

@@ -1,11 +1,13 @@
 """The loop with a page: shows what the engine feels, and does what the page asks."""
 
+import math
 import time
 from typing import Any
 
 import numpy as np
 
 import ohmskin
+from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.errors import DeviceError, PatternError
 from ohmskin.geometry import Disc, Raster
@@ -18,6 +20,7 @@ _PIXELS = 64
 _NOTE_SECONDS = 5.0
 _RADIUS = [3e-3, 20e-3, 8e-3]  # m: least, largest and usual radius of a press on the page
 _PRESSURE = [1e3, 60e3, 20e3]  # Pa, likewise
+_LEAD = 8  # cycles seen unshown before a place that was sought; a contact is reported when it has come three times
 _PAPER_SKINS = {"12B": "paper", "16B": "paper-rim16", "16I": "paper", "16O": "paper"}  # the skin for each of the paper's modes
 
 
@@ -40,6 +43,10 @@ class Session:
         self._numbers: dict[str, int] = {}  # press number of each press id of the page; 0 is the demonstration's
         self._presses: dict[str, dict[str, Any]] = {}
         self._last: Touch | None = None
+        device = getattr(engine.device, "inner", engine.device)  # a recorder may listen in
+        self._recording = device if isinstance(device, ReplayDevice) else None
+        self._place = self._recording.position if self._recording else 0.0  # s, of the cycle that is shown
+        self._sought, self._alone = False, False  # whether a place is not shown yet, and whether the loop pauses there
         self._note, self._note_until = "", 0.0
         self.view = LiveView(self._setup(), host, port, token)
 
@@ -50,17 +57,32 @@ class Session:
         self._engine.calibrate(lambda _: self._publish())
 
     def step(self) -> Touch | None:
-        """Do what the page asks, move the demonstration finger, run one cycle of the loop, show it."""
-        for command in self.view.commands():
+        """Do what the page asks, move the demonstration finger, run one cycle of the loop, show it.
+
+        None also where a place in a recording was asked for: whoever leads the loop prepares for it before the next call.
+        """
+        on_the_way = self._sought and self._engine.state is State.RUNNING  # first arrive, or a drag would never show anything
+        commands = [] if on_the_way else self.view.commands()
+        for command in commands:
             try:
                 self._obey(command)
             except (DeviceError, PatternError) as error:
                 self._note, self._note_until = str(error), time.monotonic() + _NOTE_SECONDS
+        if self._sought and any(command["type"] in ("seek", "step") for command in commands):
+            return None
         if self._demo and self._engine.state is State.RUNNING:
             self._engine.press(0, *demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from))
             self._demo_pressing = True
         was_lost = self._engine.state is State.LOST
-        touch = self._engine.step()
+        if (recording := self._recording) is not None:
+            leading, at = recording.leading, recording.position
+            touch = self._engine.step()
+            if touch and leading:
+                return None
+            if touch:
+                self._arrive(at)
+        else:
+            touch = self._engine.step()
         if was_lost and self._engine.state is State.RUNNING:  # a virtual skin that was started anew has forgotten its presses
             for name, press in self._presses.items():
                 self._engine.press(self._numbers[name], (press["x"], press["y"]), press["radius"], press["pressure"])
@@ -96,9 +118,42 @@ class Session:
             case "calibrate":
                 self.calibrate()
             case "pause":
-                self._engine.pause(command["paused"])
+                self._alone = command["paused"] and self._sought  # a place that was sought is shown first
+                if not self._alone:
+                    self._engine.pause(command["paused"])
+            case "seek" | "step" | "speed" | "loop" if self._recording:
+                self._transport(self._recording, command)
             case "demo":
                 self._set_demo(command["on"] and self._engine.device.capabilities.virtual)
+
+    def _transport(self, recording: ReplayDevice, command: dict[str, Any]) -> None:
+        match command["type"]:
+            case "seek":
+                recording.seek(command["position"], _LEAD)
+                self._go(alone=self._alone or self._engine.state is State.PAUSED)
+            case "step":
+                on = command["cycles"]
+                if self._sought or on < 0:
+                    recording.step(on if self._sought else on - 1, _LEAD)  # the next cycle is the one after that shown
+                elif recording.ended:
+                    self._engine.pause(True)
+                    return
+                self._go(alone=True)
+            case "speed":
+                recording.speed = math.inf if command["speed"] is None else command["speed"]
+            case "loop":
+                recording.loop = command["on"]
+
+    def _go(self, alone: bool) -> None:
+        """Run until a place is shown; pause there if it is asked for alone."""
+        self._sought, self._alone = True, alone
+        self._engine.pause(False)
+
+    def _arrive(self, at: float) -> None:
+        self._place, self._sought = at, False
+        if self._alone:
+            self._alone = False
+            self._engine.pause(True)
 
     def _free_number(self) -> int:
         return next(n for n in range(1, 0x10000) if n not in self._numbers.values())
@@ -157,6 +212,7 @@ class Session:
             "state": engine.state.value,
             "message": engine.message or (self._note if time.monotonic() < self._note_until else ""),
             "demo": self._demo,
+            "recording": self._playing(),
         }
         if touch and engine.perception:
             frames = touch.sight.frames
@@ -183,6 +239,13 @@ class Session:
                 },
             }
         return header
+
+    def _playing(self) -> dict[str, Any] | None:
+        """Where a recording is and how it goes on; None on other devices."""
+        if (recording := self._recording) is None:
+            return None
+        speed = recording.speed if math.isfinite(recording.speed) else None
+        return {"position": self._place, "length": recording.duration, "speed": speed, "loop": recording.loop}
 
     def _shown_presses(self) -> list[dict[str, Any]]:
         shown = [{name: press[name] for name in ("id", "x", "y", "radius", "pressure", "demo")} for press in self._presses.values()]
@@ -212,6 +275,7 @@ class Session:
             "device": {"url": self._url, "virtual": virtual},
             "unit": "mS",
             "press": {"radius": _RADIUS, "pressure": _PRESSURE} if virtual else None,
+            "recording": {"length": self._recording.duration} if self._recording else None,
         }
 
     def _modes(self) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ from ohmskin.errors import ViewError
 LARGEST_COMMAND = 4096
 """Bytes a browser may send in one message."""
 
+_SPEEDS = (0.01, 1000.0)  # seconds of a recording per second
 _IDENTIFIER = re.compile(r"[A-Za-z0-9_-]{1,32}")
 _PREFIX = struct.Struct("<cI")
 _LENGTH = struct.Struct("<I")
@@ -67,6 +68,8 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
                 low, high, usual = setup["press"][name]
                 if not low <= usual <= high:
                     raise ViewError(f"setup press {name} is {setup['press'][name]}; need [least, largest, usual]")
+        if setup.get("recording") is not None and not 0 <= setup["recording"]["length"] < math.inf:
+            raise ViewError(f"setup recording is {setup['recording']}; need a length of 0 s or more")
         plain = json.loads(to_json({"type": "setup", "unit": "mS", **setup}))
     except (KeyError, TypeError, ValueError) as wrong:
         raise ViewError(f"the setup of the live page is incomplete or malformed ({wrong!r}); docs/live-page.md lists it") from wrong
@@ -182,6 +185,39 @@ def _press_setting(name: str, value: object, setup: Mapping[str, Any]) -> float:
     return _within(name, value, low, high)
 
 
+def _recorded(name: str, value: object, setup: Mapping[str, Any]) -> object:
+    """What only a recording can do, whatever the value."""
+    if setup.get("recording") is None:
+        raise CommandError("this device is not a recording; only a recording has a place, a speed and an end")
+    return value
+
+
+def _position(name: str, value: object, setup: Mapping[str, Any]) -> float:
+    _recorded(name, value, setup)
+    return _within(name, value, 0.0, setup["recording"]["length"])
+
+
+def _step(name: str, value: object, setup: Mapping[str, Any]) -> int:
+    _recorded(name, value, setup)
+    if not isinstance(value, int) or isinstance(value, bool) or value not in (-1, 1):
+        raise CommandError(f"{name} must be 1 or -1")
+    return value
+
+
+def _speed(name: str, value: object, setup: Mapping[str, Any]) -> float | None:
+    _recorded(name, value, setup)
+    if value is None:
+        return None
+    try:
+        return _within(name, value, *_SPEEDS)
+    except CommandError as refusal:
+        raise CommandError(f"{refusal}, or null for as fast as it can") from None
+
+
+def _loop(name: str, value: object, setup: Mapping[str, Any]) -> bool:
+    return _flag(name, _recorded(name, value, setup), setup)
+
+
 def _within(name: str, value: object, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise CommandError(f"{name} must be a number")
@@ -207,5 +243,9 @@ _COMMANDS: dict[str, dict[str, Callable[[str, object, Mapping[str, Any]], object
     "calibrate": {},
     "pause": {"paused": _flag},
     "demo": {"on": _flag},
+    "seek": {"position": _position},
+    "step": {"cycles": _step},
+    "speed": {"speed": _speed},
+    "loop": {"on": _loop},
     "ack": {"sequence": _count},
 }

@@ -11,6 +11,7 @@ import { compose, download } from "./picture.js";
 import { drawSection } from "./section.js";
 import { Surface } from "./surface.js";
 import { Touch } from "./touch.js";
+import { Transport } from "./transport.js";
 
 const TEXT_EVERY = 100; // ms between changes of numbers, which nobody reads faster
 const SUMMARY_EVERY = 2000;
@@ -63,6 +64,8 @@ const controls = new Controls({
   changed: requestDraw,
 });
 
+const transport = new Transport((command) => link.send(command));
+
 const link = new Link({
   onOpen() {
     everConnected = true;
@@ -82,6 +85,7 @@ const link = new Link({
     fields.base = new Field(setup.raster);
     range.restart();
     controls.showSetup(setup);
+    transport.showSetup(setup.recording);
     labelMaps();
     for (const surface of Object.values(surfaces)) surface.fit();
     requestDraw();
@@ -193,6 +197,7 @@ function showText(now) {
   document.documentElement.dataset.stale = !link.connected || state === "lost";
   if (!header) return;
   controls.showHeader(header);
+  transport.showHeader(header);
   controls.showRange(range);
   showFigures(header);
   showContacts(header.contacts ?? []);

@@ -5,6 +5,7 @@ const HINTS = {
   touch: "Touch the map, with several fingers if you like. “Hold presses” leaves them in place.",
   virtual: "Press the map with mouse or finger. Shift-click leaves a press in place; drag it, or double-click it away.",
   real: "Press the skin. This page shows what it feels.",
+  recording: "A recording: this page shows what the skin felt.",
 };
 
 const finger = matchMedia("(pointer: coarse)").matches ? "touch" : "virtual";
@@ -21,8 +22,10 @@ export function noticeFor({ connected, everConnected, setup, header, silence, re
   if (refusal) return { kind: "warn", text: refusal };
   if (silence > 3) return { kind: "warn", text: `No new frame for ${Math.floor(silence)} s: the loop is busy or has stopped.` };
   if (header.state === "calibrating") return { kind: "warn", text: header.message || "Calibrating: keep the skin untouched." };
-  if (header.state === "paused") return { kind: "wait", text: "Paused. The maps show the last frame." };
+  if (header.state === "paused") {
+    return { kind: "wait", text: setup.recording ? "Paused. The maps show this place." : "Paused. The maps show the last frame." };
+  }
   if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
   if (header.message) return { kind: "warn", text: header.message };
-  return { kind: "hint", text: HINTS[setup.press ? finger : "real"] };
+  return { kind: "hint", text: HINTS[setup.recording ? "recording" : setup.press ? finger : "real"] };
 }
