@@ -95,6 +95,15 @@ def test_a_replay_sees_what_the_live_loop_saw(recorded: tuple[Path, list[ohm.Tou
     assert any(cycle.touch.contacts for cycle in seen)
 
 
+def test_tracking_replays_the_same_bytes_however_quick_the_machine(tmp_path: Path) -> None:
+    record_press(tmp_path / "a.mcap", "16T", cycles=CYCLES, images=0)
+    first = digest(tmp_path / "a.mcap")
+    with pytest.MonkeyPatch.context() as patch:
+        slow = ReplayDevice._scan
+        patch.setattr(ReplayDevice, "_scan", lambda *arguments: (time.sleep(2e-3), slow(*arguments))[1])
+        assert digest(tmp_path / "a.mcap") == first
+
+
 def test_two_processes_replay_the_same_bytes(recorded: tuple[Path, list[ohm.Touch]]) -> None:
     path, _ = recorded
     code = f"import sys; sys.path[:0] = ['tests']; from test_replay import digest, Path; print(digest(Path({str(path)!r})))"

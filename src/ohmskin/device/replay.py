@@ -236,7 +236,7 @@ class ReplayDevice(Device):
         frame = self._reel.frame(index)
         self._served += 1
         sequence = frame.sequence if self.recording.tape else self._served
-        return replace(frame, time=time.monotonic(), sequence=sequence)
+        return replace(frame, time=time.monotonic(), sequence=sequence, recorded=float(self._reel.times[index]))
 
     def _find(self, pattern: DrivePattern) -> int:
         """The frame to give for a pattern; the next one is behind it."""

@@ -238,7 +238,7 @@ class Engine:
         return sight, contacts
 
     def _tracked(self, policy: Policy) -> tuple[Sight, tuple[Contact, ...]]:
-        """A cycle of a tracking mode. Time is the device's, so that a recording gives the same."""
+        """A cycle of a tracking mode. Time is the device's or the recording's, so that a replay gives the same."""
         assert self.perception is not None
         scene = self._scene or self.perception.filter.start()
         self._scene, sight = self.perception.track(policy, self._scan, scene, self._elapsed)
@@ -246,10 +246,11 @@ class Engine:
 
     def _elapsed(self, frame: Frame) -> float:
         """Time since the last frame (s); as long as matters, where it is not known."""
-        before, self._before = self._before, frame.time
-        if before is None or not 0 <= frame.time - before <= _LONGEST:
+        at = frame.time if frame.recorded is None else frame.recorded
+        before, self._before = self._before, at
+        if before is None or not 0 <= at - before <= _LONGEST:
             return _LONGEST
-        return frame.time - before
+        return at - before
 
     def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:
         patterns = [mode.base for mode in self.modes.values()]

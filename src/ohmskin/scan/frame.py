@@ -32,6 +32,7 @@ class Frame:
         time: Time of the last sample on the device's clock (s).
         sequence: Number of the frame, counted by the device.
         flags: What the device reports beside the data.
+        recorded: Time in the recording that it comes from (s), however quickly that is replayed; None of a frame measured now.
 
     Raises:
         DataError: If the shapes do not fit the pattern.
@@ -43,6 +44,7 @@ class Frame:
     time: float
     sequence: int = 0
     flags: FrameFlag = FrameFlag(0)
+    recorded: float | None = None
 
     def __post_init__(self) -> None:
         for name, count in (("voltages", self.pattern.n_meas), ("currents", self.pattern.n_inj)):
