@@ -95,9 +95,14 @@ def test_a_replay_sees_what_the_live_loop_saw(recorded: tuple[Path, list[ohm.Tou
     assert any(cycle.touch.contacts for cycle in seen)
 
 
-def test_tracking_replays_the_same_bytes_however_quick_the_machine(tmp_path: Path) -> None:
-    record_press(tmp_path / "a.mcap", "16T", cycles=CYCLES, images=0)
+def test_tracking_replays_the_live_loop_and_the_same_bytes_however_quick_the_machine(tmp_path: Path) -> None:
+    live = record_press(tmp_path / "a.mcap", "16T", cycles=CYCLES, images=0)
     first = digest(tmp_path / "a.mcap")
+    for cycle, touch in zip(reimage(tmp_path / "a.mcap"), live, strict=True):
+        assert [contact.id for contact in cycle.touch.contacts] == [contact.id for contact in touch.contacts]
+        for one, other in zip(cycle.touch.contacts, touch.contacts, strict=True):
+            np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-9)
+    assert any(touch.contacts for touch in live)
     with pytest.MonkeyPatch.context() as patch:
         slow = ReplayDevice._scan
         patch.setattr(ReplayDevice, "_scan", lambda *arguments: (time.sleep(2e-3), slow(*arguments))[1])

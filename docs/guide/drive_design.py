@@ -60,7 +60,7 @@ for name, found in errors.items():
     mm = 1e3 * found
     print(f"{name:<30}{mm.mean():7.2f}{np.median(mm):7.2f}{np.sqrt(np.mean(mm**2)):7.2f}{mm.max():7.2f}")
 
-# a policy for a tracker: four injections a frame, one of them exploring
+# a policy for a tracker: four injections a frame, two of them exploring
 policy = InformedPolicy(electrodes, lambda: (table, candidates), injections=4)
 contact = Target(np.array([0.06, 0.13]), np.diag([4e-3, 4e-3]) ** 2, effect=1.5e-4, radius=10e-3)
 print(policy.explain([contact], turn=0))

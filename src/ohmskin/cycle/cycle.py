@@ -3,7 +3,7 @@
 The same as its parts in `ohmskin.inverse`, `ohmskin.drive` and `ohmskin.touch`, arranged so that a frame reads its matrices once
 and little else. The modes of the image are turned so that the base scan sees each by itself: with its rows H_0 = U diag(s) V^T,
 and modes counted along V, the base image needs two products. The second scan then is an update of as many unknowns as it has
-voltages m,
+voltages, or, in another form of the same, as there are modes if these are fewer,
 
     u = u_0 + D H^T (I + H D H^T)^-1 (v - H u_0),        D = (s^2 + w^2)^-1,
 
@@ -32,7 +32,7 @@ Measured = tuple[Floats, Floats]  # voltages (n_meas,) in volts, currents (n_inj
 
 
 class FastCycle:
-    """Sees contacts in an adaptive mode, ten thousand times a second. Not for several threads at once: make one for each.
+    """Sees contacts in an adaptive mode, up to ten thousand times a second. Not for several threads at once: make one for each.
 
     Args:
         estimator: Of a flat sheet, on its triangles or on pixels.

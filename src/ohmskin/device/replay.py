@@ -236,7 +236,8 @@ class ReplayDevice(Device):
         frame = self._reel.frame(index)
         self._served += 1
         sequence = frame.sequence if self.recording.tape else self._served
-        return replace(frame, time=time.monotonic(), sequence=sequence, recorded=float(self._reel.times[index]))
+        recorded = frame.time if self.recording.tape else float(self._reel.times[index])
+        return replace(frame, time=time.monotonic(), sequence=sequence, recorded=recorded)
 
     def _find(self, pattern: DrivePattern) -> int:
         """The frame to give for a pattern; the next one is behind it."""

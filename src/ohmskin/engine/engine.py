@@ -113,7 +113,8 @@ class Engine:
             self.state = before
             self._lose(error)
             raise
-        self.perception, self._tracks, self._scene = perception, Tracks(), None
+        self.perception = perception
+        self.forget()
         self.state = State.RUNNING
         progress(1.0)
 

@@ -2,7 +2,7 @@
 
 A cycle is the same in every mode: base scan, image, regions above gamma_0; an adaptive mode then lets eq. (7) choose
 pairs for these regions and images once more; contacts are found in the last image, in ``P`` modes in the data themselves.
-Where it can, a `FastCycle` does the same in a twentieth of the time; frames with gaps it leaves to the plain way.
+Where it can, a `FastCycle` does the same in about a quarter of the time; frames with gaps it leaves to the plain way.
 
 A mode whose choice is a policy tracks instead: one scan of few injections a cycle, chosen by what is believed of the contacts,
 which it then corrects (`ContactFilter`).

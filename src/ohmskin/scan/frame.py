@@ -32,7 +32,7 @@ class Frame:
         time: Time of the last sample on the device's clock (s).
         sequence: Number of the frame, counted by the device.
         flags: What the device reports beside the data.
-        recorded: Time in the recording that it comes from (s), however quickly that is replayed; None of a frame measured now.
+        recorded: Of a replayed frame, its time when it was measured (s), however quickly it is replayed; None of one measured now.
 
     Raises:
         DataError: If the shapes do not fit the pattern.
