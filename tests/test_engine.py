@@ -1,14 +1,18 @@
 """The adaptive loop on the physics twin, without a wire."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from direct import DirectDevice
+from numpy.testing import assert_allclose
 
+from ohmskin.drive import part_of
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import HealthMonitor
-from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError
+from ohmskin.errors import DataError, DeviceError, DeviceLost, DeviceRefused, PatternError
+from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Skin, VirtualSkin
 from ohmskin.touch import find_regions
 
@@ -112,12 +116,65 @@ def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engin
     assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in regions])
 
 
+def take_part(engine: Engine, frame: Frame) -> Frame:
+    """The frame with its injections in another order, which is another pattern."""
+    per_pair = frame.pattern.n_meas // frame.pattern.n_inj
+    turned = np.arange(frame.pattern.n_meas).reshape(-1, per_pair)[::-1].ravel()
+    pattern = engine.mode.complete
+    pairs = [pattern.injections.tolist().index(pair) for pair in frame.pattern.injections[::-1].tolist()]
+    return Frame(part_of(pattern, np.array(pairs)), frame.voltages[turned], frame.currents[::-1], frame.time)
+
+
 def test_a_mode_that_is_not_there_leaves_no_device_open(skin: Skin) -> None:
     device = DirectDevice(VirtualSkin(skin, seed=3))
     with pytest.raises(PatternError, match="choose from"):
         Engine(lambda: device, skin, "99X")
     with pytest.raises(DeviceError, match="closed"):
         device.scan(skin.modes["12B"].base)
+
+
+def test_adaptive_modes_see_through_the_compiled_cycle_what_the_plain_way_sees(engine: Engine) -> None:
+    engine.press(1, (0.06, 0.14), 8e-3, 20e3)
+    sight, perception, mode = run(engine, 5).sight, engine.perception, engine.mode
+    assert perception is not None
+    assert "16O" in perception._cycles
+    frames = iter(sight.frames)
+    plain = perception._see_plainly(mode, lambda _: next(frames))
+    again = iter(sight.frames)
+    quick = perception.see(mode, lambda _: next(again))
+    assert_allclose(quick.image.values, sight.image.values, rtol=0, atol=0)
+    # the compiled one takes the noise for that of the usual currents, which a press changes by some per cent
+    assert_allclose(quick.image.values, plain.image.values, rtol=0, atol=0.03 * plain.image.values.max())
+    ((one,), (other,)) = quick.contacts, plain.contacts
+    assert np.hypot(*np.subtract(one.position, other.position)) < 5e-4
+
+
+def test_a_gap_in_the_second_scan_does_not_ask_for_a_third(engine: Engine) -> None:
+    engine.press(1, (0.06, 0.14), 8e-3, 20e3)
+    (base, second), perception = run(engine, 5).sight.frames, engine.perception
+    assert perception is not None
+    gap = replace(second, voltages=np.where(np.arange(len(second.voltages)) == 3, np.nan, second.voltages))
+    other = take_part(engine, second)  # what eq. (7) would not have chosen
+    for last in (gap, other):
+        frames = iter((base, last))
+        sight = perception.see(engine.mode, lambda _: next(frames))  # noqa: B023  used at once
+        assert sight.frames == (base, last)
+        assert len(sight.contacts) == 1
+
+
+def test_a_calibration_that_fails_leaves_the_one_before(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, scan = engine.perception, DirectDevice._scan
+
+    def blind(self: DirectDevice, pattern: DrivePattern, timeout: float) -> Frame:
+        frame = scan(self, pattern, timeout)
+        return replace(frame, voltages=np.full(pattern.n_meas, np.nan))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(DirectDevice, "_scan", blind)
+        with pytest.raises(DataError):
+            engine.calibrate()
+    assert (engine.state, engine.perception) == (State.RUNNING, before)
+    run(engine, 1)
 
 
 def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:

@@ -169,7 +169,12 @@ def test_a_fit_is_as_accurate_as_the_slow_one(world: str) -> None:
 
 @pytest.mark.parametrize(("decibels", "apart", "least"), [(50, 0.020, 12), (60, 0.012, 10)])
 def test_two_contacts_are_told_apart_and_one_is_not_taken_for_two(decibels: float, apart: float, least: int) -> None:
-    """16 pairs of 6 mm discs, 20 mm apart at 50 dB and 12 mm at 60 dB; 24 single ones. 28 injections."""
+    """16 pairs of 6 mm discs, 20 mm apart at 50 dB and 12 mm at 60 dB; 24 single ones. 28 injections.
+
+    The fit is told that discs are right to 1 %, as they are here; with the 5 % that skins get it tells far fewer apart, and only
+    how many there are is judged (docs/policies.md has the product's own rates). Other places give 9 to 14 of 16: this holds the
+    code, not the goal.
+    """
     places = np.random.default_rng(30)  # the same at both noise levels
     rig, judge = Rig("discs", decibels, 3), explainer("discs", decibels)
     drive = policy("discs", decibels, 22)
@@ -219,7 +224,7 @@ def test_contacts_are_found_within_three_frames_and_known_as_well_as_is_said(wor
             ratios.append(off @ np.linalg.solve(contact.covariance, off))
     assert max(lags) <= 3
     assert np.mean(errors) < 3e-3
-    assert 0.4 < np.mean(ratios) < 5
+    assert 0.5 < np.mean(ratios) < 3.5
 
 
 def test_another_contact_is_found_while_one_is_tracked() -> None:
@@ -241,18 +246,24 @@ def test_nothing_is_felt_on_a_quiet_skin() -> None:
 
 
 def test_a_moving_contact_is_followed_with_its_velocity() -> None:
-    """1.5 mm a frame along a bent path, at 50 dB."""
-    rig, errors = Rig("discs", 50, 5), []
-    path = [(0.04 + 1.2e-3 * k, 0.05 + 0.9e-3 * k + 2e-5 * k**2) for k in range(50)]
-    for k, at in enumerate(path):
-        scene = rig.frame(press("discs", at))
-        if k >= 10:
-            (contact,) = scene.contacts
-            assert contact.id == 1
-            errors.append(np.hypot(*np.subtract(contact.position, at)))
+    """1.5 to 3.1 mm a frame along a bent path, at 50 dB; velocities are no further off than the filter says."""
+    errors, off, said = [], [], []
+    for seed in range(4):
+        rig = Rig("discs", 50, seed)
+        for k in range(50):
+            at = (0.04 + 1.2e-3 * k, 0.05 + 0.9e-3 * k + 2e-5 * k**2)
+            scene = rig.frame(press("discs", at))
+            if k >= 10:
+                (contact,) = scene.contacts
+                assert contact.id == 1
+                errors.append(np.hypot(*np.subtract(contact.position, at)))
+            if k >= 20:
+                assert contact.velocity is not None
+                off.append(np.subtract(contact.velocity, [0.12, 0.09 + 4e-3 * k]))
+                said.append(np.diag(scene.covariance)[4:6])
     assert np.mean(errors) < 2.5e-3
-    assert contact.velocity is not None
-    np.testing.assert_allclose(contact.velocity, [0.12, 0.09 + 4e-3 * 49 * 0.5], atol=0.06)
+    assert (np.mean(np.square(off), axis=0) < np.mean(said, axis=0)).all()
+    assert (np.mean(said, axis=0) < 0.5**2 * Motion().speed ** 2).all()  # and it says more than that fingers move
 
 
 def test_a_lifted_contact_is_gone_at_once_and_pressed_again_it_is_a_new_one() -> None:

@@ -48,8 +48,7 @@ def test_with_many_electrodes_nothing_has_pairs_times_pairs() -> None:
     assert_allclose(cycle.image, exact, rtol=0, atol=5e-5 * np.abs(exact).max())
 
 
-def test_large_second_scans_are_solved_in_tiles() -> None:
-    """More than 128 measurements take another path to the same image."""
+def test_a_large_second_scan_gives_the_image_of_the_normal_equations() -> None:
     model = TransferModel(mesh(24), electrodes(), CONDUCTIVITY)
     estimator = GaussNewton(model, 1e-5, amplitude=0.1, pixels=Pixels.over(model.mesh, 16))
     mode = modes(model.electrodes, 20)["16O"]  # 260 measurements

@@ -310,7 +310,7 @@ def scanned(pressed: TransferModel, pattern: DrivePattern, rng: np.random.Genera
     return volts + 1e-6 * rng.normal(size=pattern.n_meas), currents
 
 
-@pytest.mark.parametrize(("pairs", "fuse"), [(4, False), (4, True), (12, True)])
+@pytest.mark.parametrize(("pairs", "fuse"), [(4, False), (4, True), (12, False), (12, True)])
 def test_the_compiled_cycle_sees_what_its_twin_sees(pairs: int, fuse: bool) -> None:
     mode = modes(GRID, pairs, fuse)["16O"]
     fast = FastCycle(estimator(), mode, (0.02, 0.02))

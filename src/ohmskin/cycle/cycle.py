@@ -139,6 +139,7 @@ class FastCycle:
             DataError: If a datum is not finite (leave the frame to `GaussNewton.reconstruct`, which leaves such channels out), or
                 there are not as many data as the pattern has.
         """
+        self._looked = False
         volts, currents = _checked(volts, len(self._desk.base_volts), currents, len(self._tables.base_currents))
         if look(self._tables, self._desk, self._settings, volts, currents) < 0:
             raise DataError("a voltage or current of the base scan is not finite; use GaussNewton.reconstruct for this frame")
@@ -157,12 +158,12 @@ class FastCycle:
         """
         if not self._looked and (self.mode.fuse or chosen is None):
             raise DataError("see() completes a cycle that look() begins; call look() with the base scan first")
+        volts, currents = _checked(volts, self._n_meas, currents, len(self._desk.chosen))
         if chosen is not None:
             pairs, count = np.asarray(chosen), len(self._tables.pairs)
             if pairs.shape != self._desk.chosen.shape or pairs.dtype.kind not in "iu" or not ((pairs >= 0) & (pairs < count)).all():
                 raise DataError(f"chosen must be {len(self._desk.chosen)} numbers of pairs, 0..{count - 1}; given {chosen!r}")
             self._desk.chosen[:] = pairs
-        volts, currents = _checked(volts, self._n_meas, currents, len(self._desk.chosen))
         count = see(self._tables, self._desk, self._settings, volts, currents)
         self._looked = False
         if count < 0:

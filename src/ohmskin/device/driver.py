@@ -41,7 +41,7 @@ class Device(ABC):
         """Drive `pattern` once and measure.
 
         Args:
-            pattern: Within the device's capabilities; larger ones are scanned piece by piece, see `DrivePattern.split`.
+            pattern: Within the device's capabilities; larger ones are refused, see `DrivePattern.split`.
             timeout: Longest time to wait (s); by default 2 s and four times what the device says it needs.
 
         Raises:

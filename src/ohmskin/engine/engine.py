@@ -110,8 +110,10 @@ class Engine:
                 quiet_scan = self._scan if not self.device.reference else lambda _: quiet[0]
                 perception.learn_thresholds(mode, quiet_scan, cycles)
         except DeviceLost as error:
-            self.state = before
             self._lose(error)
+            raise
+        except BaseException:  # what was learned before still holds
+            self.state = before
             raise
         self.perception = perception
         self.forget()
@@ -150,6 +152,8 @@ class Engine:
             PatternError: If it is not possible; the message lists the choices.
         """
         before, self.mode = self.mode, self._named(name)
+        if self.mode.policy:
+            self._tracks = Tracks(next_id=self._tracks.next_id)
         if self.mode is not before and self._scene is not None and self.perception is not None:
             self._scene = self.perception.filter.lifted(self._scene)
 

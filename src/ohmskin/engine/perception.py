@@ -109,6 +109,7 @@ class Perception:
             tuple(pair): current
             for frame in quiet
             for pair, current in zip(frame.pattern.injections.tolist(), frame.currents, strict=True)
+            if np.isfinite(current) and current != 0
         }
         self._white, self._gain = _kinds_of_noise(self.baseline, quiet)
 
@@ -146,7 +147,7 @@ class Perception:
 
     def see(self, mode: Mode, scan: Scan) -> Sight:
         """One cycle of a mode that does not track: scan as the mode asks, and say what is there."""
-        if cycle := self._cycles.get(mode.name):
+        if (cycle := self._cycles.get(mode.name)) and cycle.mode is mode:
             return self._see_quickly(cycle, mode, scan)
         return self._see_plainly(mode, scan)
 
@@ -164,10 +165,11 @@ class Perception:
         return Sight(frames, lambda: (base, image), contacts)
 
     def _see_quickly(self, cycle: FastCycle, mode: Mode, scan: Scan) -> Sight:
-        scanned: dict[DrivePattern, Frame] = {}
+        frames: list[Frame] = []
 
         def checked(pattern: DrivePattern) -> tuple[Floats, Floats]:
-            frame = scanned[pattern] = scan(pattern)
+            frame = scan(pattern)
+            frames.append(frame)
             if frame.pattern != pattern:  # a recording has what was driven then
                 raise DataError("another pattern was driven than was asked for")
             return frame.voltages, frame.currents
@@ -176,8 +178,8 @@ class Perception:
             chosen = cycle.look(*checked(mode.base))
             contacts = cycle.see(*checked(cycle.pattern(chosen)))
         except DataError:  # that, or a voltage or current is missing
-            return self._see_plainly(mode, lambda pattern: scanned.get(pattern) or scan(pattern))
-        frames = tuple(scanned.values())
+            scanned = iter(frames)  # whatever would be chosen now: frames tell their own patterns
+            return self._see_plainly(mode, lambda pattern: next(scanned, None) or scan(pattern))
 
         def drawn(values: Floats, *used: Frame) -> Image:
             return Image(values, lambda cells: self.estimator.reconstruct(*map(self._difference, used)).noise_std(cells))
@@ -186,7 +188,7 @@ class Perception:
             drawn(cycle.base_image.astype(float), frames[0]),
             drawn(cycle.image.astype(float), *frames[0 if mode.fuse else 1 :]),
         )
-        return Sight(frames, lambda: images, tuple(contacts))
+        return Sight(tuple(frames), lambda: images, tuple(contacts))
 
     def _compiled(self, mode: Mode) -> FastCycle | None:
         """The cycle of an adaptive mode, compiled; None where it does not apply."""

@@ -106,7 +106,7 @@ class DrivePattern:
             yield DrivePattern(self.injections[start:stop], self.measurements[low:high] - np.array([start, 0, 0]))
 
     def __eq__(self, other: object) -> bool:
-        return (
+        return self is other or (
             isinstance(other, DrivePattern)
             and np.array_equal(self.injections, other.injections)
             and np.array_equal(self.measurements, other.measurements)
