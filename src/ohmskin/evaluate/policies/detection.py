@@ -12,7 +12,7 @@ from ohmskin.geometry.domain import Floats
 
 NEAR = 20e-3  # metres; a contact reported so close to a new one is that one
 _MARGIN = 10e-3  # metres from a contact to the rim
-_APART = 50e-3  # metres between contacts
+APART = 50e-3  # metres between contacts
 _WARM = 25  # frames in which those already there are found and followed, or nothing happens
 _PATIENCE = 20  # frames in which a new one may be found
 
@@ -97,7 +97,7 @@ def apart(random: np.random.Generator, count: int) -> Floats:
     while True:
         places = random.uniform(_MARGIN, 0.2 - _MARGIN, (count, 2))
         gaps = np.linalg.norm(places[:, None] - places, axis=2) + np.diag(np.full(count, np.inf))
-        if gaps.min() > _APART:
+        if gaps.min() > APART:
             return places
 
 

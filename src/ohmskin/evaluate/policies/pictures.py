@@ -14,7 +14,7 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 from ohmskin.evaluate.figures.painting import Picture
 from ohmskin.evaluate.figures.style import RC, draw_sheet
 from ohmskin.evaluate.policies.comparison import Comparison
-from ohmskin.evaluate.policies.detection import Detection
+from ohmskin.evaluate.policies.detection import APART, NEAR, Detection
 from ohmskin.evaluate.policies.judge import NAMES, SETTLE, WITHIN, moving_errors, pair_rates, robust_errors, static_errors
 from ohmskin.evaluate.policies.moving import Moving
 from ohmskin.evaluate.policies.pairs import ALPHA, PairLimits, Pairs, ideal_power
@@ -209,8 +209,9 @@ def detection(done: Comparison) -> Drawn:
     grid[0].legend(frameon=False, loc="lower right")
     caption = (
         f"How soon a new contact is found with {task.injections} injections per frame, while none, one or two others are "
-        f"followed; {task.trials} trials each, with places at least 10 mm from the rim and noise of their own. The lines mark "
-        f"{WITHIN} frames and 99 %."
+        f"followed; {task.trials} trials each, with places at least 10 mm from the rim and "
+        f"{1e3 * APART:.0f} mm from each other, and noise of their own. Found is a contact reported within {1e3 * NEAR:.0f} mm. "
+        f"The lines mark {WITHIN} frames and 99 %."
     )
     return canvas, caption
 
