@@ -26,8 +26,8 @@ export class Transport {
     };
     const bar = byId("seek");
     bar.oninput = () => this._seek();
-    bar.onpointerdown = () => (this._held = true);
-    bar.onpointerup = bar.onpointercancel = bar.onchange = () => (this._held = false);
+    bar.onpointerdown = (event) => (this._held = event.button === 0);
+    bar.onpointerup = bar.onpointercancel = bar.onchange = bar.onblur = () => (this._held = false);
     bar.onkeydown = (event) => this._key(event);
   }
 
