@@ -1,28 +1,40 @@
-# make live   set up and touch a virtual skin in the browser
-# make test   set up and run all tests
-# make check  lint, types, import layers and all tests: what CI runs
+# make live       set up and touch a virtual skin in the browser
+# make test       set up and run the everyday tests: all that a change can break, in a few minutes
+# make test-long  the tests that take long and are seldom broken
+# make test-all   both
+# make check      lint, types, import layers and all tests: what CI runs
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := src tests benchmarks examples docs firmware
+SOURCES := src tests benchmarks examples docs firmware tools
 
-.PHONY: live test check lint bench clean
+WORKERS ?= 2
+PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
+
+.PHONY: live test test-long test-all check lint bench clean
 .DEFAULT_GOAL := live
 
 live: $(VENV)/.ready
 	@exec $(BIN)/ohmskin live $(ARGS)
 
 test: $(VENV)/.ready-dev
-	$(BIN)/pytest $(ARGS)
+	$(PYTEST) -m "not long" $(ARGS)
 
-check: lint test
+test-long: $(VENV)/.ready-dev
+	$(PYTEST) -m long $(ARGS)
+
+test-all: $(VENV)/.ready-dev
+	$(PYTEST) $(ARGS)
+
+check: lint test-all
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tools/imports.py src/ohmskin tests
 
 bench: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.loop $(ARGS)

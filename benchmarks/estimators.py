@@ -2,10 +2,10 @@
 
     python -m benchmarks.estimators [--places 25] [--seed 0]
 
-The worlds are those of `ohmskin.evaluate`: discs of raised conductivity (radius 10 mm, +50 %), and patches pressed on the
-sheet (8 mm, 20 kPa). Scan: adjacent drive on all 16 electrodes of the paper's grid (16I). Images are read by the centroid of the
-part above half the peak, the disc fit by its strongest disc. Prior amplitude 0.1, one noise level for all; GREIT, which does not
-know the noise, is given the noise figure that suits it (1 at 50 dB, 0.4 at 40 dB).
+The worlds are those of `ohmskin.evaluate`: discs of raised conductivity (radius 10 mm, +50 %), and patches pressed on
+the sheet (8 mm, 20 kPa). Scan: adjacent drive on all 16 electrodes of the paper's grid (16I). Images are read by the
+centroid of the part above half the peak, fitted contacts by the strongest one. Prior amplitude 0.1, one noise level for
+all; GREIT, which does not know the noise, is given the noise figure that suits it (1 at 50 dB, 0.4 at 40 dB).
 """
 
 import argparse
@@ -14,13 +14,13 @@ from time import perf_counter
 
 import numpy as np
 
+from ohmskin.contacts import ContactFitter
 from ohmskin.evaluate import worlds
-from ohmskin.evaluate.methods import scaled_model
-from ohmskin.forward import TransferModel
+from ohmskin.evaluate.setup import setup
+from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.inverse import (
     PRIORS,
     AbsoluteGaussNewton,
-    DiscFit,
     GaussNewton,
     Greit,
     SparseBayes,
@@ -32,7 +32,9 @@ AMPLITUDE, MODEL_ERROR = 0.1, {"discs": 0.0, "pressed": 0.02}
 FIGURES = {50: 1.0, 40: 0.4}  # noise figures
 
 
-def estimators(model: TransferModel, noise: float, error: float, baseline: Baseline, figure: float) -> dict[str, object]:
+def estimators(
+    model: TransferModel, noise: float, error: float, baseline: Baseline, figure: float
+) -> dict[str, object]:
     settings = {"amplitude": AMPLITUDE, "model_error": error}
     return {
         **{f"Gauss-Newton, {name}": GaussNewton(model, noise, name, **settings) for name in PRIORS},
@@ -40,9 +42,11 @@ def estimators(model: TransferModel, noise: float, error: float, baseline: Basel
         "GREIT": Greit(model, noise, noise_figure=figure),
         "iterated Gauss-Newton": AbsoluteGaussNewton(model, noise, "matern", baseline=baseline, **settings),
         "total variation": TotalVariation(model, noise, amplitude=0.5, outline=0.01, model_error=error),
-        "total variation, positive": TotalVariation(model, noise, amplitude=0.5, outline=0.01, model_error=error, positive=True),
+        "total variation, positive": TotalVariation(
+            model, noise, amplitude=0.5, outline=0.01, model_error=error, positive=True
+        ),
         "sparse Bayes": SparseBayes(model, noise, amplitude=0.5, model_error=error),
-        "disc fit": DiscFit(model, noise, radius=0.01, model_error=error),
+        "contacts fitted": ContactFitter(ContactTable(model, radius=0.01), noise, model_error=error),
     }
 
 
@@ -54,7 +58,7 @@ def main() -> None:
     places = np.random.default_rng(options.seed).uniform(0.025, 0.175, (options.places, 2))
     result: dict[str, dict[str, list[float]]] = {}
     for world in worlds.WORLDS:
-        model, untouched = scaled_model(world, "grid"), worlds.sheet(world, "grid").untouched
+        model, untouched = setup(world, 50).model, worlds.sheet(world, "grid").untouched
         pattern = adjacent(model.electrodes.rings)
         quiet = worlds.voltages(untouched, pattern)
         currents = np.full(pattern.n_inj, worlds.CURRENT)
@@ -69,11 +73,15 @@ def main() -> None:
                     volts = worlds.voltages(touched, pattern) + noise * rng.standard_normal(pattern.n_meas)
                     difference = Difference(pattern, np.full(pattern.n_meas, worlds.CURRENT), volts - quiet)
                     start = perf_counter()
-                    if isinstance(estimator, DiscFit):
-                        contacts = estimator.fit(difference).contacts
-                        found = contacts[0].position if contacts else np.full(2, np.inf)
+                    if isinstance(estimator, ContactFitter):
+                        contacts = estimator.contacts(estimator.fit(difference))
+                        found = np.array(contacts[0].position) if contacts else np.full(2, np.inf)
                     else:
-                        data = Frame(pattern, volts, currents, 0.0) if isinstance(estimator, AbsoluteGaussNewton) else difference
+                        data = (
+                            Frame(pattern, volts, currents, 0.0)
+                            if isinstance(estimator, AbsoluteGaussNewton)
+                            else difference
+                        )
                         values = estimator.reconstruct(data).values
                         mass = np.where(values > values.max() / 2, values, 0) * model.mesh.measures
                         found = mass @ model.mesh.centroids / mass.sum()
@@ -87,7 +95,11 @@ def main() -> None:
                     len(errors) - len(seen),
                     1e3 * took / len(errors),
                 ]
-    print(f"{'mean / median error, mm (missed)':34s}" + "".join(f"{key:>22s}" for key in next(iter(result.values()))) + "   ms")
+    print(
+        f"{'mean / median error, mm (missed)':34s}"
+        + "".join(f"{key:>22s}" for key in next(iter(result.values())))
+        + "   ms"
+    )
     for name, row in result.items():
         cells = "".join(f"{mean:12.1f} /{median:5.1f} ({missed})" for mean, median, missed, _ in row.values())
         print(f"{name:34s}{cells}{max(cell[3] for cell in row.values()):8.1f}")

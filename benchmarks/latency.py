@@ -1,10 +1,12 @@
-"""From the last sample of a cycle to a subscriber in another process: shared memory and zenoh, with page and recorder on.
+"""From the last sample of a cycle to a subscriber in another process: shared memory and zenoh, with page and recorder
+on.
 
     python -m benchmarks.latency --seconds 20 --picture docs/images/guide/latency.png
 
-The skin is the virtual one, its scans paced to about 200 frames a second (two scans per frame); a browser-like reader keeps the
-page busy, a recorder writes everything. The time of a sample is the device's, put on this machine's clock as the loop does it: the
-fastest transit ever seen is not in it (see `Health`). Clients run one after the other, each in a process of its own.
+The skin is the virtual one, its scans paced to about 200 frames a second (two scans per frame); a browser-like reader
+keeps the page busy, a recorder writes everything. The time of a sample is the device's, put on this machine's clock as
+the loop does it: the fastest transit ever seen is not in it (see `Health`). Clients run one after the other, each in a
+process of its own.
 """
 
 import argparse
@@ -27,8 +29,9 @@ import numpy as np
 import psutil
 
 from ohmskin import Engine, Skin, connect
-from ohmskin.publish import Publisher, Recorder
-from ohmskin.view.demo import demo_finger
+from ohmskin.device.demo import demo_finger
+from ohmskin.outlets.publisher import Publisher
+from ohmskin.recording import Recorder
 from ohmskin.view.session import Session
 
 _ZENOH = "tcp/127.0.0.1:17461"
@@ -136,7 +139,9 @@ def draw(results: dict[str, Any], path: Path) -> None:
         for value, style in ((p50, "-"), (p99, "--")):
             panel.axvline(value, color=colour, linestyle=style, linewidth=1.2)
     loop = results["loop"]
-    panel.set_title(f"{loop['frames per second']:.0f} frames/s, page and recorder on, {loop['cores']} cores", fontsize=10)
+    panel.set_title(
+        f"{loop['frames per second']:.0f} frames/s, page and recorder on, {loop['cores']} cores", fontsize=10
+    )
     panel.set(xlabel="age of the last sample when a subscriber has it (ms)", ylabel="messages", xlim=(0, longest))
     panel.legend(framealpha=1, fontsize=9)
     figure.savefig(path, dpi=130)

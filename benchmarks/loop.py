@@ -1,7 +1,8 @@
-"""The live loop against the virtual skin over TCP: rate, latency, memory. Run with ``make bench`` (ARGS="--frames 2000").
+"""The live loop against the virtual skin over TCP: rate, latency, memory. Run with ``make bench`` (ARGS="--frames
+2000").
 
-One press wanders, so that the twin works too. Memory is told after a tenth of the frames and at the end, for this process and
-its children, because the claim is that nothing grows.
+One press wanders, so that the twin works too. Memory is told after a tenth of the frames and at the end, for this
+process and its children, because the claim is that nothing grows.
 """
 
 import argparse
@@ -16,7 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import psutil
 
 from ohmskin import Engine, Skin, connect
-from ohmskin.view.demo import demo_finger
+from ohmskin.device.demo import demo_finger
 
 
 def measure(frames: int, realtime: bool) -> dict[str, float | str]:

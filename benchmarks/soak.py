@@ -1,7 +1,7 @@
 """The live loop for a long time: memory and latency as they go. Run with ``python -m benchmarks.soak --seconds 600``.
 
-Prints a line now and then, and at the end whether anything grew; the exit status is 1 if it did. Memory is that of this process
-and its children; the first fifth warms up.
+Prints a line now and then, and at the end whether anything grew; the exit status is 1 if it did. Memory is that of
+this process and its children; the first fifth warms up.
 """
 
 import argparse
@@ -14,7 +14,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import psutil
 
 from ohmskin import Engine, Skin, connect
-from ohmskin.view.demo import demo_finger
+from ohmskin.device.demo import demo_finger
 
 _GROWTH = 0.05  # of the memory, from after the first fifth to the end
 _SLOWER = 2.0  # times the median latency
@@ -47,7 +47,17 @@ def main() -> None:
             if touch is None:
                 sys.exit(f"no cycle in {step:.0f} s: {engine.message}")
             h = touch.health
-            rows.append((time.monotonic() - start, h.cycles, h.rate, 1e3 * h.latency_p50, 1e3 * h.latency_p99, h.dropped, memory()))
+            rows.append(
+                (
+                    time.monotonic() - start,
+                    h.cycles,
+                    h.rate,
+                    1e3 * h.latency_p50,
+                    1e3 * h.latency_p99,
+                    h.dropped,
+                    memory(),
+                )
+            )
             print("{:7.0f}{:9d}{:12.1f}{:16.3f}{:8.3f}{:9d}{:12.1f}".format(*rows[-1]), flush=True)
     settled, last = rows[3], rows[-1]
     grown, slower = last[6] / settled[6] - 1, last[3] / settled[3]

@@ -23,7 +23,9 @@ def electrode_map(skin: ohm.Skin, path: Path) -> None:
     axes.add_patch(Rectangle((0, 0), width, height, facecolor="0.93", edgecolor="0.2", linewidth=1.5))
     for x in (np.arange(layer.columns) + 0.5) * width / layer.columns:
         for y in (np.arange(layer.rows) + 0.5) * height / layer.rows:
-            axes.add_patch(Rectangle((x - patch / 2, y - patch / 2), patch, patch, facecolor="#cfe0ee", edgecolor="none"))
+            axes.add_patch(
+                Rectangle((x - patch / 2, y - patch / 2), patch, patch, facecolor="#cfe0ee", edgecolor="none")
+            )
     for number, (x, y) in enumerate(1e3 * skin.electrodes.positions):
         rim = number in skin.electrodes.rings[0]
         axes.plot(x, y, "o", markersize=19, color="#1b7837" if rim else "#762a83", clip_on=False, zorder=3)
@@ -65,7 +67,13 @@ def wiring(path: Path) -> None:
     wire(axes, [(5.0, 5.0), (7.1, 5.0), (7.1, 4.3)], "16 wires", (6.1, 5.0), red)
     wire(axes, [(7.1, 2.4), (7.1, 1.2), (5.0, 1.2)], "16 wires", (6.2, 1.2), blue)
     wire(axes, [(3.0, 1.2), (1.2, 1.2), (1.2, 2.6)], "shunt 100 ohm", (2.0, 1.45), blue)
-    wire(axes, [(1.8, 1.2), (1.8, 0.15), (8.7, 0.15), (8.7, 3.7), (9.2, 3.7)], "voltage over the shunt", (5.4, 0.15), "0.45")
+    wire(
+        axes,
+        [(1.8, 1.2), (1.8, 0.15), (8.7, 0.15), (8.7, 3.7), (9.2, 3.7)],
+        "voltage over the shunt",
+        (5.4, 0.15),
+        "0.45",
+    )
     wire(axes, [(8.0, 3.4), (8.45, 3.4), (8.45, 4.4), (9.2, 4.4)], "16 sense wires", (8.2, 4.75), "0.45")
     wire(axes, [(4.0, 4.4), (4.0, 1.8)], "", (0, 0), green)
     wire(axes, [(4.0, 2.1), (9.0, 2.1), (9.0, 1.6), (9.2, 1.6)], "4 address lines and enable each", (5.4, 2.1), green)
@@ -97,7 +105,9 @@ def layers(path: Path) -> None:
     )
     for y, text in labels:
         axes.annotate(text, (10, y), (10.4, y), fontsize=9, va="center", arrowprops={"arrowstyle": "-", "color": "0.4"})
-    axes.annotate("screw, the electrode", (9.58, -0.35), (10.4, -0.3), fontsize=9, va="center", arrowprops={"arrowstyle": "-"})
+    axes.annotate(
+        "screw, the electrode", (9.58, -0.35), (10.4, -0.3), fontsize=9, va="center", arrowprops={"arrowstyle": "-"}
+    )
     axes.set(xlim=(-0.1, 14.4), ylim=(-0.6, 2.7))
     axes.set_axis_off()
     figure.savefig(path, dpi=110)

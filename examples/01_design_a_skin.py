@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ohmskin as ohm
+from ohmskin.sensing import drive_of
 
 
 def felt(skin: ohm.Skin, pattern: ohm.DrivePattern) -> tuple[ohm.TransferModel, np.ndarray]:
@@ -26,8 +27,8 @@ def main(folder: Path) -> Path:
     sheet = replace(grid.sheet, width=0.3)  # half as wide again
     wide = replace(grid, name="wide", sheet=sheet, electrode=replace(grid.electrode, columns=5, inset=0.01))
     figure = Figure(figsize=(11, 3.6), layout="constrained")
-    scans = [(grid, "12B"), (grid, "16I"), (wide, list(wide.modes)[1])]
-    parts = [(skin, name, *felt(skin, skin.modes[name].base)) for skin, name in scans]
+    scans = [(grid, "12B"), (grid, "16I"), (wide, "20I")]
+    parts = [(skin, name, *felt(skin, drive_of(ohm.modes(skin)[name], skin).next([], 0))) for skin, name in scans]
     for axes, (skin, name, model, volts) in zip(figure.subplots(1, 3), parts, strict=True):
         raster = ohm.Raster(model.mesh, 200)
         extent = (0, 1e3 * skin.sheet.width, 0, 1e3 * skin.sheet.height)

@@ -31,7 +31,7 @@ def main(folder: Path) -> Path:
         off = 1e3 * np.linalg.norm(view.place - touch.position)
         line = f"SD {merit.shape_deformation:.2f}, RNG {merit.ringing:.2f}, seen {off:.1f} mm off"
         axes.set_title(f"{method.label}\n{line}", fontsize=9)
-        print(f"{key:6s} {line}")
+        print(f"{key:9s} {line}")
     figure.colorbar(shown, ax=figure.axes[:6], label="relative change of conductivity", shrink=0.6)
     path = folder / "03_drive_modes.png"
     figure.savefig(path, dpi=150)

@@ -17,7 +17,7 @@ from ohmskin.evaluate.resolution import successes, threshold
 
 def main(folder: Path) -> Path:
     distances = (0.04, 0.03, 0.025, 0.02, 0.015)
-    task = evaluate.Discrimination("discs", 50.0, 0.1, 8, areas()[0], distances, methods=("16I", "16O+"))
+    task = evaluate.Discrimination("discs", 50.0, 0.1, 8, areas()[0], distances, methods=("16I", "16O fused"))
     result = task.run()
     right, wrong = successes([result], "test")
 
@@ -28,10 +28,13 @@ def main(folder: Path) -> Path:
         (line,) = left.semilogy(1e3 * np.array(distances), np.maximum(middle, 1), "o-", label=key)
         left.axhline(threshold([result])[m, 0, 0], color=line.get_color(), linestyle="--", linewidth=0.8)
         rates.plot(
-            1e3 * np.array(distances), right[0, m].mean(axis=1), "o-", label=f"{key}, false twos {100 * wrong[0, m].mean():.0f} %"
+            1e3 * np.array(distances),
+            right[0, m].mean(axis=1),
+            "o-",
+            label=f"{key}, false twos {100 * wrong[0, m].mean():.0f} %",
         )
         print(
-            f"{key:6s} told apart:",
+            f"{key:9s} told apart:",
             ", ".join(f"{1e3 * d:.0f} mm {r:.0%}" for d, r in zip(distances, right[0, m].mean(axis=1), strict=True)),
         )
     left.set(xlabel="distance / mm", ylabel="fall of chi-square", title="dashed: threshold for two")

@@ -8,7 +8,8 @@ pyproject.toml; every command then takes `--device rig:/dev/ttyUSB0,Dev1`:
     [project.entry-points."ohmskin.devices"]
     rig = "my_package.mux_and_daq:open_rig"
 
-Tested on the simulated parts below. `SerialMux` and `NiCard` show where real ones go; they were not run on hardware here.
+Tested on the simulated parts below. `SerialMux` and `NiCard` show where real ones go; they were not run on hardware
+here.
 """
 
 import sys
@@ -26,7 +27,8 @@ ELECTRODES = 16
 
 
 class SerialMux:
-    """A microcontroller that sets the address lines of two MAX306: `S 3 7` connects, `S - -` releases, it answers `ok`."""
+    """A microcontroller that sets the address lines of two MAX306: `S 3 7` connects, `S - -` releases, it answers
+    `ok`."""
 
     def __init__(self, port: str) -> None:
         try:
@@ -50,7 +52,10 @@ class SerialMux:
 
 
 class NiCard:
-    """A card that samples simultaneously: electrodes on ai0 to ai15, the shunt on ai16. Needs nidaqmx and NI's driver."""
+    """A card that samples simultaneously: electrodes on ai0 to ai15, the shunt on ai16.
+
+    Needs nidaqmx and NI's driver.
+    """
 
     def __init__(self, card: str) -> None:
         try:
@@ -98,8 +103,12 @@ class Simulated:
         if self.pair is None:
             return noise[:-1], float(noise[-1])
         (a, b), r = self.pair, self.resistance
-        current = SUPPLY / (r[a, a] + r[b, b] - 2 * r[a, b] + 250.0 + SHUNT)  # source 50 ohm, two multiplexers 100 ohm each
-        potentials = (r[a] - r[b] - (r[a, b] - r[b, b])) * current + (100.0 + SHUNT) * current  # the sink is above ground
+        current = SUPPLY / (
+            r[a, a] + r[b, b] - 2 * r[a, b] + 250.0 + SHUNT
+        )  # source 50 ohm, two multiplexers 100 ohm each
+        potentials = (r[a] - r[b] - (r[a, b] - r[b, b])) * current + (
+            100.0 + SHUNT
+        ) * current  # the sink is above ground
         return potentials + noise[:-1], current * SHUNT + float(noise[-1])
 
     def close(self) -> None:

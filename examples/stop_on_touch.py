@@ -3,9 +3,9 @@
     ohmskin live --publish shm
     python examples/stop_on_touch.py
 
-An imaginary arm swings at 100 steps a second. It stops when the skin is touched, and as well when the skin has been silent for
-0.1 s, whatever the reason: no news is not good news. It goes on when it is free again. Give it an address and a number of seconds
-to look at another skin (``shm:NAME``, ``zenoh:NAME@tcp/HOST:PORT``) or to end.
+An imaginary arm swings at 100 steps a second. It stops when the skin is touched, and as well when the skin has been
+silent for 0.1 s, whatever the reason: no news is not good news. It goes on when it is free again. Give it an address
+and a number of seconds to look at another skin (``shm:NAME``, ``zenoh:NAME@tcp/HOST:PORT``) or to end.
 """
 
 import sys
@@ -28,7 +28,9 @@ def main(address: str = "shm:skin", seconds: float = float("inf")) -> None:
             if free != moving:
                 moving = free
                 touched = (
-                    f"touched at {felt.contacts[0].position}" if felt and felt.contacts and not silent else "the skin is silent"
+                    f"touched at {felt.contacts[0].position}"
+                    if felt and felt.contacts and not silent
+                    else "the skin is silent"
                 )
                 print("moving" if moving else f"stopped at {angle:.2f} rad: {touched}", flush=True)
             angle += 0.5 * STEP if moving else 0.0

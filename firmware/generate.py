@@ -1,4 +1,7 @@
-"""Writes the headers that are made of the Python tables: protocol, analogue link, test vectors. `--check` only compares."""
+"""Writes the headers that are made of the Python tables: protocol, analogue link, test vectors.
+
+`--check` only compares.
+"""
 
 import re
 import sys
@@ -122,7 +125,12 @@ def _layout(name: str, layout: Layout) -> list[str]:
 
 def _bytes(name: str, data: bytes) -> list[str]:
     rows = [data[at : at + 16] for at in range(0, len(data), 16)]
-    return [f"static const uint8_t {name}[] = {{", *("    " + " ".join(f"0x{byte:02X}," for byte in row) for row in rows), "};", ""]
+    return [
+        f"static const uint8_t {name}[] = {{",
+        *("    " + " ".join(f"0x{byte:02X}," for byte in row) for row in rows),
+        "};",
+        "",
+    ]
 
 
 if __name__ == "__main__":

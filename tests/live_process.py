@@ -26,7 +26,7 @@ def live(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
             raise AssertionError(f"ohmskin live ended: {''.join(seen)}")
         yield found[0], process
         process.send_signal(signal.SIGTERM)
-        rest = process.communicate(timeout=20)[0]
+        rest = process.communicate(timeout=120)[0]
         assert process.returncode == 0, rest
         assert "Traceback" not in rest
     finally:
@@ -47,7 +47,7 @@ def serving(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
         assert found, lines
         yield found[0], process
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(120) == 0
     finally:
         process.kill()
         process.wait()
@@ -61,7 +61,7 @@ def children(pid: int) -> list[int]:
     return [child.pid for child in psutil.Process(pid).children(recursive=True)]
 
 
-def all_gone(pids: list[int], within: float = 5.0) -> bool:
+def all_gone(pids: list[int], within: float = 60.0) -> bool:
     """Whether all these processes end within some seconds."""
     end = time.monotonic() + within
     while time.monotonic() < end:

@@ -7,7 +7,7 @@ import numpy as np
 
 import ohmskin as ohm
 from ohmskin.device import Capabilities, Device, Feature, Press
-from ohmskin.publish import Recorder
+from ohmskin.recording import Recorder
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Skin, VirtualSkin
 
@@ -18,7 +18,9 @@ class Bench(Device):
     """A virtual skin in this process, scanned without waiting."""
 
     def __init__(self, skin: Skin = SKIN, seed: int = 3) -> None:
-        able = Capabilities("bench", len(skin.electrodes), 256, 4096, features=Feature.VIRTUAL | Feature.CURRENT_MEASURED)
+        able = Capabilities(
+            "bench", len(skin.electrodes), 256, 4096, features=Feature.VIRTUAL | Feature.CURRENT_MEASURED
+        )
         super().__init__("bench:", able)
         self._skin = VirtualSkin(skin, seed)
 
@@ -32,10 +34,13 @@ class Bench(Device):
         pass
 
 
-def record_press(path: Path, mode: str = "", cycles: int = 30, images: float = np.inf) -> list[ohm.Touch]:
+def record_press(path: Path, mode: str = "16O", cycles: int = 30, images: float = np.inf) -> list[ohm.Touch]:
     """Record a press that comes, moves and goes; what the loop felt meanwhile."""
     device, touches = Bench(), []
-    with Recorder(path, SKIN, images) as recorder, ohm.Engine(lambda: recorder.tee(device), SKIN, mode, recorder.note) as engine:
+    with (
+        Recorder(path, SKIN, images) as recorder,
+        ohm.Engine(lambda: recorder.tee(device), SKIN, mode, recorder.note) as engine,
+    ):
         recorder.watch(engine)
         engine.calibrate()
         for k in range(cycles):

@@ -12,10 +12,10 @@ from direct import DirectDevice
 
 from ohmskin.calibrate import PressGuide, PressSample, calibrate_quiet, fit_force, press_plan
 from ohmskin.cli.calibrate import calibrate
+from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, DeviceError, OhmskinError, SkinError
 from ohmskin.scan import n_pairs
 from ohmskin.skin import Calibration, Fault, Press, Skin, VirtualSkin
-from ohmskin.touch import Contact
 
 PAPER = Skin.load("paper")
 
@@ -57,7 +57,9 @@ def test_another_conductivity_is_found_whatever_the_description_says() -> None:
 def test_contacts_worse_than_described_are_told() -> None:
     poor = replace(PAPER, electrode=replace(PAPER.electrode, contact_resistivity=5e-3))
     found = calibrate_quiet(DirectDevice(VirtualSkin(poor, 2)), PAPER, scans=3)
-    inner = (5e-3 - 1e-4) / (np.pi * 3e-3**2)  # an inner electrode; those on the rim have half of the area, or a quarter
+    inner = (5e-3 - 1e-4) / (
+        np.pi * 3e-3**2
+    )  # an inner electrode; those on the rim have half of the area, or a quarter
     assert inner < found.contact_resistance < 3 * inner
 
 
@@ -172,13 +174,19 @@ def test_a_calibration_is_kept_in_the_file_and_old_files_still_load(quiet: Calib
     assert skin.transfer_model().conductivity[0] == quiet.conductivity
 
 
-@pytest.mark.parametrize("change", [{"electrode": {"inset": 0.01}}, {"sheet": {"width": 0.21}}, {"imaging": {"amplitude": 0.2}}])
+@pytest.mark.parametrize(
+    "change", [{"electrode": {"inset": 0.01}}, {"sheet": {"width": 0.21}}, {"imaging": {"amplitude": 0.2}}]
+)
 def test_a_calibration_of_another_skin_is_refused(quiet: Calibration, change: dict[str, dict[str, float]]) -> None:
     ((table, values),) = change.items()
     other = replace(PAPER, **{table: replace(getattr(PAPER, table), **values)})  # type: ignore[arg-type]
-    with pytest.raises(SkinError, match=r"was made for another skin .* remove \[calibration\] and run `ohmskin calibrate`"):
+    with pytest.raises(
+        SkinError, match=r"was made for another skin .* remove \[calibration\] and run `ohmskin calibrate`"
+    ):
         replace(other, calibration=quiet)
-    replace(PAPER, sheet=replace(PAPER.sheet, conductivity=1e-3), calibration=quiet)  # which calibration finds out itself
+    replace(
+        PAPER, sheet=replace(PAPER.sheet, conductivity=1e-3), calibration=quiet
+    )  # which calibration finds out itself
 
 
 @pytest.mark.parametrize(
@@ -201,7 +209,7 @@ def test_a_calibration_that_makes_no_sense_is_told(text: str, message: str) -> N
 def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ohmskin", "calibrate", "--places", "2", "--weights", "200", "--weights", "500"]
     arguments = ["--out", "mine.toml", "--picture", "force.png", "--mode", "16I"]
-    done = subprocess.run([*command, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([*command, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stderr
     skin = Skin.load(tmp_path / "mine.toml")
     assert (skin.calibration.mode, skin.calibration.made_for) == ("16I", PAPER.digest)

@@ -17,7 +17,8 @@ DISC, SHEET = Disc(RADIUS), Rectangle(0.2, 0.2)
 
 
 def fourier_cem(z: float, core: float = 0.0, k: float = 0.0, modes: int = 400) -> np.ndarray:
-    """Two-terminal resistances (COUNT, COUNT) of equal rim electrodes on a disc, by Galerkin in Fourier modes of the rim.
+    """Two-terminal resistances (COUNT, COUNT) of equal rim electrodes on a disc, by Galerkin in Fourier modes of the
+    rim.
 
     Somersalo, Cheney and Isaacson 1992. Inside `core` times the radius the conductivity is (1 + k) / (1 - k) times S.
     """
@@ -33,7 +34,9 @@ def fourier_cem(z: float, core: float = 0.0, k: float = 0.0, modes: int = 400) -
     row = np.where(n == 0, 2 * half, 2 * np.sin(n * half) / np.where(n == 0, 1, n)) * RADIUS / z
     load = row[:, None] * np.exp(-1j * n[:, None] * centres)
     total = length / z
-    grounded = total * np.eye(count) - (load.conj().T @ np.linalg.solve(system, load)).real  # conductances of the electrodes
+    grounded = (
+        total * np.eye(count) - (load.conj().T @ np.linalg.solve(system, load)).real
+    )  # conductances of the electrodes
     r = np.linalg.inv(grounded + total / count)  # constants are in no pair's resistance
     d = np.diag(r)
     return np.asarray(d[:, None] + d - 2 * r)
@@ -76,14 +79,15 @@ def random_pattern(seed: int, driven: np.ndarray, n_meas: int = 20) -> DrivePatt
     rng = np.random.default_rng(seed)
     injections = np.array([rng.choice(driven, 2, replace=False) for _ in range(5)])
     return DrivePattern(
-        injections, np.column_stack([np.sort(rng.integers(0, 5, n_meas)), all_pairs(16)[rng.choice(120, n_meas)][:, ::-1]])
+        injections,
+        np.column_stack([np.sort(rng.integers(0, 5, n_meas)), all_pairs(16)[rng.choice(120, n_meas)][:, ::-1]]),
     )
 
 
 AREAS = np.flatnonzero(mixed().electrodes.are_areas)
 
 
-# --- analytic solutions -------------------------------------------------------------------------------------------------
+# --- analytic solutions -----------------------------------------------------------------------------------------------
 
 
 def relative_error(r: np.ndarray, exact: np.ndarray) -> float:
@@ -118,7 +122,8 @@ def test_a_concentric_anomaly_is_that_of_the_fourier_series(ratio: float) -> Non
 
 
 def test_a_disc_electrode_in_the_middle_converges_to_bessel_functions_with_second_order() -> None:
-    """Under the disc u'' + u'/r = (u - U) / (s z): R = lambda I0(a / lambda) / (2 pi a s I1(a / lambda)), lambda^2 = s z.
+    """Under the disc u'' + u'/r = (u - U) / (s z): R = lambda I0(a / lambda) / (2 pi a s I1(a / lambda)), lambda^2 = s
+    z.
 
     From its edge to the rim ln(R / a) / (2 pi s), through the rim, all of it electrode, z_rim / (2 pi R).
     """
@@ -142,21 +147,25 @@ def test_a_disc_electrode_in_the_middle_converges_to_bessel_functions_with_secon
 
 @pytest.mark.parametrize("angle", [np.pi / 2, 0.6])
 def test_the_shunt_limit_of_two_opposite_arcs_is_the_ratio_of_elliptic_integrals(angle: float) -> None:
-    """No contact impedance: a conformal rectangle. Two quarters of the rim have the resistance 1 / s, whatever the radius."""
+    """No contact impedance: a conformal rectangle.
+
+    Two quarters of the rim have the resistance 1 / s, whatever the radius.
+    """
     k = np.tan(np.pi / 4 - angle / 4) ** 2
     exact = 2 * ellipk(k**2) / ellipk(1 - k**2) / S
     at = RADIUS * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     sizes, found = np.array([0.004, 0.002]), []
     for size in sizes:
         driven = Electrodes.at(at).with_rim_segments(RADIUS * angle, 1e-7, [0, 1])
-        mesh = mesh_domain(DISC, size, np.vstack([at, RADIUS * np.array([[c * np.cos(angle / 2), d * np.sin(angle / 2)]
-                                                                        for c in (1, -1) for d in (1, -1)])]))  # fmt: skip
+        ends = [[c * np.cos(angle / 2), d * np.sin(angle / 2)] for c in (1, -1) for d in (1, -1)]
+        mesh = mesh_domain(DISC, size, np.vstack([at, RADIUS * np.array(ends)]))
         found.append(pair_resistance(TransferModel(mesh, driven, S).transfer_resistance)[0, 1])
     assert 2 * found[1] - found[0] == pytest.approx(exact, rel=2e-3)  # first order: the density is singular at the ends
 
 
 def test_the_limit_of_high_contact_impedance_is_the_gap_model() -> None:
-    """R(z) - 2 z / length tends to the resistance between mean potentials under uniform current, with an error like 1 / z."""
+    """R(z) - 2 z / length tends to the resistance between mean potentials under uniform current, with an error like 1
+    / z."""
     mesh, harmonic = disc_mesh(0.003125), np.arange(1, 4000)
     half = LENGTH / (2 * RADIUS)
     share = np.sin(harmonic * half) / (harmonic * half)
@@ -179,7 +188,7 @@ def test_a_small_disc_is_a_point_for_all_others() -> None:
     assert apart[1] < 3e-3
 
 
-# --- conservation and symmetry ------------------------------------------------------------------------------------------
+# --- conservation and symmetry ----------------------------------------------------------------------------------------
 
 
 def test_mixed_electrodes_are_reciprocal_to_rounding() -> None:
@@ -192,7 +201,7 @@ def test_the_current_through_each_contact_is_what_was_driven() -> None:
     """Of the drops across the contacts alone: independent of the elements' equations."""
     model = mixed()
     for k in AREAS:
-        contact = model.contacts[int(k)]
+        contact = model.quadratures[int(k)]
         drop = model.electrode_potentials[k] - contact.at @ model.potentials
         through = contact.weights @ drop / model.electrodes.contact_impedances[k]
         expected = np.eye(16)[k] - (k == 0)  # 1 A into each electrode and out of the first
@@ -213,18 +222,20 @@ def test_power_in_is_power_lost_in_sheet_and_contacts() -> None:
 def test_discs_keep_their_share_of_area_at_rim_and_corner() -> None:
     electrodes = Electrodes.grid(SHEET).with_discs(4e-3, 1e-4)
     model = TransferModel(mesh_domain(SHEET, 0.012), electrodes, S)
-    extent = np.array([model.contacts[k].extent for k in range(16)])
+    extent = np.array([model.quadratures[k].extent for k in range(16)])
     share = np.array([1 / 4, 1 / 2, 1 / 2] * 4 + [1.0] * 4)
     np.testing.assert_allclose(extent, share * np.pi * 16e-6, rtol=1e-12)
 
 
 @pytest.mark.parametrize("length", [0.004, 0.013, 0.11])
 def test_rim_segments_bend_round_corners_and_keep_their_length(length: float) -> None:
-    electrodes = Electrodes.at([[0.0, 0.003], [0.2, 0.1], [0.05, 0.2], [0.1, 0.1]]).with_rim_segments(length, 1.0, [0, 1])
+    electrodes = Electrodes.at([[0.0, 0.003], [0.2, 0.1], [0.05, 0.2], [0.1, 0.1]]).with_rim_segments(
+        length, 1.0, [0, 1]
+    )
     mesh = mesh_domain(SHEET, 0.0123, [[0.05, 0.2], [0.1, 0.1]])
     model = TransferModel(mesh, electrodes, S)
     for k, bends in ((0, length > 0.006), (1, length > 0.2)):
-        contact = model.contacts[k]
+        contact = model.quadratures[k]
         assert contact.extent == pytest.approx(length, rel=1e-12)
         points = contact.at @ mesh.nodes
         np.testing.assert_allclose(SHEET.depth(points), 0, atol=1e-12)
@@ -234,7 +245,7 @@ def test_rim_segments_bend_round_corners_and_keep_their_length(length: float) ->
         assert (np.ptp(points, axis=0).min() > 1e-9) == bends
 
 
-# --- Jacobians against finite differences -------------------------------------------------------------------------------
+# --- Jacobians against finite differences -----------------------------------------------------------------------------
 
 
 def derivative(function, step: float) -> np.ndarray:
@@ -245,7 +256,10 @@ def derivative(function, step: float) -> np.ndarray:
 def along(seed: int, model: TransferModel):
     """Random relative directions of conductivity and contact impedance, and the models along them."""
     rng = np.random.default_rng(seed)
-    ds, dz = rng.normal(size=model.mesh.n_elem) * model.conductivity, rng.normal(size=16) * model.electrodes.contact_impedances
+    ds, dz = (
+        rng.normal(size=model.mesh.n_elem) * model.conductivity,
+        rng.normal(size=16) * model.electrodes.contact_impedances,
+    )
 
     def by_conductivity(t: float) -> TransferModel:
         return model.with_conductivity(model.conductivity + t * ds)
@@ -275,10 +289,14 @@ def test_voltage_drive_has_the_derivative_of_its_sensitivities() -> None:
         row[rng.choice(AREAS, 5, replace=False)] = rng.normal(size=5)
     series = rng.uniform(0, 200, 16)
     response = drive_voltages(model, volts, series)
-    for (direction, move), pairs in zip(along(1, model), (model.pair_sensitivity, model.pair_contact_sensitivity), strict=True):
+    for (direction, move), pairs in zip(
+        along(1, model), (model.pair_sensitivity, model.pair_contact_sensitivity), strict=True
+    ):
         for name in ("currents", "potentials"):
             rows = getattr(response, f"{name}_by_pairs") @ pairs
-            numeric = derivative(lambda t, move=move, name=name: getattr(drive_voltages(move(t), volts, series), name), 1e-3)
+            numeric = derivative(
+                lambda t, move=move, name=name: getattr(drive_voltages(move(t), volts, series), name), 1e-3
+            )
             assert np.linalg.norm(rows @ direction - numeric) < 1e-6 * np.linalg.norm(numeric)
 
 
@@ -286,7 +304,9 @@ def test_current_drive_has_the_derivative_of_its_sensitivities() -> None:
     model = mixed()
     currents = 1e-3 * np.cos(2 * np.pi * np.outer([1, 2, 3], np.arange(16)) / 16)
     response = drive_currents(model, currents)
-    for (direction, move), pairs in zip(along(2, model), (model.pair_sensitivity, model.pair_contact_sensitivity), strict=True):
+    for (direction, move), pairs in zip(
+        along(2, model), (model.pair_sensitivity, model.pair_contact_sensitivity), strict=True
+    ):
         numeric = derivative(lambda t, move=move: drive_currents(move(t), currents).potentials, 1e-3)
         rows = response.potentials_by_pairs @ pairs @ direction
         assert np.linalg.norm(rows - numeric) < 1e-6 * np.linalg.norm(numeric)
@@ -305,7 +325,7 @@ def test_a_voltage_source_has_the_derivative_of_its_sensitivities(resistance: fl
         assert np.linalg.norm(rows @ direction - numeric) < 1e-6 * np.linalg.norm(numeric)
 
 
-# --- excitations --------------------------------------------------------------------------------------------------------
+# --- excitations ------------------------------------------------------------------------------------------------------
 
 
 def test_voltage_drive_inverts_current_drive() -> None:
@@ -326,7 +346,9 @@ def test_series_resistance_drops_what_flows_through_it() -> None:
     volts[0, AREAS[:4]] = [1.0, 2.0, -1.0, 0.5]
     response = drive_voltages(model, volts, series)
     driven = AREAS[:4]
-    np.testing.assert_allclose(response.potentials[0, driven], volts[0, driven] - series[driven] * response.currents[0, driven])
+    np.testing.assert_allclose(
+        response.potentials[0, driven], volts[0, driven] - series[driven] * response.currents[0, driven]
+    )
     assert (response.currents[0, np.isnan(volts[0])] == 0).all()
     assert response.currents.sum() == pytest.approx(0, abs=1e-15)
 
@@ -348,16 +370,19 @@ def test_a_voltage_source_on_a_pair_is_voltage_drive_of_two_electrodes() -> None
 
 def test_scaling_divides_voltages_and_contact_impedances() -> None:
     model, pattern = mixed(), random_pattern(7, np.arange(16))
+    assert model.transfer_resistance.any()  # what has been computed for the model must not be taken for the scaled one
+    assert model.pair_sensitivity.any()
+    assert model.pair_contact_sensitivity.any()
     scaled = model.scaled(2.5)
-    anew = TransferModel(model.mesh, model.electrodes.with_contact_impedances(model.electrodes.contact_impedances / 2.5),
-                         model.conductivity * 2.5)  # fmt: skip
+    electrodes = model.electrodes.with_contact_impedances(model.electrodes.contact_impedances / 2.5)
+    anew = TransferModel(model.mesh, electrodes, model.conductivity * 2.5)
     np.testing.assert_allclose(scaled.voltages(pattern), model.voltages(pattern) / 2.5, rtol=1e-12)
     np.testing.assert_allclose(scaled.voltages(pattern), anew.voltages(pattern), rtol=1e-9)
     np.testing.assert_allclose(scaled.sensitivity(pattern), anew.sensitivity(pattern), rtol=1e-7, atol=1e-6)
     np.testing.assert_allclose(scaled.pair_contact_sensitivity, anew.pair_contact_sensitivity, rtol=1e-8, atol=1e-9)
 
 
-# --- refusals -----------------------------------------------------------------------------------------------------------
+# --- refusals ---------------------------------------------------------------------------------------------------------
 
 GRID = Electrodes.grid(SHEET)
 
@@ -366,12 +391,18 @@ GRID = Electrodes.grid(SHEET)
     ("make", "message"),
     [
         (lambda: GRID.with_discs(0.0, 1e-4), r"extents\[0\] of a disc electrode is 0; it must be positive"),
-        (lambda: GRID.with_discs(1e-3, -1.0), r"contact_impedances\[0\] of a disc electrode is -1; it must be positive \(ohm m2"),
+        (
+            lambda: GRID.with_discs(1e-3, -1.0),
+            r"contact_impedances\[0\] of a disc electrode is -1; it must be positive \(ohm m2",
+        ),
         (lambda: GRID.with_rim_segments(np.nan, 1.0), r"extents\[0\] of a rim electrode is nan"),
         (lambda: GRID.with_discs([1e-3, 2e-3], 1e-4), "one for each of 16 electrodes"),
         (lambda: GRID.with_discs(1e-3, 1e-4, [3, 16]), r"electrodes \[3, 16\] to change; there are 16"),
         (lambda: GRID.with_discs(0.04, 1e-4), "electrodes 0 and 1 overlap"),
-        (lambda: GRID.with_contact_impedances(np.ones(16)), r"contact_impedances\[0\] of a point electrode is 1; it must be 0"),
+        (
+            lambda: GRID.with_contact_impedances(np.ones(16)),
+            r"contact_impedances\[0\] of a point electrode is 1; it must be 0",
+        ),
         (lambda: GRID.with_contact_impedances(np.ones(3)), r"have shape \(3,\); give \(16,\)"),
         (lambda: Electrodes(GRID.positions, GRID.rings, kinds=("ring",) * 16), "choose from point, disc, rim"),
         (lambda: Electrodes(GRID.positions, GRID.rings, kinds=("point",) * 3), "3 electrode kinds for 16 electrodes"),
@@ -388,7 +419,10 @@ def test_impossible_contacts_are_refused(make, message: str) -> None:
         (GRID.with_rim_segments(0.01, 1.0), "electrode 12 at .* off the rim; move it or use with_discs"),
         (GRID.with_rim_segments(0.07, 1.0, range(12)), "electrodes 0 and 1 overlap: 0.0667 m apart on the rim"),
         (GRID.with_rim_segments(0.9, 1.0, [0]), "electrode 0 is 0.9 m long, its rim 0.8 m"),
-        (Electrodes.at(GRID.positions[:4] - 1).with_discs(0.01, 1.0), "electrode 0, a disc .* does not lie on the mesh"),
+        (
+            Electrodes.at(GRID.positions[:4] - 1).with_discs(0.01, 1.0),
+            "electrode 0, a disc .* does not lie on the mesh",
+        ),
         (Electrodes.at(np.eye(4)[:, :3] / 9), "electrodes have 3 coordinates, mesh nodes 2; move both with mapped"),
     ],
 )
@@ -400,7 +434,10 @@ def test_contacts_that_miss_the_skin_are_refused(electrodes: Electrodes, message
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
-        (lambda m: drive_voltages(m, np.ones((1, 16))), "electrode 10 is a point, whose own resistance grows without bound"),
+        (
+            lambda m: drive_voltages(m, np.ones((1, 16))),
+            "electrode 10 is a point, whose own resistance grows without bound",
+        ),
         (lambda m: drive_voltages(m, [[1.0] + [np.nan] * 15]), "excitation 0 gives 1 electrodes a voltage"),
         (lambda m: drive_voltages(m, np.ones(16)), r"voltages have shape \(16,\); give \(n_drive, 16\)"),
         (lambda m: drive_voltages(m, np.full((1, 16), np.inf)), "infinite; give NaN"),

@@ -8,7 +8,17 @@ import pytest
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Rectangle, mesh_domain
-from ohmskin.inverse import RULES, GaussNewton, choose, cross_validation, discrepancy, evidence, l_curve, noise_figure, physical
+from ohmskin.inverse import (
+    RULES,
+    GaussNewton,
+    choose,
+    cross_validation,
+    discrepancy,
+    evidence,
+    l_curve,
+    noise_figure,
+    physical,
+)
 from ohmskin.inverse.choice import small_target
 from ohmskin.scan import Difference, adjacent
 
@@ -22,7 +32,9 @@ CURRENTS = np.full(PATTERN.n_meas, CURRENT)
 @cache
 def estimator() -> GaussNewton:
     """Told an amplitude ten times too high."""
-    return GaussNewton(TransferModel(mesh_domain(SHEET, 0.014, GRID.positions), GRID, 1.83e-3), NOISE, amplitude=10 * AMPLITUDE)
+    return GaussNewton(
+        TransferModel(mesh_domain(SHEET, 0.014, GRID.positions), GRID, 1.83e-3), NOISE, amplitude=10 * AMPLITUDE
+    )
 
 
 @cache
@@ -45,7 +57,8 @@ def error(amplitude: float, seed: int) -> float:
     ("rule", "worst"), [("cross-validation", 1.25), ("evidence", 1.15), ("discrepancy", 1.6), ("l-curve", 1.6)]
 )
 def test_each_rule_comes_near_the_oracle(rule: str, worst: float) -> None:
-    """Mean squared error over twenty truths, against the best amplitude for each, chosen in the knowledge of the truth."""
+    """Mean squared error over twenty truths, against the best amplitude for each, chosen in the knowledge of the
+    truth."""
     chosen, oracle, told = [], [], []
     for seed in range(20):
         choice = choose(rule, estimator(), truth(seed)[1])
@@ -91,7 +104,9 @@ def test_evidence_is_the_gaussian_log_probability() -> None:
 
     def minus_two_log(amplitude: float) -> float:
         covariance = amplitude**2 * rows @ rows.T + NOISE**2 * np.eye(len(rows))
-        return float(np.linalg.slogdet(covariance)[1] + difference.volts @ np.linalg.solve(covariance, difference.volts))
+        return float(
+            np.linalg.slogdet(covariance)[1] + difference.volts @ np.linalg.solve(covariance, difference.volts)
+        )
 
     low, high = choice.amplitudes[[50, 80]]
     assert choice.curve[80] - choice.curve[50] == pytest.approx(minus_two_log(high) - minus_two_log(low), rel=1e-8)
@@ -100,7 +115,9 @@ def test_evidence_is_the_gaussian_log_probability() -> None:
 def test_the_physical_rule_has_the_least_expected_error() -> None:
     choice = physical(estimator(), truth(0)[1])
     assert choice.amplitude == estimator().amplitude
-    assert choice.amplitudes[np.argmin(choice.curve)] == pytest.approx(estimator().amplitude, rel=0.13)  # one step of the curve
+    assert choice.amplitudes[np.argmin(choice.curve)] == pytest.approx(
+        estimator().amplitude, rel=0.13
+    )  # one step of the curve
 
 
 def test_the_l_curve_is_that_of_the_images() -> None:
@@ -110,7 +127,9 @@ def test_the_l_curve_is_that_of_the_images() -> None:
     assert (np.diff(choice.norms) > 0).all()
     k = 70
     rows = CURRENT * estimator().modes.rows(PATTERN)
-    u = np.linalg.solve(rows.T @ rows + (NOISE / choice.amplitudes[k]) ** 2 * np.eye(rows.shape[1]), rows.T @ difference.volts)
+    u = np.linalg.solve(
+        rows.T @ rows + (NOISE / choice.amplitudes[k]) ** 2 * np.eye(rows.shape[1]), rows.T @ difference.volts
+    )
     assert choice.residuals[k] == pytest.approx(np.linalg.norm(difference.volts - rows @ u), rel=1e-6)
     assert choice.norms[k] == pytest.approx(np.linalg.norm(u), rel=1e-6)
 
@@ -123,7 +142,10 @@ def test_the_noise_figure_wanted_is_that_of_real_noise(goal: float) -> None:
     mesh = fitted.model.mesh
     signal = CURRENT * fitted.model.sensitivity(PATTERN) @ (fitted.model.conductivity * small_target(mesh))
     rng = np.random.default_rng(0)
-    noisy = [fitted.reconstruct(Difference(PATTERN, CURRENTS, NOISE * rng.normal(size=len(signal)))).values for _ in range(400)]
+    noisy = [
+        fitted.reconstruct(Difference(PATTERN, CURRENTS, NOISE * rng.normal(size=len(signal)))).values
+        for _ in range(400)
+    ]
     image = fitted.reconstruct(Difference(PATTERN, CURRENTS, signal)).values
     of_data = np.mean(np.abs(signal)) / NOISE
     of_image = (mesh.measures @ np.abs(image)) / (mesh.measures @ np.std(noisy, axis=0))

@@ -43,7 +43,11 @@ CASES = {
     "none left": (sp.csc_array(np.eye(1)), np.zeros((1, 2)), 0),
     "no edges": (sp.csc_array(2 * np.eye(300)), RNG.normal(size=(300, 2)), 7),
     "everywhere": (graph(200, 0.02, 1), RNG.normal(size=(200, 3)), -1),
-    "apart": (sp.csc_array(sp.block_diag([graph(150, 0.02, 2), graph(60, 0.1, 3), np.eye(3)])), RNG.normal(size=(213, 2)), 5),
+    "apart": (
+        sp.csc_array(sp.block_diag([graph(150, 0.02, 2), graph(60, 0.1, 3), np.eye(3)])),
+        RNG.normal(size=(213, 2)),
+        5,
+    ),
     "dense": (graph(131, 0.5, 4), RNG.normal(size=(131, 2)), -1),
     "one place": (graph(131, 0.1, 4), np.zeros((131, 2)), 3),
     "ever farther": (graph(200, 0.01, 6), 2.0 ** np.arange(200)[:, None], -1),

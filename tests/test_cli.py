@@ -11,6 +11,7 @@ import threading
 import time
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 from live_process import all_gone, children, live, serving
@@ -18,8 +19,10 @@ from live_process import all_gone, children, live, serving
 from ohmskin.cli import app
 
 
-def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, cwd=cwd, timeout=timeout)
+def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, cwd=cwd, timeout=timeout
+    )
 
 
 @pytest.mark.parametrize(
@@ -30,6 +33,9 @@ def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "s
         (["live", "--device", "nosuch:1"], "no driver for 'nosuch:1'"),
         (["live", "--mode", "99Z", "--headless"], "'99Z' is not possible"),
         (["live", "--seconds", "-1"], "must be positive"),
+        (["live", "--estimator", "nosuch"], "no estimator 'nosuch'; choose from gauss-newton, positive, kalman"),
+        (["record", "x.mcap", "--prior", "nosuch"], "no prior 'nosuch'; choose from paper, laplacian"),
+        (["replay", "nosuch.mcap", "--rule", "nosuch"], "no rule 'nosuch'; choose from physical, noise figure"),
         (["live", "--device", "replay:nosuch.csv"], "cannot read recording nosuch.csv"),
         (["live", "--host", "0.0.0.0"], "token"),
         (["press", "50", "120", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
@@ -39,7 +45,14 @@ def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 60) -> "s
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_no_traceback(arguments: list[str], says: str) -> None:
-    result = ohmskin(*arguments)
+    is_one_line(command_line.ohmskin(*arguments), says)
+
+
+def test_a_mistake_gets_one_clear_line_in_a_process_of_its_own() -> None:
+    is_one_line(ohmskin("live", "--mode", "99Z", "--headless"), "'99Z' is not possible")
+
+
+def is_one_line(result: "subprocess.CompletedProcess[str]", says: str) -> None:
     assert result.returncode == 2
     assert says in result.stderr
     assert "Traceback" not in result.stderr
@@ -48,10 +61,17 @@ def test_a_mistake_gets_one_clear_line_and_no_traceback(arguments: list[str], sa
 
 @pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
 def test_every_command_has_help_with_an_example(command: str) -> None:
-    result = ohmskin(command, "--help")
+    result = command_line.ohmskin(command, "--help")
     assert result.returncode == 0
     assert f"ohmskin {command}" in result.stdout
     assert "Example" in result.stdout or command == "info"
+
+
+def test_help_in_a_process_of_its_own() -> None:
+    result = ohmskin("image", "--help")
+    assert result.returncode == 0
+    assert "ohmskin image recording.csv" in result.stdout
+    assert result.stderr == ""
 
 
 def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
@@ -72,7 +92,7 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
             frames += [json.loads(line) for line in rest]
         assert sensed.returncode == 0
     assert (pressed.returncode, pressed.stderr) == (0, "")
-    assert frames[0]["mode"] == "16O"
+    assert frames[0]["mode"] == "16P"
     assert frames[0]["contacts"] == []
     places = [contact["position"] for frame in frames for contact in frame["contacts"]]
     assert places
@@ -82,6 +102,21 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
     assert not frames[-1]["contacts"]
     numbers = [frame["sequence"] for frame in frames]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def test_info_lists_what_can_be_chosen() -> None:
+    result = ohmskin("info")
+    assert result.returncode == 0
+    told = [line.split(maxsplit=1) for line in result.stdout.replace("*", " ").splitlines() if line.strip()]
+    for name, title in (
+        ("16O", "Adaptive, as in the paper"),
+        ("rotating", "A few injections a frame in a fixed round of opposite electrodes"),
+        ("fit", "Contacts fitted to the data of each frame"),
+        ("kalman", "Kalman filter on images"),
+        ("paper,", "laplacian, tikhonov, noser, matern"),
+        ("physical,", "noise figure, cross-validation, l-curve, discrepancy, evidence"),
+    ):
+        assert [name, title] in told
 
 
 def test_headless_table_over_a_pseudo_terminal() -> None:
@@ -177,15 +212,15 @@ def test_a_lost_device_is_told_and_found_again() -> None:
         read_until(sensed, r"\d\d:\d\d:\d\d ")
     finally:
         sensed.send_signal(signal.SIGINT)
-        assert sensed.wait(10) == 0
+        assert sensed.wait(120) == 0
         sensed.stdout.close()
         server.terminate()
-        server.wait(10)
+        server.wait(120)
         assert server.stdout is not None
         server.stdout.close()
 
 
-def read_until(process: "subprocess.Popen[str]", expression: str, seconds: float = 30) -> str:
+def read_until(process: "subprocess.Popen[str]", expression: str, seconds: float = 120) -> str:
     assert process.stdout is not None
     end = time.monotonic() + seconds
     seen = []

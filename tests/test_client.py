@@ -23,8 +23,8 @@ from ohmskin.client import Board, BoardReader, Client, Contact, Felt, Patch, Sig
 from ohmskin.client.board import board_path
 from ohmskin.client.felt import LARGEST, MOST_CONTACTS, felt, pack, patches_from, unpack
 from ohmskin.errors import PublishError
-from ohmskin.publish.messages import encode_contacts
-from ohmskin.publish.topics import contacts_topic
+from ohmskin.outlets.messages import encode_contacts
+from ohmskin.outlets.topics import contacts_topic
 
 PATCHES = (
     Patch("arm", "forearm_link", (0.1, 0.0, 0.05), ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))),
@@ -52,7 +52,10 @@ def touched(sequence: int = 1, count: int = 1, ago: float = 0.0) -> Felt:
     at = time.monotonic() - ago
     seen = Sighting("arm", "forearm_link", sequence, at, time.time_ns() - round(ago * 1e9), "16O")
     contacts = [
-        Contact(k + 1, "arm", "forearm_link", (0.1, 0.2, 0.05), (0.0, 0.0, 1.0), 1e-4, 2e-4, 0.9, 0.3, 1e-3) for k in range(count)
+        Contact(
+            k + 1, "arm", "forearm_link", (0.1, 0.2, 0.05), (0.0, 0.0, 1.0), 1e-4, 2e-4, 0.9, 0.3, 8e-3, (0.0, 0.1, 0.0)
+        )
+        for k in range(count)
     ]
     return felt(sequence, [seen], contacts)
 
@@ -69,7 +72,7 @@ def show(writer: Board, what: Felt) -> None:
     writer.write(pack(what, PATCHES[:1]))
 
 
-# --- boards -------------------------------------------------------------------------------------------------------------
+# --- boards -----------------------------------------------------------------------------------------------------------
 
 FLOOD = """
 import sys, time
@@ -100,7 +103,9 @@ def test_what_is_read_while_it_is_written_is_whole_and_never_older_than_before()
         assert int(writer.stdout.read()) >= last
 
 
-@pytest.mark.parametrize("offset", [0, 8, 12, 16, 40])  # number, length, checksum and two bytes of the message in the slot
+@pytest.mark.parametrize(
+    "offset", [0, 8, 12, 16, 40]
+)  # number, length, checksum and two bytes of the message in the slot
 def test_a_slot_that_is_seen_half_written_is_not_taken(offset: int) -> None:
     with board() as writer, BoardReader("skin") as reader:
         writer.write(bytes(range(100)))
@@ -160,7 +165,9 @@ def test_two_writers_of_one_name_are_told() -> None:
     board().close()
 
 
-@pytest.mark.parametrize("name", ["", "../x", "a/b", "/etc/passwd", ".x", "a..b", "a.b.c.d", "x" * 33, "a\n", "a\0b", "ä", "1a"])
+@pytest.mark.parametrize(
+    "name", ["", "../x", "a/b", "/etc/passwd", ".x", "a..b", "a.b.c.d", "x" * 33, "a\n", "a\0b", "ä", "1a"]
+)
 def test_no_name_leads_out_of_the_folder(name: str) -> None:
     for use in (BoardReader, board, board_path):
         with pytest.raises(PublishError, match="cannot name"):
@@ -225,11 +232,23 @@ def test_a_message_that_is_too_large_is_refused() -> None:
         Board("skin", {}, 2**30)
 
 
-# --- records ------------------------------------------------------------------------------------------------------------
+# --- records ----------------------------------------------------------------------------------------------------------
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 TRIPLE = st.tuples(FLOATS, FLOATS, FLOATS)
-CONTACT = st.builds(Contact, st.integers(-1, 2**31 - 1), st.just("hand"), st.just("palm_link"), TRIPLE, TRIPLE, *[FLOATS] * 5)
+COVARIANCE = st.tuples(*[FLOATS] * 6).map(lambda v: ((v[0], v[1], v[2]), (v[1], v[3], v[4]), (v[2], v[4], v[5])))
+CONTACT = st.builds(
+    Contact,
+    st.integers(-1, 2**31 - 1),
+    st.just("hand"),
+    st.just("palm_link"),
+    TRIPLE,
+    TRIPLE,
+    *[FLOATS] * 4,
+    st.none() | FLOATS,
+    st.none() | TRIPLE,
+    st.none() | COVARIANCE,
+)
 SIGHTINGS = st.tuples(
     *(
         st.builds(
@@ -247,7 +266,14 @@ SIGHTINGS = st.tuples(
 
 
 @given(
-    st.builds(Felt, st.integers(0, 2**64 - 1), FLOATS, st.integers(0, 2**62), SIGHTINGS, st.lists(CONTACT, max_size=5).map(tuple))
+    st.builds(
+        Felt,
+        st.integers(0, 2**64 - 1),
+        FLOATS,
+        st.integers(0, 2**62),
+        SIGHTINGS,
+        st.lists(CONTACT, max_size=5).map(tuple),
+    )
 )
 def test_a_record_says_what_was_felt(what: Felt) -> None:
     assert unpack(pack(what, PATCHES), PATCHES) == what
@@ -260,7 +286,9 @@ def test_bytes_that_are_no_record_give_one_error(record: bytes) -> None:
 
 
 def test_the_strongest_contacts_are_kept_when_there_are_too_many() -> None:
-    contacts = tuple(Contact(k, "arm", "x", (0, 0, 0), (0, 0, 1), 1, 1, 1, peak=-float(k)) for k in range(MOST_CONTACTS + 10))
+    contacts = tuple(
+        Contact(k, "arm", "x", (0, 0, 0), (0, 0, 1), 1, 1, 1, peak=-float(k)) for k in range(MOST_CONTACTS + 10)
+    )
     what = Felt(1, 0.0, 0, (Sighting("arm", "x"), Sighting("hand", "y")), contacts)
     kept = unpack(pack(what, PATCHES), PATCHES).contacts
     assert {c.id for c in kept} == set(range(10, MOST_CONTACTS + 10))
@@ -283,14 +311,15 @@ def test_what_was_felt_is_as_old_as_its_oldest_patch() -> None:
 
 
 @pytest.mark.parametrize(
-    "setup", [{}, {"patches": [{}]}, {"patches": 5}, {"patches": [{"name": "a", "frame": "b", "position": 1, "axes": []}]}]
+    "setup",
+    [{}, {"patches": [{}]}, {"patches": 5}, {"patches": [{"name": "a", "frame": "b", "position": 1, "axes": []}]}],
 )
 def test_a_setup_without_patches_is_told(setup: dict[str, Any]) -> None:
     with pytest.raises(PublishError, match="another version"):
         patches_from(setup)
 
 
-# --- the client ---------------------------------------------------------------------------------------------------------
+# --- the client -------------------------------------------------------------------------------------------------------
 
 
 def test_the_newest_is_there_at_once_again_and_with_its_age() -> None:
@@ -331,11 +360,14 @@ def test_a_stopped_skin_does_not_stop_its_reader() -> None:
 
 
 def test_the_client_imports_nothing_heavy() -> None:
-    code = "import sys, ohmskin.client; print([m for m in ('numpy', 'scipy', 'numba', 'zenoh', 'asyncio') if m in sys.modules])"
+    heavy = ("numpy", "scipy", "numba", "zenoh", "asyncio")
+    code = f"import sys, ohmskin.client; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("address", ["", "skin", "tcp:skin", "shm:skin@tcp/127.0.0.1:1", "shm:../skin", "shm:a b", "zenoh:a..b"])
+@pytest.mark.parametrize(
+    "address", ["", "skin", "tcp:skin", "shm:skin@tcp/127.0.0.1:1", "shm:../skin", "shm:a b", "zenoh:a..b"]
+)
 def test_an_address_that_is_none_is_refused(address: str) -> None:
     with pytest.raises(PublishError, match=r"shm:NAME|cannot name"):
         Client(address)
@@ -343,12 +375,12 @@ def test_an_address_that_is_none_is_refused(address: str) -> None:
 
 def test_a_missing_extra_names_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zenoh", None)
-    monkeypatch.delitem(sys.modules, "ohmskin.publish.zenoh", raising=False)
+    monkeypatch.delitem(sys.modules, "ohmskin.client.remote", raising=False)
     with pytest.raises(PublishError, match=r"pip install 'ohmskin\[zenoh\]'"):
         Client("zenoh:skin")
 
 
-# --- over zenoh ---------------------------------------------------------------------------------------------------------
+# --- over zenoh -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -370,7 +402,7 @@ def hear(outlet: Any, client: Client, sequence: int) -> Felt:
 
 
 def test_a_client_far_away_hears_the_same_and_again_after_a_restart(place: str) -> None:
-    from ohmskin.publish.zenoh import ZenohOutlet
+    from ohmskin.outlets.zenoh import ZenohOutlet
 
     with Client(f"zenoh:skin@{place}") as client:
         assert client.newest() is None
@@ -384,7 +416,7 @@ def test_a_client_far_away_hears_the_same_and_again_after_a_restart(place: str) 
 
 
 def test_only_who_has_the_token_hears(place: str) -> None:
-    from ohmskin.publish.zenoh import ZenohOutlet
+    from ohmskin.outlets.zenoh import ZenohOutlet
 
     topic = contacts_topic("skin")
     with (
@@ -399,7 +431,7 @@ def test_only_who_has_the_token_hears(place: str) -> None:
         assert nobody.wait(0.3) is None
 
 
-# --- the example --------------------------------------------------------------------------------------------------------
+# --- the example ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

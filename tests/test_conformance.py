@@ -16,8 +16,8 @@ from ohmskin.device import Capabilities, Device, Feature, Press, connect, driver
 from ohmskin.device.conformance import Check, check_device
 from ohmskin.device.daq import MuxDaqDevice
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused
-from ohmskin.record import read_recording
-from ohmskin.scan import DrivePattern, Frame, FrameFlag
+from ohmskin.importers import read_recording
+from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent
 from ohmskin.skin import Skin, VirtualSkin
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
@@ -27,7 +27,15 @@ import mux_and_daq
 SKIN = Skin.load("paper")
 SHEET = VirtualSkin(SKIN, 1).sheet.untouched
 ABLE = Capabilities(
-    "fake", 16, 40, 600, 3, Feature.VOLTAGE_SOURCE | Feature.CURRENT_MEASURED, excitation=5.0, full_scale=5.0, settle_time=1e-5
+    "fake",
+    16,
+    40,
+    600,
+    3,
+    Feature.VOLTAGE_SOURCE | Feature.CURRENT_MEASURED,
+    excitation=5.0,
+    full_scale=5.0,
+    settle_time=1e-5,
 )
 
 
@@ -45,7 +53,9 @@ class Fake(Device):
         volts = ohms * 2e-3 + self.random.normal(0, 1e-4, pattern.n_meas)
         self.count += 1
         over = np.abs(volts) > 5.0
-        return Frame(pattern, np.where(over, np.inf, volts), currents, self.count * 0.01, self.count, FrameFlag(int(over.any())))
+        return Frame(
+            pattern, np.where(over, np.inf, volts), currents, self.count * 0.01, self.count, FrameFlag(int(over.any()))
+        )
 
     def _press(self, press: Press) -> None:
         raise DeviceRefused("a real skin")
@@ -88,12 +98,14 @@ def test_the_wire_driver_passes(pty: bool) -> None:
     with serving("--seed", "1", *(["--pty"] if pty else [])) as (address, _):
         assert address.startswith("serial" if pty else "tcp")
         outcomes = passes(connect(address))
-    assert [name for name, outcome in outcomes.items() if outcome == "skipped"] == ["presses on a real skin are refused"]
+    assert [name for name, outcome in outcomes.items() if outcome == "skipped"] == [
+        "presses on a real skin are refused"
+    ]
 
 
 def test_the_virtual_driver_passes_from_the_command_line() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "ohmskin", "check-device", "virtual:"], capture_output=True, text=True, timeout=120
+        [sys.executable, "-m", "ohmskin", "check-device", "virtual:"], capture_output=True, text=True, timeout=500
     )
     assert done.returncode == 0, done.stdout
     assert "passed: reciprocity" in done.stdout
@@ -110,7 +122,7 @@ def test_the_replay_driver_passes(tank_folder: Path) -> None:
 
 def test_the_example_of_multiplexers_and_a_card_passes_and_measures_the_sheet() -> None:
     device = mux_and_daq.open_simulated(SKIN)
-    pattern = SKIN.modes["16I"].base
+    pattern = adjacent(SKIN.electrodes.rings)
     frame = device.scan(pattern)
     a, b, c, d = pattern.quadruples.T
     ohms = SHEET[a, c] - SHEET[a, d] - SHEET[b, c] + SHEET[b, d]
@@ -205,7 +217,11 @@ def test_a_board_that_was_pulled_out_is_closed_all_the_same(monkeypatch: pytest.
 
 def _slots_mixed_up(device: Changed, frame: Frame) -> Frame:
     """Pattern after pattern, the voltages are those of the scan before whenever they fit."""
-    if device.last is not None and device.last.pattern != frame.pattern and device.last.voltages.shape == frame.voltages.shape:
+    if (
+        device.last is not None
+        and device.last.pattern != frame.pattern
+        and device.last.voltages.shape == frame.voltages.shape
+    ):
         return replace(frame, voltages=device.last.voltages)
     return frame
 
@@ -221,7 +237,11 @@ BROKEN: dict[str, tuple[Callable[[Changed, Frame], Frame], str, str]] = {
     "no currents": (lambda d, f: replace(f, currents=0 * f.currents), "frames fit", "not positive"),
     "missing currents": (lambda d, f: replace(f, currents=np.nan * f.currents), "frames fit", "not finite"),
     "all missing": (lambda d, f: replace(f, voltages=np.nan * f.voltages), "frames fit", "no voltage is finite"),
-    "silent clipping": (lambda d, f: replace(f, voltages=np.where(f.voltages > 0.1, np.inf, f.voltages)), "frames fit", "CLIPPED"),
+    "silent clipping": (
+        lambda d, f: replace(f, voltages=np.where(f.voltages > 0.1, np.inf, f.voltages)),
+        "frames fit",
+        "CLIPPED",
+    ),
     "beyond its range": (lambda d, f: replace(f, voltages=1e3 * f.voltages), "frames fit", "beyond full_scale"),
     "signs exchanged": (lambda d, f: replace(f, voltages=-f.voltages), "current enters", "signs exchanged"),
     "one wrong channel": (

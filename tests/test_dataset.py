@@ -160,7 +160,9 @@ def test_tasks_in_flight_are_bounded() -> None:
 
 def test_command_line(tmp_path: Path) -> None:
     def ohmskin(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, check=False)
+        return subprocess.run(
+            [sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, check=False
+        )
 
     path = str(tmp_path / "touches.zarr")
     first = ohmskin("dataset", path, "--count", "20", "--pattern", "12B", "--jobs", "1", "--contacts", "1", "2")

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from ohmskin.drive import (
+    DRIVES,
     Candidates,
     ContactPrior,
+    DriveSettings,
     Search,
     Target,
     base_pattern,
@@ -16,7 +18,6 @@ from ohmskin.drive import (
     complete_pattern,
     exchange,
     greedy,
-    modes,
     part_of,
     position_bound,
 )
@@ -63,7 +64,7 @@ def variance(covariance: np.ndarray, goal: np.ndarray) -> float:
     return float(np.trace(goal @ covariance @ goal.T))
 
 
-# --- the search -----------------------------------------------------------------------------------------------------------
+# --- the search -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -164,7 +165,7 @@ def test_the_variance_of_a_region_is_that_of_the_image_with_all_its_elements() -
         assert choice.values[count] == pytest.approx(np.trace(posterior[np.ix_(near, near)]), rel=1e-6)
 
 
-# --- candidates -----------------------------------------------------------------------------------------------------------
+# --- candidates -------------------------------------------------------------------------------------------------------
 
 
 def test_rows_are_the_patterns_own_and_reduced_rows_say_the_same() -> None:
@@ -195,7 +196,7 @@ def test_currents_that_do_not_fit_are_refused(currents: float | np.ndarray) -> N
         Candidates.at_currents(complete_pattern(GRID), 16, NOISE, currents)
 
 
-# --- contacts -------------------------------------------------------------------------------------------------------------
+# --- contacts ---------------------------------------------------------------------------------------------------------
 
 
 def test_contact_columns_are_the_derivatives_of_the_response() -> None:
@@ -213,7 +214,8 @@ def test_contact_columns_are_the_derivatives_of_the_response() -> None:
 
 
 def test_the_bound_is_the_error_of_the_best_estimate_of_many_draws() -> None:
-    """The best linear estimate of contacts drawn from the prior, small enough to be linear, has the error of the bound."""
+    """The best linear estimate of contacts drawn from the prior, small enough to be linear, has the error of the
+    bound."""
     place, pattern = np.array([0.06, 0.09]), base_pattern(GRID)
     prior = ContactPrior(1e-4, 10e-3, 2e-3, 0.5, 0.2)
     noise = 4e-4
@@ -223,9 +225,13 @@ def test_the_bound_is_the_error_of_the_best_estimate_of_many_draws() -> None:
     random = np.random.default_rng(0)
     truth = random.multivariate_normal(np.zeros(4), prior.covariance(), 20_000)
     data = truth @ rows.T + noise * random.normal(size=(20_000, len(rows)))
-    gain = prior.covariance() @ rows.T @ np.linalg.inv(rows @ prior.covariance() @ rows.T + noise**2 * np.eye(len(rows)))
+    gain = (
+        prior.covariance() @ rows.T @ np.linalg.inv(rows @ prior.covariance() @ rows.T + noise**2 * np.eye(len(rows)))
+    )
     missed = (truth - data @ gain.T)[:, :2]
-    assert np.sqrt((missed**2).sum(axis=1).mean()) == pytest.approx(claimed, rel=0.015)  # 0.5 % is the luck of the draws
+    assert np.sqrt((missed**2).sum(axis=1).mean()) == pytest.approx(
+        claimed, rel=0.015
+    )  # 0.5 % is the luck of the draws
     assert claimed < 0.8 * np.sqrt(2) * 2e-3  # the data count, and
     assert claimed > 1.2 * position_bound(table(), place, pattern, noise / 2, 1e-3, prior)[0]  # so does the noise
 
@@ -239,7 +245,9 @@ def test_better_schemes_have_smaller_bounds_in_the_order_that_was_found() -> Non
 
     def adaptive(place: np.ndarray, count: int) -> list[DrivePattern]:
         prior = ContactPrior.usual(10e-3)
-        search = Search(candidates.rows(contact_columns(table(), prior.at(place)))[0], prior.covariance(), position_goals(1))
+        search = Search(
+            candidates.rows(contact_columns(table(), prior.at(place)))[0], prior.covariance(), position_goals(1)
+        )
         for number in known:
             search.take(number)
         for _ in range(count):
@@ -250,18 +258,22 @@ def test_better_schemes_have_smaller_bounds_in_the_order_that_was_found() -> Non
         "12B": adjacent([GRID.rings[0]]),
         "16I": adjacent(GRID.rings),
         "6 opposite": base,
-        "12B and eq. (7)": modes(GRID)["16O"],
+        "12B and eq. (7)": DRIVES["eq7"](DriveSettings(GRID), 0),
         "6 and 10": lambda place: adaptive(place, 10),
         "6 and 22": lambda place: adaptive(place, 22),
     }
-    found = [float(np.sqrt(np.mean(position_bound(table(), places, scheme, NOISE) ** 2))) for scheme in schemes.values()]
+    found = [
+        float(np.sqrt(np.mean(position_bound(table(), places, scheme, NOISE) ** 2))) for scheme in schemes.values()
+    ]
     assert (np.diff(found) < 0).all(), dict(zip(schemes, found, strict=True))
     assert found[5] < 0.75 * found[3]  # equal numbers of injections
 
 
 def test_modes_that_do_not_fuse_have_the_bound_of_their_second_scan() -> None:
     places = np.array([[0.05, 0.05], [0.11, 0.16]])
-    fused, literal = (position_bound(table(), places, modes(GRID, fuse=fuse)["16O"], NOISE) for fuse in (True, False))
+    drive, prior = DRIVES["eq7"](DriveSettings(GRID), 0), ContactPrior.usual(10e-3)
+    schemes = drive, lambda place: [drive.next(prior.at(place), 1)]
+    fused, literal = (position_bound(table(), places, scheme, NOISE, prior=prior) for scheme in schemes)
     assert (fused < literal).all()
 
 
@@ -285,7 +297,9 @@ def test_the_best_fixed_set_is_better_than_any_that_is_usual() -> None:
 def test_the_opposite_base_scan_is_within_two_per_cent_of_the_best_six() -> None:
     places = spread_places(table(), 80)
     best = part_of(everything().pattern, best_fixed(table(), everything(), 6, places))
-    errors = [np.sqrt(np.mean(position_bound(table(), places, pattern, NOISE) ** 2)) for pattern in (best, base_pattern(GRID))]
+    errors = [
+        np.sqrt(np.mean(position_bound(table(), places, pattern, NOISE) ** 2)) for pattern in (best, base_pattern(GRID))
+    ]
     assert errors[0] <= errors[1] < 1.02 * errors[0]
 
 
@@ -297,7 +311,7 @@ def test_spread_places_cover_the_sheet_evenly() -> None:
     assert np.linalg.norm(everywhere[:, None] - places, axis=2).min(axis=1).max() < 0.017
 
 
-# --- costs ----------------------------------------------------------------------------------------------------------------
+# --- costs ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_scan_costs_what_its_injections_settle_and_convert() -> None:
@@ -326,7 +340,7 @@ def test_costs_cannot_be_negative() -> None:
         Cost(0.0, -1e-5)
 
 
-# --- voltage sources ------------------------------------------------------------------------------------------------------
+# --- voltage sources --------------------------------------------------------------------------------------------------
 
 
 @lru_cache
@@ -350,8 +364,7 @@ def test_without_its_current_a_difference_has_the_rows_of_a_source_that_sags() -
     assert np.linalg.norm(foretold - volts) < 5e-3 * np.linalg.norm(volts)
     ignored = (pattern.combination(16) @ pairs) * difference.currents
     assert np.linalg.norm(ignored - volts) > 0.2 * np.linalg.norm(volts)
-    candidates = Candidates.of_source(pattern, sheet, SOURCE, NOISE)
-    np.testing.assert_allclose((candidates.weights @ pairs) * NOISE, foretold, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(SOURCE.by_pairs(sheet, pattern) @ pairs, foretold, rtol=1e-9, atol=1e-12)
 
 
 def test_estimators_use_the_rows_of_a_source_that_sags() -> None:
@@ -364,7 +377,9 @@ def test_estimators_use_the_rows_of_a_source_that_sags() -> None:
 
     def missed(difference: Difference) -> float:
         image = estimator.reconstruct(difference).values
-        fit = (difference.combination(16) @ (sheet.pair_sensitivity @ (sheet.conductivity * image))) * difference.currents
+        fit = (
+            difference.combination(16) @ (sheet.pair_sensitivity @ (sheet.conductivity * image))
+        ) * difference.currents
         return float(np.linalg.norm(fit - volts) / np.linalg.norm(volts))
 
     assert missed(SOURCE.unmeasured(sheet, blind)) < 0.03

@@ -69,7 +69,7 @@ def relative(found: np.ndarray, exact: np.ndarray) -> float:
     return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
 
 
-# --- polygons -----------------------------------------------------------------------------------------------------------
+# --- polygons ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [0.02, 0.01, 0.004])
@@ -109,7 +109,8 @@ def test_arc_and_rim_of_a_polygon_invert_each_other() -> None:
 
 
 def test_an_annulus_between_rim_and_hole_has_the_resistance_of_its_logarithm() -> None:
-    """Eight sources round the rim and eight sinks round the hole; some way from both the potential is that of full rings."""
+    """Eight sources round the rim and eight sinks round the hole; some way from both the potential is that of full
+    rings."""
     outer, inner = regular(96, 0.1), regular(48, 0.03)
     domain = Polygon(outer, holes=[inner])
     electrodes = Electrodes.at(np.vstack([outer[::12], inner[::6]]))
@@ -129,7 +130,7 @@ def test_rim_electrodes_sit_on_a_hole_as_well() -> None:
     electrodes = electrodes.with_rim_segments(length, 0.1)
     model = TransferModel(mesh_domain(domain, 0.008, electrodes), electrodes, S)
     for k in range(6):
-        assert model.contacts[k].extent == pytest.approx(length)
+        assert model.quadratures[k].extent == pytest.approx(length)
     s = model.transfer_resistance
     pair = [s[k, k] + s[j, j] - 2 * s[k, j] for k, j in ((0, 1), (1, 2), (2, 3), (3, 0))]
     np.testing.assert_allclose(pair, pair[0], rtol=0.02)
@@ -155,12 +156,14 @@ def test_impossible_polygons_are_refused(make, message: str) -> None:
         make()
 
 
-# --- surfaces in space --------------------------------------------------------------------------------------------------
+# --- surfaces in space ------------------------------------------------------------------------------------------------
 
 
 def bend(points: np.ndarray, around: float = 0.11) -> np.ndarray:
     """Lay the plane round a cylinder, without stretching it."""
-    return np.column_stack([around * np.sin(points[:, 0] / around), points[:, 1], around * np.cos(points[:, 0] / around)])
+    return np.column_stack(
+        [around * np.sin(points[:, 0] / around), points[:, 1], around * np.cos(points[:, 0] / around)]
+    )
 
 
 def test_a_sheet_bent_round_a_cylinder_measures_what_the_flat_one_does() -> None:
@@ -178,12 +181,17 @@ def test_a_sheet_folded_along_its_edges_measures_exactly_what_the_flat_one_does(
     x = np.linspace(0, 0.2, 13)
     nodes = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
     corner = (np.arange(12)[:, None] * 13 + np.arange(12)).ravel()
-    mesh = Mesh(nodes, np.vstack([np.stack([corner, corner + 1, corner + 14], 1), np.stack([corner, corner + 14, corner + 13], 1)]))
+    mesh = Mesh(
+        nodes,
+        np.vstack([np.stack([corner, corner + 1, corner + 14], 1), np.stack([corner, corner + 14, corner + 13], 1)]),
+    )
 
     def fold(points: np.ndarray) -> np.ndarray:
         """By 80 degrees along x = 0.1, an edge of the mesh, and turned in space."""
         beyond = np.maximum(points[:, 0] - 0.1, 0)
-        bent = np.column_stack([np.minimum(points[:, 0], 0.1) + beyond * np.cos(1.4), points[:, 1], beyond * np.sin(1.4)])
+        bent = np.column_stack(
+            [np.minimum(points[:, 0], 0.1) + beyond * np.cos(1.4), points[:, 1], beyond * np.sin(1.4)]
+        )
         turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
         return bent @ turn.T + [1, 2, 3]
 
@@ -198,7 +206,7 @@ def test_discs_on_a_bent_sheet_keep_their_area() -> None:
     discs = GRID.with_discs(6e-3, 1e-4)
     model = TransferModel(mesh, discs.mapped(bend), S)
     share = np.array([1 / 4, 1 / 2, 1 / 2] * 4 + [1.0] * 4)
-    extent = np.array([model.contacts[k].extent for k in range(16)])
+    extent = np.array([model.quadratures[k].extent for k in range(16)])
     np.testing.assert_allclose(extent, share * np.pi * 36e-6, rtol=0.05)
 
 
@@ -206,7 +214,9 @@ def test_gmsh_meshes_a_link_anew_with_electrodes_at_nodes() -> None:
     angle, height = np.meshgrid(2 * np.pi * np.arange(40) / 40, np.linspace(0, 0.2, 21))
     nodes = np.column_stack([0.05 * np.cos(angle.ravel()), 0.05 * np.sin(angle.ravel()), height.ravel()])
     quads = [
-        (j * 40 + i, j * 40 + (i + 1) % 40, (j + 1) * 40 + (i + 1) % 40, (j + 1) * 40 + i) for j in range(20) for i in range(40)
+        (j * 40 + i, j * 40 + (i + 1) % 40, (j + 1) * 40 + (i + 1) % 40, (j + 1) * 40 + i)
+        for j in range(20)
+        for i in range(40)
     ]
     link = Mesh(nodes, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
     at = nodes[[205, 215, 225, 235, 410, 420, 430, 400, 605, 615]]
@@ -224,7 +234,7 @@ def test_gmsh_meshes_a_link_anew_with_electrodes_at_nodes() -> None:
         mesh_surface(link, 0.012, Electrodes.at(at + np.eye(10)[3][:, None] * 0.01))
 
 
-# --- thick skins --------------------------------------------------------------------------------------------------------
+# --- thick skins ------------------------------------------------------------------------------------------------------
 
 
 def test_tetrahedra_fill_what_lies_below_the_sheet() -> None:
@@ -270,9 +280,13 @@ def test_a_thin_block_is_a_sheet_of_conductivity_times_thickness() -> None:
 
 def test_a_block_between_its_faces_has_length_over_area_and_conductivity() -> None:
     """A long bar driven at its ends is one-dimensional in the middle."""
-    bar = mesh_domain(Rectangle(0.2, 0.02), 0.005, [[0.08, 0.0], [0.08, 0.02], [0.12, 0.0], [0.12, 0.02], [0.0, 0.01], [0.2, 0.01]])
+    bar = mesh_domain(
+        Rectangle(0.2, 0.02), 0.005, [[0.08, 0.0], [0.08, 0.02], [0.12, 0.0], [0.12, 0.02], [0.0, 0.01], [0.2, 0.01]]
+    )
     body = thicken(bar, 0.02, 4)
-    at = np.array([[0.0, 0.01, 0.0], [0.2, 0.01, 0.0], [0.08, 0.0, 0.0], [0.08, 0.02, 0.0], [0.12, 0.0, 0.0], [0.12, 0.02, 0.0]])
+    at = np.array(
+        [[0.0, 0.01, 0.0], [0.2, 0.01, 0.0], [0.08, 0.0, 0.0], [0.08, 0.02, 0.0], [0.12, 0.0, 0.0], [0.12, 0.02, 0.0]]
+    )
     model = TransferModel(body, Electrodes.at(at), 0.5)
     s = model.transfer_resistance
     drop = s[0, 2] - s[0, 4] - s[1, 2] + s[1, 4]
@@ -296,11 +310,12 @@ def test_a_disc_at_the_edge_of_a_block_is_cut_off() -> None:
     lifted = electrodes.mapped(lambda p: p * [0.98, 0.98, 1] + [0.002, 0.002, 0])  # 2 mm inside the rim
     model = TransferModel(body, lifted.with_discs(6e-3, 1e-4), S / 0.01)
     beyond = np.arccos(1 / 3) * 36e-6 - 2e-3 * np.sqrt(32e-6)  # circular segment 2 mm off the centre
-    assert model.contacts[1].extent == pytest.approx(36e-6 * np.pi - beyond, rel=0.02)
+    assert model.quadratures[1].extent == pytest.approx(36e-6 * np.pi - beyond, rel=0.02)
 
 
 def test_a_shell_round_a_cylinder_has_its_volume() -> None:
-    """Thickness t inwards from the radius R: t (1 - t / 2R) per area; at the straight edges normals are those of chords."""
+    """Thickness t inwards from the radius R: t (1 - t / 2R) per area; at the straight edges normals are those of
+    chords."""
     outside = flat(0.01).mapped(bend)
     shell = thicken(outside, 0.02, 3)
     assert shell.measures.sum() == pytest.approx(0.02 * (1 - 0.01 / 0.11) * outside.measures.sum(), rel=5e-3)
@@ -319,8 +334,14 @@ def test_a_shell_round_a_cylinder_has_its_volume() -> None:
         (lambda: thicken(thicken(flat(0.03), 0.01), 0.01), "of tetrahedra already"),
         (lambda: Mesh(np.eye(4)[:, :2], [[0, 1, 2, 3]]), "tetrahedra and need nodes \\(n, 3\\)"),
         (lambda: Mesh(np.eye(4)[:, :3] * [1, 1, 0], [[0, 1, 2, 3]]), "tetrahedron 0 has no volume"),
-        (lambda: TransferModel(thicken(flat(0.03), 0.01), GRID.mapped(in_space).with_discs(6e-3, 1e-4), S), "as much on one face"),
-        (lambda: TransferModel(thicken(flat(0.03), 0.01), GRID.mapped(in_space).with_rim_segments(0.01, 1.0), S), "faces, no rim"),
+        (
+            lambda: TransferModel(thicken(flat(0.03), 0.01), GRID.mapped(in_space).with_discs(6e-3, 1e-4), S),
+            "as much on one face",
+        ),
+        (
+            lambda: TransferModel(thicken(flat(0.03), 0.01), GRID.mapped(in_space).with_rim_segments(0.01, 1.0), S),
+            "faces, no rim",
+        ),
     ],
 )
 def test_impossible_bodies_are_refused(make, message: str) -> None:
@@ -335,7 +356,7 @@ def test_a_surface_that_is_not_ordered_alike_has_no_below() -> None:
         thicken(Mesh(in_space(flat(0.03).nodes), elements), 0.01)
 
 
-# --- anisotropy ---------------------------------------------------------------------------------------------------------
+# --- anisotropy -------------------------------------------------------------------------------------------------------
 
 TENSOR = S * np.array([[2.0, 0.6], [0.6, 0.9]])
 
@@ -408,7 +429,10 @@ def test_the_sensitivity_of_an_anisotropic_sheet_is_that_to_the_factor_of_its_te
 @pytest.mark.parametrize(
     ("tensor", "message"),
     [
-        (np.array([[1.0, 0.5], [0.4, 1.0]]), "triangle 0 is .* must be symmetric positive definite \\(siemens per square\\)"),
+        (
+            np.array([[1.0, 0.5], [0.4, 1.0]]),
+            "triangle 0 is .* must be symmetric positive definite \\(siemens per square\\)",
+        ),
         (np.array([[1.0, 2.0], [2.0, 1.0]]), "must be symmetric positive definite"),
         (np.array([[np.nan, 0], [0, 1.0]]), "must be symmetric positive definite"),
         (np.eye(3), "give one value or .* or tensors \\(2, 2\\)"),
@@ -419,7 +443,7 @@ def test_impossible_tensors_are_refused(tensor: np.ndarray, message: str) -> Non
         TransferModel(flat(), GRID, tensor)
 
 
-# --- gmsh ---------------------------------------------------------------------------------------------------------------
+# --- gmsh -------------------------------------------------------------------------------------------------------------
 
 
 def test_gmsh_refines_at_electrodes_and_puts_them_at_nodes() -> None:
@@ -428,7 +452,9 @@ def test_gmsh_refines_at_electrodes_and_puts_them_at_nodes() -> None:
     assert mesh.measures.sum() == pytest.approx(0.04, rel=1e-12)
     mesh.nodes_at(GRID.positions[12:], tolerance=1e-15)
     x, y = GRID.positions[1]
-    mesh.nodes_at([[x - 3e-3, y], [x + 3e-3, y], [3e-3, 0], [0, 3e-3]], tolerance=1e-12)  # ends, round the corner as well
+    mesh.nodes_at(
+        [[x - 3e-3, y], [x + 3e-3, y], [3e-3, 0], [0, 3e-3]], tolerance=1e-12
+    )  # ends, round the corner as well
     mesh.nodes_at(GRID.positions[13] + regular(4, 3e-3), tolerance=1e-12)
     assert least_angle(mesh) > 25
     near = np.linalg.norm(mesh.centroids[:, None] - GRID.positions, axis=2).min(axis=1)
@@ -462,7 +488,10 @@ def test_gmsh_keeps_outlines_and_holes(domain) -> None:
         (lambda: mesh_graded(SHEET, 0.01, GRID, fine=-1.0), "mesh fine -1.0 m"),
         (lambda: mesh_graded(SHEET, 0.01, GRID, growth=5), "growth is 5; it must be 0.01 to 1"),
         (lambda: mesh_graded(Rectangle(0.1, 0.1), 0.01, GRID), "electrode at .* lies outside the domain"),
-        (lambda: mesh_graded(SHEET, 0.01, GRID.with_rim_segments(0.01, 1.0)), "rim electrode 12 at .* away from the rim"),
+        (
+            lambda: mesh_graded(SHEET, 0.01, GRID.with_rim_segments(0.01, 1.0)),
+            "rim electrode 12 at .* away from the rim",
+        ),
         (lambda: mesh_graded(SHEET, 0.01, GRID.mapped(in_space)), "electrodes in space do not fit a flat domain"),
         (lambda: mesh_surface(flat(), 0.01, GRID), "triangles in space anew"),
         (lambda: mesh_surface(flat().mapped(bend), 0.01, GRID), "need three coordinates"),
@@ -483,7 +512,7 @@ def test_a_missing_extra_names_the_line_that_installs_it(monkeypatch: pytest.Mon
             make()
 
 
-# --- files --------------------------------------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ending", ["vtu", "vtk", "msh", "inp", "ply", "obj", "stl"])
@@ -493,7 +522,9 @@ def test_surfaces_come_back_from_files(ending: str, tmp_path: Path) -> None:
     again = read_mesh(tmp_path / f"a.{ending}")
     assert (again.n_nodes, again.n_elem) == (mesh.n_nodes, mesh.n_elem)
     assert again.measures.sum() == pytest.approx(mesh.measures.sum(), rel=1e-4)
-    assert read_mesh(tmp_path / f"a.{ending}", 1e-3).measures.sum() == pytest.approx(1e-6 * mesh.measures.sum(), rel=1e-4)
+    assert read_mesh(tmp_path / f"a.{ending}", 1e-3).measures.sum() == pytest.approx(
+        1e-6 * mesh.measures.sum(), rel=1e-4
+    )
 
 
 def test_bodies_and_their_values_come_back_from_files(tmp_path: Path) -> None:

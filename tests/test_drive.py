@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.drive import OptimalDrive, mode, modes, pair_weights, take_turns
+from ohmskin.drive import DRIVES, DriveSettings, Fixed, OptimalDrive, TwoScans, pair_weights, take_turns
 from ohmskin.errors import PatternError
-from ohmskin.geometry import Disc, Electrodes, Rectangle
+from ohmskin.geometry import Electrodes, Rectangle
 from ohmskin.scan import adjacent, all_pairs, measure_others
+from ohmskin.sensing import drive_of, mode_named, modes
+from ohmskin.skin import Skin
 
 SHEET = Rectangle(0.2, 0.2)
 GRID = Electrodes.grid(SHEET)
@@ -28,7 +30,7 @@ def heron(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     return max(s * (s - u) * (s - v) * (s - w), 0.0) ** 0.5
 
 
-# --- eq. (7) ------------------------------------------------------------------------------------------------------------
+# --- eq. (7) ----------------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -57,7 +59,9 @@ def test_weights_are_finite_positive_and_their_inverses_sum_to_one(points: list[
 
 def test_weights_do_not_depend_on_the_unit_of_length() -> None:
     points = anchors_about(0.05, 0.11)
-    assert pair_weights(1e3 * GRID.positions, 1e3 * points) == pytest.approx(pair_weights(GRID.positions, points), rel=1e-9)
+    assert pair_weights(1e3 * GRID.positions, 1e3 * points) == pytest.approx(
+        pair_weights(GRID.positions, points), rel=1e-9
+    )
 
 
 def test_a_pair_on_one_line_with_all_anchors_is_clamped() -> None:
@@ -73,7 +77,9 @@ def test_a_pair_on_one_line_with_all_anchors_is_clamped() -> None:
 def test_the_pairs_whose_line_passes_through_the_contact_come_first() -> None:
     i, j = all_pairs(16).T
     for x, y, axis in ((0.09, 0.2 / 3, 1), (0.4 / 3, 0.05, 0)):
-        ranked = np.argsort(-pair_weights(GRID.positions, anchors_about(x, y, 1e-3)))[:6]  # four electrodes on a line: six pairs
+        ranked = np.argsort(-pair_weights(GRID.positions, anchors_about(x, y, 1e-3)))[
+            :6
+        ]  # four electrodes on a line: six pairs
         for ends in (i, j):
             np.testing.assert_allclose(GRID.positions[ends[ranked], axis], (x, y)[axis])
 
@@ -94,7 +100,7 @@ def test_of_pairs_equally_long_the_one_closer_to_the_contact_weighs_more(x: floa
         assert (np.diff(weights[ordered]) <= 1e-9 * weights[ordered][:-1]).all()
 
 
-# --- turns --------------------------------------------------------------------------------------------------------------
+# --- turns ------------------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(1, 5), st.integers(1, 60), st.integers(0, 2**32 - 1), st.booleans())
@@ -117,7 +123,7 @@ def test_two_distant_regions_share_the_pairs_evenly() -> None:
     assert take_turns(weights[0], 3).tolist() == [0, 1, 2]
 
 
-# --- patterns -----------------------------------------------------------------------------------------------------------
+# --- patterns ---------------------------------------------------------------------------------------------------------
 
 
 @given(st.lists(anchors, min_size=1, max_size=4), st.integers(1, 120))
@@ -136,40 +142,48 @@ def test_the_number_of_pairs_is_limited_by_the_electrodes(pairs: int) -> None:
         OptimalDrive(GRID, pairs)
 
 
-# --- modes --------------------------------------------------------------------------------------------------------------
+# --- modes ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("electrodes", "names"),
+    ("layout", "names"),
     [
-        (GRID, ["12B", "16I", "16O"]),
-        (Electrodes.rim(SHEET, 12), ["12B", "12O"]),
-        (Electrodes.rim(Disc(0.1), 16), ["16B", "16O"]),
-        (Electrodes.grid(SHEET, 3, 3), ["8B", "9I", "9O"]),
-        (Electrodes.grid(SHEET, 5, 5), ["16B", "25I", "25O"]),
-        (Electrodes.grid(SHEET, 5, 3), ["12B", "15I", "15O"]),
+        ('layout = "grid"\ncolumns = 4\nrows = 4', ["12B", "16I", "16O"]),
+        ('layout = "rim"\ncount = 12', ["12B", "12O"]),
+        ('layout = "rim"\ncount = 16', ["16B", "16O"]),
+        ('layout = "grid"\ncolumns = 3\nrows = 3', ["8B", "9I", "9O"]),
+        ('layout = "grid"\ncolumns = 5\nrows = 5', ["16B", "25I", "25O"]),
+        ('layout = "grid"\ncolumns = 5\nrows = 3', ["12B", "15I", "15O"]),
     ],
 )
-def test_modes_have_the_labels_of_the_paper(electrodes: Electrodes, names: list[str]) -> None:
-    found = modes(electrodes)
+def test_modes_have_the_labels_of_the_paper(layout: str, names: list[str]) -> None:
+    skin = Skin.parse(f"[electrode]\n{layout}\n")
+    found = {name: mode for name, mode in modes(skin).items() if name[-1] in "BIO"}
     assert list(found) == names
     assert [found[name].name for name in names] == names
-    rim = electrodes.rings[0]
-    assert found[names[0]].base == found[names[-1]].base == adjacent([rim])
-    assert found[names[0]].optimal is None
-    assert found[names[-1]].optimal is not None
-    for each in found.values():
-        each.base.check(len(electrodes))
+    drives = [drive_of(mode, skin) for mode in found.values()]
+    rim = skin.electrodes.rings[0]
+    assert drives[0].next([], 0) == drives[-1].next([], 0) == adjacent([rim])
+    assert isinstance(drives[0], Fixed)
+    assert isinstance(drives[-1], TwoScans)
+    assert isinstance(drives[-1].second, OptimalDrive)
+    for drive in drives:
+        drive.next([], 0).check(len(skin.electrodes))
 
 
 def test_adaptive_mode_takes_the_number_of_pairs_and_whether_to_fuse() -> None:
-    adaptive = mode("16O", GRID, pairs=5, fuse=False)
-    assert adaptive.optimal is not None
-    assert adaptive.optimal.pattern([anchors_about(0.1, 0.1)]).n_inj == 5
-    assert not adaptive.fuse
-    assert mode("16I", GRID).base == adjacent(GRID.rings)
+    adaptive = DRIVES["eq7"](DriveSettings(GRID, pairs=5), 0)
+    assert adaptive.scans == 2
+    assert adaptive.second.pattern([anchors_about(0.1, 0.1)]).n_inj == 5
+    assert adaptive.injections == 17
+    assert DRIVES["eq7"](DriveSettings(GRID), 17).second.pairs == 5  # of both scans
+    assert DRIVES["rings"](DriveSettings(GRID), 0).next([], 0) == adjacent(GRID.rings)
+    for fuse in (True, False):
+        skin = Skin.parse(f"[imaging]\nfuse = {str(fuse).lower()}\npairs = 5\n")
+        assert mode_named(skin, "16O").fuse is fuse
+        assert drive_of(mode_named(skin, "16O"), skin).injections == 17
 
 
 def test_an_unknown_mode_lists_the_possible_ones() -> None:
     with pytest.raises(PatternError, match=r"mode '16B' is not possible .* choose from 12B, 16I, 16O"):
-        mode("16B", GRID)
+        mode_named(Skin.load("paper"), "16B")

@@ -2,6 +2,7 @@
 
 import os
 import random
+import re
 import socket
 import threading
 import time
@@ -12,17 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from direct import DirectDevice
 
-from ohmskin.device import Capabilities, Device, DeviceServer, Feature, connect, drivers, registry
+from ohmskin.device import Capabilities, Device, DeviceServer, Feature, Press, connect, drivers, registry
 from ohmskin.device.instrument import SharedInstrument
 from ohmskin.device.layout import Kind
-from ohmskin.device.messages import ErrorCode, FrameData, Hello, Refusal, Scan
+from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
 from ohmskin.device.protocol import Decoder, encode
 from ohmskin.device.session import Session
 from ohmskin.device.transport import SerialTransport, open_transport
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError, ProtocolError
 from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent, measure_others
+from ohmskin.skin import Skin, VirtualSkin
 
 CAPABILITIES = Capabilities("fake skin", 16, 64, 1024, 4, Feature.VIRTUAL, full_scale=2.5, serial=7, boot=1)
 RIM = adjacent([range(16)])
@@ -43,7 +46,9 @@ class FakeSkin:
         self.scans += 1
         if pattern.n_meas == 7:
             raise RuntimeError("relay stuck")
-        return Frame(pattern, voltages(pattern), np.full(pattern.n_inj, 0.5), self.scans * 0.25, self.scans, FrameFlag.FIRST)
+        return Frame(
+            pattern, voltages(pattern), np.full(pattern.n_inj, 0.5), self.scans * 0.25, self.scans, FrameFlag.FIRST
+        )
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
         if pressure:
@@ -63,11 +68,24 @@ def some_pattern(seed: int, injections: int = 6) -> DrivePattern:
     return measure_others([rng.choice(16, 2, replace=False) for _ in range(injections)], range(16))
 
 
-def eventually(true: Callable[[], bool], seconds: float = 3.0) -> bool:
+def eventually(true: Callable[[], bool], seconds: float = 30.0) -> bool:
     end = time.monotonic() + seconds
     while not true() and time.monotonic() < end:
         time.sleep(0.01)
     return true()
+
+
+def waited(told: "pytest.ExceptionInfo[DeviceLost]") -> float:
+    """How long a device was waited for (s), as the error says."""
+    found = re.search(r"did not answer in ([\d.]+) s", str(told.value))
+    assert found
+    return float(found[1])
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A driver that gives a busy machine time, so that whatever it sends again has another cause."""
+    monkeypatch.setattr("ohmskin.device.wire._GRACE", 60.0)
 
 
 @pytest.fixture
@@ -115,7 +133,7 @@ def line(server_url: str, spoil: Callable[[bytes, bool], bytes]) -> Iterator[str
         thread = threading.Thread(target=accept)
         thread.start()
         yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-        thread.join(5)
+        thread.join(30)
         assert not thread.is_alive()
 
 
@@ -132,7 +150,7 @@ def stub(behave: Callable[[socket.socket], None]) -> Iterator[str]:
         thread = threading.Thread(target=accept)
         thread.start()
         yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-        thread.join(5)
+        thread.join(30)
         assert not thread.is_alive()
 
 
@@ -148,10 +166,15 @@ def test_scans_equal_what_the_instrument_measured(url: str) -> None:
             frame = device.scan(RIM)
             np.testing.assert_array_equal(frame.voltages, voltages(RIM))
             np.testing.assert_array_equal(frame.currents, np.full(16, 0.5))
-            assert (frame.pattern, frame.time, frame.sequence, frame.flags) == (RIM, count * 0.25, count, FrameFlag.FIRST)
+            assert (frame.pattern, frame.time, frame.sequence, frame.flags) == (
+                RIM,
+                count * 0.25,
+                count,
+                FrameFlag.FIRST,
+            )
 
 
-def test_a_new_pattern_every_frame_takes_one_round_trip(url: str, skin: FakeSkin) -> None:
+def test_a_new_pattern_every_frame_takes_one_round_trip(url: str, skin: FakeSkin, patient: None) -> None:
     patterns = [some_pattern(seed) for seed in range(30)]  # more than the device has slots
     with connect(url) as device:
         assert isinstance(device, WireDevice)
@@ -163,7 +186,7 @@ def test_a_new_pattern_every_frame_takes_one_round_trip(url: str, skin: FakeSkin
     assert link.requests == 1 + 60 + (60 - 4)  # greeting, scans, uploads; the last four patterns were still there
 
 
-def test_known_patterns_are_uploaded_once(server: DeviceServer) -> None:
+def test_known_patterns_are_uploaded_once(server: DeviceServer, patient: None) -> None:
     patterns = [some_pattern(seed) for seed in range(4)]
     with connect(server.url) as device:
         for pattern in patterns * 10:
@@ -173,6 +196,18 @@ def test_known_patterns_are_uploaded_once(server: DeviceServer) -> None:
         for pattern in patterns[1:]:
             device.scan(pattern)
         assert device.link.requests == 1 + 44 + 5
+
+
+def test_the_slot_of_the_pattern_not_used_for_longest_is_given_away(server: DeviceServer) -> None:
+    first, second, *rest = (some_pattern(seed) for seed in range(4))
+    with connect(server.url) as device:
+        for pattern in (first, second, *rest, first, RIM):  # the rim takes the slot of the second
+            device.scan(pattern)
+        before = device.link.requests
+        device.scan(first)
+        assert device.link.requests == before + 1
+        device.scan(second)
+        assert device.link.requests == before + 3
 
 
 def test_a_bad_line_costs_retries_but_never_gives_wrong_data(server: DeviceServer) -> None:
@@ -205,7 +240,7 @@ def test_lost_bytes_and_whole_lost_replies_are_made_good(server: DeviceServer) -
         assert device.link.retries > 0
 
 
-def test_duplicates_are_dropped(server: DeviceServer) -> None:
+def test_duplicates_are_dropped(server: DeviceServer, patient: None) -> None:
     with line(server.url, lambda data, _: data * 2) as url, connect(url) as device:
         for seed in range(10):
             pattern = some_pattern(seed)
@@ -217,8 +252,9 @@ def test_duplicates_are_dropped(server: DeviceServer) -> None:
 def test_a_late_reply_is_not_taken_for_the_next_one() -> None:
     skin = FakeSkin(delay=0.3)
     with DeviceServer(skin, port=0) as server, connect(server.url) as device:
-        with pytest.raises(DeviceLost, match=r"did not answer in 0\.1"):
+        with pytest.raises(DeviceLost, match="did not answer in") as told:
             device.scan(RIM, timeout=0.1)
+        assert waited(told) >= 0.1
         skin.delay = 0.0
         other = some_pattern(1)
         np.testing.assert_array_equal(device.scan(other).voltages, voltages(other))
@@ -242,10 +278,13 @@ def test_a_silent_device_is_lost_in_bounded_time(greet: bool) -> None:
                     host.sendall(encode(CAPABILITIES, packet.sequence))
 
     start = time.monotonic()
-    told = pytest.raises(DeviceLost, match=r"did not answer in 0\.5. s and \d attempts; (nothing|it answered)")
-    with stub(behave) as url, told, connect(url, timeout=0.5) as device:
+    with (
+        stub(behave) as url,
+        pytest.raises(DeviceLost, match=r"s and \d attempts; (nothing|it answered)") as told,
+        connect(url, timeout=0.5) as device,
+    ):
         device.scan(RIM, timeout=0.5)
-    assert time.monotonic() - start < 1.5
+    assert 0.5 <= waited(told) <= time.monotonic() - start
 
 
 def test_something_else_than_a_device_is_told_apart() -> None:
@@ -265,8 +304,8 @@ def test_a_device_that_hangs_up_is_lost_at_once() -> None:
         server.close()
         start = time.monotonic()
         with pytest.raises(DeviceLost, match="connect again"):
-            device.scan(RIM)
-        assert time.monotonic() - start < 0.5
+            device.scan(RIM, timeout=60)
+        assert time.monotonic() - start < 30  # it does not wait for its time to be over
     with pytest.raises(DeviceLost, match="is `ohmskin serve-skin` running there"):
         connect(server.url)
     port = int(server.url.rpartition(":")[2])
@@ -343,7 +382,9 @@ def test_another_device_at_the_same_address_is_noticed() -> None:
             device.scan(RIM)
 
 
-@pytest.mark.parametrize(("version", "advice"), [(2, "update ohmskin on this host"), (0, "update the device's firmware")])
+@pytest.mark.parametrize(
+    ("version", "advice"), [(2, "update ohmskin on this host"), (0, "update the device's firmware")]
+)
 def test_another_protocol_version_is_told(version: int, advice: str) -> None:
     import zlib
 
@@ -370,6 +411,28 @@ def test_a_frame_of_another_pattern_is_refused() -> None:
                 host.sendall(encode(reply, packet.sequence))
 
     with stub(behave) as url, connect(url) as device, pytest.raises(ProtocolError, match="drove a pattern with digest"):
+        device.scan(RIM)
+
+
+def test_a_pattern_with_another_digest_in_the_device_is_refused() -> None:
+    def behave(host: socket.socket) -> None:
+        decoder = Decoder()
+        while data := host.recv(65536):
+            for packet in decoder.feed(data):
+                match packet.message:
+                    case Hello():
+                        reply: Message = CAPABILITIES
+                    case SetPattern(_, pattern):
+                        reply = Ack(pattern.digest ^ 1)
+                    case _:
+                        reply = FrameData.of(FakeSkin().scan(RIM))
+                host.sendall(encode(reply, packet.sequence))
+
+    with (
+        stub(behave) as url,
+        connect(url) as device,
+        pytest.raises(ProtocolError, match="gives the pattern the digest"),
+    ):
         device.scan(RIM)
 
 
@@ -400,7 +463,9 @@ def test_patterns_beyond_the_device_are_refused_with_advice(server: DeviceServer
         big = DrivePattern(np.tile([[0, 1]], (65, 1)), np.array([[0, 2, 3]]))
         with pytest.raises(PatternError, match=r"takes 64 and 1024 at a time; scan the pieces of pattern.split\(64\)"):
             device.scan(big)
-        wide = DrivePattern(np.tile([[0, 1]], (4, 1)), np.column_stack([np.repeat(np.arange(4), 300), np.tile([2, 3], (1200, 1))]))
+        wide = DrivePattern(
+            np.tile([[0, 1]], (4, 1)), np.column_stack([np.repeat(np.arange(4), 300), np.tile([2, 3], (1200, 1))])
+        )
         with pytest.raises(PatternError, match=r"pattern.split\(3\)"):
             device.scan(wide)
         for piece in wide.split(3):
@@ -432,7 +497,12 @@ def test_two_hosts_do_not_clash(server: DeviceServer, skin: FakeSkin) -> None:
 
 
 def test_presses_pass_between_the_scans_of_another_host() -> None:
-    with DeviceServer(FakeSkin(delay=0.003), port=0) as server, connect(server.url) as scanner, connect(server.url) as presser:
+    skin = FakeSkin(delay=0.003)
+    with (
+        DeviceServer(skin, port=0) as server,
+        connect(server.url) as scanner,
+        connect(server.url) as presser,
+    ):
         stop = threading.Event()
 
         def scan() -> None:
@@ -441,14 +511,41 @@ def test_presses_pass_between_the_scans_of_another_host() -> None:
 
         thread = threading.Thread(target=scan)
         thread.start()
-        times = []
+        waited_for = []
         for _ in range(30):
-            start = time.monotonic()
+            before = skin.scans
             presser.press(0, (0.1, 0.1), 0.01, 1e4)
-            times.append(time.monotonic() - start)
+            waited_for.append(skin.scans - before)
         stop.set()
         thread.join()
-    assert np.median(times) < 0.02
+    assert np.median(waited_for) <= 3
+
+
+def test_a_press_waits_for_the_scan_of_another_thread() -> None:
+    scanning, go_on, order = threading.Event(), threading.Event(), []
+
+    class Slow(DirectDevice):
+        def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
+            scanning.set()
+            assert go_on.wait(30)
+            order.append("scan")
+            return FakeSkin().scan(pattern)
+
+        def _press(self, press: Press) -> None:
+            order.append("press")
+
+    device = Slow(VirtualSkin(Skin.load("paper")))
+    scan = threading.Thread(target=device.scan, args=(SMALL, 60))
+    press = threading.Thread(target=device.press, args=(1, (0.1, 0.1), 0.01, 1e4))
+    scan.start()
+    assert scanning.wait(30)
+    press.start()
+    press.join(0.2)
+    assert press.is_alive()  # it waits
+    go_on.set()
+    scan.join(30)
+    press.join(30)
+    assert order == ["scan", "press"]
 
 
 def test_one_device_serves_several_threads(server: DeviceServer) -> None:
@@ -489,7 +586,11 @@ def test_impossible_presses_are_refused(
 
 def test_a_real_skin_cannot_be_pressed() -> None:
     real = FakeSkin(replace(CAPABILITIES, features=Feature.CURRENT_MEASURED))
-    with DeviceServer(real, port=0) as server, connect(server.url) as device, pytest.raises(DeviceRefused, match="not virtual"):
+    with (
+        DeviceServer(real, port=0) as server,
+        connect(server.url) as device,
+        pytest.raises(DeviceRefused, match="not virtual"),
+    ):
         device.press(0, (0.1, 0.1), 0.01, 1.0)
 
 
@@ -600,7 +701,7 @@ def test_serve_forever_ends_when_closed(skin: FakeSkin) -> None:
     with connect(server.url) as device:
         device.scan(RIM)
     server.close()
-    thread.join(3)
+    thread.join(60)
     assert not thread.is_alive()
 
 

@@ -1,6 +1,7 @@
 """The adaptive loop on the physics twin, without a wire."""
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +9,13 @@ import pytest
 from direct import DirectDevice
 from numpy.testing import assert_allclose
 
-from ohmskin.drive import part_of
+from ohmskin.contacts import find_regions
+from ohmskin.drive import TwoScans, part_of
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.errors import DataError, DeviceError, DeviceLost, DeviceRefused, PatternError
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.scan import DrivePattern, Frame, adjacent
 from ohmskin.skin import Skin, VirtualSkin
-from ohmskin.touch import find_regions
 
 PLACES = [
     (0.05, 0.12),
@@ -106,21 +107,22 @@ def test_a_harder_press_is_stronger_and_a_lifted_one_is_gone(engine: Engine) -> 
 def test_the_adaptive_cycle_drives_what_eq_7_chose_for_its_regions(engine: Engine) -> None:
     engine.press(1, (0.06, 0.14), 8e-3, 20e3)
     touch = run(engine, 5)
-    base, optimal = touch.sight.frames
-    assert touch.mode.optimal is not None
-    assert engine.perception is not None
-    image, imaging = touch.sight.base.values, engine.skin.imaging
-    threshold = max(engine.perception.thresholds[touch.mode.name].base, imaging.fraction * image.max())
-    regions = find_regions(image, engine.perception.model.mesh, threshold, imaging.dip)
-    assert base.pattern == touch.mode.base
-    assert optimal.pattern == touch.mode.optimal.pattern([region.anchors for region in regions])
+    base, optimal = touch.percept.frames
+    drive = engine.drive(touch.mode)
+    assert isinstance(drive, TwoScans)
+    assert engine.sensor is not None
+    image, imaging = touch.percept.base_image.values, engine.skin.imaging
+    threshold = max(engine.sensor.thresholds.base, imaging.fraction * image.max())
+    regions = find_regions(image, engine.sensor.cells, threshold, imaging.dip)
+    assert base.pattern == drive.base
+    assert optimal.pattern == drive.second.pattern([region.anchors for region in regions])
 
 
 def take_part(engine: Engine, frame: Frame) -> Frame:
     """The frame with its injections in another order, which is another pattern."""
     per_pair = frame.pattern.n_meas // frame.pattern.n_inj
     turned = np.arange(frame.pattern.n_meas).reshape(-1, per_pair)[::-1].ravel()
-    pattern = engine.mode.complete
+    pattern = engine.drive(engine.mode).patterns[-1]
     pairs = [pattern.injections.tolist().index(pair) for pair in frame.pattern.injections[::-1].tolist()]
     return Frame(part_of(pattern, np.array(pairs)), frame.voltages[turned], frame.currents[::-1], frame.time)
 
@@ -130,40 +132,43 @@ def test_a_mode_that_is_not_there_leaves_no_device_open(skin: Skin) -> None:
     with pytest.raises(PatternError, match="choose from"):
         Engine(lambda: device, skin, "99X")
     with pytest.raises(DeviceError, match="closed"):
-        device.scan(skin.modes["12B"].base)
+        device.scan(adjacent([skin.electrodes.rings[0]]))
 
 
 def test_adaptive_modes_see_through_the_compiled_cycle_what_the_plain_way_sees(engine: Engine) -> None:
     engine.press(1, (0.06, 0.14), 8e-3, 20e3)
-    sight, perception, mode = run(engine, 5).sight, engine.perception, engine.mode
-    assert perception is not None
-    assert "16O" in perception._cycles
-    frames = iter(sight.frames)
-    plain = perception._see_plainly(mode, lambda _: next(frames))
-    again = iter(sight.frames)
-    quick = perception.see(mode, lambda _: next(again))
-    assert_allclose(quick.image.values, sight.image.values, rtol=0, atol=0)
-    # the compiled one takes the noise for that of the usual currents, which a press changes by some per cent
-    assert_allclose(quick.image.values, plain.image.values, rtol=0, atol=0.03 * plain.image.values.max())
-    ((one,), (other,)) = quick.contacts, plain.contacts
-    assert np.hypot(*np.subtract(one.position, other.position)) < 5e-4
+    percept, sensor = run(engine, 5).percept, engine.sensor
+    assert sensor is not None
+    assert sensor.implementation is not None
+    plain = copy(sensor)
+    plain.implementation = None
+    seen = []
+    for one in (sensor, plain):
+        frames = iter(percept.frames)
+        seen.append(one.step(one.start(), lambda _: next(frames))[1])  # noqa: B023  used at once
+    quick, slow = seen
+    assert_allclose(quick.image.values, percept.image.values, rtol=0, atol=0)
+    assert_allclose(quick.image.values, slow.image.values, rtol=0, atol=1e-4 * slow.image.values.max())
+    assert_allclose(quick.base_image.values, slow.base_image.values, rtol=0, atol=1e-4 * slow.base_image.values.max())
+    ((one,), (other,)) = quick.detections, slow.detections
+    assert np.hypot(*np.subtract(one.position, other.position)) < 1e-5
 
 
 def test_a_gap_in_the_second_scan_does_not_ask_for_a_third(engine: Engine) -> None:
     engine.press(1, (0.06, 0.14), 8e-3, 20e3)
-    (base, second), perception = run(engine, 5).sight.frames, engine.perception
-    assert perception is not None
+    (base, second), sensor = run(engine, 5).percept.frames, engine.sensor
+    assert sensor is not None
     gap = replace(second, voltages=np.where(np.arange(len(second.voltages)) == 3, np.nan, second.voltages))
     other = take_part(engine, second)  # what eq. (7) would not have chosen
     for last in (gap, other):
         frames = iter((base, last))
-        sight = perception.see(engine.mode, lambda _: next(frames))  # noqa: B023  used at once
-        assert sight.frames == (base, last)
-        assert len(sight.contacts) == 1
+        _, percept = sensor.step(sensor.start(), lambda _: next(frames))  # noqa: B023  used at once
+        assert percept.frames == (base, last)
+        assert len(percept.detections) == 1
 
 
 def test_a_calibration_that_fails_leaves_the_one_before(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    before, scan = engine.perception, DirectDevice._scan
+    before, scan = engine.known, DirectDevice._scan
 
     def blind(self: DirectDevice, pattern: DrivePattern, timeout: float) -> Frame:
         frame = scan(self, pattern, timeout)
@@ -173,7 +178,7 @@ def test_a_calibration_that_fails_leaves_the_one_before(engine: Engine, monkeypa
         patch.setattr(DirectDevice, "_scan", blind)
         with pytest.raises(DataError):
             engine.calibrate()
-    assert (engine.state, engine.perception) == (State.RUNNING, before)
+    assert (engine.state, engine.known) == (State.RUNNING, before)
     run(engine, 1)
 
 
@@ -192,7 +197,7 @@ def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:
 
 
 def test_an_unknown_mode_lists_the_choices(engine: Engine) -> None:
-    with pytest.raises(PatternError, match="12B, 16I, 16P, 16T, 16O"):
+    with pytest.raises(PatternError, match="12B, 16I, 16O, 16P, 16T"):
         engine.set_mode("17X")
 
 
@@ -254,22 +259,22 @@ def test_another_device_in_its_place_is_calibrated(skin: Skin, monkeypatch: pyte
     pending = iter(devices)
     with Engine(lambda: next(pending), skin, report=told.append) as engine:
         engine.calibrate()
-        before = engine.perception
+        before = engine.known
         devices[0].gone = True
         engine.step()
         engine.step()
         assert engine.state is State.RUNNING
-        assert engine.perception is not before
+        assert engine.known is not before
     assert any("another device" in line for line in told)
 
 
 def test_a_device_lost_while_calibrating_keeps_what_was_known(calibrated: Engine) -> None:
-    before = calibrated.perception
+    before = calibrated.known
     calibrated.device.gone = True  # type: ignore[attr-defined]
     with pytest.raises(DeviceLost):
         calibrated.calibrate()
     calibrated.device.gone = False  # type: ignore[attr-defined]
-    assert calibrated.perception is before
+    assert calibrated.known is before
     assert calibrated.state is State.LOST
 
 

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from ohmskin.contacts import ContactFitter
+from ohmskin.contacts.likelihood import Data
 from ohmskin.errors import DataError, ModelError
-from ohmskin.forward import TransferModel
+from ohmskin.forward import ContactTable, TransferModel
+from ohmskin.forward.response import effective_change
 from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
+from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.inverse import (
     PRIORS,
     AbsoluteGaussNewton,
-    DiscFit,
     GaussNewton,
     Greit,
     Image,
@@ -23,8 +26,6 @@ from ohmskin.inverse import (
     noise_figure,
 )
 from ohmskin.inverse.choice import small_target
-from ohmskin.inverse.discs import DiscResponse, Discs, effective_change
-from ohmskin.inverse.modes import System, pair_system
 from ohmskin.inverse.priors import graph_laplacian, penalty_of
 from ohmskin.inverse.variation import Variation
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, measure_others, opposite
@@ -47,13 +48,19 @@ def fine() -> TransferModel:
     return model(0.0045)
 
 
+def drawn(mesh: Mesh, *contacts: tuple[float, float, float, float]) -> np.ndarray:
+    """Relative conductivity change (n_elem,) of discs (x, y, radius, strength)."""
+    covers = [c[3] * disc_overlap(mesh, [c[:2]], c[2]).toarray()[0] for c in contacts]
+    return np.sum(covers, axis=0) / mesh.measures
+
+
 @cache
 def voltages(*contacts: tuple[float, float, float, float], pattern: DrivePattern = PATTERN) -> np.ndarray:
     """Voltages (V) under discs (x, y, radius, strength)."""
     if not contacts:
         return fine().voltages(pattern, CURRENT)
-    values = DiscResponse(fine()).image(*(np.array(part) for part in ([c[:2] for c in contacts], *np.array(contacts)[:, 2:].T)))
-    return TransferModel(fine().mesh, GRID, fine().conductivity * (1 + values)).voltages(pattern, CURRENT)
+    values = 1 + drawn(fine().mesh, *contacts)
+    return TransferModel(fine().mesh, GRID, fine().conductivity * values).voltages(pattern, CURRENT)
 
 
 def touch(
@@ -83,7 +90,6 @@ ESTIMATORS = {
     "total variation": lambda **k: TotalVariation(model(), NOISE, amplitude=0.5, outline=0.01, **k),
     "Kalman": lambda **k: Kalman(model(), NOISE, "matern", amplitude=0.2, **k),
     "sparse": lambda **k: SparseBayes(model(), NOISE, amplitude=0.5, **k),
-    "discs": lambda **k: DiscFit(model(), NOISE, radius=0.012, **k),
 }
 
 
@@ -108,7 +114,9 @@ def test_channels_that_are_not_finite_are_left_out_as_if_never_measured(name: st
     full = touch((*AT, 0.012, 0.5))
     lost = np.arange(PATTERN.n_meas) % 7 == 3
     holed = Difference(PATTERN, full.currents, np.where(lost, np.nan, full.volts))
-    kept = Difference(DrivePattern(PATTERN.injections, PATTERN.measurements[~lost]), full.currents[~lost], full.volts[~lost])
+    kept = Difference(
+        DrivePattern(PATTERN.injections, PATTERN.measurements[~lost]), full.currents[~lost], full.volts[~lost]
+    )
     expected = made(name).reconstruct(kept).values
     np.testing.assert_allclose(made(name).reconstruct(holed).values, expected, atol=1e-6 * np.abs(expected).max())
 
@@ -118,9 +126,13 @@ def test_two_scans_fused_are_one_long_scan(name: str) -> None:
     whole = touch((*AT, 0.012, 0.5))
     cut = np.searchsorted(PATTERN.measurements[:, 0], 7)
     parts = [
-        Difference(DrivePattern(PATTERN.injections[:7], PATTERN.measurements[:cut]), whole.currents[:cut], whole.volts[:cut]),
         Difference(
-            DrivePattern(PATTERN.injections[7:], PATTERN.measurements[cut:] - [7, 0, 0]), whole.currents[cut:], whole.volts[cut:]
+            DrivePattern(PATTERN.injections[:7], PATTERN.measurements[:cut]), whole.currents[:cut], whole.volts[:cut]
+        ),
+        Difference(
+            DrivePattern(PATTERN.injections[7:], PATTERN.measurements[cut:] - [7, 0, 0]),
+            whole.currents[cut:],
+            whole.volts[cut:],
         ),
     ]
     expected = made(name).reconstruct(whole).values
@@ -143,10 +155,11 @@ def test_estimators_work_on_a_disc_with_rim_electrodes(name: str) -> None:
     pattern = opposite(range(12))
     rise = np.linalg.norm(round_model.mesh.centroids - (0.03, -0.04), axis=1) < 0.015
     touched = TransferModel(round_model.mesh, electrodes, 1.0 + 0.5 * rise)
-    difference = Difference(pattern, np.full(pattern.n_meas, 1.0), touched.voltages(pattern) - round_model.voltages(pattern))
+    difference = Difference(
+        pattern, np.full(pattern.n_meas, 1.0), touched.voltages(pattern) - round_model.voltages(pattern)
+    )
     kind = type(made(name))
-    estimator = kind(round_model, 1e-4) if kind is not DiscFit else DiscFit(round_model, 1e-4, model_error=0.05)
-    found = place(estimator.reconstruct(difference), round_model.mesh)
+    found = place(kind(round_model, 1e-4).reconstruct(difference), round_model.mesh)
     # opposite drive measured on the rim cannot tell a place from its mirror image through the centre
     assert min(np.linalg.norm(found - (0.03, -0.04)), np.linalg.norm(found)) < 0.02
 
@@ -191,24 +204,12 @@ def test_estimators_work_on_curved_and_thick_skins(name: str, skin) -> None:
     if name == "iterated":
         image = AbsoluteGaussNewton(skin(), noise, "matern", amplitude=0.3).reconstruct(frame(volts))
     else:
-        settings = {"radius": 0.02, "model_error": 0.05} if name == "discs" else {}
-        settings |= {"positive": True} if name.startswith("positive") else {}
+        settings = {"positive": True} if name.startswith("positive") else {}
         prior = {"prior": "matern"} if name in ("Gauss-Newton", "positive Gauss-Newton", "Kalman") else {}
         estimator = type(made(name))(skin(), noise, **settings, **prior)
         image = estimator.reconstruct(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), volts - quiet))
     assert np.linalg.norm(place(image, skin().mesh) - at) < 0.02
     assert image.noise_std([element])[0] >= 0
-
-
-def test_a_disc_on_a_curved_surface_moves_along_it() -> None:
-    fit = DiscFit(bent(), 1e-4, radius=0.02)
-    at = bent().mesh.centroids[bent().mesh.closest_elements([[0.054, 0.125, 0.058]], 1)[0]].ravel()
-    change, _ = fit._response(at, 0.018, 0.5)
-    contact = fit.fit(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), CURRENT * PATTERN.combination(16) @ change)).contacts[0]
-    assert np.linalg.norm(contact.position - at) < 0.002
-    across = at * [1, 0, 1] / np.linalg.norm(at[[0, 2]])
-    variance = contact.covariance[:3, :3]
-    assert across @ variance @ across < 0.05 * np.trace(variance)  # it cannot leave the surface
 
 
 # positivity
@@ -227,11 +228,16 @@ def test_the_positive_image_is_the_non_negative_least_squares_of_the_stacked_sys
     np.testing.assert_allclose(image, expected, atol=1e-5 * expected.max())
 
 
-@pytest.mark.parametrize("name", ["positive Gauss-Newton", "sparse", "discs"])
+@pytest.mark.parametrize("name", ["positive Gauss-Newton", "sparse"])
 def test_what_only_raises_conductivity_never_lowers_it(name: str) -> None:
     assert made(name).reconstruct(touch((*AT, 0.012, -0.5))).values.min() >= 0
     assert made(name).reconstruct(touch((*AT, 0.012, 0.5))).values.min() >= 0
-    assert TotalVariation(model(), NOISE, 0.5, outline=0.01, positive=True).reconstruct(touch((*AT, 0.012, 0.5))).values.min() >= 0
+    assert (
+        TotalVariation(model(), NOISE, 0.5, outline=0.01, positive=True)
+        .reconstruct(touch((*AT, 0.012, 0.5)))
+        .values.min()
+        >= 0
+    )
 
 
 # total variation
@@ -288,7 +294,8 @@ def test_lagged_diffusivity_ends_where_the_cost_is_least() -> None:
 
 
 def test_the_quadratic_penalty_touches_the_variation() -> None:
-    """Same gradient at the field, never below it elsewhere: what makes every round of lagged diffusivity lower the cost."""
+    """Same gradient at the field, never below it elsewhere: what makes every round of lagged diffusivity lower the
+    cost."""
     rng = np.random.default_rng(0)
     variation = Variation(model().mesh, 0.5, 0.01)
     w, other = (rng.normal(size=model().mesh.n_nodes) for _ in range(2))
@@ -312,13 +319,18 @@ def test_total_variation_without_an_outline_fits_as_well_as_the_noise_allows() -
 
 def scans(count: int) -> list[Difference]:
     """A touch that moves, under patterns that change."""
-    patterns = [adjacent([GRID.rings[0]]), opposite(range(12)), measure_others([[12, 14], [13, 15], [0, 12]], range(16))]
+    patterns = [
+        adjacent([GRID.rings[0]]),
+        opposite(range(12)),
+        measure_others([[12, 14], [13, 15], [0, 12]], range(16)),
+    ]
     return [touch((0.05 + 0.004 * k, 0.13, 0.012, 0.5), seed=k, pattern=patterns[k % 3]) for k in range(count)]
 
 
 @pytest.mark.parametrize(("time_constant", "walk"), [(0.5, 0.0), (np.inf, 0.3), (1.0, 0.2), (np.inf, 0.0)])
 def test_the_filter_in_modes_is_the_filter_on_the_full_image(time_constant: float, walk: float) -> None:
-    """Mean, standard deviation and what noise alone moves, over six scans of three patterns, against n_elem x n_elem matrices."""
+    """Mean, standard deviation and what noise alone moves, over six scans of three patterns, against n_elem x n_elem
+    matrices."""
     amplitude, period, mesh = 0.2, 0.1, model(0.02).mesh
     estimator = Kalman(model(0.02), NOISE, "paper", amplitude, time_constant, walk, period)
     gamma = np.linalg.inv(penalty_of(model(0.02), "paper").normalised.toarray())
@@ -360,7 +372,10 @@ def test_unseen_for_long_the_belief_returns_to_the_prior() -> None:
 def test_four_injections_a_scan_followed_beat_sixteen_looked_at_alone() -> None:
     """A touch that walks 2 mm a scan: the filter remembers what the scan did not ask."""
     injections = np.array([(k, (k + 5) % 12) for k in range(12)] + [(12, 14), (13, 15), (12, 13), (14, 15)])
-    whole, quarters = measure_others(injections, range(16)), [measure_others(injections[k::4], range(16)) for k in range(4)]
+    whole, quarters = (
+        measure_others(injections, range(16)),
+        [measure_others(injections[k::4], range(16)) for k in range(4)],
+    )
     estimator = Kalman(model(), NOISE, "matern", 0.2, time_constant=15.0, period=1.0)
     belief, errors = estimator.start(), []
     for k in range(16):
@@ -382,7 +397,10 @@ def test_greit_attains_its_noise_figure_under_real_noise(goal: float) -> None:
     greit = Greit(model(), NOISE, noise_figure=goal)
     signal = jacobian() @ small_target(model().mesh)
     currents, areas, rng = np.full(PATTERN.n_meas, CURRENT), model().mesh.measures, np.random.default_rng(0)
-    noisy = [greit.reconstruct(Difference(PATTERN, currents, NOISE * rng.normal(size=len(signal)))).values for _ in range(400)]
+    noisy = [
+        greit.reconstruct(Difference(PATTERN, currents, NOISE * rng.normal(size=len(signal)))).values
+        for _ in range(400)
+    ]
     image = greit.reconstruct(Difference(PATTERN, currents, signal)).values
     figure = (np.mean(np.abs(signal)) / NOISE) / ((areas @ np.abs(image)) / (areas @ np.std(noisy, axis=0)))
     assert figure == pytest.approx(goal, rel=0.03)
@@ -399,13 +417,11 @@ def test_greit_is_the_trained_matrix() -> None:
 
 
 def test_greit_shows_equal_touches_more_alike_than_any_quadratic_prior() -> None:
-    """At equal noise figure, over 81 places: less spread of the peak, and less ringing beside it, than Gauss-Newton images."""
-    areas, currents, response = model().mesh.measures, np.full(PATTERN.n_meas, CURRENT), DiscResponse(model())
+    """At equal noise figure, over 81 places: less spread of the peak, and less ringing beside it, than Gauss-Newton
+    images."""
+    areas, currents = model().mesh.measures, np.full(PATTERN.n_meas, CURRENT)
     line = np.linspace(0.03, 0.17, 9)
-    targets = [
-        response.image(np.array([at]), np.array([0.01]), np.array([1.0]))
-        for at in np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-    ]
+    targets = disc_overlap(model().mesh, np.stack(np.meshgrid(line, line), -1).reshape(-1, 2), 0.01).toarray() / areas
 
     def figures(estimator: GaussNewton | Greit) -> tuple[float, float]:
         peaks, ringing = [], []
@@ -457,7 +473,8 @@ def test_log_conductivity_keeps_an_insulator_positive() -> None:
 
 
 def test_steps_that_would_raise_the_cost_are_shortened() -> None:
-    """Without smoothness, full steps towards an insulator overshoot: here some are halved, and the cost falls in every round."""
+    """Without smoothness, full steps towards an insulator overshoot: here some are halved, and the cost falls in every
+    round."""
     inside = np.linalg.norm(model().mesh.centroids - AT, axis=1) < 0.025
     volts = model().with_conductivity(model().conductivity * np.where(inside, 0.02, 1.0)).voltages(PATTERN, CURRENT)
     iterations = AbsoluteGaussNewton(model(), 1e-3, "tikhonov", 1.0, rounds=30).iterate(frame(volts))
@@ -483,12 +500,14 @@ def test_the_absolute_image_is_where_the_cost_is_least(settings: dict) -> None:
 
 
 def test_a_baseline_takes_off_what_the_model_gets_wrong() -> None:
-    """A sheet that conducts 5 % better than the model, and another mesh: without the untouched frame all of that is imaged."""
+    """A sheet that conducts 5 % better than the model, and another mesh: without the untouched frame all of that is
+    imaged."""
     quiet, touched = voltages() / 1.05, voltages((*AT, 0.012, 0.5)) / 1.05
     baseline = Baseline.learn([frame(quiet)] * 2)
     far = np.linalg.norm(model().mesh.centroids - AT, axis=1) > 0.05
     with_it, without = (
-        AbsoluteGaussNewton(model(), 3e-4, "matern", 0.3, baseline=b).reconstruct(frame(touched)) for b in (baseline, None)
+        AbsoluteGaussNewton(model(), 3e-4, "matern", 0.3, baseline=b).reconstruct(frame(touched))
+        for b in (baseline, None)
     )
     assert np.linalg.norm(place(with_it, model().mesh) - AT) < 0.006
     assert abs(with_it.values[far].mean()) < 0.005
@@ -515,23 +534,61 @@ def test_sparse_images_are_of_few_compact_contacts() -> None:
 
 
 def test_what_is_only_raised_is_learned_as_such() -> None:
-    """One contact lowers conductivity, against the assumption: blobs that only rise leave less of the data than a signed image
-    does that is cut off at zero (1.8 and 2.2 times the noise).
+    """One contact lowers conductivity, against the assumption: blobs that only rise leave less of the data than a
+    signed image does that is cut off at zero (1.8 and 2.2 times the noise).
     """
     difference = touch((0.06, 0.13, 0.012, 0.5), (0.14, 0.07, 0.012, -0.3))
     left = difference.volts - jacobian() @ made("sparse").reconstruct(difference).values
     assert np.sqrt(np.mean(left**2)) < 2.0 * NOISE
 
 
-@pytest.mark.parametrize("name", ["sparse", "discs"])
-def test_noise_alone_is_no_contact(name: str) -> None:
-    empty = [made(name).reconstruct(touch(seed=seed)).values.max() for seed in range(20)]
+def test_noise_alone_is_no_contact() -> None:
+    empty = [made("sparse").reconstruct(touch(seed=seed)).values.max() for seed in range(20)]
     assert np.median(empty) < 0.15
-    if name == "discs":
-        assert np.mean(np.array(empty) == 0) >= 0.8
 
 
-# discs
+# contacts fitted to the data
+
+
+@cache
+def table(radius: float = 0.011) -> ContactTable:
+    return ContactTable(model(0.0065), radius, 0.004)
+
+
+def fitter(noise: float = 2e-4, radius: float = 0.011, model_error: float = 0.02, **settings: float) -> ContactFitter:
+    return ContactFitter(table(radius), noise, model_error, **settings)
+
+
+def test_lost_channels_are_left_out_of_a_fit_and_two_scans_are_one_long_scan() -> None:
+    whole = touch((*AT, 0.012, 0.5))
+    lost = np.arange(PATTERN.n_meas) % 7 == 3
+    holed = Difference(PATTERN, whole.currents, np.where(lost, np.nan, whole.volts))
+    left = DrivePattern(PATTERN.injections, PATTERN.measurements[~lost])
+    kept = Difference(left, whole.currents[~lost], whole.volts[~lost])
+    cut = int(np.searchsorted(PATTERN.measurements[:, 0], 7))
+    parts = [
+        Difference(
+            DrivePattern(PATTERN.injections[:7], PATTERN.measurements[:cut]), whole.currents[:cut], whole.volts[:cut]
+        ),
+        Difference(
+            DrivePattern(PATTERN.injections[7:], PATTERN.measurements[cut:] - [7, 0, 0]),
+            whole.currents[cut:],
+            whole.volts[cut:],
+        ),
+    ]
+    for found, expected in (([holed], [kept]), (parts, [whole])):
+        a, b = fitter().fit(*found), fitter().fit(*expected)
+        assert len(a.params) == 1
+        np.testing.assert_allclose(a.params, b.params, rtol=1e-6)
+        np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-4, atol=1e-6 * b.covariance.max())
+    with pytest.raises(DataError, match="no finite measurement"):
+        fitter().fit(Difference(PATTERN, whole.currents, np.full(PATTERN.n_meas, np.nan)))
+    with pytest.raises(DataError, match="give at least one"):
+        fitter().fit()
+
+
+def test_quiet_data_are_explained_by_no_contact() -> None:
+    assert not any(len(fitter(NOISE).fit(touch(seed=seed)).params) for seed in range(40))
 
 
 @pytest.mark.parametrize(
@@ -539,86 +596,53 @@ def test_noise_alone_is_no_contact(name: str) -> None:
 )
 def test_the_effective_change_is_that_of_a_disc_in_a_uniform_field(ratio: float, dim: int, expected: float) -> None:
     assert effective_change(np.log(ratio), dim)[0] == pytest.approx(expected, abs=1e-6)
+    slope = (effective_change(np.log(ratio) + 1e-6, dim)[0] - effective_change(np.log(ratio) - 1e-6, dim)[0]) / 2e-6
+    assert effective_change(np.log(ratio), dim)[1] == pytest.approx(slope, rel=1e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize("strength", [4.0, 0.5, -0.8])
 def test_the_effective_change_holds_for_strong_contacts(strength: float) -> None:
     """Against the factorised model. To first order in the change the response errs by a quarter to threefold."""
     sheet = model(0.003)
-    response, disc = DiscResponse(sheet), (np.array([[0.09, 0.11]]), np.array([0.02]), np.array([strength]))
-    change, _ = response(disc[0][0], 0.02, np.log1p(strength))
-    predicted = CURRENT * PATTERN.combination(16) @ change
-    touched = TransferModel(sheet.mesh, GRID, sheet.conductivity * (1 + response.image(*disc)))
-    exact = touched.voltages(PATTERN, CURRENT) - sheet.voltages(PATTERN, CURRENT)
+    factor = float(effective_change(np.log1p(strength))[0])
+    change = ContactTable(sheet, 0.02, 0.01)([0.09, 0.11]).values[0] * np.pi * 0.02**2
+    predicted = CURRENT * PATTERN.combination(16) @ change * factor
+    raised = 1 + drawn(sheet.mesh, (0.09, 0.11, 0.02, strength))
+    exact = sheet.with_conductivity(sheet.conductivity * raised).voltages(PATTERN, CURRENT)
+    exact -= sheet.voltages(PATTERN, CURRENT)
     assert np.linalg.norm(predicted - exact) < 0.04 * np.linalg.norm(exact)
-    linear = predicted * strength / effective_change(np.log1p(strength))[0]
-    assert np.linalg.norm(linear - exact) > 0.2 * np.linalg.norm(exact)
+    assert np.linalg.norm(predicted * strength / factor - exact) > 0.2 * np.linalg.norm(exact)
 
 
-def test_the_slopes_of_a_response_are_its_differences() -> None:
-    response = DiscResponse(model())
-    point = np.array([0.071, 0.123, np.log(0.013), 0.3])
-    _, slopes = response(point[:2], np.exp(point[2]), point[3])
-    for k, step in enumerate([1e-7, 1e-7, 1e-5, 1e-5]):
-        ends = [response(q[:2], np.exp(q[2]), q[3])[0] for q in (point + step * np.eye(4)[k], point - step * np.eye(4)[k])]
-        np.testing.assert_allclose(slopes[:, k], (ends[0] - ends[1]) / (2 * step), atol=1e-4 * np.abs(slopes[:, k]).max())
-
-
-def test_the_cover_of_a_disc_is_its_area() -> None:
-    discs = Discs.on(model().mesh)
-    for at, radius in (((0.1, 0.1), 0.03), ((0.07, 0.05), 0.015)):
-        assert discs.cover(np.array(at), radius)[1][0].sum() == pytest.approx(np.pi * radius**2, rel=0.02)
-    assert discs.cover(np.array([0.0, 0.1]), 0.03)[1][0].sum() == pytest.approx(np.pi * 0.03**2 / 2, rel=0.02)
-
-
-def test_the_stated_covariance_of_a_disc_is_that_of_its_scatter() -> None:
-    """Discs drawn from the fit's own prior of radius and ratio, data of its own response, sixty seeds.
-
-    A small disc acts by its effective change times its area, m; radius and strength trade off along a curve. So the squared
-    error over the covariance is taken in position, log radius and m, where it averages to four. Each parameter alone is within
-    its standard deviation two times in three.
-    """
-    fit = DiscFit(model(), NOISE, radius=0.015, radius_factor=1.3, ratio_factor=1.6, count=1)
-    rng, distances, within = np.random.default_rng(0), [], []
-
-    def moment(log_radius: float, log_ratio: float) -> float:
-        return float(effective_change(log_ratio)[0] * np.exp(2 * log_radius))
-
-    for _ in range(60):
-        at = rng.uniform(0.04, 0.16, 2)
-        log_radius, log_ratio = np.log(0.015) + np.log(1.3) * rng.normal(), 0.0
-        while log_ratio < 0.2:
-            log_ratio = np.log(1.6) * rng.normal()
-        change, _ = fit._response(at, np.exp(log_radius), log_ratio)
-        volts = CURRENT * PATTERN.combination(16) @ change + NOISE * rng.normal(size=PATTERN.n_meas)
-        contact = fit.fit(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), volts)).contacts[0]
-        found = np.log(contact.radius), np.log1p(contact.strength)
-        wrong = np.array([*(contact.position - at), found[0] - log_radius, moment(*found) - moment(log_radius, log_ratio)])
-        by = np.diag([1, 1, 1 / contact.radius, 0])
-        by[3, 2], by[3, 3] = (
-            2 * moment(*found) / contact.radius,
-            contact.radius**2 * effective_change(found[1])[1] / (1 + contact.strength),
-        )
-        distances.append(wrong @ np.linalg.solve(by @ contact.covariance @ by.T, wrong))
-        parameters = np.array(
-            [*(contact.position - at), contact.radius - np.exp(log_radius), contact.strength - np.expm1(log_ratio)]
-        )
-        within.append(np.abs(parameters) < contact.std)
-    assert np.mean(distances) == pytest.approx(4.0, abs=3 * np.sqrt(8 / 60))
-    np.testing.assert_allclose(np.mean(within, axis=0), 0.683, atol=3 * np.sqrt(0.683 * 0.317 / 60))
+def test_the_stated_covariance_of_a_contact_is_that_of_its_scatter() -> None:
+    """Contacts drawn from the fit's own prior of size, data of its own response, a hundred seeds: the squared error
+    over the covariance averages to the number of parameters, and each is within its standard deviation two times in
+    three."""
+    fit, rng = fitter(2e-4, model_error=0.0, most=1), np.random.default_rng(0)
+    square, distances, within = 0.011**2, [], []
+    for _ in range(100):
+        at, effect, share = rng.uniform(0.04, 0.16, 2), rng.uniform(1e-4, 3e-4), 0.0
+        while not 0.3 < share < 2.25:  # to where the table ends
+            share = 1 + 0.75 * rng.normal()
+        change = table()(at, np.sqrt(share * square)).values[0] * effect
+        volts = CURRENT * PATTERN.combination(16) @ change + 2e-4 * rng.normal(size=PATTERN.n_meas)
+        found = fit.fit(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), volts))
+        wrong = found.params[0] - [*at, effect, share * square]
+        distances.append(wrong @ np.linalg.solve(found.covariance, wrong))
+        within.append(np.abs(wrong) < np.sqrt(np.diag(found.covariance)))
+    assert np.mean(distances) == pytest.approx(4.0, abs=3 * np.sqrt(8 / 100))
+    np.testing.assert_allclose(np.mean(within, axis=0), 0.683, atol=3 * np.sqrt(0.683 * 0.317 / 100))
 
 
 def test_the_fit_beats_the_centroid() -> None:
-    """Twelve touches, data of another mesh: mean error of the disc against that of the linear image."""
-    fit, gauss = DiscFit(model(0.0065), 2e-4, radius=0.01), GaussNewton(model(0.0065), 2e-4, "matern", 0.1)
+    """Twelve touches, data of another mesh: mean error of the fit against that of the linear image."""
+    fit, gauss = fitter(radius=0.01), GaussNewton(model(0.0065), 2e-4, "matern", 0.1)
     errors = []
     for seed, at in enumerate(np.random.default_rng(3).uniform(0.03, 0.17, (12, 2))):
         difference = touch((*at, 0.01, 0.5), seed=seed, noise=2e-4)
-        found = fit.fit(difference)
-        assert len(found.contacts) == 1
-        errors.append(
-            [np.linalg.norm(p - at) for p in (found.contacts[0].position, place(gauss.reconstruct(difference), model(0.0065).mesh))]
-        )
+        (found,) = fit.contacts(fit.fit(difference))
+        middle = place(gauss.reconstruct(difference), model(0.0065).mesh)
+        errors.append([np.linalg.norm(p - at) for p in (np.array(found.position), middle)])
     disc, centroid = np.mean(errors, axis=0)
     assert disc < 0.0015
     assert disc < 0.5 * centroid
@@ -634,53 +658,53 @@ def test_the_fit_beats_the_centroid() -> None:
     ],
 )
 def test_the_number_of_contacts_is_found(contacts: tuple) -> None:
-    """The third case stands 30 mm apart, where a linear image at this noise shows one blob."""
-    fit = DiscFit(model(0.0065), 2e-4, radius=0.011, model_error=0.01)
-    result = fit.fit(touch(*contacts, noise=2e-4))
-    assert len(result.contacts) == len(contacts)
-    for contact in contacts:
-        assert min(np.linalg.norm(found.position - contact[:2]) for found in result.contacts) < 0.004
-    assert result.chi_square < 2 * result.n_data
-    assert len(result.covariance) == 4 * len(contacts)
-    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance))[:4], result.contacts[0].std)
-    assert int(np.argmin(result.criteria)) == len(contacts)
+    """Five seeds. The third case stands 30 mm apart, where a linear image at this noise shows one blob: there the
+    farther contact errs by 3 to 18 mm, by 4.4 mm in the median of twelve seeds."""
+    fit, errors = fitter(), []
+    for seed in range(5):
+        solution = fit.fit(touch(*contacts, noise=2e-4, seed=seed))
+        found = fit.contacts(solution)
+        assert len(found) == len(contacts)
+        errors.append(max(min(np.hypot(*np.subtract(c.position, at[:2])) for c in found) for at in contacts))
+        assert len(solution.covariance) == 4 * len(contacts)
+        assert all(one.covariance is not None and 0.003 < one.radius < 0.023 for one in found)
+    assert np.median(errors) < (0.005 if contacts[0][0] == 0.085 else 0.0025)
 
 
 def test_close_contacts_are_found_by_splitting_one() -> None:
-    """24 mm apart, more than one disc can be moved out of: starting from the first disc and the rest alone errs by 9 to 15 mm."""
+    """24 mm apart, more than one disc can be moved out of: starting from the first disc and the rest alone errs by 9
+    to 15 mm."""
     contacts = (0.058, 0.12, 0.01, 0.5), (0.082, 0.12, 0.01, 0.5)
-    result = DiscFit(model(0.0065), 2e-4, radius=0.01, model_error=0.003, count=2).fit(touch(*contacts, noise=2e-4))
+    fit = fitter(radius=0.01, model_error=0.003, most=2)
+    found = fit.contacts(fit.fit(touch(*contacts, noise=2e-4)))
     for contact in contacts:
-        assert min(np.linalg.norm(found.position - contact[:2]) for found in result.contacts) < 0.003
+        assert min(np.linalg.norm(np.subtract(one.position, contact[:2])) for one in found) < 0.003
 
 
 def test_contacts_come_strongest_first_and_the_too_weak_not_at_all() -> None:
-    """Effects of 20 : 5 : 1 at next to no noise; the weakest is below a tenth of the strongest."""
+    """Effects of 20 : 5 : 1 at next to no noise; the weakest is below what a tenth of the strongest's signal, wrongly
+    modelled, may look like."""
     contacts = (0.05, 0.05, 0.012, 0.05), (0.15, 0.06, 0.012, 1.0), (0.1, 0.15, 0.012, 0.25)
     difference = touch(*contacts, noise=2e-5)
-    strongest, second = (DiscFit(model(0.0065), 2e-5, radius=0.012, model_error=0.002).fit(difference)).contacts
-    assert np.linalg.norm(strongest.position - (0.15, 0.06)) < 0.002
-    assert np.linalg.norm(second.position - (0.1, 0.15)) < 0.002
-    everything = DiscFit(model(0.0065), 2e-5, radius=0.012, model_error=0.002, fraction=0.0).fit(difference)
-    assert min(np.linalg.norm(found.position - (0.05, 0.05)) for found in everything.contacts) < 0.005
+    doubtful, sure = (fitter(2e-5, model_error=share) for share in (0.1, 0.002))
+    strongest, second = doubtful.contacts(doubtful.fit(difference))
+    assert np.linalg.norm(np.subtract(strongest.position, (0.15, 0.06))) < 0.002
+    assert np.linalg.norm(np.subtract(second.position, (0.1, 0.15))) < 0.002
+    everything = sure.contacts(sure.fit(difference))
+    assert min(np.linalg.norm(np.subtract(found.position, (0.05, 0.05))) for found in everything) < 0.005
 
 
 def test_a_contact_that_only_raises_conductivity_is_not_fitted_to_a_fall() -> None:
-    """Started on top of a fall, the strength stops at zero; allowed to fall, it does."""
+    """Started on top of a fall, the effect stops at zero; allowed to fall, it does, and is found where it is."""
     difference = touch((0.08, 0.12, 0.015, -0.6), noise=2e-4)
-    start = np.array([[0.08, 0.12, np.log(0.015), 0.1]])
-    for positive in (True, False):
-        fit = DiscFit(model(0.0065), 2e-4, radius=0.015, positive=positive)
-        pairs = pair_system(16, difference)
-        found = fit._refine(System(pairs.rows / 2e-4, pairs.volts / 2e-4), start).params[0, -1]
-        assert (found >= 0) == positive
-
-
-def test_an_insulating_contact_can_be_fitted_when_asked() -> None:
-    fit = DiscFit(model(0.0065), 2e-4, radius=0.015, positive=False)
-    contact = fit.fit(touch((0.08, 0.12, 0.015, -0.6), noise=2e-4)).contacts[0]
-    assert np.linalg.norm(contact.position - (0.08, 0.12)) < 0.002
-    assert -1 < contact.strength < -0.3
+    start = np.array([[0.08, 0.12, 1e-4, 0.011**2]])
+    for bipolar in (False, True):
+        fit = fitter(bipolar=bipolar)
+        data = Data.of(16, difference)
+        assert (fit.refine(data, start, fit.noise_model(data)).params[0, 2] > 0) != bipolar
+    (contact,) = fit.contacts(fit.fit(difference))
+    assert np.linalg.norm(np.subtract(contact.position, (0.08, 0.12))) < 0.002
+    assert contact.strength < 0
 
 
 @pytest.mark.parametrize(
@@ -700,8 +724,9 @@ def test_an_insulating_contact_can_be_fitted_when_asked() -> None:
         (lambda: made("Kalman").update(made("Kalman").start(), touch(), elapsed=-1.0), "elapsed is -1.0"),
         (lambda: SparseBayes(model(), NOISE, radius=np.nan), "radius is nan"),
         (lambda: SparseBayes(model(), NOISE, rounds=0), "rounds is 0"),
-        (lambda: DiscFit(model(), NOISE, radius_factor=1.0), "radius_factor is 1.0; it must be finite and above 1"),
-        (lambda: DiscFit(model(), NOISE, count=0), "cannot look for 0 contacts"),
+        (lambda: fitter(false_twos=1.0), "false_twos is 1.0; it must be a rate above 0 and below 1"),
+        (lambda: fitter(most=0), "cannot look for 0 contacts"),
+        (lambda: ContactTable(bent()), "needs a flat sheet; on surfaces in space find contacts in an image"),
         (lambda: AbsoluteGaussNewton(model(), NOISE, rounds=0), "rounds is 0"),
         (lambda: AbsoluteGaussNewton(model(), NOISE, "tv"), "no prior 'tv'"),
         (lambda: AbsoluteGaussNewton(model(), NOISE, outline=-1.0), "outline is -1.0"),
@@ -722,6 +747,7 @@ def test_absolute_images_need_a_frame_with_something_in_it() -> None:
 
 def test_matern_can_be_given_as_a_function_too() -> None:
     named, made_here = (
-        GaussNewton(model(), NOISE, prior, 0.2).reconstruct(touch((*AT, 0.012, 0.5))).values for prior in ("matern", matern(0.03))
+        GaussNewton(model(), NOISE, prior, 0.2).reconstruct(touch((*AT, 0.012, 0.5))).values
+        for prior in ("matern", matern(0.03))
     )
     np.testing.assert_allclose(named, made_here, rtol=1e-9)

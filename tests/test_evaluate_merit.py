@@ -112,7 +112,9 @@ def test_a_position_error_along_the_tangent_is_seen_here_and_not_by_eidors() -> 
     image[32, 48] = 1.0  # EIDORS: at (0.5, 0)
     assert eidors_figures(image, (0.0, 0.5)).position_error == pytest.approx(0, abs=EXACT)
     assert eidors_figures(image, (0.8, 0.0)).position_error == pytest.approx(0.3, abs=EXACT)
-    assert figures_of_merit(image, axis, axis, [Target((0.0, 0.5), 1.0)])[0].distance == pytest.approx(np.sqrt(0.5), abs=EXACT)
+    assert figures_of_merit(image, axis, axis, [Target((0.0, 0.5), 1.0)])[0].distance == pytest.approx(
+        np.sqrt(0.5), abs=EXACT
+    )
 
 
 def test_eidors_by_hand() -> None:

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
+from ohmskin.contacts import Contact
 from ohmskin.evaluate.experiments.localisation import errors, places
-from ohmskin.evaluate.experiments.sections import peak_and_width
-from ohmskin.evaluate.experiments.shapes import intersection_over_union
-from ohmskin.evaluate.experiments.touches import matched_error
+from ohmskin.evaluate.experiments.touches import intersection_over_union, matched_error, peak_and_width
 from ohmskin.evaluate.shapes import disc
 from ohmskin.evaluate.statistics import fewer, median, ratio_of_means
 from ohmskin.evaluate.verdict import NO, OPEN, YES, above, ladder, ordered
-from ohmskin.touch import Contact
 
 
 def test_median_and_interval() -> None:

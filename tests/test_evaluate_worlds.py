@@ -107,13 +107,13 @@ def test_seeds_repeat_and_methods_share_the_noise_of_a_shared_scan() -> None:
     table, contacts = bench("discs", 40, 0.1), (worlds.contact("discs", 0.05, 0.15),)
     first = table.see("12B", contacts, 0).differences[0].volts
     assert np.array_equal(table.see("12B", contacts, 0).differences[0].volts, first)
-    assert np.array_equal(table.see("16O+", contacts, 0).differences[0].volts, first)
+    assert np.array_equal(table.see("16O fused", contacts, 0).differences[0].volts, first)
     assert not np.array_equal(table.see("12B", contacts, 1).differences[0].volts, first)
 
 
 def test_literal_and_fused_adaptive_images_use_one_and_two_scans() -> None:
     table, contacts = bench("discs", 50, 0.1), (worlds.contact("discs", 0.05, 0.15),)
-    literal, fused = (table.see(key, contacts, 0).differences for key in ("16O", "16O+"))
+    literal, fused = (table.see(key, contacts, 0).differences for key in ("16O", "16O fused"))
     assert (len(literal), len(fused)) == (1, 2)
     assert literal[0].pattern == fused[1].pattern
     assert [all_methods()[key].injections for key in METHODS] == [12, 16, 16, 28, 28, 28]
@@ -134,6 +134,6 @@ def test_local_drive_takes_short_pairs_near_the_contact() -> None:
 
 def test_a_quiet_touch_is_seen_where_it_is() -> None:
     for world in worlds.WORLDS:
-        view = bench(world, 70, 0.1).see("16O+", (worlds.contact(world, 0.07, 0.12),), 0)
+        view = bench(world, 70, 0.1).see("16O fused", (worlds.contact(world, 0.07, 0.12),), 0)
         assert np.linalg.norm(view.place - [0.07, 0.12]) < 3e-3
         assert len(view.contacts) == 1

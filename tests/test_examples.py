@@ -19,7 +19,7 @@ def test_there_are_five() -> None:
 def test_example(name: str, tmp_path: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-W", "error", str(FOLDER / name), str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, cwd=tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=500, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (picture,) = tmp_path.glob("*.png")
     assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

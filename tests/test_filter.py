@@ -1,27 +1,42 @@
-"""Contacts from data, and followed over time: against dense algebra, finite differences, and worlds with another mesh."""
+"""Contacts from data, and followed over time: against dense algebra, finite differences, and worlds with another
+mesh."""
 
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
+from ohmskin.contacts import ContactFitter
+from ohmskin.contacts.likelihood import Data, NoiseModel, responses
 from ohmskin.drive import Candidates, InformedPolicy, base_pattern, complete_pattern
 from ohmskin.errors import DataError, ModelError
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.forward import ContactTable, TransferModel
-from ohmskin.inverse import DiscFit
 from ohmskin.scan import Difference, DrivePattern, adjacent
+from ohmskin.sensing.sensor import targets_of
 from ohmskin.skin import Skin
-from ohmskin.touch import ContactFilter, Explainer, Motion, Scene
-from ohmskin.touch.likelihood import Data, Misfit, responses
+from ohmskin.tracking import ContactFilter, Motion, TrackState
+from ohmskin.tracking.birth import birth_threshold
+from ohmskin.tracking.lift import with_lifts
+from ohmskin.tracking.revision import with_revision
 
 SKIN = Skin.load("paper")
 COMPLETE = complete_pattern(SKIN.electrodes)
 STEP = 0.01  # seconds between frames
 ERROR = {"discs": 0.01, "pressed": 0.05}  # of the disc model in each world; discs are what it is made for
-PLACES = [(0.05, 0.12), (0.1, 0.1), (0.03, 0.03), (0.17, 0.05), (0.08, 0.17), (0.062, 0.068), (0.16, 0.16), (0.011, 0.158)]
+PLACES = [
+    (0.05, 0.12),
+    (0.1, 0.1),
+    (0.03, 0.03),
+    (0.17, 0.05),
+    (0.08, 0.17),
+    (0.062, 0.068),
+    (0.16, 0.16),
+    (0.011, 0.158),
+]
 
 
 @cache
@@ -44,8 +59,8 @@ def policy(world: str, decibels: float, injections: int = 4) -> InformedPolicy:
     return InformedPolicy(SKIN.electrodes, lambda: (table(world), candidates), injections, explore=1)
 
 
-def explainer(world: str, decibels: float, **settings: float) -> Explainer:
-    return Explainer(table(world), worlds.noise_volts(world, decibels), **{"model_error": ERROR[world], **settings})
+def fitter(world: str, decibels: float, **settings: float) -> ContactFitter:
+    return ContactFitter(table(world), worlds.noise_volts(world, decibels), **{"model_error": ERROR[world], **settings})
 
 
 class Rig:
@@ -53,52 +68,59 @@ class Rig:
 
     def __init__(self, world: str, decibels: float, seed: int, filter_: ContactFilter | None = None) -> None:
         self.world, self.noise = world, worlds.noise_volts(world, decibels)
-        self.filter = filter_ or ContactFilter(explainer(world, decibels))
+        self.filter = filter_ or ContactFilter(fitter(world, decibels))
         self.policy, self.rng = policy(world, decibels), np.random.default_rng(seed)
-        self.scene = self.filter.start()
+        self.state = self.filter.start()
 
-    def measure(self, pattern: DrivePattern, *contacts: Shape, warmth: float = 0.0, share: float = 1.0) -> Difference:
-        """Voltages under `share` of what contacts do, all resistances multiplied by 1 + `warmth`."""
+    def measure(
+        self, pattern: DrivePattern, *contacts: Shape, common_drift: float = 0.0, share: float = 1.0
+    ) -> Difference:
+        """Voltages under `share` of what contacts do, all resistances multiplied by 1 + `common_drift`."""
         rest = worlds.sheet(self.world, "grid").untouched
         change = share * (worlds.touched(self.world, "grid", contacts) - rest) if contacts else 0.0 * rest
-        volts = worlds.voltages((1 + warmth) * (rest + change) - rest, pattern)
+        volts = worlds.voltages((1 + common_drift) * (rest + change) - rest, pattern)
         noise = self.noise * self.rng.standard_normal(pattern.n_meas)
         return Difference(pattern, np.full(pattern.n_meas, worlds.CURRENT), volts + noise)
 
-    def frame(self, *contacts: Shape, elapsed: float = STEP, warmth: float = 0.0, share: float = 1.0) -> Scene:
-        pattern = self.policy.next(self.scene.targets, self.scene.turn)
-        difference = self.measure(pattern, *contacts, warmth=warmth, share=share)
+    def frame(
+        self, *contacts: Shape, elapsed: float = STEP, common_drift: float = 0.0, share: float = 1.0
+    ) -> TrackState:
+        pattern = self.policy.next(targets_of(self.state.contacts), self.state.turn)
+        difference = self.measure(pattern, *contacts, common_drift=common_drift, share=share)
         reference = worlds.voltages(worlds.sheet(self.world, "grid").untouched, pattern)
-        self.scene = self.filter.update(self.scene, difference, elapsed, reference)
-        return self.scene
+        self.state = self.filter.update(self.state, difference, elapsed, reference)
+        return self.state
 
-    def run(self, frames: int, *contacts: Shape) -> Scene:
+    def run(self, frames: int, *contacts: Shape) -> TrackState:
         for _ in range(frames):
             self.frame(*contacts)
-        return self.scene
+        return self.state
 
 
-def miss(scene: Scene, at: tuple[float, float]) -> float:
-    return min((float(np.hypot(*np.subtract(c.position, at))) for c in scene.contacts), default=np.inf)
+def miss(state: TrackState, at: tuple[float, float]) -> float:
+    return min((float(np.hypot(*np.subtract(c.position, at))) for c in state.contacts), default=np.inf)
 
 
 def press(world: str, at: tuple[float, float], **settings: float) -> Shape:
     return worlds.contact(world, *at, **settings)
 
 
-def random_difference(pattern: DrivePattern, seed: int, sag: bool = False) -> Difference:
+def random_difference(pattern: DrivePattern, seed: int, source_loading: bool = False) -> Difference:
     rng = np.random.default_rng(seed)
     currents = rng.uniform(0.5e-3, 2e-3, pattern.n_meas)
-    sagging = rng.uniform(-0.2, 0.2, pattern.n_meas) if sag else None
+    sagging = rng.uniform(-0.2, 0.2, pattern.n_meas) if source_loading else None
     return Difference(pattern, currents, rng.normal(size=pattern.n_meas), sagging)
 
 
-# --- likelihood -----------------------------------------------------------------------------------------------------------
+# --- likelihood -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sag", [False, True])
-def test_rows_are_the_combination_of_the_pattern_with_unknown_channels_left_out(sag: bool) -> None:
-    first, second = random_difference(adjacent([range(12)]), 1, sag), random_difference(base_pattern(SKIN.electrodes), 2)
+@pytest.mark.parametrize("source_loading", [False, True])
+def test_rows_are_the_combination_of_the_pattern_with_unknown_channels_left_out(source_loading: bool) -> None:
+    first, second = (
+        random_difference(adjacent([range(12)]), 1, source_loading),
+        random_difference(base_pattern(SKIN.electrodes), 2),
+    )
     first.volts[3], second.currents[5] = np.nan, np.inf
     data = Data.of(16, first, second)
     known = np.ones(first.pattern.n_meas + second.pattern.n_meas, bool)
@@ -113,12 +135,16 @@ def test_rows_are_the_combination_of_the_pattern_with_unknown_channels_left_out(
 
 def test_misfit_is_the_inverse_of_its_covariance() -> None:
     rng = np.random.default_rng(0)
-    misfit = Misfit(0.3, rng.normal(size=(20, 3)))
-    covariance = 0.3**2 * np.eye(20) + misfit.directions @ misfit.directions.T
+    noise_model = NoiseModel(0.3, rng.normal(size=(20, 3)))
+    covariance = 0.3**2 * np.eye(20) + noise_model.directions @ noise_model.directions.T
     left, right, values = rng.normal(size=(20, 4)), rng.normal(size=(20, 5)), rng.normal(size=20)
-    np.testing.assert_allclose(misfit.inner(left, right), left.T @ np.linalg.solve(covariance, right), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(misfit.apply(values), 0.3**2 * np.linalg.solve(covariance, values), rtol=1e-9, atol=1e-12)
-    score, power = misfit.gains(left, values)
+    np.testing.assert_allclose(
+        noise_model.inner(left, right), left.T @ np.linalg.solve(covariance, right), rtol=1e-9, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        noise_model.apply(values), 0.3**2 * np.linalg.solve(covariance, values), rtol=1e-9, atol=1e-12
+    )
+    score, power = noise_model.gains(left, values)
     np.testing.assert_allclose(score, left.T @ np.linalg.solve(covariance, values), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(power, np.diag(left.T @ np.linalg.solve(covariance, left)), rtol=1e-9)
 
@@ -134,17 +160,18 @@ def test_slopes_of_contacts_are_those_of_finite_differences() -> None:
         np.testing.assert_allclose(slopes[:, k], numeric, rtol=1e-3, atol=2e-3 * np.abs(slopes[:, k]).max())
 
 
-# --- one frame ------------------------------------------------------------------------------------------------------------
+# --- one frame --------------------------------------------------------------------------------------------------------
 
 
 def test_scores_of_quiet_data_are_standard_normal_and_alarms_no_more_frequent_than_stated() -> None:
-    """The bar sums the rate over all places, of which neighbours are alike: the true rate is below the stated one, not far."""
+    """The bar sums the rate over all places, of which neighbours are alike: the true rate is below the stated one, not
+    far."""
     rig, rate = Rig("discs", 50, 1), 0.05
-    judge = explainer("discs", 50, false_alarms=rate)
+    judge = fitter("discs", 50, false_alarms=rate)
     heights, alarms, frames = [], 0, 800
     for _ in range(frames):
         data = Data.of(16, rig.measure(base_pattern(SKIN.electrodes)))
-        height = judge.heights(*judge.scores(data, data.volts, Misfit(judge.noise, np.zeros((len(data.volts), 0)))))
+        height = judge.heights(*judge.scores(data, data.volts, NoiseModel(judge.noise, np.zeros((len(data.volts), 0)))))
         heights.append(height)
         alarms += bool(height.max() > judge.bar)
     assert np.std(heights) == pytest.approx(1.0, abs=0.03)
@@ -152,31 +179,28 @@ def test_scores_of_quiet_data_are_standard_normal_and_alarms_no_more_frequent_th
 
 
 @pytest.mark.parametrize("world", ["discs", "pressed"])
-def test_a_fit_is_as_accurate_as_the_slow_one(world: str) -> None:
-    rig, quick = Rig(world, 50, 2), explainer(world, 50)
-    slow = DiscFit(model(world), rig.noise, model_error=0.02, most=2)
+def test_a_fit_is_accurate(world: str) -> None:
+    rig, quick = Rig(world, 50, 2), fitter(world, 50)
     pattern = adjacent(SKIN.electrodes.rings)
     errors = []
     for at in PLACES:
         data = [rig.measure(each, press(world, at)) for each in (base_pattern(SKIN.electrodes), pattern)]
         found = quick.contacts(quick.fit(*data))
         assert len(found) == 1, f"{at}: {found}"
-        errors.append([np.linalg.norm(np.subtract(p, at)) for p in (found[0].position, slow.fit(*data).contacts[0].position)])
-    quick_error, slow_error = np.mean(errors, axis=0)
-    assert quick_error < 1.15 * slow_error
-    assert quick_error < 2e-3
+        errors.append(np.linalg.norm(np.subtract(found[0].position, at)))
+    assert np.mean(errors) < 2e-3
 
 
 @pytest.mark.parametrize(("decibels", "apart", "least"), [(50, 0.020, 12), (60, 0.012, 10)])
 def test_two_contacts_are_told_apart_and_one_is_not_taken_for_two(decibels: float, apart: float, least: int) -> None:
     """16 pairs of 6 mm discs, 20 mm apart at 50 dB and 12 mm at 60 dB; 24 single ones. 28 injections.
 
-    The fit is told that discs are right to 1 %, as they are here; with the 5 % that skins get it tells far fewer apart, and only
-    how many there are is judged (docs/policies.md has the product's own rates). Other places give 9 to 14 of 16: this holds the
-    code, not the goal.
+    The fit is told that discs are right to 1 %, as they are here; with the 5 % that skins get it tells far fewer
+    apart, and only how many there are is judged (docs/policies.md has the product's own rates). Other places give 9 to
+    14 of 16: this holds the code, not the goal.
     """
     places = np.random.default_rng(30)  # the same at both noise levels
-    rig, judge = Rig("discs", decibels, 3), explainer("discs", decibels)
+    rig, judge = Rig("discs", decibels, 3), fitter("discs", decibels)
     drive = policy("discs", decibels, 22)
     twos = [0, 0]
     for trial in range(40):
@@ -187,7 +211,7 @@ def test_two_contacts_are_told_apart_and_one_is_not_taken_for_two(decibels: floa
             shapes.append(press("discs", tuple(middle - half), radius=6e-3))
         first = rig.measure(base_pattern(SKIN.electrodes), *shapes)
         seen = judge.fit(first)
-        targets = replace(rig.scene, contacts=judge.contacts(seen)).targets
+        targets = targets_of(judge.contacts(seen))
         found = judge.fit(first, rig.measure(drive.next(targets, 0), *shapes))
         twos[trial >= 16] += len(found.params) == 2
     assert twos[0] >= least
@@ -197,14 +221,35 @@ def test_two_contacts_are_told_apart_and_one_is_not_taken_for_two(decibels: floa
 def test_a_contact_that_conducts_worse_is_found_where_that_is_allowed() -> None:
     rig = Rig("discs", 50, 4)
     data = rig.measure(base_pattern(SKIN.electrodes), press("discs", (0.08, 0.11)), share=-1.0)
-    judge = explainer("discs", 50, falls=True)
+    judge = fitter("discs", 50, bipolar=True)
     (found,) = judge.contacts(judge.fit(data))
     assert found.strength < -0.5e-4
     assert np.hypot(found.position[0] - 0.08, found.position[1] - 0.11) < 5e-3
-    assert not explainer("discs", 50).fit(data).params[:, 2].max(initial=0.0) > 0.5e-4
+    assert not fitter("discs", 50).fit(data).params[:, 2].max(initial=0.0) > 0.5e-4
 
 
-# --- many frames ----------------------------------------------------------------------------------------------------------
+def test_what_the_model_errs_of_a_strong_contact_is_no_second_one() -> None:
+    """Contacts pressed through foam, which are no discs, at 75 dB: what is left of them stands far above the noise."""
+    rig, judge = Rig("pressed", 75, 14), fitter("pressed", 75)
+    for at in PLACES:
+        data = [rig.measure(each, press("pressed", at)) for each in (base_pattern(SKIN.electrodes), COMPLETE)]
+        found = judge.fit(*data)
+        assert len(found.params) == 1, at
+        assert np.hypot(*(found.params[0, :2] - at)) < 3e-3
+
+
+def test_a_place_is_known_no_better_than_the_model_allows() -> None:
+    params, sure = np.array([0.1, 0.1, 1e-4, 6e-5]), np.diag([1e-12, 1e-12, 1e-14, 1e-16])
+    for error in (0.02, 0.05):
+        judge = fitter("discs", 50, model_error=error)
+        covariance = np.array(judge.contact(params, sure).covariance)
+        share = np.sqrt(np.diag(covariance)) / (error * judge.table.radius)
+        assert (share > 1.0).all()
+        assert (share < 4.0).all()
+        assert covariance[0, 1] == 0.0
+
+
+# --- many frames ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("world", ["discs", "pressed"])
@@ -252,15 +297,15 @@ def test_a_moving_contact_is_followed_with_its_velocity() -> None:
         rig = Rig("discs", 50, seed)
         for k in range(50):
             at = (0.04 + 1.2e-3 * k, 0.05 + 0.9e-3 * k + 2e-5 * k**2)
-            scene = rig.frame(press("discs", at))
+            state = rig.frame(press("discs", at))
             if k >= 10:
-                (contact,) = scene.contacts
+                (contact,) = state.contacts
                 assert contact.id == 1
                 errors.append(np.hypot(*np.subtract(contact.position, at)))
             if k >= 20:
                 assert contact.velocity is not None
                 off.append(np.subtract(contact.velocity, [0.12, 0.09 + 4e-3 * k]))
-                said.append(np.diag(scene.covariance)[4:6])
+                said.append(np.diag(state.covariance)[4:6])
     assert np.mean(errors) < 2.5e-3
     assert (np.mean(np.square(off), axis=0) < np.mean(said, axis=0)).all()
     assert (np.mean(said, axis=0) < 0.5**2 * Motion().speed ** 2).all()  # and it says more than that fingers move
@@ -274,7 +319,76 @@ def test_a_lifted_contact_is_gone_at_once_and_pressed_again_it_is_a_new_one() ->
     assert len(rig.run(2, touch).contacts) == 1
     (second,) = rig.run(10, touch).contacts
     assert second.id == first.id + 1
-    assert miss(rig.scene, (0.07, 0.13)) < 3e-3
+    assert miss(rig.state, (0.07, 0.13)) < 3e-3
+
+
+def resting(rig: Rig, effect: float, lifted: float = 0.0) -> TrackState:
+    """A contact of name 1 that moves at 0.1 m/s, of this effect, of ten times 1e-5 m2 at its peak."""
+    params, square = np.array([0.07, 0.13, 1e-4, rig.filter.fitter.table.radius**2]), 1e-14
+    state = rig.filter.start().with_contact(params, np.diag([1e-8, 1e-8, square, 1e-12]), 0.1)
+    state.mean[0, 2], state.mean[0, 4:] = effect, (0.08, -0.06)
+    return replace(state, held=(replace(state.held[0], lifted=lifted),), time=3.0)
+
+
+def test_a_contact_that_is_lifted_stands_still() -> None:
+    rig = Rig("discs", 50, 15)
+    pressing = with_lifts(resting(rig, 9e-5), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
+    assert not pressing.held[0].lifted
+    assert pressing.mean[0, 4:].tolist() == [0.08, -0.06]
+    gone = with_lifts(resting(rig, 0.5e-5), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
+    assert gone.held[0].lifted
+    assert gone.mean[0, 4:].tolist() == [0.0, 0.0]
+
+
+def test_a_lifted_contact_that_is_there_again_before_it_is_forgotten_is_a_new_one() -> None:
+    rig = Rig("discs", 50, 16)
+    still = with_lifts(resting(rig, 1e-5, lifted=0.2), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
+    assert still.held[0].lifted == pytest.approx(0.2 + STEP)
+    assert (still.held[0].id, still.next_id) == (1, 2)
+    again = with_lifts(resting(rig, 8e-5, lifted=0.2), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
+    assert not again.held[0].lifted
+    assert (again.held[0].id, again.next_id, again.held[0].since) == (2, 3, 3.0)
+    assert again.held[0].peak == pytest.approx(8e-5)
+
+
+def test_of_two_contacts_taken_for_one_the_older_name_stays() -> None:
+    rig = Rig("discs", 50, 17)
+    state = rig.run(12, press("discs", (0.085, 0.12)))
+    params, covariance = state.params[0].copy(), state.covariance_of(0)
+    params[2] /= 2
+    for names in ((7, 3), (3, 7)):
+        doubled = state.without([0])
+        for name, side in zip(names, (-1e-3, 1e-3), strict=True):
+            doubled = doubled.with_contact(params + np.array([side, 0.0, 0.0, 0.0]), covariance, 0.1, name)
+        doubled = replace(doubled, held=tuple(replace(held, since=-1.0) for held in doubled.held))
+        (kept,) = with_revision(doubled, rig.filter.fitter, rig.filter.split_bar, 0.1, 0).held
+        assert kept.id == 3
+
+
+def test_the_rate_of_false_alarms_is_shared_by_the_windows_in_which_contacts_are_looked_for() -> None:
+    judge = fitter("discs", 50)
+    assert 7 * norm.sf(birth_threshold(judge)) == pytest.approx(norm.sf(judge.bar), rel=1e-9)
+
+
+def test_noise_of_the_reference_which_all_frames_share_does_not_add_up_to_a_contact() -> None:
+    """The same noise in each of twelve frames, at four fifths of the bar: one glimpse, however often it is repeated."""
+    rig, pattern = Rig("discs", 50, 18), base_pattern(SKIN.electrodes)
+    error = rig.measure(pattern)
+    judge = rig.filter.fitter
+    data = Data.of(16, error)
+    height = judge.heights(
+        *judge.scores(data, data.volts, NoiseModel(judge.noise, np.zeros((len(data.volts), 0))))
+    ).max()
+    error = replace(error, volts=error.volts * 0.8 * rig.filter.bar / height)
+    found = []
+    for repeats in (1.0, np.inf):
+        filter_ = ContactFilter(judge, repeats=repeats)
+        state = filter_.start()
+        for _ in range(12):
+            state = filter_.update(state, error, STEP)
+        found.append(len(state.held))
+    assert found[0] == 0
+    assert found[1] > 0  # as if each frame had noise of its own
 
 
 def test_a_contact_that_parts_becomes_two_and_one_again() -> None:
@@ -289,15 +403,17 @@ def test_a_contact_that_parts_becomes_two_and_one_again() -> None:
     apart = rig.run(30, *pair(15e-3))
     assert len(apart.contacts) == 2
     assert one.id in {c.id for c in apart.contacts}
-    assert max(miss(apart, (0.07, 0.12)), miss(apart, (0.1, 0.12))) < 7e-3  # three standard deviations between the electrodes
+    assert (
+        max(miss(apart, (0.07, 0.12)), miss(apart, (0.1, 0.12))) < 7e-3
+    )  # three standard deviations between the electrodes
     for k in range(10, 0, -1):
         rig.run(3, *pair(1.5e-3 * k))
     (again,) = rig.run(40, press("discs", (0.085, 0.12), radius=8e-3)).contacts
-    assert miss(rig.scene, (0.085, 0.12)) < 4e-3
+    assert miss(rig.state, (0.085, 0.12)) < 4e-3
     assert again.id in {c.id for c in apart.contacts}
 
 
-# --- drift ----------------------------------------------------------------------------------------------------------------
+# --- drift ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_finger_resting_ten_minutes_while_it_warms_is_neither_swallowed_nor_multiplied() -> None:
@@ -305,15 +421,15 @@ def test_a_finger_resting_ten_minutes_while_it_warms_is_neither_swallowed_nor_mu
     rig, touch, strengths = Rig("pressed", 70, 8), press("pressed", (0.06, 0.13)), []
     pause = 0.5
     for k in range(1200):
-        warmth = 0.01 * k * pause / 60
-        scene = rig.frame(*((touch,) if k > 10 else ()), elapsed=pause, warmth=warmth)
-        assert len(scene.contacts) == (k > 10), k
-        strengths += [c.strength for c in scene.contacts]
+        common_drift = 0.01 * k * pause / 60
+        state = rig.frame(*((touch,) if k > 10 else ()), elapsed=pause, common_drift=common_drift)
+        assert len(state.contacts) == (k > 10), k
+        strengths += [c.strength for c in state.contacts]
     assert np.mean(strengths[-50:]) == pytest.approx(np.mean(strengths[50:100]), rel=0.12)
-    assert scene.warmth[0] == pytest.approx(0.1, abs=0.01)
-    assert miss(scene, (0.06, 0.13)) < 3e-3
+    assert state.common_drift[0] == pytest.approx(0.1, abs=0.01)
+    assert miss(state, (0.06, 0.13)) < 3e-3
     for _ in range(20):
-        assert not rig.frame(elapsed=pause, warmth=0.1).contacts
+        assert not rig.frame(elapsed=pause, common_drift=0.1).contacts
 
 
 def test_what_the_foam_keeps_of_a_press_is_no_contact_and_soon_forgotten() -> None:
@@ -321,8 +437,8 @@ def test_what_the_foam_keeps_of_a_press_is_no_contact_and_soon_forgotten() -> No
     rig, touch = Rig("pressed", 70, 9), press("pressed", (0.12, 0.07))
     rig.run(100, touch)
     for k in range(600):
-        scene = rig.frame(touch, share=0.05 * np.exp(-k * 0.05 / 30), elapsed=0.05)
-        assert not scene.contacts or k == 0, (k, scene.contacts)
+        state = rig.frame(touch, share=0.05 * np.exp(-k * 0.05 / 30), elapsed=0.05)
+        assert not state.contacts or k == 0, (k, state.contacts)
     light = rig.frame(touch, share=0.05 * np.exp(-1) + 0.25, elapsed=0.05)
     light = rig.frame(touch, share=0.05 * np.exp(-1) + 0.25, elapsed=0.05)
     assert len(light.contacts) == 1  # a quarter as hard as before, on the same spot
@@ -334,27 +450,27 @@ def test_a_drift_of_single_pairs_is_learned_and_a_touch_still_found() -> None:
     drift = np.random.default_rng(0).normal(size=120) * 10 * rig.noise / worlds.CURRENT
     reference = None
 
-    def frame(k: int, *contacts: Shape, elapsed: float = 0.1) -> Scene:
-        pattern = rig.policy.next(rig.scene.targets, rig.scene.turn)
+    def frame(k: int, *contacts: Shape, elapsed: float = 0.1) -> TrackState:
+        pattern = rig.policy.next(targets_of(rig.state.contacts), rig.state.turn)
         difference = rig.measure(pattern, *contacts)
         shifted = difference.volts + worlds.CURRENT * (pattern.combination(16) @ drift) * min(k / 1200, 1.0)
-        rig.scene = rig.filter.update(rig.scene, replace(difference, volts=shifted), elapsed, reference)
-        return rig.scene
+        rig.state = rig.filter.update(rig.state, replace(difference, volts=shifted), elapsed, reference)
+        return rig.state
 
     assert not any(frame(k).contacts for k in range(1600))
     for k in range(12):
         frame(1600 + k, press("discs", (0.13, 0.14)), elapsed=STEP)
-    assert miss(rig.scene, (0.13, 0.14)) < 5e-3
+    assert miss(rig.state, (0.13, 0.14)) < 5e-3
 
 
-# --- state and errors -----------------------------------------------------------------------------------------------------
+# --- state and errors -------------------------------------------------------------------------------------------------
 
 
 def test_the_same_frames_give_the_same_to_the_last_bit_and_the_old_scene_is_left_alone() -> None:
     rig, touch = Rig("discs", 50, 11), press("discs", (0.05, 0.07))
     before = rig.run(6, touch)
     kept = before.mean.copy(), before.covariance.copy(), before.drift.copy()
-    difference = rig.measure(rig.policy.next(before.targets, before.turn), touch)
+    difference = rig.measure(rig.policy.next(targets_of(before.contacts), before.turn), touch)
     a, b = (rig.filter.update(before, difference, STEP) for _ in range(2))
     np.testing.assert_array_equal(a.mean, b.mean)
     assert a.contacts == b.contacts
@@ -364,10 +480,10 @@ def test_the_same_frames_give_the_same_to_the_last_bit_and_the_old_scene_is_left
 
 def test_recent_frames_make_up_a_scan() -> None:
     rig = Rig("discs", 50, 12)
-    scene = rig.run(9)
-    assert [d.pattern.n_inj for d in scene.recent(16)] == [4, 4, 4, 4]
-    assert len(scene.recent(1)) == 1
-    assert sum(d.pattern.n_inj for d in scene.recent(1000)) == 36
+    state = rig.run(9)
+    assert [d.pattern.n_inj for d in state.recent(16)] == [4, 4, 4, 4]
+    assert len(state.recent(1)) == 1
+    assert sum(d.pattern.n_inj for d in state.recent(1000)) == 36
 
 
 def test_a_frame_without_data_and_settings_out_of_range_are_refused() -> None:
@@ -375,12 +491,12 @@ def test_a_frame_without_data_and_settings_out_of_range_are_refused() -> None:
     empty = rig.measure(base_pattern(SKIN.electrodes))
     empty.volts[:] = np.nan
     with pytest.raises(DataError, match="no finite measurement"):
-        rig.filter.update(rig.scene, empty, STEP)
+        rig.filter.update(rig.state, empty, STEP)
     with pytest.raises(DataError, match="no scan"):
-        rig.filter.explainer.fit()
+        rig.filter.fitter.fit()
     with pytest.raises(ModelError, match="elapsed is -1"):
-        rig.filter.update(rig.scene, rig.measure(base_pattern(SKIN.electrodes)), -1)
+        rig.filter.update(rig.state, rig.measure(base_pattern(SKIN.electrodes)), -1)
     with pytest.raises(ModelError, match="false_alarms is 0"):
-        explainer("discs", 50, false_alarms=0)
+        fitter("discs", 50, false_alarms=0)
     with pytest.raises(ModelError, match="speed is -0"):
         Motion(speed=-0.1)

@@ -1,6 +1,7 @@
-"""The firmware's core on this computer: its C tests, its fuzzer, and comparison with the Python device, request by request."""
+"""The firmware's core on this computer: its C tests, its fuzzer, and comparison with the Python device, request by
+request."""
 
-import shutil
+import fcntl
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_protocol import intact, patterns
+from tiers import needs
 
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.instrument import SharedInstrument
@@ -22,15 +24,18 @@ from ohmskin.device.session import Session
 from ohmskin.scan import DrivePattern, Frame, measure_others
 
 FIRMWARE = Path(__file__).parents[1] / "firmware"
-SIZES = Capabilities("demo skin", 16, 8, 64, 3, Feature.VIRTUAL | Feature.CURRENT_MEASURED)  # of firmware/tests/config.h
+SIZES = Capabilities(
+    "demo skin", 16, 8, 64, 3, Feature.VIRTUAL | Feature.CURRENT_MEASURED
+)  # of firmware/tests/config.h
 
 
 def build(target: str) -> Path:
     """What `make` makes of a target of the firmware's Makefile."""
-    for tool, package in (("make", "make"), ("gcc", "gcc")):
-        if shutil.which(tool) is None:
-            pytest.skip(f"needs {tool}: apt-get install {package}")
-    made = subprocess.run(["make", "-C", FIRMWARE, target, f"PYTHON={sys.executable}"], capture_output=True, text=True)
+    needs("make", package="make")
+    with (FIRMWARE / "Makefile").open() as one_at_a_time:
+        fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
+        command = ["make", "-C", FIRMWARE, target, f"PYTHON={sys.executable}"]
+        made = subprocess.run(command, capture_output=True, text=True)
     assert made.returncode == 0, made.stdout + made.stderr
     return FIRMWARE / target
 
@@ -80,7 +85,7 @@ class Bridge:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
-        assert self._process.wait(10) == 0
+        assert self._process.wait(120) == 0
         self._process.stdout.close()
 
 
@@ -125,7 +130,11 @@ few = st.integers(0, 17)
 @st.composite
 def driveable(draw: st.DrawFn) -> DrivePattern:
     """Patterns that the small device takes, mostly."""
-    pair = st.lists(few, min_size=2, max_size=2, unique=True) if draw(st.booleans()) else st.sampled_from([[0, 1], [15, 3]])
+    pair = (
+        st.lists(few, min_size=2, max_size=2, unique=True)
+        if draw(st.booleans())
+        else st.sampled_from([[0, 1], [15, 3]])
+    )
     injections = draw(st.lists(pair, min_size=1, max_size=9))
     which = sorted(draw(st.lists(st.integers(0, len(injections) - 1), min_size=1, max_size=70)))
     return DrivePattern(np.array(injections), np.array([[k, *draw(pair)] for k in which]))
@@ -171,7 +180,10 @@ def test_the_core_answers_as_the_python_device_does(core: Bridge, asked: list[by
 
 
 @settings(deadline=None, max_examples=40)
-@given(st.lists(st.lists(st.integers(0, 15), min_size=2, max_size=2, unique=True), min_size=1, max_size=4), st.integers(0, 2))
+@given(
+    st.lists(st.lists(st.integers(0, 15), min_size=2, max_size=2, unique=True), min_size=1, max_size=4),
+    st.integers(0, 2),
+)
 def test_the_core_measures_what_it_was_given(core: Bridge, injections: list[list[int]], slot: int) -> None:
     pattern = measure_others(np.array(injections), range(16))
     assert core.ask(encode(SetPattern(slot, pattern))) == Ack(pattern.digest)

@@ -1,4 +1,5 @@
-"""The forward model against analytic solutions, conservation laws, finite differences and an independent implementation."""
+"""The forward model against analytic solutions, conservation laws, finite differences and an independent
+implementation."""
 
 from functools import cache
 
@@ -37,7 +38,7 @@ def random_pattern(seed: int, n_meas: int = 12) -> DrivePattern:
     return DrivePattern(injections, np.column_stack([which, pairs[rng.choice(len(pairs), n_meas)][:, ::-1]]))
 
 
-# --- analytic solutions -------------------------------------------------------------------------------------------------
+# --- analytic solutions -----------------------------------------------------------------------------------------------
 
 
 def test_potential_on_the_rim_of_a_disc_converges_with_second_order() -> None:
@@ -52,14 +53,17 @@ def test_potential_on_the_rim_of_a_disc_converges_with_second_order() -> None:
     error = []
     for size in sizes:
         mesh = mesh_domain(disc, size, electrodes.positions)
-        error.append(np.linalg.norm(TransferModel(mesh, electrodes, s).voltages(pattern) - exact) / np.linalg.norm(exact))
+        error.append(
+            np.linalg.norm(TransferModel(mesh, electrodes, s).voltages(pattern) - exact) / np.linalg.norm(exact)
+        )
     order = np.polyfit(np.log(sizes), np.log(error), 1)[0]
     assert order == pytest.approx(2, abs=0.25)
     assert error[-1] < 5e-4
 
 
 def test_resistance_of_a_strip_is_length_over_width_and_conductivity() -> None:
-    """A long strip between opposite ends is one-dimensional in the middle: V = I d / (s w), exact for linear elements."""
+    """A long strip between opposite ends is one-dimensional in the middle: V = I d / (s w), exact for linear
+    elements."""
     strip = Rectangle(0.3, 0.02)
     ends = [[0, 0.01], [0.3, 0.01]]
     probes = [[0.1, 0.0], [0.1, 0.02], [0.2, 0.0], [0.2, 0.02]]
@@ -70,16 +74,18 @@ def test_resistance_of_a_strip_is_length_over_width_and_conductivity() -> None:
 
 
 def test_a_driven_electrode_diverges_as_the_logarithm_of_the_mesh_size() -> None:
-    """Documented weakness of point electrodes; a corner of the sheet sees a quarter plane: R grows by 2 ln 2 / (pi s) each."""
+    """Documented weakness of point electrodes; a corner of the sheet sees a quarter plane: R grows by 2 ln 2 / (pi s)
+    each."""
     s = 1.83e-3
     corners = DrivePattern([[0, 6]], [[0, 0, 6]])
     resistance = [
-        TransferModel(mesh_domain(SHEET, size, GRID.positions), GRID, s).voltages(corners)[0] for size in (0.01, 0.005, 0.0025)
+        TransferModel(mesh_domain(SHEET, size, GRID.positions), GRID, s).voltages(corners)[0]
+        for size in (0.01, 0.005, 0.0025)
     ]
     assert np.diff(resistance) == pytest.approx([2 * 2 * np.log(2) / (np.pi * s)] * 2, rel=0.05)
 
 
-# --- conservation and symmetry ------------------------------------------------------------------------------------------
+# --- conservation and symmetry ----------------------------------------------------------------------------------------
 
 
 def test_transfer_resistance_is_symmetric_zero_mean_and_positive_on_zero_sum_currents() -> None:
@@ -105,7 +111,9 @@ def test_voltages_are_those_of_the_potentials() -> None:
         nodes = model().mesh.nodes_at(GRID.positions)
         expected = []
         for k, plus, minus in pattern.measurements:
-            phi = currents[k] * (model().potentials[:, pattern.injections[k, 0]] - model().potentials[:, pattern.injections[k, 1]])
+            phi = currents[k] * (
+                model().potentials[:, pattern.injections[k, 0]] - model().potentials[:, pattern.injections[k, 1]]
+            )
             expected.append(phi[nodes[plus]] - phi[nodes[minus]])
         np.testing.assert_allclose(model().voltages(pattern, currents), expected, atol=1e-10 * np.abs(expected).max())
 
@@ -115,7 +123,9 @@ def test_voltages_are_those_of_the_potentials() -> None:
 def test_voltages_of_two_injections_in_series_add_up(order: list[int]) -> None:
     """Superposition: a -> b and b -> c together are a -> c; and voltages add up along a path."""
     a, b, c, d, e, f = order[:6]
-    volts = model().voltages(DrivePattern([[a, b], [b, c], [a, c]], [[k, *p] for k in range(3) for p in ((d, e), (e, f), (d, f))]))
+    volts = model().voltages(
+        DrivePattern([[a, b], [b, c], [a, c]], [[k, *p] for k in range(3) for p in ((d, e), (e, f), (d, f))])
+    )
     scale = np.abs(model().transfer_resistance).max()
     assert volts[:3] + volts[3:6] == pytest.approx(volts[6:], abs=1e-11 * scale)
     assert volts[0::3] + volts[1::3] == pytest.approx(volts[2::3], abs=1e-11 * scale)
@@ -125,7 +135,8 @@ def test_voltages_of_two_injections_in_series_add_up(order: list[int]) -> None:
 
 @pytest.mark.parametrize(("source", "sink"), [(0, 6), (13, 15), (3, 14)])
 def test_current_through_any_cut_is_the_injected_current(source: int, sink: int) -> None:
-    """The flux out of each node's cell vanishes but at the electrodes: finite elements conserve current exactly there."""
+    """The flux out of each node's cell vanishes but at the electrodes: finite elements conserve current exactly
+    there."""
     mesh, current = model().mesh, 3e-3
     j = model().current_density(source, sink, current)
     flux = np.zeros(mesh.n_nodes)  # int j . grad N_i, the current that leaves into node i's cell
@@ -137,7 +148,8 @@ def test_current_through_any_cut_is_the_injected_current(source: int, sink: int)
 
 
 def test_current_flows_from_source_to_sink() -> None:
-    """Total current across the sheet, int j dA = I (x_sink - x_source) for insulated rims (a discrete identity, too)."""
+    """Total current across the sheet, int j dA = I (x_sink - x_source) for insulated rims (a discrete identity,
+    too)."""
     for source, sink in ((0, 6), (12, 14), (4, 9)):
         j = model().current_density(source, sink, 2e-3)
         moment = model().mesh.measures @ j
@@ -153,7 +165,7 @@ def test_power_dissipated_in_the_sheet_is_voltage_times_current(source: int, sin
     assert power == pytest.approx(voltage * current, rel=1e-11)
 
 
-# --- sensitivity --------------------------------------------------------------------------------------------------------
+# --- sensitivity ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -166,7 +178,10 @@ def test_sensitivity_is_the_derivative_of_refactorised_models(seed: int) -> None
     somewhere = np.eye(base.mesh.n_elem)[rng.integers(base.mesh.n_elem)]
     for direction in (everywhere, somewhere):
         step = 1e-5 * direction / np.abs(direction / base.conductivity).max()
-        up, down = (TransferModel(base.mesh, GRID, base.conductivity + sign * step).voltages(pattern, currents) for sign in (1, -1))
+        up, down = (
+            TransferModel(base.mesh, GRID, base.conductivity + sign * step).voltages(pattern, currents)
+            for sign in (1, -1)
+        )
         slope = jacobian @ (2 * step)
         np.testing.assert_allclose(up - down, slope, atol=1e-6 * np.abs(slope).max() + 3e-13 * np.abs(up).max())
 
@@ -195,7 +210,7 @@ def test_a_scaled_model_is_the_model_of_scaled_conductivity(factor: float) -> No
     np.testing.assert_array_equal(scaled.conductivity, anew.conductivity)
 
 
-# --- an independent implementation --------------------------------------------------------------------------------------
+# --- an independent implementation ------------------------------------------------------------------------------------
 
 
 def test_voltages_and_sensitivity_are_those_of_pyeit_on_the_same_mesh() -> None:
@@ -220,7 +235,7 @@ def test_voltages_and_sensitivity_are_those_of_pyeit_on_the_same_mesh() -> None:
     np.testing.assert_allclose(ours.sensitivity(PAPER), -jacobian, rtol=0, atol=1e-9 * np.abs(jacobian).max())
 
 
-# --- what is refused ----------------------------------------------------------------------------------------------------
+# --- what is refused --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])

@@ -77,19 +77,23 @@ def test_depth_is_the_distance_from_the_rim() -> None:
     assert DISC.depth([[0.03, -0.04]])[0] == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("kind", "arguments"), [(Rectangle, (0, 1)), (Rectangle, (1, np.nan)), (Disc, (-1,)), (Disc, (np.inf,))])
+@pytest.mark.parametrize(
+    ("kind", "arguments"), [(Rectangle, (0, 1)), (Rectangle, (1, np.nan)), (Disc, (-1,)), (Disc, (np.inf,))]
+)
 def test_lengths_must_be_positive(kind: type, arguments: tuple[float, ...]) -> None:
     with pytest.raises(GeometryError, match="positive length"):
         kind(*arguments)
 
 
-# --- meshes -------------------------------------------------------------------------------------------------------------
+# --- meshes -----------------------------------------------------------------------------------------------------------
 
 
 def test_shape_functions_have_the_gradients_of_linear_interpolation() -> None:
     mesh = mesh_domain(SHEET, 0.02)
     field = mesh.nodes @ [3.0, -5.0] + 2
-    np.testing.assert_allclose(np.einsum("ekd,ek->ed", mesh.gradients, field[mesh.elements]), [[3, -5]] * mesh.n_elem, atol=1e-11)
+    np.testing.assert_allclose(
+        np.einsum("ekd,ek->ed", mesh.gradients, field[mesh.elements]), [[3, -5]] * mesh.n_elem, atol=1e-11
+    )
     np.testing.assert_allclose(mesh.gradients.sum(1), 0, atol=1e-11)
 
 
@@ -182,7 +186,9 @@ def test_meshes_do_not_change() -> None:
 
 def test_no_node_at_a_point_is_an_error_with_the_remedy() -> None:
     mesh = mesh_domain(SHEET, 0.03)
-    with pytest.raises(GeometryError, match=r"point 1 at .* m away from the nearest mesh node; make the mesh with these points"):
+    with pytest.raises(
+        GeometryError, match=r"point 1 at .* m away from the nearest mesh node; make the mesh with these points"
+    ):
         mesh.nodes_at([[0, 0], [0.101, 0.0997]])
 
 
@@ -259,7 +265,7 @@ def test_closest_elements_are_closest() -> None:
     assert set(mesh.closest_elements([point], 3)[0]) == set(expected)
 
 
-# --- electrodes ---------------------------------------------------------------------------------------------------------
+# --- electrodes -------------------------------------------------------------------------------------------------------
 
 
 def test_the_paper_grid_walks_round_the_rim_and_then_round_the_middle() -> None:
@@ -312,7 +318,7 @@ def test_impossible_layouts_are_refused(make, message: str) -> None:
         make()
 
 
-# --- rasters ------------------------------------------------------------------------------------------------------------
+# --- rasters ----------------------------------------------------------------------------------------------------------
 
 
 def test_raster_of_an_oblong_sheet_has_x_along_columns_and_y_up() -> None:

@@ -98,7 +98,9 @@ def test_image_is_the_textbook_formula_for_any_pattern_and_currents(seed: int) -
     volts = touch((0.12, 0.05), pattern).volts * currents / CURRENT + NOISE * rng.normal(size=pattern.n_meas)
     difference = Difference(pattern, currents, volts)
     expected = textbook(difference)
-    np.testing.assert_allclose(estimator().reconstruct(difference).values, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        estimator().reconstruct(difference).values, expected, rtol=0, atol=1e-7 * np.abs(expected).max()
+    )
 
 
 def test_a_stated_model_error_adds_to_the_noise_in_proportion_to_the_data() -> None:
@@ -129,7 +131,9 @@ def test_channels_that_are_not_finite_are_left_out_as_if_never_measured(bad: flo
     full = touch((0.06, 0.13), BASE, seed=0)
     lost = np.arange(BASE.n_meas) % 7 == 3
     holed = Difference(BASE, full.currents, np.where(lost, bad, full.volts))
-    reduced = Difference(DrivePattern(BASE.injections, BASE.measurements[~lost]), full.currents[~lost], full.volts[~lost])
+    reduced = Difference(
+        DrivePattern(BASE.injections, BASE.measurements[~lost]), full.currents[~lost], full.volts[~lost]
+    )
     expected = estimator().reconstruct(reduced)
     image = estimator().reconstruct(holed)
     np.testing.assert_allclose(image.values, expected.values, atol=1e-9 * np.abs(expected.values).max())
@@ -172,22 +176,23 @@ def test_noise_std_is_the_scatter_of_images_of_noise() -> None:
     images = np.array([estimator().reconstruct(Difference(BASE, currents, v)).values[some] for v in volts])
     stated = estimator().reconstruct(Difference(BASE, currents, volts[0])).noise_std(some)
     assert stated == pytest.approx(images.std(axis=0), rel=4 / np.sqrt(2000))
-    assert estimator().reconstruct(Difference(BASE, currents, volts[0])).noise_std(77)[0] == pytest.approx(stated[1], rel=1e-12)
+    assert estimator().reconstruct(Difference(BASE, currents, volts[0])).noise_std(77)[0] == pytest.approx(
+        stated[1], rel=1e-12
+    )
 
 
 def test_more_data_make_a_better_image_of_the_truth() -> None:
-    """Among truths drawn from the prior the fused image errs less than either of its parts, on average (Gauss-Markov)."""
+    """Among truths drawn from the prior the fused image errs less than either of its parts, on average
+    (Gauss-Markov)."""
     root = np.linalg.cholesky(covariance())
     patterns = (BASE, ADAPTIVE)
     error = np.zeros(3)
     for seed in range(20):
         rng = np.random.default_rng(seed)
         truth = 0.01 * root @ rng.normal(size=len(root))
-        data = [
-            Difference(p, np.full(p.n_meas, CURRENT), CURRENT * four_terminal_jacobian(p) @ (truth * model().conductivity)
-                       + 0.01 * NOISE * rng.normal(size=p.n_meas))
-            for p in patterns
-        ]  # fmt: skip
+        exact = [CURRENT * four_terminal_jacobian(p) @ (truth * model().conductivity) for p in patterns]
+        volts = [v + 0.01 * NOISE * rng.normal(size=len(v)) for v in exact]
+        data = [Difference(p, np.full(p.n_meas, CURRENT), v) for p, v in zip(patterns, volts, strict=True)]
         for k, differences in enumerate(([data[0]], [data[1]], data)):
             error[k] += np.sum((estimator().reconstruct(*differences).values - truth) ** 2)
     assert error[2] < error[:2].min()
@@ -206,7 +211,9 @@ def test_a_touch_is_imaged_where_it_is_though_the_data_come_from_another_mesh(at
     sheet = np.full((mesh := mesh_domain(SHEET, 0.0045, GRID.positions)).n_elem, 1.83e-3)
     inside = np.linalg.norm(mesh.centroids - at, axis=1) < 0.01
     pattern = adjacent(GRID.rings)
-    quiet, touched = (TransferModel(mesh, GRID, s).voltages(pattern, CURRENT) for s in (sheet, sheet * (1 + 0.5 * inside)))
+    quiet, touched = (
+        TransferModel(mesh, GRID, s).voltages(pattern, CURRENT) for s in (sheet, sheet * (1 + 0.5 * inside))
+    )
     volts = touched - quiet + 1e-5 * np.random.default_rng(0).normal(size=len(quiet))
     coarse = coarse_estimator()
     image = coarse.reconstruct(Difference(pattern, np.full(pattern.n_meas, CURRENT), volts)).values

@@ -29,11 +29,13 @@ def page(fresh: Any) -> Iterator[Any]:
     until(fresh, "!window.ohmskin.frame.demo && window.ohmskin.frame.contacts.length === 0")
 
 
-def until(page: Any, condition: str, seconds: float = 30.0) -> None:
+def until(page: Any, condition: str, seconds: float = 120.0) -> None:
     """Wait for a condition on the page; its security policy forbids Playwright's own way of waiting."""
     end = time.monotonic() + seconds
     while not page.evaluate(f"Boolean({condition})"):
-        assert time.monotonic() < end, f"{condition} did not come true; the last frame was {page.evaluate('window.ohmskin.frame')}"
+        assert time.monotonic() < end, (
+            f"{condition} did not come true; the last frame was {page.evaluate('window.ohmskin.frame')}"
+        )
         page.wait_for_timeout(20)
 
 
@@ -94,6 +96,25 @@ def test_the_mode_switch_changes_what_is_driven(page: Any) -> None:
         assert np.hypot(felt[0] - 0.08, felt[1] - 0.12) < 12e-3
     page.mouse.up()
     assert page.locator('[data-mode="16B"]').get_attribute("aria-disabled") == "true"
+
+
+def test_a_mode_is_chosen_by_its_plain_name_and_an_estimator_and_a_prior_by_theirs(page: Any) -> None:
+    page.get_by_role("button", name="Adaptive, as in the paper").click()
+    until(page, "window.ohmskin.frame.mode === '16O'")
+    assert page.get_by_text("A base scan of the rim, then the pairs closest to the contacts").is_visible()
+    page.get_by_text("Expert").click()
+    page.get_by_label("Estimator").select_option("kalman")
+    until(page, "window.ohmskin.frame.estimator === 'kalman'")
+    page.get_by_label("Prior").select_option("matern")
+    until(page, "window.ohmskin.frame.prior === 'matern' && window.ohmskin.frame.estimator === 'kalman'")
+    page.mouse.move(*screen(page, 0.08, 0.12))
+    page.mouse.down()
+    (felt,) = contacts(page, 1)
+    assert np.hypot(felt[0] - 0.08, felt[1] - 0.12) < 12e-3
+    page.mouse.up()
+    page.get_by_label("Estimator").select_option("gauss-newton")
+    page.get_by_label("Prior").select_option("paper")
+    until(page, "window.ohmskin.frame.prior === 'paper' && window.ohmskin.frame.estimator === 'gauss-newton'")
 
 
 def test_calibrate_and_pause(page: Any) -> None:

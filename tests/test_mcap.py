@@ -1,9 +1,12 @@
-"""The recording's format: independent readers find every field in it, cut and damaged files are read as far as they go."""
+"""The recording's format: independent readers find every field in it, cut and damaged files are read as far as they
+go."""
 
 import math
 import struct
 import tracemalloc
 from contextlib import suppress
+from dataclasses import fields as dataclass_fields
+from dataclasses import replace
 from pathlib import Path
 
 import lz4.frame
@@ -13,16 +16,21 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from recordings import SKIN, record_press, some_frames
+from recordings import SKIN, Bench, record_press, some_frames
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import ohmskin as ohm
+import ohmskin.client
+from ohmskin.client.cdr import Decoder, Encoder
+from ohmskin.client.fields import as_json, columns, components, numbers
+from ohmskin.client.fields import fields as contact_fields
+from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, OhmskinError
 from ohmskin.geometry import Raster
-from ohmskin.record import Role, Tape, is_tape, read_recording, recover
-from ohmskin.record.cdr import Decoder, Encoder
-from ohmskin.record.container import LARGEST_RECORD, Container
-from ohmskin.record.messages import (
+from ohmskin.importers import read_recording
+from ohmskin.mcap import Role, Tape, is_tape, recover
+from ohmskin.mcap.container import LARGEST_RECORD, Container
+from ohmskin.mcap.messages import (
     decode_frame,
     decode_image,
     decode_log,
@@ -34,10 +42,11 @@ from ohmskin.record.messages import (
     encode_pattern,
     encode_touch,
 )
-from ohmskin.record.schemas import FRAME, PATTERN, TOPICS
-from ohmskin.record.writer import RecordingWriter
-from ohmskin.scan import DrivePattern, Frame, FrameFlag
-from ohmskin.touch import Contact
+from ohmskin.mcap.modes import decode_modes
+from ohmskin.mcap.schemas import FRAME, PATTERN, TOPICS
+from ohmskin.mcap.writer import RecordingWriter
+from ohmskin.recording import Recorder
+from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +55,19 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ohm.T
     return path, record_press(path)
 
 
-def write_frames(path: Path, frames: list[Frame], role: Role = Role.BASE) -> None:
+def write_frames(path: Path, frames: list[Frame], role: Role = Role.BASE, modes: str = "{}") -> None:
     """A recording of these frames, without a loop."""
-    device = {"name": "none", "n_electrodes": "16", "max_injections": "256", "max_measurements": "4096", "features": "2"}
+    device = {
+        "name": "none",
+        "n_electrodes": "16",
+        "max_injections": "256",
+        "max_measurements": "4096",
+        "features": "2",
+    }
     device |= dict.fromkeys(("excitation", "full_scale", "settle_time", "conversion_time"), "0.0") | {"serial": "0"}
-    writer = RecordingWriter(str(path), {"ohmskin": {"format": "1"}, "device": device}, {"skin.toml": SKIN.dump()})
+    writer = RecordingWriter(
+        str(path), {"ohmskin": {"format": "1", "modes": modes}, "device": device}, {"skin.toml": SKIN.dump()}
+    )
     stored = set()
     for number, frame in enumerate(frames):
         if frame.pattern not in stored:
@@ -76,7 +93,9 @@ def test_independent_readers_find_every_field(recorded: tuple[Path, list[ohm.Tou
     for name, definition in TOPICS.values():
         own = {k: v for k, v in get_types_from_msg(definition, name).items() if "ohmskin" in k}
         store.register(own)
-        for kind, fields in get_types_from_msg(definition, name).items():  # the definitions in the file are the known ones
+        for kind, fields in get_types_from_msg(
+            definition, name
+        ).items():  # the definitions in the file are the known ones
             assert store.fielddefs[kind][1] == fields[1], kind
     found: dict[str, list] = {topic: [] for topic in TOPICS}
     with path.open("rb") as file:
@@ -107,7 +126,7 @@ def test_independent_readers_find_every_field(recorded: tuple[Path, list[ohm.Tou
                 contact.confidence,
                 contact.peak,
             )
-        for number, frame in zip(cycle.frames, touch.sight.frames, strict=True):
+        for number, frame in zip(cycle.frames, touch.percept.frames, strict=True):
             stored = frames[int(number)]
             assert (stored.time, stored.sequence, stored.flags) == (frame.time, frame.sequence, int(frame.flags))
             np.testing.assert_array_equal(stored.voltages, frame.voltages)
@@ -120,7 +139,7 @@ def test_independent_readers_find_every_field(recorded: tuple[Path, list[ohm.Tou
     images = found["/ohmskin/image"]
     assert len(images) == len(touches)  # recorded without a limit
     for message, image in images:
-        values = raster(touches[message.sequence - 1].sight.image.values)
+        values = raster(touches[message.sequence - 1].percept.image.values)
         assert (image.encoding, image.height, image.width, image.step) == ("32FC1", 64, 64, 256)
         np.testing.assert_array_equal(image.data.view("<f4").reshape(64, 64)[::-1], values.astype("f4"))
     x = float(metadata["raster"]["x0"]) + float(metadata["raster"]["pitch"]) * np.arange(64)
@@ -145,13 +164,21 @@ def test_independent_readers_find_every_field(recorded: tuple[Path, list[ohm.Tou
     st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20),
 )
 @settings(deadline=None, max_examples=100)
-def test_frames_come_back_to_the_last_bit(voltages: list, sequence: int, at: float, flags: int, role: Role, mode: str) -> None:
+def test_frames_come_back_to_the_last_bit(
+    voltages: list, sequence: int, at: float, flags: int, role: Role, mode: str
+) -> None:
     pattern = ohm.adjacent([range(12)])
     frame = Frame(pattern, np.array(voltages), np.array(voltages[:12]), at, sequence, FrameFlag(flags))
     stamp = 1_700_000_000_123_456_789
     record = decode_frame(encode_frame(frame, stamp, 2.5, role, mode))
     assert same(record.frame(pattern), frame)
-    assert (record.stamp, record.arrived, record.role, record.mode, record.pattern) == (stamp, 2.5, role, mode, pattern.digest)
+    assert (record.stamp, record.arrived, record.role, record.mode, record.pattern) == (
+        stamp,
+        2.5,
+        role,
+        mode,
+        pattern.digest,
+    )
 
 
 def test_other_messages_come_back() -> None:
@@ -181,8 +208,8 @@ def test_cdr_aligns_as_ros_does() -> None:
             np.testing.assert_array_equal(theirs.e, e)
             decoder = Decoder(ours)
             assert (decoder.take("Bd"), decoder.text()) == ((7, 0.5), text)
-            np.testing.assert_array_equal(decoder.array("u2"), d)
-            np.testing.assert_array_equal(decoder.array("f8"), e)
+            np.testing.assert_array_equal(np.frombuffer(decoder.block(2), "<u2"), d)
+            np.testing.assert_array_equal(np.frombuffer(decoder.block(8), "<f8"), e)
             assert decoder.take("?i") == (True, -2)
 
 
@@ -191,10 +218,10 @@ def test_a_recording_reads_as_any_other(recorded: tuple[Path, list[ohm.Touch]]) 
     recording = read_recording(path)
     assert is_tape(path)
     assert recording.notes == ()
-    flown = [frame for touch in touches for frame in touch.sight.frames]
+    flown = [frame for touch in touches for frame in touch.percept.frames]
     assert len(recording.frames) == len(flown)
     assert all(same(a, b) for a, b in zip(recording.frames, flown, strict=True))
-    assert len(recording.quiet) > 200
+    assert len(recording.quiet) == 160  # 40 of each of four patterns
     assert recording.tape is not None
     assert recording.tape.times[0] < 0 == recording.tape.times[len(recording.quiet)]
     recording.tape.close()
@@ -206,7 +233,9 @@ def test_patterns_with_the_same_digest_are_told_apart(tmp_path: Path) -> None:
     one, other = ohm.adjacent([range(12)]), ohm.adjacent([range(12)])
     other = DrivePattern(other.injections[:, ::-1], other.measurements)
     object.__setattr__(other, "__dict__", other.__dict__ | {"digest": one.digest})  # a collision of the checksum
-    frames = [Frame(p, np.full(p.n_meas, float(k)), np.ones(p.n_inj), 0.0, k) for k, p in enumerate([one, other, one, other])]
+    frames = [
+        Frame(p, np.full(p.n_meas, float(k)), np.ones(p.n_inj), 0.0, k) for k, p in enumerate([one, other, one, other])
+    ]
     writer = RecordingWriter(str(tmp_path / "a.mcap"), {"ohmskin": {"format": "1"}}, {})
     for number, frame in enumerate(frames):
         writer.add(PATTERN, 0, number, encode_pattern(frame.pattern))
@@ -362,7 +391,7 @@ def test_recovery_that_is_interrupted_leaves_nothing_behind(tmp_path: Path, monk
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ohmskin.record.repair._commit", interrupted)
+    monkeypatch.setattr("ohmskin.mcap.repair._commit", interrupted)
     with pytest.raises(KeyboardInterrupt):
         recover(tmp_path / "a.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
@@ -376,3 +405,53 @@ def test_a_file_that_shrinks_while_it_is_read_ends_early(tmp_path: Path) -> None
         (tmp_path / "a.mcap").write_bytes(b"")
         assert len(list(messages)) < 200
         assert not container.whole
+
+
+# --- contacts and modes -----------------------------------------------------------------------------------------------
+
+
+KNOWN = Contact((0.05, 0.12), 2e-4, -3e-4, 0.97, -0.4, 7, ((2e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3)
+
+
+@pytest.mark.parametrize("contact", [KNOWN, replace(KNOWN, covariance=None, velocity=None, radius=None)])
+def test_every_field_of_a_contact_comes_back(contact: Contact) -> None:
+    back = decode_touch(encode_touch(1, 0.5, 9, "16T", [4], [contact, replace(contact, id=8)]))
+    assert back.contacts == (contact, replace(contact, id=8))
+
+
+def test_a_new_field_of_a_contact_reaches_every_encoding() -> None:
+    """Each encoding takes its fields from the table, and the table has all that a contact has."""
+    named = {field.name for field in dataclass_fields(Contact)}
+    assert {field.name for field in contact_fields(2)} == named == as_json(KNOWN).keys()
+    assert {field.name for field in contact_fields(3)} == named | {"normal"}
+    assert {f.name for f in dataclass_fields(ohm.client.Contact)} == named | {"normal", "patch", "frame"}
+    assert len(columns()) == len(components(2)) == len(numbers(KNOWN, 2)) == 13
+    assert as_json(KNOWN)["covariance"] == [2e-6, 1e-7, 1e-6]
+    assert as_json(replace(KNOWN, velocity=None))["velocity"] is None
+
+
+def test_recordings_of_the_first_version_are_read() -> None:
+    """Their contacts have seven numbers; the file was written by 0.1.0."""
+    with Tape(Path(__file__).with_name("data") / "contacts-of-0.1.0.mcap") as tape:
+        assert (len(tape.frames), len(tape.touches), dict(tape.recorded_modes)) == (4, 3, {})
+        first = Contact((0.01, 0.02), 1e-4, -2e-4, 0.5, -0.25, 3)
+        second = Contact((0.1, 0.11), 3e-4, 4e-4, 0.75, 0.5, 4)
+        moved = [replace(first, position=(0.01 * k, 0.02)) for k in (1, 2, 3)]
+        assert [touch.contacts for touch in tape.touches] == [(moved[0],), (moved[1], second), (moved[2], second)]
+
+
+def test_modes_are_kept(tmp_path: Path) -> None:
+    mode = ohm.Mode("quick", "tracking", "fit", prior="matern", injections=6, title="Quick")
+    with Recorder(tmp_path / "a.mcap", SKIN, 0, modes=[mode]) as recorder, Bench() as bench:
+        recorder.tee(bench).scan(adjacent([SKIN.electrodes.rings[0]]))
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert tape.recorded_modes == {"quick": {**mode.entries, "adjustable": True}}
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"16T": 1}', "[" * 100_000, '{"a": {}}' + " " * 2**20])
+def test_modes_that_cannot_be_read_are_as_if_not_told(tmp_path: Path, text: str) -> None:
+    with pytest.raises(DataError, match="object of objects"):
+        decode_modes(text)
+    write_frames(tmp_path / "a.mcap", some_frames(2), modes=text)
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert (len(tape.frames), dict(tape.recorded_modes)) == (2, {})

@@ -25,14 +25,14 @@ from scipy.spatial.transform import Rotation
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from ohmskin.body import Body
+from ohmskin.body.body import axes, read_links
+from ohmskin.body.patches import Merger
 from ohmskin.client import Board, Client, Contact, Patch, Sighting
 from ohmskin.client.felt import LARGEST, felt, pack
 from ohmskin.device import connect as connect_device
 from ohmskin.errors import SkinError, ViewError
-from ohmskin.publish import Body
-from ohmskin.publish.body import axes, read_links
-from ohmskin.publish.patches import Merger
-from ohmskin.view.overview import Gallery, Overview
+from ohmskin.view.overview import BoardsPage, Overview
 
 URDF = '<robot name="r"><link name="base"/><link name="forearm"/><joint name="j"/></robot>'
 BODY = """
@@ -73,7 +73,7 @@ def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
     return value
 
 
-# --- the body file ------------------------------------------------------------------------------------------------------
+# --- the body file ----------------------------------------------------------------------------------------------------
 
 
 def test_a_body_is_what_its_file_says(tmp_path: Path) -> None:
@@ -81,8 +81,15 @@ def test_a_body_is_what_its_file_says(tmp_path: Path) -> None:
     front, arm = body.patches
     assert (body.name, body.scale) == ("torso", None)
     again = Body.load(write(tmp_path, BODY.replace('mode = "16B"', 'device = "replay:a.mcap?loop=0"')))
-    assert again.patches[1].device == f"replay:{tmp_path.resolve() / 'a.mcap'}?loop=0"  # wherever the program is started
-    assert (front.patch.name, front.patch.frame, front.device, front.skin.name) == ("front", "base", "virtual:", "paper")
+    assert (
+        again.patches[1].device == f"replay:{tmp_path.resolve() / 'a.mcap'}?loop=0"
+    )  # wherever the program is started
+    assert (front.patch.name, front.patch.frame, front.device, front.skin.name) == (
+        "front",
+        "base",
+        "virtual:",
+        "paper",
+    )
     assert (arm.patch.name, arm.patch.frame, arm.mode, arm.skin.name) == ("arm", "forearm", "16B", "paper-rim16")
     # turned a quarter about y: the sheet's x points down, its normal along the link's x
     np.testing.assert_allclose(front.patch.place(0.05, 0.12), (0.1, 0.32, 0.25), atol=1e-15)
@@ -141,7 +148,9 @@ def test_a_body_without_patches_and_one_that_is_too_large_are_refused(tmp_path: 
     with pytest.raises(SkinError, match="1 to 64 tables"):
         Body.load(write(tmp_path, 'name = "x"'))
     with pytest.raises(SkinError, match="1 to 64 tables"):
-        Body.load(write(tmp_path, 'name = "x"\n' + "".join(f'[[patch]]\nname = "p{k}"\nlink = "l"\n' for k in range(65))))
+        Body.load(
+            write(tmp_path, 'name = "x"\n' + "".join(f'[[patch]]\nname = "p{k}"\nlink = "l"\n' for k in range(65)))
+        )
     with pytest.raises(SkinError, match="more than 1048576 bytes"):
         Body.load(write(tmp_path, "#" * 2**20 + BODY))
 
@@ -162,7 +171,7 @@ def test_a_wrong_urdf_file_is_told(tmp_path: Path, urdf: str, says: str) -> None
         read_links(tmp_path / "r.urdf")
 
 
-# --- one stream of several ----------------------------------------------------------------------------------------------
+# --- one stream of several --------------------------------------------------------------------------------------------
 
 LEFT, RIGHT = Patch("left", "l_link", (0.0, 1.0, 0.0)), Patch("right", "r_link", (0.0, -1.0, 0.0))
 
@@ -170,7 +179,8 @@ LEFT, RIGHT = Patch("left", "l_link", (0.0, 1.0, 0.0)), Patch("right", "r_link",
 def speak(board: Board, patch: Patch, sequence: int, count: int, ago: float = 0.0) -> None:
     seen = Sighting(patch.name, patch.frame, sequence, time.monotonic() - ago, time.time_ns() - round(1e9 * ago), "16O")
     contacts = [
-        Contact(k + 1, patch.name, patch.frame, patch.place(0.05, 0.1), patch.normal, 1e-4, 2e-4, 0.9, 0.3) for k in range(count)
+        Contact(k + 1, patch.name, patch.frame, patch.place(0.05, 0.1), patch.normal, 1e-4, 2e-4, 0.9, 0.3)
+        for k in range(count)
     ]
     board.write(pack(felt(sequence, [seen], contacts), [patch]))
 
@@ -220,7 +230,7 @@ def test_a_board_of_something_else_under_the_name_of_a_patch_is_passed_over() ->
     merger.close()
 
 
-# --- the page -----------------------------------------------------------------------------------------------------------
+# --- the page ---------------------------------------------------------------------------------------------------------
 
 RASTER = {"x0": 0.05, "y0": 0.05, "pitch": 0.1, "nx": 2, "ny": 2}
 
@@ -245,7 +255,7 @@ def read(frame: bytes) -> tuple[dict[str, Any], np.ndarray]:
 
 
 def test_the_gallery_shows_images_and_contacts_on_their_sheets(shown: Any) -> None:
-    header, pixels = read(Gallery("torso", ["torso.left", "torso.right"]).frame())
+    header, pixels = read(BoardsPage("torso", ["torso.left", "torso.right"]).frame())
     left, right = header["patches"]
     assert (header["name"], left["name"], left["link"], left["mode"]) == ("torso", "left", "l_link", "16O")
     assert left["contacts"][0]["at"] == pytest.approx([0.05, 0.1])  # on the sheet
@@ -292,14 +302,26 @@ def test_a_page_for_others_needs_a_token() -> None:
         Overview("torso", [], host="0.0.0.0")
 
 
-# --- the whole ----------------------------------------------------------------------------------------------------------
+# --- the whole --------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def torso(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
     body = BODY.replace('skin = "paper-rim16"\nmode = "16B"', 'mode = "12B"')
-    command = [sys.executable, "-m", "ohmskin", "patches", str(write(tmp_path, body)), "--no-demo", "--no-browser", "--port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=dict(os.environ))
+    command = [
+        sys.executable,
+        "-m",
+        "ohmskin",
+        "patches",
+        str(write(tmp_path, body)),
+        "--no-demo",
+        "--no-browser",
+        "--port",
+        "0",
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=dict(os.environ)
+    )
     assert process.stdout is not None
     try:
         yield process
@@ -315,7 +337,9 @@ def torso(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
         process.stdout.close()
 
 
-def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(torso: "subprocess.Popen[str]", chromium: Any) -> None:
+def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(
+    torso: "subprocess.Popen[str]", chromium: Any
+) -> None:
     assert torso.stdout is not None
     assert "shm:torso" in torso.stdout.readline()
     url = re.search(r"http://\S+", torso.stdout.readline())
@@ -342,7 +366,7 @@ def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(tors
 
 
 def patch_processes(pid: int) -> list[psutil.Process]:
-    return [child for child in psutil.Process(pid).children() if "ohmskin.publish.patch" in child.cmdline()]
+    return [child for child in psutil.Process(pid).children() if "ohmskin.body.patch" in child.cmdline()]
 
 
 def settings_of(process: psutil.Process, robot: Client) -> str:

@@ -7,29 +7,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ohmskin.contacts import find_regions
 from ohmskin.drive import (
+    DRIVES,
     Candidates,
     ContactPrior,
+    Drive,
+    DriveSettings,
     Exploration,
     InformedPolicy,
-    Policy,
     PositionDrive,
     Ranking,
     Target,
     base_pattern,
     complete_pattern,
-    modes,
     part_of,
 )
 from ohmskin.drive.bound import contact_columns
 from ohmskin.drive.design import whitened
-from ohmskin.engine import Perception
 from ohmskin.errors import PatternError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse import GaussNewton
 from ohmskin.scan import Baseline, DrivePattern, Frame, measure_others, pair_index
+from ohmskin.sensing import SkinModel, build, drive_of, mode_named
 from ohmskin.skin import Skin, VirtualSkin
-from ohmskin.touch import find_regions
 
 PAPER = Skin.load("paper")
 GRID = PAPER.electrodes
@@ -47,15 +48,13 @@ def candidates() -> Candidates:
 
 
 @lru_cache
-def policy(kind: str) -> Policy:
+def policy(kind: str) -> Drive:
     if kind == "exploration":
         return Exploration(GRID, 4)
-    if kind == "region":
-        return InformedPolicy(GRID, lambda: (table(), candidates()), 4, explore=1, criterion="region", cell=0.1)
-    return InformedPolicy(GRID, lambda: (table(), candidates()), 4, explore=1, criterion=kind.split()[0], exact="exact" in kind)
+    return InformedPolicy(GRID, lambda: (table(), candidates()), 4, explore=1, exact="exact" in kind)
 
 
-KINDS = ["exploration", "position", "information", "region", "position exact", "information exact"]
+KINDS = ["exploration", "position", "position exact"]
 
 
 def target(x: float, y: float, spread: float = 3e-3) -> Target:
@@ -102,8 +101,7 @@ def test_exploring_comes_round(kind: str) -> None:
 
 @pytest.mark.parametrize(("injections", "exploring"), [(1, 1), (2, 1), (3, 1), (4, 2), (9, 2)])
 def test_two_explore_but_no_more_than_half(injections: int, exploring: int) -> None:
-    chosen = InformedPolicy(GRID, lambda: (table(), candidates()), 4)
-    chosen.injections = injections  # as the loop does when its user asks for more or fewer
+    chosen = InformedPolicy(GRID, lambda: (table(), candidates()), 4).with_injections(injections)
     explored = [k for turn in range(6) for k in numbers(chosen.next([target(0.05, 0.1)], turn))[:exploring]]
     round_trip = numbers(part_of(chosen.complete, chosen._exploration.drives))
     assert explored == [round_trip[k % 6] for k in range(6 * exploring)]
@@ -131,7 +129,9 @@ def test_choices_locate_a_contact_better_than_exploring_or_chance(kind: str) -> 
     known = [target(*random.uniform(0.015, 0.185, 2)) for _ in range(40)]
     chosen = np.array([error_after(policy(kind).next([each], turn), each) for turn, each in enumerate(known)])
     explored = np.array([error_after(policy("exploration").next([], turn), each) for turn, each in enumerate(known)])
-    chance = np.array([error_after(part_of(complete_pattern(GRID), random.integers(0, 120, 4)), each) for each in known])
+    chance = np.array(
+        [error_after(part_of(complete_pattern(GRID), random.integers(0, 120, 4)), each) for each in known]
+    )
     assert chosen.mean() < 0.85 * explored.mean()
     assert chosen.mean() < 0.8 * chance.mean()
 
@@ -184,14 +184,14 @@ def test_two_contacts_weighed_together_are_located_better_than_by_turns() -> Non
 
 def test_a_plan_says_what_the_frame_does() -> None:
     known = target(0.07, 0.13)
-    for kind in ("position", "position exact", "information exact"):
+    for kind in ("position", "position exact"):
         chosen = policy(kind)
         assert isinstance(chosen, InformedPolicy)
         plan = chosen.explain([known], 5)
         assert plan.pattern == chosen.next([known], 5)
         assert plan.before[0] == pytest.approx(np.sqrt(2) * 3e-3)
         assert plan.after[0] == pytest.approx(error_after(plan.pattern, known), rel=1e-6)
-        assert f"chosen by {kind.split()[0]}; position error 4.24 to {1e3 * plan.after[0]:.2f} mm" in str(plan)
+        assert f"exploring); position error 4.24 to {1e3 * plan.after[0]:.2f} mm" in str(plan)
     empty = policy("position").explain([], 0)  # type: ignore[attr-defined]
     assert (empty.explored, len(empty.before)) == (4, 0)
     assert "no contact" in str(empty)
@@ -220,14 +220,6 @@ def test_rankings_are_the_greedy_choice_for_their_cells() -> None:
     assert (np.diff(ranking.values, axis=2) < 0).all()
 
 
-def test_rankings_for_regions_and_information_improve_what_they_are_for() -> None:
-    region = Ranking(table(), candidates(), "region", depth=3, cell=0.1)
-    assert (np.diff(region.values, axis=2) < 0).all()
-    assert region.values[..., 0] == pytest.approx(1.0, abs=1e-3)  # the share of the variance
-    information = Ranking(table(), candidates(), "information", depth=3, cell=0.1)
-    assert (np.diff(information.values, axis=2) > 0).all()
-
-
 def test_currents_that_a_pair_does_not_get_are_not_counted_on() -> None:
     """A pair with a hundredth of the current is not chosen although it was the best."""
     best = Ranking(table(), candidates(), depth=1, cell=0.2).order[0, 0, 0]
@@ -242,8 +234,6 @@ def test_currents_that_a_pair_does_not_get_are_not_counted_on() -> None:
     [
         ({"injections": 4, "explore": 0}, "at least one must"),
         ({"injections": 121, "explore": 121}, "1..120 pairs"),
-        ({"criterion": "luck"}, "choose from position, information, region"),
-        ({"criterion": "region", "exact": True}, "from tables only"),
         ({"drives": np.array([[0, 16]])}, r"numbers of the 16 electrodes"),
     ],
 )
@@ -264,19 +254,21 @@ def test_candidates_must_be_the_complete_ones() -> None:
         PositionDrive(GRID, PAPER.design, 0, base_pattern(GRID).injections)
 
 
-# --- the mode 16P ---------------------------------------------------------------------------------------------------------
+# --- the mode 16P -----------------------------------------------------------------------------------------------------
 
 
 def test_the_mode_is_an_opposite_base_scan_and_a_drive_made_when_it_is_needed() -> None:
     def unwanted() -> tuple[ContactTable, Candidates]:
         raise AssertionError("nothing was driven yet")
 
-    drive = PositionDrive(GRID, unwanted, 10, base_pattern(GRID).injections)
-    mode = modes(GRID, informed=drive)["16P"]
-    assert (mode.base.n_inj, mode.base.n_meas, drive.pairs, mode.fuse) == (6, 6 * 13, 10, True)
-    assert "6 opposite and 10 informed" in mode.title
-    assert mode.base == measure_others([[0, 6], [5, 11], [4, 10], [3, 9], [2, 8], [1, 7]], range(16))
-    assert "16P" not in modes(GRID)
+    drive = DRIVES["position"](DriveSettings(GRID, unwanted, pairs=10), 0)
+    base = drive.next([], 0)
+    assert (base.n_inj, base.n_meas, drive.scans, drive.injections) == (6, 6 * 13, 2, 16)
+    assert base == measure_others([[0, 6], [5, 11], [4, 10], [3, 9], [2, 8], [1, 7]], range(16))
+    mode = mode_named(PAPER, "16P")
+    assert (mode.drive, mode.reader, mode.fuse) == ("position", "fit", True)
+    with pytest.raises(PatternError, match="needs to know what contacts do to the data"):
+        DRIVES["position"](DriveSettings(GRID), 0).next([target(0.05, 0.1)], 1)
 
 
 def test_the_second_scan_is_the_ranking_given_the_base_scan() -> None:
@@ -293,21 +285,19 @@ def test_the_second_scan_is_the_ranking_given_the_base_scan() -> None:
 
 
 def test_a_press_is_found_in_the_mode() -> None:
-    mode, sheet = PAPER.modes["16P"], VirtualSkin(PAPER, seed=3)
-    assert mode.optimal is not None
-    quiet = [sheet.scan(pattern) for pattern in (mode.base, mode.optimal.complete) for _ in range(12)]
-    perception = Perception(PAPER, PAPER.transfer_model(), quiet)
-    perception.learn_thresholds(mode, sheet.scan, 8)
+    mode, sheet = mode_named(PAPER, "16P"), VirtualSkin(PAPER, seed=3)
+    quiet = [sheet.scan(pattern) for pattern in drive_of(mode, PAPER).patterns for _ in range(12)]
+    sensor = build(mode, SkinModel(PAPER, PAPER.transfer_model(), quiet))
     for x, y in ((0.055, 0.12), (0.14, 0.03)):
         sheet.press(0, x, y, 8e-3, 20e3)
-        sight = perception.see(mode, sheet.scan)
+        _, percept = sensor.step(sensor.start(), sheet.scan)
         sheet.press(0, x, y, 8e-3, 0.0)
-        assert [frame.pattern.n_inj for frame in sight.frames] == [6, 16]
-        assert len(sight.contacts) == 1
-        assert np.linalg.norm(np.array(sight.contacts[0].position) - [x, y]) < 5e-3
+        assert [frame.pattern.n_inj for frame in percept.frames] == [6, 16]
+        assert len(percept.detections) == 1
+        assert np.linalg.norm(np.array(percept.detections[0].position) - [x, y]) < 5e-3
 
 
-# --- a voltage source whose current nobody measures -----------------------------------------------------------------------
+# --- a voltage source whose current nobody measures -------------------------------------------------------------------
 
 
 def test_a_current_that_is_not_measured_costs_little_if_that_is_allowed_for_and_much_if_not() -> None:

@@ -141,7 +141,9 @@ def test_damaged_streams_give_only_messages_that_were_sent(items: list[Packet], 
 
 def flips(packet: bytes) -> list[bytes]:
     return [
-        packet[:i] + bytes([packet[i] ^ 1 << bit]) + packet[i + 1 :] + b"\0" for i in range(len(packet) - 1) for bit in range(8)
+        packet[:i] + bytes([packet[i] ^ 1 << bit]) + packet[i + 1 :] + b"\0"
+        for i in range(len(packet) - 1)
+        for bit in range(8)
     ]
 
 
@@ -343,7 +345,12 @@ VECTORS: dict[str, Message] = {
     "ACK": Ack(PATTERN.digest),
     "SCAN": Scan(0, PATTERN.digest),
     "FRAME": FrameData(
-        PATTERN.digest, 7, 1_500_000, 1, np.array([2e-3, 2e-3], np.float32), np.array([0.25, np.nan, np.inf], np.float32)
+        PATTERN.digest,
+        7,
+        1_500_000,
+        1,
+        np.array([2e-3, 2e-3], np.float32),
+        np.array([0.25, np.nan, np.inf], np.float32),
     ),
     "PRESS": Press(0, 0.0625, 0.125, 0.0078125, 20000.0),
     "ERROR": Refusal(6, "no pattern in slot 0"),

@@ -14,7 +14,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,30 +26,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from ohmskin.client import Client, Contact, Patch, Sighting
+from ohmskin.body.body import axes
+from ohmskin.client import Client, Patch, Sighting
 from ohmskin.client.felt import felt
+from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, decode_contacts, is_loopback
+from ohmskin.contacts import Contact as SheetContact
+from ohmskin.device import connect
 from ohmskin.errors import DataError, OhmskinError, PublishError
-from ohmskin.publish import Publisher
-from ohmskin.publish.body import axes
-from ohmskin.publish.messages import (
-    decode_contacts,
+from ohmskin.mcap.messages import encode_image
+from ohmskin.outlets.messages import (
     encode_cloud,
     encode_contacts,
     encode_markers,
     encode_wrench,
     quaternion,
 )
-from ohmskin.publish.outlet import KINDS, is_loopback, open_outlet
-from ohmskin.publish.publisher import _worst
-from ohmskin.publish.relay import RelayProcess
-from ohmskin.publish.topics import TYPES, Topic, contacts_topic
-from ohmskin.publish.types import read_types, rihs01
-from ohmskin.record.messages import encode_image
+from ohmskin.outlets.outlet import KINDS, open_outlet
+from ohmskin.outlets.publisher import Publisher
+from ohmskin.outlets.relay import RelayProcess
+from ohmskin.outlets.topics import TYPES, Topic, contacts_topic
+from ohmskin.outlets.types import read_types, rihs01
 from ohmskin.skin import Skin
 
 STAMP = 1_700_000_000_123_456_789
 PATCH = Patch("arm", "forearm_link", (0.1, 0.2, 0.3), axes(0.3, -0.4, 1.1))
-CONTACT = Contact(7, "arm", "forearm_link", PATCH.place(0.05, 0.12), PATCH.normal, 2e-4, 3e-4, 0.97, 0.4, 1.5e-3)
+ON_SHEET = SheetContact((0.05, 0.12), 2e-4, 3e-4, 0.97, 0.4, 7, ((2.25e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3)
+CONTACT = PATCH.contact(ON_SHEET)
 SIGHTING = Sighting("arm", "forearm_link", 41, 12.5, STAMP, "16O")
 PUBLISHED = {
     "/ohmskin/contacts": "ohmskin_msgs/msg/Contacts",
@@ -73,14 +75,18 @@ def store() -> Any:
     types: dict[str, Any] = {}
     for part in re.split(r"={80}\n", contacts_topic("skin").definition):
         head, _, rest = part.partition("\n")
-        name = head.removeprefix("MSG: ").replace("/", "/msg/") if head.startswith("MSG: ") else "ohmskin_msgs/msg/Contacts"
+        name = (
+            head.removeprefix("MSG: ").replace("/", "/msg/")
+            if head.startswith("MSG: ")
+            else "ohmskin_msgs/msg/Contacts"
+        )
         if name.startswith("ohmskin_msgs"):
             types |= get_types_from_msg(rest if head.startswith("MSG: ") else part, name)
     store.register(types)
     return store
 
 
-def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
+def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
     end = time.monotonic() + seconds
     while not (value := condition()):
         assert time.monotonic() < end, "this did not happen in time"
@@ -88,7 +94,7 @@ def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
     return value
 
 
-# --- types --------------------------------------------------------------------------------------------------------------
+# --- types ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED.values()))
@@ -98,9 +104,13 @@ def test_types_are_known_to_others_by_the_same_hash(name: str, store: Any) -> No
 
 def test_a_hash_is_the_one_that_ros_itself_publishes() -> None:
     # as `ros2 topic info --verbose` prints them
-    assert rihs01("sensor_msgs/msg/Image", TYPES).endswith("d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47")
+    assert rihs01("sensor_msgs/msg/Image", TYPES).endswith(
+        "d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
+    )
     strings = {"std_msgs/msg/String": read_types("std_msgs/msg/String", "string data\n")["std_msgs/msg/String"]}
-    assert rihs01("std_msgs/msg/String", strings).endswith("df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
+    assert rihs01("std_msgs/msg/String", strings).endswith(
+        "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    )
 
 
 def test_a_hash_changes_with_every_name_and_type() -> None:
@@ -125,7 +135,7 @@ def test_a_definition_that_is_none_is_told(line: str) -> None:
         read_types("x_msgs/msg/Sample", line)
 
 
-# --- messages, read by rosbags ------------------------------------------------------------------------------------------
+# --- messages, read by rosbags ----------------------------------------------------------------------------------------
 
 
 def test_contacts_are_read_field_by_field(store: Any) -> None:
@@ -141,13 +151,41 @@ def test_contacts_are_read_field_by_field(store: Any) -> None:
     assert (c.patch, c.id) == (0, 7)
     assert (c.position.x, c.position.y, c.position.z) == CONTACT.position
     assert (c.normal.x, c.normal.y, c.normal.z) == CONTACT.normal
-    figures = (CONTACT.extent, CONTACT.strength, CONTACT.confidence, CONTACT.peak, CONTACT.spread)
-    assert (c.extent, c.strength, c.confidence, c.peak, c.spread) == figures
+    figures = (CONTACT.extent, CONTACT.strength, CONTACT.confidence, CONTACT.peak, CONTACT.radius)
+    assert (c.extent, c.strength, c.confidence, c.peak, c.radius) == figures == (2e-4, 3e-4, 0.97, 0.4, 8e-3)
+    assert (c.velocity.x, c.velocity.y, c.velocity.z) == CONTACT.velocity
+    upper = [getattr(c, f"covariance_{pair}") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    assert CONTACT.covariance is not None
+    assert upper == [CONTACT.covariance[i][j] for i in range(3) for j in range(i, 3)]
+
+
+def test_velocity_and_covariance_turn_with_the_patch() -> None:
+    turn = np.array(PATCH.axes).T[:, :2]
+    assert CONTACT.velocity == pytest.approx(turn @ [0.03, -0.02])
+    np.testing.assert_allclose(np.array(CONTACT.covariance), turn @ np.array(ON_SHEET.covariance) @ turn.T, atol=1e-18)
+    plain = PATCH.contact(replace(ON_SHEET, velocity=None, covariance=None, radius=None))
+    assert (plain.velocity, plain.covariance, plain.radius) == (None, None, None)
+    assert math.isnan(plain.spread)
+
+
+def test_what_is_not_known_of_a_contact_is_nan_in_a_message_and_none_again(store: Any) -> None:
+    plain = replace(CONTACT, radius=None, velocity=None, covariance=None)
+    data = encode_contacts(felt(9, [SIGHTING], [plain]))
+    (c,) = store.deserialize_cdr(data, "ohmskin_msgs/msg/Contacts").contacts
+    assert all(math.isnan(value) for value in (c.radius, c.velocity.z, c.covariance_xx, c.covariance_zz))
+    assert decode_contacts(data, 0.0).contacts == (plain,)
+
+
+def test_the_client_listens_where_contacts_are_sent() -> None:
+    topic = contacts_topic("skin")
+    assert (topic.dds_type, topic.hash) == (CONTACTS_TYPE, CONTACTS_HASH)
 
 
 def test_contacts_come_back_as_they_went() -> None:
     silent = Sighting("hand", "palm_link")
-    what = replace(felt(3, [SIGHTING, silent], [CONTACT, replace(CONTACT, patch="hand", frame="palm_link", id=8)]), boot=77)
+    what = replace(
+        felt(3, [SIGHTING, silent], [CONTACT, replace(CONTACT, patch="hand", frame="palm_link", id=8)]), boot=77
+    )
     back = decode_contacts(encode_contacts(what), offset=12.5 - STAMP * 1e-9)
     assert back.contacts == what.contacts
     assert (back.boot, back.sequence, back.stamp, back.age) == (77, 3, 0, math.inf)
@@ -164,7 +202,9 @@ def test_bytes_that_are_no_contacts_give_one_error(data: bytes) -> None:
 
 
 def test_an_image_is_read_in_its_own_frame(store: Any) -> None:
-    message = store.deserialize_cdr(encode_image(np.arange(6.0).reshape(2, 3), STAMP, "forearm_link"), "sensor_msgs/msg/Image")
+    message = store.deserialize_cdr(
+        encode_image(np.arange(6.0).reshape(2, 3), STAMP, "forearm_link"), "sensor_msgs/msg/Image"
+    )
     assert (message.header.frame_id, message.encoding, message.height, message.width) == ("forearm_link", "32FC1", 2, 3)
     assert message.data.view("<f4").tolist() == [3, 4, 5, 0, 1, 2]  # top row first
 
@@ -180,7 +220,13 @@ def test_points_lie_where_the_pixels_are(store: Any) -> None:
         ("z", 8, 7, 1),
         ("change", 12, 7, 1),
     ]
-    assert (message.height, message.width, message.point_step, message.row_step, message.is_dense) == (1, 4, 16, 64, True)
+    assert (message.height, message.width, message.point_step, message.row_step, message.is_dense) == (
+        1,
+        4,
+        16,
+        64,
+        True,
+    )
     points = message.data.view("<f4").reshape(-1, 4)
     assert points[:, 3].tolist() == [1, 2, 3, 4]
     places = [PATCH.place(*at) for at in ((0.0, 0.0), (0.2, 0.0), (0.0, 0.1), (0.1, 0.1))]
@@ -188,7 +234,9 @@ def test_points_lie_where_the_pixels_are(store: Any) -> None:
 
 
 def test_a_wrench_pushes_into_the_skin_where_the_contact_is(store: Any) -> None:
-    message = store.deserialize_cdr(encode_wrench(CONTACT, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped").wrench
+    message = store.deserialize_cdr(
+        encode_wrench(CONTACT, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped"
+    ).wrench
     force = np.array([message.force.x, message.force.y, message.force.z])
     torque = np.array([message.torque.x, message.torque.y, message.torque.z])
     assert np.linalg.norm(force) == pytest.approx(2e4 * CONTACT.strength)
@@ -196,7 +244,9 @@ def test_a_wrench_pushes_into_the_skin_where_the_contact_is(store: Any) -> None:
     # the work of a small turn w about the origin is the same for torque and force: w . t = (w x r) . f
     for turn in np.eye(3):
         assert turn @ torque == pytest.approx(np.cross(turn, CONTACT.position) @ force)
-    none = store.deserialize_cdr(encode_wrench(None, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped").wrench
+    none = store.deserialize_cdr(
+        encode_wrench(None, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped"
+    ).wrench
     assert (none.force.x, none.force.y, none.force.z, none.torque.x, none.torque.y, none.torque.z) == (0,) * 6
 
 
@@ -204,7 +254,13 @@ def test_markers_lie_flat_on_the_skin(store: Any) -> None:
     message = store.deserialize_cdr(encode_markers((CONTACT,), (PATCH,), STAMP), "visualization_msgs/msg/MarkerArray")
     gone, marker = message.markers
     assert gone.action == 3
-    assert (marker.header.frame_id, marker.ns, marker.id, marker.type, marker.action) == ("forearm_link", "arm", 7, 3, 0)
+    assert (marker.header.frame_id, marker.ns, marker.id, marker.type, marker.action) == (
+        "forearm_link",
+        "arm",
+        7,
+        3,
+        0,
+    )
     assert (marker.pose.position.x, marker.pose.position.y, marker.pose.position.z) == CONTACT.position
     turn = marker.pose.orientation
     np.testing.assert_allclose(rotate((turn.x, turn.y, turn.z, turn.w), [0, 0, 1]), PATCH.normal, atol=1e-12)
@@ -225,7 +281,7 @@ def test_a_quaternion_turns_as_its_matrix(angles: tuple[float, float, float]) ->
         np.testing.assert_allclose(rotate(turn, vector), matrix @ vector, atol=1e-12)
 
 
-# --- the whole path: one skin, published everywhere at once --------------------------------------------------------------
+# --- the whole path: one skin, published everywhere at once -----------------------------------------------------------
 
 
 class Ears:
@@ -238,12 +294,14 @@ class Ears:
         config.insert_json5("scouting/multicast/enabled", "false")
         config.insert_json5("connect/endpoints", json.dumps([place]))
         config.insert_json5("listen/endpoints", "[]")
-        self.session = zenoh.open(config)
         self.heard: dict[str, list[tuple[bytes, bytes, int]]] = defaultdict(list)
+        self.session = zenoh.open(config)
         self.subscriber = self.session.declare_subscriber("0/ohmskin/**", self.take)
 
     def take(self, sample: Any) -> None:
-        self.heard[str(sample.key_expr)].append((sample.payload.to_bytes(), sample.attachment.to_bytes(), time.time_ns()))
+        self.heard[str(sample.key_expr)].append(
+            (sample.payload.to_bytes(), sample.attachment.to_bytes(), time.time_ns())
+        )
 
     def of(self, name: str) -> list[tuple[bytes, bytes, int]]:
         return next((messages for key, messages in dict(self.heard).items() if key.split("/")[2] == name), [])
@@ -267,7 +325,10 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, An
     )
     assert process.stdout is not None
     seen = ""
-    try:
+    with ExitStack() as stack:  # whatever fails leaves no process and no session, whose thread would keep pytest alive
+        stack.callback(process.stdout.close)
+        stack.callback(process.wait)
+        stack.callback(process.kill)
         for line in process.stdout:
             seen += line
             if "calibrating" in line:
@@ -277,21 +338,20 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, An
         assert found, seen
         assert device, seen
         ears = Ears(place)
+        stack.callback(ears.session.close)
         until(lambda: ears.of("contacts"))
         subprocess.run(
-            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "2", "--device", device[0]], check=True, timeout=60
+            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "2", "--device", device[0]],
+            check=True,
+            timeout=60,
         )
         addresses = found[1].split(", ")
         yield {"ears": ears, "addresses": addresses, "device": device[0], "process": process, "boards": folder}
         ears.session.close()
         process.send_signal(signal.SIGTERM)
-        rest = process.communicate(timeout=20)[0]
+        rest = process.communicate(timeout=60)[0]
         assert process.returncode == 0, rest
         assert "Traceback" not in rest
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def test_every_topic_arrives_with_its_type_and_hash(published: dict[str, Any], store: Any) -> None:
@@ -304,14 +364,21 @@ def test_every_topic_arrives_with_its_type_and_hash(published: dict[str, Any], s
 
 
 def test_the_contact_is_where_it_was_pressed(published: dict[str, Any], store: Any) -> None:
-    messages = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/contacts"]) for data, _, _ in published["ears"].of("contacts")]
+    messages = [
+        store.deserialize_cdr(data, PUBLISHED["/ohmskin/contacts"]) for data, _, _ in published["ears"].of("contacts")
+    ]
     places = np.array([(c.position.x, c.position.y, c.position.z) for m in messages for c in m.contacts])
     assert len(places) > 20
     assert np.abs(np.median(places, axis=0) - [0.06, 0.14, 0.0]).max() < 12e-3
     numbers = np.array([m.sequence for m in messages])
     assert (np.diff(numbers) > 0).all()
-    assert {(m.patches[0].name, m.patches[0].frame_id, m.patches[0].mode) for m in messages} == {("skin", "skin", "16O")}
-    pushes = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/wrench"]).wrench for data, _, _ in published["ears"].of("wrench")]
+    assert {(m.patches[0].name, m.patches[0].frame_id, m.patches[0].mode) for m in messages} == {
+        ("skin", "skin", "16P")
+    }
+    pushes = [
+        store.deserialize_cdr(data, PUBLISHED["/ohmskin/wrench"]).wrench
+        for data, _, _ in published["ears"].of("wrench")
+    ]
     strengths = {1000 * c.strength for m in messages for c in m.contacts}
     assert sum(-push.force.z in strengths for push in pushes) > 20
     (end,) = {m.stamp.sec * 10**9 + m.stamp.nanosec for m in [messages[-1].header]}
@@ -319,9 +386,11 @@ def test_the_contact_is_where_it_was_pressed(published: dict[str, Any], store: A
 
 
 def test_stamps_are_those_of_the_last_sample(published: dict[str, Any], store: Any) -> None:
-    # Not the time of sending: a contacts message bears the very time of its patch's sample, and an image's stamp is that of the
-    # contacts of its cycle, although it is sent later.
-    contacts = [store.deserialize_cdr(data, PUBLISHED["/ohmskin/contacts"]) for data, _, _ in published["ears"].of("contacts")]
+    # Not the time of sending: a contacts message bears the very time of its patch's sample, and an image's stamp is
+    # that of the contacts of its cycle, although it is sent later.
+    contacts = [
+        store.deserialize_cdr(data, PUBLISHED["/ohmskin/contacts"]) for data, _, _ in published["ears"].of("contacts")
+    ]
     stamps = {m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in contacts}
     for m in contacts:
         assert m.header.stamp == m.patches[0].stamp
@@ -361,7 +430,9 @@ def test_liveliness_tokens_tell_nodes_what_there_is(published: dict[str, Any], s
     assert [token[6:] for token in nodes] == [["%", "%", "ohmskin_skin"]]
     entries = [token for token in tokens if token[5] == "MP"]
     assert len({token[4] for token in entries}) == len(PUBLISHED)  # each has a number of its own
-    assert {token[9].replace("%", "/"): token[11] for token in entries} == {t: store.hash_rihs01(k) for t, k in PUBLISHED.items()}
+    assert {token[9].replace("%", "/"): token[11] for token in entries} == {
+        t: store.hash_rihs01(k) for t, k in PUBLISHED.items()
+    }
     qos = {token[9]: token[12] for token in entries}
     assert qos["%ohmskin%contacts"] == "::,10:,:,:,,"  # reliable, as ROS 2 has it by default
     assert qos["%ohmskin%image"] == "2::,5:,:,:,,"  # best effort, for sensor data
@@ -373,24 +444,30 @@ def test_shared_memory_says_the_same(published: dict[str, Any], monkeypatch: pyt
         newest = until(client.newest)
     assert [patch.patch for patch in newest.patches] == ["skin"]
     data = until(
-        lambda: next((d for d, _, _ in published["ears"].of("contacts") if decode_contacts(d, 0.0).sequence == newest.sequence), 0)
+        lambda: next(
+            (d for d, _, _ in published["ears"].of("contacts") if decode_contacts(d, 0.0).sequence == newest.sequence),
+            0,
+        )
     )
     far = decode_contacts(data, 0.0)
     assert (far.boot, far.stamp) == (newest.boot, newest.stamp)
     assert len(far.contacts) == len(newest.contacts)
 
 
-@pytest.mark.skipif(not Path("/usr/include/fastdds").is_dir() or not shutil.which("g++"), reason="needs libfastrtps-dev and g++")
+@pytest.mark.skipif(
+    not Path("/usr/include/fastdds").is_dir() or not shutil.which("g++"), reason="needs libfastrtps-dev and g++"
+)
 def test_fast_dds_reads_it(published: dict[str, Any], tmp_path: Path) -> None:
     source = Path(__file__).with_name("fastdds_listener.cpp")
     program = tmp_path / "listener"
-    subprocess.run(["g++", "-std=c++17", str(source), "-o", str(program), "-lfastrtps", "-lfastcdr"], check=True, timeout=120)
-    with subprocess.Popen([str(program), "/ohmskin", "40"], stdout=subprocess.PIPE, text=True) as listener:
-        assert listener.stdout is not None
-        first = listener.stdout.readline()  # it has found us
-        press = [sys.executable, "-m", "ohmskin", "press", "150", "50", "--seconds", "2", "--device", published["device"]]
-        subprocess.run(press, check=True, timeout=60)
-        out = first + listener.communicate(timeout=60)[0]
+    subprocess.run(
+        ["g++", "-std=c++17", str(source), "-o", str(program), "-lfastrtps", "-lfastcdr"], check=True, timeout=120
+    )
+    with connect(published["device"]) as skin:
+        skin.press(0, (0.15, 0.05), 8e-3, 20e3)
+        listener = subprocess.run([str(program), "/ohmskin", "40"], stdout=subprocess.PIPE, text=True, timeout=120)
+        skin.press(0, (0.15, 0.05), 8e-3, 0.0)
+    out = listener.stdout
     assert listener.returncode == 0, out[-500:]
     lines = [json.loads(line) for line in out.splitlines()]
     found = {(line["stamp"], line["sequence"]): line for line in lines if line["topic"] == "contacts"}
@@ -403,11 +480,13 @@ def test_fast_dds_reads_it(published: dict[str, Any], tmp_path: Path) -> None:
     for key in both:
         line, other = found[key], heard[key]
         assert line["boot"] == other.boot
-        assert line["patches"] == [["skin", "skin", other.stamp, "16O"]]
+        assert line["patches"] == [["skin", "skin", other.stamp, "16P"]]
         assert line["contacts"] == [[0, c.id, *c.position, c.extent, c.strength] for c in other.contacts]
     assert any(line["contacts"] for line in found.values())
     images = [line for line in lines if line["topic"] == "image"]
-    assert {(i["frame"], i["height"], i["width"], i["encoding"], i["step"]) for i in images} == {("skin", 64, 64, "32FC1", 256)}
+    assert {(i["frame"], i["height"], i["width"], i["encoding"], i["step"]) for i in images} == {
+        ("skin", 64, 64, "32FC1", 256)
+    }
     sums = [
         float(np.nansum(np.frombuffer(data, "<f4", offset=len(data) - 4 * 64 * 64).astype(float)))
         for data, _, _ in published["ears"].of("image")
@@ -417,10 +496,10 @@ def test_fast_dds_reads_it(published: dict[str, Any], tmp_path: Path) -> None:
 
 
 def test_foxglove_lists_and_sends_every_topic(published: dict[str, Any], store: Any) -> None:
-    from websockets.sync.client import connect
+    from websockets.sync.client import connect as open_socket
 
     (address,) = [a for a in published["addresses"] if a.startswith("ws://")]
-    with connect(address, subprotocols=["foxglove.sdk.v1"]) as socket_:  # type: ignore[list-item]
+    with open_socket(address, subprotocols=["foxglove.sdk.v1"]) as socket_:  # type: ignore[list-item]
         channels: dict[str, Any] = {}
         while len(channels) < len(PUBLISHED):
             message = json.loads(socket_.recv(10))
@@ -429,7 +508,9 @@ def test_foxglove_lists_and_sends_every_topic(published: dict[str, Any], store: 
             if message["op"] == "advertise":
                 channels |= {channel["topic"]: channel for channel in message["channels"]}
         assert {topic: channel["schemaName"] for topic, channel in channels.items()} == PUBLISHED
-        assert {(channel["encoding"], channel["schemaEncoding"]) for channel in channels.values()} == {("cdr", "ros2msg")}
+        assert {(channel["encoding"], channel["schemaEncoding"]) for channel in channels.values()} == {
+            ("cdr", "ros2msg")
+        }
         wanted = channels["/ohmskin/contacts"]
         socket_.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": wanted["id"]}]}))
         while not isinstance(data := socket_.recv(10), bytes) or data[0] != 1:
@@ -441,9 +522,9 @@ def test_foxglove_lists_and_sends_every_topic(published: dict[str, Any], store: 
 
 
 def test_the_layout_for_foxglove_shows_topics_that_there_are() -> None:
-    import ohmskin.publish.outlet
+    import ohmskin.outlets.outlet
 
-    text = Path(ohmskin.publish.outlet.__file__).with_name("foxglove-layout.json").read_text(encoding="utf-8")
+    text = Path(ohmskin.outlets.outlet.__file__).with_name("foxglove-layout.json").read_text(encoding="utf-8")
     shown = set(re.findall(r"/ohmskin/\w+", text))
     assert {"/ohmskin/points", "/ohmskin/image", "/ohmskin/contacts", "/ohmskin/markers"} <= shown <= PUBLISHED.keys()
     layout = json.loads(text)
@@ -451,9 +532,17 @@ def test_the_layout_for_foxglove_shows_topics_that_there_are() -> None:
 
 
 def test_nothing_listens_beyond_this_machine(published: dict[str, Any]) -> None:
-    family = [psutil.Process(published["process"].pid), *psutil.Process(published["process"].pid).children(recursive=True)]
+    family = [
+        psutil.Process(published["process"].pid),
+        *psutil.Process(published["process"].pid).children(recursive=True),
+    ]
     assert len(family) >= 4  # the loop, the virtual skin, the page, the publisher
-    open_ = [c for process in family for c in process.net_connections("inet") if c.status in (psutil.CONN_LISTEN, psutil.CONN_NONE)]
+    open_ = [
+        c
+        for process in family
+        for c in process.net_connections("inet")
+        if c.status in (psutil.CONN_LISTEN, psutil.CONN_NONE)
+    ]
     assert len(open_) >= 4
     reached = [c for c in open_ if not is_loopback(c.laddr.ip.removeprefix("::ffff:"))]
     assert {c.type for c in reached} <= {socket.SOCK_DGRAM}, reached  # those of DDS, which the next test looks at
@@ -463,8 +552,8 @@ def test_nothing_listens_beyond_this_machine(published: dict[str, Any]) -> None:
 @pytest.mark.skipif(not hasattr(socket, "SO_BINDTODEVICE"), reason="no such option on this system")
 def test_sockets_of_dds_hear_one_interface_only() -> None:
     code = (
-        "import os, socket\nfrom ohmskin.publish.outlet import open_outlet\n"
-        "from ohmskin.publish.topics import contacts_topic\n"
+        "import os, socket\nfrom ohmskin.outlets.outlet import open_outlet\n"
+        "from ohmskin.outlets.topics import contacts_topic\n"
         "outlet = open_outlet('dds', [contacts_topic('skin')], 'test', None)\n"
         "for entry in os.listdir('/proc/self/fd'):\n"
         "    try:\n        own = socket.socket(fileno=os.dup(int(entry)))\n    except OSError:\n        continue\n"
@@ -480,7 +569,7 @@ def test_sockets_of_dds_hear_one_interface_only() -> None:
 
 
 def test_dds_that_cannot_be_tied_to_an_interface_says_so_and_leaks_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    from ohmskin.publish.dds import _stay_on
+    from ohmskin.outlets.dds import _stay_on
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM), socket.socket():
         before = len(os.listdir("/proc/self/fd"))
@@ -489,7 +578,7 @@ def test_dds_that_cannot_be_tied_to_an_interface_says_so_and_leaks_nothing(caplo
     assert "cannot tie DDS to nosuch0" in caplog.text
 
 
-# --- the loop does not wait ----------------------------------------------------------------------------------------------
+# --- the loop does not wait -------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -498,12 +587,14 @@ def relay() -> Iterator[RelayProcess]:
 
     with Board("skin", {"patches": []}, 1000):
         process = RelayProcess("skin", [], None, ["foxglove:127.0.0.1:0"], None, 30.0)
-        yield process
-        process.close()
+        try:
+            yield process
+        finally:
+            process.close()
 
 
 def test_nothing_is_said_of_the_push_on_a_patch_that_was_never_heard_of() -> None:
-    from ohmskin.publish.process import Relay
+    from ohmskin.outlets.process import Relay
 
     sent: list[bytes] = []
     relay = object.__new__(Relay)
@@ -514,8 +605,8 @@ def test_nothing_is_said_of_the_push_on_a_patch_that_was_never_heard_of() -> Non
 
 
 def test_a_stopped_publishing_process_does_not_stop_the_loop(relay: RelayProcess) -> None:
-    assert relay._process is not None
-    relay._process.send_signal(signal.SIGSTOP)
+    process = psutil.Process(relay.pid)
+    process.send_signal(signal.SIGSTOP)
 
     def many() -> None:
         for _ in range(200_000):  # three times what the pipe holds: a write that waits never comes back
@@ -525,15 +616,22 @@ def test_a_stopped_publishing_process_does_not_stop_the_loop(relay: RelayProcess
     thread.start()
     thread.join(60)
     came_back = not thread.is_alive()
-    relay._process.send_signal(signal.SIGCONT)
+    process.send_signal(signal.SIGCONT)
     assert came_back
-    assert relay._process.poll() is None
+    assert process.is_running()
 
 
-def test_a_killed_publishing_process_is_told_and_the_loop_goes_on(relay: RelayProcess, caplog: pytest.LogCaptureFixture) -> None:
-    assert relay._process is not None
-    relay._process.kill()
-    relay._process.wait()
+def test_a_killed_publishing_process_is_told_and_the_loop_goes_on(
+    relay: RelayProcess, caplog: pytest.LogCaptureFixture
+) -> None:
+    process = psutil.Process(relay.pid)
+    process.kill()
+
+    def told() -> bool:
+        relay.wake()
+        return bool(caplog.records)
+
+    until(told)  # the pipe breaks when the last of its threads has ended
     for _ in range(3):
         relay.wake()
     assert [record.getMessage() for record in caplog.records] == [
@@ -543,16 +641,17 @@ def test_a_killed_publishing_process_is_told_and_the_loop_goes_on(relay: RelayPr
 
 def test_the_publishing_process_ends_with_the_loop() -> None:
     code = (
-        "import os, signal\nfrom ohmskin.client import Board\nfrom ohmskin.publish.relay import RelayProcess\n"
-        "b = Board('skin', {'patches': []}, 100)\nr = RelayProcess('skin', [], None, ['foxglove:127.0.0.1:0'], None, 30.0)\n"
-        "print(r._process.pid, flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
+        "import os, signal\nfrom ohmskin.client import Board\nfrom ohmskin.outlets.relay import RelayProcess\n"
+        "b = Board('skin', {'patches': []}, 100)\n"
+        "r = RelayProcess('skin', [], None, ['foxglove:127.0.0.1:0'], None, 30.0)\n"
+        "print(r.pid, flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     pid = int(done.stdout)
     until(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE, 10)
 
 
-# --- mistakes -----------------------------------------------------------------------------------------------------------
+# --- mistakes ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -621,7 +720,7 @@ def test_a_wrong_outlet_gets_one_line_on_the_command_line() -> None:
 
 
 def test_zenoh_joins_a_router_that_is_there_and_listens_if_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    import ohmskin.publish.zenoh as outlet
+    import ohmskin.outlets.zenoh as outlet
 
     with socket.socket() as router:
         router.bind(("127.0.0.1", 0))
@@ -637,7 +736,18 @@ def test_the_spread_is_that_of_the_worst_direction(drawn: tuple[float, float, fl
     xx, yy, correlation = drawn
     xy = correlation * math.sqrt(xx * yy)
     matrix = ((xx, xy), (xy, yy))
-    assert _worst(matrix) == pytest.approx(math.sqrt(np.linalg.eigvalsh(matrix)[-1]))
+    contact = PATCH.contact(replace(ON_SHEET, covariance=matrix))
+    assert contact.spread == pytest.approx(math.sqrt(np.linalg.eigvalsh(matrix)[-1]))
+
+
+def test_a_zenoh_outlet_that_fails_half_way_leaves_no_session() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with pytest.raises(ValueError, match="unpack"):
+        open_outlet(f"zenoh:listen/tcp/127.0.0.1:{port}", [Topic("/x", "not a type", True, 1)], "test", None)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
 
 
 def test_topics_of_a_named_skin_are_under_its_name() -> None:

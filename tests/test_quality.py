@@ -1,4 +1,5 @@
-"""Data quality: a network's data obey reciprocity, disconnected electrodes are named, images are never silently wrong."""
+"""Data quality: a network's data obey reciprocity, disconnected electrodes are named, images are never silently
+wrong."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -8,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ohmskin.drive import Mode
-from ohmskin.engine import Perception
 from ohmskin.errors import DataError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Disc, Electrodes, mesh_domain
+from ohmskin.importers import Recording, read_recording
 from ohmskin.inverse import GaussNewton, match_model
-from ohmskin.record import Recording, read_recording
 from ohmskin.scan import (
     Baseline,
     DrivePattern,
@@ -28,6 +27,7 @@ from ohmskin.scan import (
     measure_others,
     reciprocity_residuals,
 )
+from ohmskin.sensing import SkinModel, drive_of, mode_named, perceive
 from ohmskin.skin import Skin, VirtualSkin
 
 NOISE = 2e-4
@@ -78,14 +78,14 @@ def without(electrodes: Sequence[int]) -> Quality:
     return Quality(16, verdicts, 0.0, 0.0, 1.0, np.ones(16), 1, 0, 0)
 
 
-def contacts(skin: Skin, model: TransferModel, quiet: Sequence[Frame], frame: Frame, quality: Quality | None) -> list[np.ndarray]:
-    perception = Perception(skin, model, quiet, quality)
-    mode = Mode("recorded", "", frame.pattern)
-    perception.learn_thresholds(mode, lambda _: quiet[0], 1)
-    return [np.array([*c.position, c.strength]) for c in perception.see(mode, lambda _: frame).contacts]
+def contacts(
+    skin: Skin, model: TransferModel, quiet: Sequence[Frame], frame: Frame, quality: Quality | None
+) -> list[np.ndarray]:
+    seen = perceive(SkinModel(skin, model, quiet, quality), frame)
+    return [np.array([*c.position, c.strength]) for c in seen.detections]
 
 
-# --- reciprocity in the wide sense ---------------------------------------------------------------------------------------
+# --- reciprocity in the wide sense ------------------------------------------------------------------------------------
 
 
 def test_any_conductivity_makes_a_network(model: TransferModel) -> None:
@@ -116,6 +116,14 @@ def test_the_error_is_the_noise_put_in(model: TransferModel) -> None:
     assert misfit.squares == pytest.approx(exact, rel=1e-6)
 
 
+def test_data_that_measure_nothing_twice_say_nothing_of_their_error() -> None:
+    once = DrivePattern(np.array([[0, 1]]), np.array([[0, 2, 3], [0, 3, 4]]))
+    fit = NetworkFit(once, np.ones(2), np.array([0.1, 0.2]))
+    misfit = fit.misfit(fit.known)
+    assert misfit.freedom == 0
+    assert np.isnan(misfit.rms)
+
+
 def test_noise_is_told_from_repeats_and_from_reciprocity(model: TransferModel) -> None:
     quality = assess(quiet_frames(model))
     assert quality.noise == pytest.approx(NOISE, rel=0.1)
@@ -133,12 +141,12 @@ def test_a_pattern_without_repeats_says_so(model: TransferModel) -> None:
         assess([])
 
 
-# --- electrodes that are not in order ------------------------------------------------------------------------------------
+# --- electrodes that are not in order ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", ["12B", "16I"])
 def test_an_intact_skin_gets_no_verdict(paper: Skin, virtual: VirtualSkin, mode: str) -> None:
-    pattern = paper.modes[mode].base
+    pattern = drive_of(mode_named(paper, mode), paper).patterns[0]
     for _ in range(2):
         press(virtual, pressure=0)
         quiet = [virtual.scan(pattern) for _ in range(8)]
@@ -153,7 +161,7 @@ def test_two_disconnected_electrodes_are_named_and_no_other(
     paper: Skin, virtual: VirtualSkin, electrodes: tuple[int, int], level: float
 ) -> None:
     random = np.random.default_rng(3)
-    pattern = paper.modes["16I"].base
+    pattern = adjacent(paper.electrodes.rings)
     press(virtual, pressure=0)
     quiet = [virtual.scan(pattern) for _ in range(3)]
     press(virtual)
@@ -170,7 +178,7 @@ def test_two_disconnected_electrodes_are_named_and_no_other(
 def test_localisation_with_two_disconnected_is_that_of_the_same_two_left_out(
     paper: Skin, paper_model: TransferModel, virtual: VirtualSkin
 ) -> None:
-    random, pattern = np.random.default_rng(5), paper.modes["16I"].base
+    random, pattern = np.random.default_rng(5), adjacent(paper.electrodes.rings)
     errors, blind = [], []
     for _ in range(4):
         press(virtual, pressure=0)
@@ -309,14 +317,16 @@ def test_weights_are_those_of_weighted_least_squares(model: TransferModel) -> No
     assert np.isfinite(GaussNewton(model, NOISE).reconstruct(difference).values).all()
 
 
-# --- missing and clipped values ------------------------------------------------------------------------------------------
+# --- missing and clipped values ---------------------------------------------------------------------------------------
 
 
 def test_missing_and_clipped_values_are_counted_named_and_left_out(model: TransferModel) -> None:
     frames = quiet_frames(model, 4)
     uses = (PATTERN.quadruples == 3).any(axis=1)
     hurt = [replace(f, voltages=np.where(uses, np.inf, f.voltages)) for f in frames]
-    holes = replace(hurt[-1], voltages=np.where(np.arange(len(uses)) == np.flatnonzero(~uses)[0], np.nan, hurt[-1].voltages))
+    holes = replace(
+        hurt[-1], voltages=np.where(np.arange(len(uses)) == np.flatnonzero(~uses)[0], np.nan, hurt[-1].voltages)
+    )
     quality = assess(hurt[:-1], [holes])
     assert [(v.electrode, v.kind) for v in quality.verdicts] == [(3, "clipped")]
     assert (quality.missing, quality.clipped) == (1, 4 * int(uses.sum()))
@@ -331,13 +341,15 @@ def test_missing_and_clipped_values_are_counted_named_and_left_out(model: Transf
     kept = np.isfinite(difference.volts)
     shorter = DrivePattern(PATTERN.injections, PATTERN.measurements[kept])
     smaller = replace(difference, pattern=shorter, currents=difference.currents[kept], volts=difference.volts[kept])
-    np.testing.assert_allclose(image.values, GaussNewton(model, NOISE).reconstruct(smaller).values, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        image.values, GaussNewton(model, NOISE).reconstruct(smaller).values, rtol=1e-6, atol=1e-12
+    )
 
 
 def test_perception_sees_with_electrodes_missing_since_calibration(
     paper: Skin, paper_model: TransferModel, virtual: VirtualSkin
 ) -> None:
-    pattern = paper.modes["16I"].base
+    pattern = adjacent(paper.electrodes.rings)
     press(virtual, pressure=0)
     gone = (pattern.quadruples == 3).any(axis=1)
     lose: Callable[[Frame], Frame] = lambda f: replace(f, voltages=np.where(gone, np.nan, f.voltages))  # noqa: E731

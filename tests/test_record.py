@@ -7,12 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from ohmskin.contacts import ContactFinder
 from ohmskin.errors import DataError
+from ohmskin.importers import eidors, read_recording
 from ohmskin.inverse import GaussNewton
-from ohmskin.record import eidors, read_recording
 from ohmskin.scan import Baseline, adjacent
 from ohmskin.skin import Skin
-from ohmskin.touch import ContactFinder
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "tank_pyeidors"
 FILES = sorted(DATA.glob("*/*.csv"))
@@ -26,7 +26,9 @@ def truth(folder: str) -> dict[int, int]:
 
 
 @needs_data
-@pytest.mark.parametrize("path", FILES, ids=[path.parent.name.replace("electrode", "") + path.stem[10:19] for path in FILES])
+@pytest.mark.parametrize(
+    "path", FILES, ids=[path.parent.name.replace("electrode", "") + path.stem[10:19] for path in FILES]
+)
 def test_targets_of_a_real_tank_are_at_their_electrodes_with_their_sign(path: Path) -> None:
     recording = read_recording(path)
     skin = Skin.load(recording.skin)
@@ -38,9 +40,11 @@ def test_targets_of_a_real_tank_are_at_their_electrodes_with_their_sign(path: Pa
     scale = float(modelled @ modelled / (modelled @ measured))
     assert 0.9 < scale < 1.3  # the shipped conductivity is that of this tank; at 20 uA it was measured 20 % higher
     imaging = skin.imaging
-    estimator = GaussNewton(model.scaled(scale), baseline.noise, amplitude=imaging.amplitude, model_error=imaging.model_error)
+    estimator = GaussNewton(
+        model.scaled(scale), baseline.noise, amplitude=imaging.amplitude, model_error=imaging.model_error
+    )
     image = estimator.reconstruct(baseline.difference(recording.frames[0]))
-    contacts = ContactFinder(0.05, imaging.fraction, imaging.dip, imaging.falls).find(image, model.mesh)
+    contacts = ContactFinder(0.05, imaging.fraction, imaging.dip, imaging.bipolar).find(image, model.mesh)
 
     found = {}
     for contact in contacts:
@@ -71,7 +75,9 @@ def written(path: Path, rows: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize(("n_rows", "n_elec"), [(4, 4), (10, 5), (108, 12), (208, 16), (928, 32)])
-def test_columns_are_reference_and_target_of_adjacent_drive_from_k_plus_1_to_k(tmp_path: Path, n_rows: int, n_elec: int) -> None:
+def test_columns_are_reference_and_target_of_adjacent_drive_from_k_plus_1_to_k(
+    tmp_path: Path, n_rows: int, n_elec: int
+) -> None:
     rows = table(n_rows)
     recording = read_recording(written(tmp_path / "a_1_10.00_55.5uA_1000Hz.csv", rows))
     (quiet,), (frame,) = recording.quiet, recording.frames
@@ -145,7 +151,11 @@ def test_each_stimulation_has_its_own_unit_and_there_is_at_least_one_frame() -> 
         drive[[a, a + 1], 0] = measure[0, [(a + 2) % 5, (a + 3) % 5]] = 1, -1
         return {"stim_pattern": drive, "meas_pattern": measure, "stimulation": unit}
 
-    data = {"fmdl": [{"stimulation": [stimulation(0, "mA"), stimulation(1, "Amp")]}], "vh": np.ones((2, 1)), "vi": np.ones((2, 1))}
+    data = {
+        "fmdl": [{"stimulation": [stimulation(0, "mA"), stimulation(1, "Amp")]}],
+        "vh": np.ones((2, 1)),
+        "vi": np.ones((2, 1)),
+    }
     _, (frame,), *_ = eidors.read(data, "a.mat", False)
     assert frame.currents.tolist() == [1e-3, 1.0]
     with pytest.raises(DataError, match="vi has no frames"):

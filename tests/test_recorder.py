@@ -16,16 +16,23 @@ from recordings import SKIN, Bench, record_press, some_frames, wait_until
 
 import ohmskin as ohm
 from ohmskin.errors import DataError, PatternError
-from ohmskin.publish import Recorder
-from ohmskin.publish.export import CONTACT_COLUMNS, FRAME_COLUMNS
-from ohmskin.record import Role, Tape, WriterPipe, recover
-from ohmskin.record.container import Container
-from ohmskin.record.messages import encode_frame, encode_pattern
-from ohmskin.record.pipe import _MOST_WAITING
-from ohmskin.record.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOPICS, TOUCH
-from ohmskin.scan import Frame
+from ohmskin.mcap import Role, Tape, WriterPipe, recover
+from ohmskin.mcap.container import Container
+from ohmskin.mcap.messages import encode_frame, encode_pattern
+from ohmskin.mcap.pipe import _MOST_WAITING
+from ohmskin.mcap.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOPICS, TOUCH
+from ohmskin.recording import Recorder
+from ohmskin.recording.export import CONTACT_COLUMNS, FRAME_COLUMNS
+from ohmskin.scan import Frame, adjacent
 
-ABLE = {"n_electrodes": "16", "max_injections": "256", "max_measurements": "4096", "features": "2", "serial": "0", "name": "x"}
+ABLE = {
+    "n_electrodes": "16",
+    "max_injections": "256",
+    "max_measurements": "4096",
+    "features": "2",
+    "serial": "0",
+    "name": "x",
+}
 METADATA = {"ohmskin": {"format": "1"}, "device": ABLE | dict.fromkeys(("excitation", "full_scale"), "0.0")}
 
 FLOOD = """
@@ -33,12 +40,12 @@ import os, signal, sys, time
 import numpy as np
 sys.path[:0] = ["tests"]
 from recordings import SKIN, Bench
-from ohmskin.publish import Recorder
-from ohmskin.scan import Frame
+from ohmskin.recording import Recorder
+from ohmskin.scan import Frame, adjacent
 device = Bench()
 recorder = Recorder(sys.argv[1], SKIN, images=0)
 recorder.tee(device)
-pattern = SKIN.modes["16I"].base
+pattern = adjacent(SKIN.electrodes.rings)
 rng = np.random.default_rng(0)
 print(recorder._pipe.pid, flush=True)
 start = time.monotonic()
@@ -69,7 +76,9 @@ def found_when_killed_at_500_frames_a_second(path: Path, count: int) -> int:
 
 
 @pytest.mark.parametrize("count", [251, 302, 353, 404])
-def test_at_most_ten_frames_are_lost_when_everything_is_killed_at_500_frames_a_second(tmp_path: Path, count: int) -> None:
+def test_at_most_ten_frames_are_lost_when_everything_is_killed_at_500_frames_a_second(
+    tmp_path: Path, count: int
+) -> None:
     assert 0 <= count - found_when_killed_at_500_frames_a_second(tmp_path / "a.mcap", count) <= 10
 
 
@@ -175,7 +184,9 @@ def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patt
             _send(pipe, patterns, Frame(first.pattern, first.voltages, first.currents, 0.0, sent), sent)
         assert sent < 100_000
     sent += 1
-    _send(pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent)  # its pattern comes now
+    _send(
+        pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent
+    )  # its pattern comes now
     wait_until(lambda: not pipe._size or pipe._push())
     resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     wait_until(lambda: not pipe.progress.trouble)
@@ -191,7 +202,8 @@ def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patt
 
 
 def test_the_writer_goes_on_though_nobody_asks_how_it_goes(tmp_path: Path) -> None:
-    """What it says is read while messages are sent: unread, it would fill its pipe after some minutes and hold up the writer."""
+    """What it says is read while messages are sent: unread, it would fill its pipe after some minutes and hold up the
+    writer."""
     pipe = WriterPipe(tmp_path / "a.mcap", METADATA, {})
 
     def heard() -> bool:
@@ -205,7 +217,7 @@ def test_the_writer_goes_on_though_nobody_asks_how_it_goes(tmp_path: Path) -> No
 def test_messages_that_die_with_the_writer_are_counted_by_topic(tmp_path: Path) -> None:
     pipe = WriterPipe(tmp_path / "a.mcap", METADATA, {})
     os.kill(pipe.pid, signal.SIGKILL)
-    pipe._process.wait()
+    pipe._child.process.wait()
     for topic in (FRAME, TOUCH, TOUCH):
         pipe.send(topic, 0, 0, b"x")
     assert pipe.close().dropped == {"/ohmskin/frame": 1, "/ohmskin/touch": 2}
@@ -229,7 +241,7 @@ def test_a_writer_that_dies_is_told_and_the_loop_goes_on(tmp_path: Path) -> None
     device = Bench()
     with Recorder(tmp_path / "a.mcap", SKIN) as recorder:
         tee = recorder.tee(device)
-        pattern = SKIN.modes["12B"].base
+        pattern = adjacent([SKIN.electrodes.rings[0]])
         tee.scan(pattern)
         assert recorder._pipe is not None
         os.kill(recorder._pipe.pid, signal.SIGKILL)
@@ -240,18 +252,16 @@ def test_a_writer_that_dies_is_told_and_the_loop_goes_on(tmp_path: Path) -> None
     assert recorder.progress.dropped["/ohmskin/frame"] >= 5
 
 
-def test_the_tee_is_the_device_itself_but_for_the_listener(tmp_path: Path) -> None:
+def test_a_listener_hears_every_frame_of_a_device() -> None:
     heard = []
     device = Bench()
-    from ohmskin.device.tee import TeeDevice
-
-    with TeeDevice(device, heard.append) as tee:
-        assert (tee.capabilities, tee.url, tee.dropped) == (device.capabilities, "bench:", 0)
-        tee.press(1, (0.05, 0.05), 8e-3, 20e3)
-        frame = tee.scan(SKIN.modes["12B"].base)
+    with device:
+        device.listen(heard.append)
+        device.press(1, (0.05, 0.05), 8e-3, 20e3)
+        frame = device.scan(adjacent([SKIN.electrodes.rings[0]]))
         assert heard == [frame]
     with pytest.raises(ohm.OhmskinError, match="closed"):
-        device.scan(SKIN.modes["12B"].base)
+        device.scan(adjacent([SKIN.electrodes.rings[0]]))
 
 
 def test_record_says_what_it_does_and_ends_cleanly(tmp_path: Path) -> None:
@@ -267,7 +277,7 @@ def test_record_says_what_it_does_and_ends_cleanly(tmp_path: Path) -> None:
     assert "a.mcap:" in rest.splitlines()[-1]
     with Tape(tmp_path / "a.mcap") as tape:
         assert tape.notes == ()
-        assert set(tape.modes) == {"16O"}
+        assert set(tape.modes) == {"16P"}
         assert f"a.mcap: {len(tape.frames)} frames" in rest
 
 

@@ -3,12 +3,14 @@
 import csv
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +23,9 @@ from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import State
 from ohmskin.errors import DataError, DeviceError, DeviceRefused, OhmskinError, PatternError
 from ohmskin.geometry import Raster
-from ohmskin.publish import ESTIMATORS, Player, Recorder, recorded_skin, reimage
-from ohmskin.publish.export import (
+from ohmskin.mcap import Role, Tape
+from ohmskin.recording import Player, Recorder, recorded_skin, reimage
+from ohmskin.recording.export import (
     CONTACT_COLUMNS,
     FRAME_COLUMNS,
     contact_rows,
@@ -35,7 +38,6 @@ from ohmskin.publish.export import (
     write_npz,
     write_parquet,
 )
-from ohmskin.record import Role, Tape
 
 CYCLES = 30
 
@@ -65,7 +67,7 @@ def changing(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 touch = engine.step()
                 assert touch is not None
                 recorder.publish(touch)
-        engine._scan(engine.mode.base)  # the device goes before the second scan
+        engine._scan(engine.drive(engine.mode).next((), 0))  # the device goes before the second scan
     return path
 
 
@@ -73,7 +75,7 @@ def digest(path: Path) -> str:
     """What every image and contact of a replay comes to."""
     sums = hashlib.sha256()
     for cycle in reimage(path):
-        sums.update(cycle.touch.sight.image.values.tobytes())
+        sums.update(cycle.touch.percept.image.values.tobytes())
         sums.update(repr(cycle.touch.contacts).encode())
     return sums.hexdigest()
 
@@ -82,12 +84,14 @@ def test_a_replay_sees_what_the_live_loop_saw(recorded: tuple[Path, list[ohm.Tou
     path, touches = recorded
     seen = list(reimage(path))
     assert [cycle.touch.sequence for cycle in seen] == [touch.sequence for touch in touches]
-    raster = Raster(seen[0].perception.model.mesh, 64)
+    raster = Raster(seen[0].known.model.mesh, 64)
     with Tape(path) as tape:
         for cycle, touch, image, stored in zip(seen, touches, tape.images, tape.touches, strict=True):
-            again = raster(cycle.touch.sight.image.values)
+            again = raster(cycle.touch.percept.image.values)
             np.testing.assert_allclose(again, image, rtol=1e-6, atol=1e-7)  # stored as float32
-            np.testing.assert_allclose(cycle.touch.sight.image.values, touch.sight.image.values, rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(
+                cycle.touch.percept.image.values, touch.percept.image.values, rtol=1e-9, atol=1e-12
+            )
             assert [c.id for c in cycle.touch.contacts] == [c.id for c in stored.contacts]
             for one, other in zip(cycle.touch.contacts, stored.contacts, strict=True):
                 np.testing.assert_allclose(one.position, other.position, atol=1e-9)
@@ -111,9 +115,12 @@ def test_tracking_replays_the_live_loop_and_the_same_bytes_however_quick_the_mac
 
 def test_two_processes_replay_the_same_bytes(recorded: tuple[Path, list[ohm.Touch]]) -> None:
     path, _ = recorded
-    code = f"import sys; sys.path[:0] = ['tests']; from test_replay import digest, Path; print(digest(Path({str(path)!r})))"
+    code = "import sys; sys.path[:0] = ['tests']; from test_replay import digest, Path; "
+    code += f"print(digest(Path({str(path)!r})))"
     sums = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[1], check=True)
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[1], check=True
+        )
         for _ in range(2)
     ]
     assert sums[0].stdout == sums[1].stdout
@@ -125,10 +132,10 @@ def test_other_modes_and_estimators_see_what_was_recorded(recorded: tuple[Path, 
     base = list(reimage(path, mode="12B"))
     assert len(base) == CYCLES
     assert {cycle.touch.mode.name for cycle in base} == {"12B"}
-    assert all(len(cycle.touch.sight.frames) == 1 for cycle in base)
+    assert all(len(cycle.touch.percept.frames) == 1 for cycle in base)
     with pytest.raises(PatternError, match="'16I' was not recorded; choose from 12B, 16O"):
         next(reimage(path, mode="16I"))
-    own, other = (list(reimage(path, estimator)) for estimator in (None, ESTIMATORS["matern"]))
+    own, other = (list(reimage(path, prior=prior)) for prior in ("", "matern"))
     assert len(own) == len(other) == CYCLES
     pressed = [k for k in range(CYCLES) if own[k].touch.contacts]
     assert len(pressed) > 10
@@ -137,9 +144,9 @@ def test_other_modes_and_estimators_see_what_was_recorded(recorded: tuple[Path, 
         middle = [k for k in pressed if CYCLES // 5 + 1 <= k < CYCLES - CYCLES // 5 - 1]
         errors = [np.linalg.norm(np.subtract(seen[k].touch.contacts[0].position, truth[k])) for k in middle]
         assert max(errors) < 0.012
-    a, b = (seen[CYCLES // 2].touch.sight.image.values for seen in (own, other))
+    a, b = (seen[CYCLES // 2].touch.percept.image.values for seen in (own, other))
     assert np.corrcoef(a, b)[0, 1] < 0.999  # they are not the same estimator
-    assert other[0].perception.thresholds["16O"] != own[0].perception.thresholds["16O"]
+    assert other[0].thresholds != own[0].thresholds
 
 
 def test_calibrations_and_modes_change_where_they_did(changing: Path) -> None:
@@ -150,15 +157,15 @@ def test_calibrations_and_modes_change_where_they_did(changing: Path) -> None:
     with ohm.Engine(lambda: device, SKIN) as engine:
         player = Player(engine)
         engine.calibrate()
-        learned = engine.perception
+        learned = engine.known
         while (touch := player.step()) is not None:
-            if engine.perception is not learned:
+            if engine.known is not learned:
                 calibrated.append(touch.sequence)
-                learned = engine.perception
+                learned = engine.known
         assert calibrated == [12]
         device.seek(0.0)
         assert player.step() is not None
-        assert engine.perception is not learned  # back before the second calibration: the first one holds again
+        assert engine.known is not learned  # back before the second calibration: the first one holds again
         assert engine.mode.name == "16I"
 
 
@@ -166,12 +173,12 @@ def test_baselines_are_learned_from_the_very_same_frames(recorded: tuple[Path, l
     path, touches = recorded
     with ReplayDevice(f"replay:{path}", speed=np.inf) as device, ohm.Engine(lambda: device, SKIN) as engine:
         engine.calibrate()  # nobody told the device that the loop calibrates
-        assert engine.perception is not None
-        assert engine.perception.baseline.noise == touches[0].health.noise
+        assert engine.known is not None
+        assert engine.known.baseline.noise == touches[0].health.noise
         assert device.position == 0.0
         touch = engine.step()
         assert touch is not None
-        assert touch.sight.frames[0].sequence == touches[0].sight.frames[0].sequence
+        assert touch.percept.frames[0].sequence == touches[0].percept.frames[0].sequence
 
 
 def test_a_place_can_be_sought_and_stepped_to(recorded: tuple[Path, list[ohm.Touch]]) -> None:
@@ -183,7 +190,9 @@ def test_a_place_can_be_sought_and_stepped_to(recorded: tuple[Path, list[ohm.Tou
         def shown() -> int:
             touch = player.step()
             assert touch is not None
-            return next(k for k, t in enumerate(touches) if t.sight.frames[0].sequence == touch.sight.frames[0].sequence)
+            return next(
+                k for k, t in enumerate(touches) if t.percept.frames[0].sequence == touch.percept.frames[0].sequence
+            )
 
         with Tape(path) as tape:
             times = tape.times[tape.roles == Role.BASE]
@@ -202,7 +211,7 @@ def test_a_place_can_be_sought_and_stepped_to(recorded: tuple[Path, list[ohm.Tou
         assert device.ended
         assert player.step() is None
         with pytest.raises(DeviceError, match="recording has ended"):
-            device.scan(engine.mode.base)
+            device.scan(engine.drive(engine.mode).next((), 0))
         device.seek(0.0)
         assert not device.ended
         device.loop = True
@@ -273,13 +282,13 @@ def test_a_cut_recording_replays_to_the_cut(recorded: tuple[Path, list[ohm.Touch
     seen = list(reimage(cut))
     assert 0 < len(seen) < len(touches)
     for cycle, touch in zip(seen, touches, strict=False):
-        np.testing.assert_allclose(cycle.touch.sight.image.values, touch.sight.image.values, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(cycle.touch.percept.image.values, touch.percept.image.values, rtol=1e-9, atol=1e-12)
 
 
 def test_formats_of_others_still_replay(tank_folder: Path) -> None:
     file = sorted(tank_folder.glob("*/*.csv"))[0]
     (cycle,) = reimage(file)
-    assert cycle.touch.sight.contacts
+    assert cycle.touch.percept.detections
     with connect(f"replay:{file}", rate=1000) as device:
         frames = [device.scan(device.reference[0].pattern) for _ in range(3)]  # round and round
     assert [frame.sequence for frame in frames] == [1, 2, 3]
@@ -299,9 +308,10 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
             assert (int(row["cycle"]), row["mode"], int(row["id"])) == (touch.sequence, "16O", contact.id)
             assert (float(row["x_m"]), float(row["y_m"])) == contact.position
             assert float(row["extent_m2"]) == contact.extent
+            assert math.isnan(float(row["radius_m"])) == (contact.radius is None)
         assert sorted(float(row["time_s"]) for row in rows) == [float(row["time_s"]) for row in rows]
         some = list(frame_rows(tape, 0.0))
-        assert len(some) == sum(frame.pattern.n_meas for touch in touches for frame in touch.sight.frames)
+        assert len(some) == sum(frame.pattern.n_meas for touch in touches for frame in touch.percept.frames)
         count = write_parquet(tmp_path / "frames.parquet", FRAME_COLUMNS, frame_rows(tape, 0.0))
         table = pq.read_table(tmp_path / "frames.parquet").to_pydict()
         assert count == len(some)
@@ -311,7 +321,7 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
         write_npz(tmp_path / "all.npz", tape)
         with np.load(tmp_path / "all.npz", allow_pickle=False) as arrays:
             first = int(np.argmax(arrays["frame_role"] == Role.BASE))
-            frame = touches[0].sight.frames[1]
+            frame = touches[0].percept.frames[1]
             k = first + 1
             a, b = arrays["voltages_start"][k : k + 2]
             np.testing.assert_array_equal(arrays["voltages"][a:b], frame.voltages)
@@ -327,11 +337,22 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
     assert sorted(p.name for p in tmp_path.iterdir()) == ["all.npz", "contacts.csv", "frames.parquet"]
 
 
-def test_pictures_and_films(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_without_images_is_exported_without_images(tmp_path: Path) -> None:
+    record_press(tmp_path / "a.mcap", "16O", 3, images=0)
+    with Tape(tmp_path / "a.mcap") as tape:
+        shapes = write_npz(tmp_path / "a.npz", tape)
+    assert shapes["images"] == (0, 0, 0)
+    assert shapes["image_time_s"] == (0,)
+    assert "image_x_m" not in shapes
+
+
+def test_pictures_and_films(
+    recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, _ = recorded
     cycle = strongest(reimage(path))
-    assert cycle.touch.sight.contacts
-    assert cycle_at(path, cycle.time).touch.sight.frames[0].sequence == cycle.touch.sight.frames[0].sequence
+    assert cycle.touch.percept.detections
+    assert cycle_at(path, cycle.time).touch.percept.frames[0].sequence == cycle.touch.percept.frames[0].sequence
     save_comparison(tmp_path / "a.png", {"one": cycle, "two": cycle})
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     with monkeypatch.context() as nothing:
@@ -341,8 +362,19 @@ def test_pictures_and_films(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Pa
     if shutil.which("ffmpeg") is None:
         pytest.skip("needs ffmpeg: apt-get install ffmpeg")
     count = write_film(tmp_path / "a.mp4", reimage(path), rate=20)
-    probe = ["ffprobe", "-v", "error", "-count_frames", "-show_entries", "stream=nb_read_frames,codec_name,width", "-of", "json"]
-    told = json.loads(subprocess.run([*probe, str(tmp_path / "a.mp4")], capture_output=True, text=True, check=True).stdout)
+    probe = [
+        "ffprobe",
+        "-v",
+        "error",
+        "-count_frames",
+        "-show_entries",
+        "stream=nb_read_frames,codec_name,width",
+        "-of",
+        "json",
+    ]
+    told = json.loads(
+        subprocess.run([*probe, str(tmp_path / "a.mp4")], capture_output=True, text=True, check=True).stdout
+    )
     (stream,) = told["streams"]
     assert (int(stream["nb_read_frames"]), stream["width"]) == (count, 640)
 
@@ -354,7 +386,10 @@ def test_pictures_and_films(recorded: tuple[Path, list[ohm.Touch]], tmp_path: Pa
         (["replay", "press.mcap", "--speed", "0"], "--speed is 0"),
         (["replay", "press.mcap", "--start", "1e6"], "the recording has 0 to"),
         (["replay", "press.mcap", "--mode", "16I", "--headless"], "mode '16I' was not recorded; choose from 12B, 16O"),
-        (["replay", "press.mcap", "--compare", "paper,magic"], "no estimator 'magic'; choose from paper"),
+        (
+            ["replay", "press.mcap", "--compare", "paper,magic"],
+            "no estimator or prior 'magic'; choose from gauss-newton",
+        ),
         (["recover", "nosuch.mcap"], "cannot read recording nosuch.mcap"),
         (["recover", "text.mcap"], "does not begin as an MCAP file does"),
         (["recover", "press.mcap", "press.mcap"], "press.mcap exists and is never overwritten"),
@@ -426,10 +461,10 @@ def test_contacts_and_images_have_the_times_of_their_frames_whatever_the_calenda
 
     stamps = iter(range(10**18, 0, -(10**12)))  # the calendar goes back at every look
     clock = types.SimpleNamespace(**vars(time) | {"time_ns": lambda: next(stamps)})
-    monkeypatch.setattr("ohmskin.publish.recorder.time", clock)
+    monkeypatch.setattr("ohmskin.recording.recorder.time", clock)
     touches = record_press(tmp_path / "a.mcap")
     with Tape(tmp_path / "a.mcap") as tape:
-        last = {touch.sight.frames[-1].sequence: touch.sequence for touch in touches}
+        last = {touch.percept.frames[-1].sequence: touch.sequence for touch in touches}
         times = {last[s]: t for k, t in enumerate(tape.times) if (s := tape.frames[k].sequence) in last}
         rows = list(contact_rows(tape))
         assert rows
@@ -457,20 +492,25 @@ def test_parquet_takes_every_sequence_number(tmp_path: Path) -> None:
     assert write_parquet(tmp_path / "a.parquet", ["sequence", "id"], [(2**64 - 1, -1)]) == 1
 
 
-def test_thresholds_of_another_estimator_are_learned_in_the_same_order_every_time() -> None:
-    """The order of a set of names changes from run to run, and each mode takes the quiet frames behind those of the one before."""
-    from types import SimpleNamespace
-    from typing import Any
+def test_a_replay_uses_the_modes_that_were_recorded(tmp_path: Path) -> None:
+    """Even where the skin file that is there by then says otherwise: nothing is guessed from the frames."""
+    from recordings import Bench
 
-    from ohmskin.publish.player import _exchange
-
-    names, learned = [f"mode {k}" for k in range(12)], []
-    perception = SimpleNamespace(learn_thresholds=lambda mode, *_: learned.append(mode))
-    engine: Any = SimpleNamespace(perception=perception, mode=SimpleNamespace(name=names[5]), modes={n: n for n in names})
-    device = SimpleNamespace(reference=(), calibrating=None, scan=None, modes=tuple(reversed(names[:-1])))
-    player: Any = SimpleNamespace(device=device)
-    _exchange(engine, player, lambda _: None)  # type: ignore[arg-type, return-value]
-    assert learned == names[:-1]
+    mine = (ohm.Mode("mine", "rotating", "fit", prior="matern", injections=3, title="Round"),)
+    skin = replace(SKIN, modes=mine)
+    recorder = Recorder(tmp_path / "a.mcap", skin)
+    with recorder, ohm.Engine(lambda: recorder.tee(Bench(skin)), skin, "mine") as engine:
+        recorder.watch(engine)
+        engine.calibrate()
+        engine.press(1, (0.05, 0.12), 8e-3, 20e3)
+        touches = [engine.step() for _ in range(12)]
+        for touch in touches:
+            assert touch is not None
+            recorder.publish(touch)
+    seen = list(reimage(tmp_path / "a.mcap"))
+    assert [cycle.touch.mode for cycle in seen] == [mine[0]] * 12
+    assert [cycle.touch.contacts for cycle in seen] == [touch.contacts for touch in touches if touch]
+    assert [len(cycle.touch.percept.frames) for cycle in seen] == [1] * 12
 
 
 def test_a_recording_can_be_recorded_and_ends_where_it_ends(
@@ -489,10 +529,12 @@ def test_every_contact_that_comes_is_told_once_though_ids_begin_anew(capsys: pyt
     from typing import Any
 
     from ohmskin.cli.live import _Arrivals
-    from ohmskin.touch import Contact
+    from ohmskin.contacts import Contact
 
     arrivals: Any = _Arrivals()
     # two at once, the younger one stronger; one goes for a moment; then a calibration, after which ids count from 1
     for at, ids in ((0.0, [2, 1]), (0.1, [2, 1]), (0.2, [2]), (0.3, [2, 1]), (5.0, [1])):
-        arrivals(SimpleNamespace(time=at, contacts=[Contact((0.0, 0.0), 1e-4, 1e-4, 1.0, 1.0, number) for number in ids]))
+        arrivals(
+            SimpleNamespace(time=at, contacts=[Contact((0.0, 0.0), 1e-4, 1e-4, 1.0, 1.0, number) for number in ids])
+        )
     assert re.findall(r"contact (\d)", capsys.readouterr().out) == ["2", "1", "1"]

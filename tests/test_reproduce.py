@@ -27,7 +27,9 @@ LONG = [Localisation("discs", float(db), 0.1, 25, side=3, methods=("12B", "16O")
 
 
 def same(a, b) -> bool:
-    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name], equal_nan=a[name].dtype.kind == "f") for name in a)
+    return a.keys() == b.keys() and all(
+        np.array_equal(a[name], b[name], equal_nan=a[name].dtype.kind == "f") for name in a
+    )
 
 
 def test_results_are_kept_and_found_again(tmp_path: Path) -> None:
@@ -64,7 +66,9 @@ def test_processes_and_a_dask_cluster_give_the_same_results() -> None:
     distributed = pytest.importorskip("distributed")
     here = run_experiments(BRIEF, jobs=1)
     assert all(same(result, here[task]) for task, result in run_experiments(BRIEF, jobs=2).items())
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
         there = run_experiments(BRIEF, scheduler=cluster.scheduler_address)
         with distributed.Client(cluster, set_as_default=False) as client:
             assert len(client.scheduler_info()["workers"]) == 2
@@ -79,7 +83,8 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
         "from pathlib import Path\nimport sys\nfrom ohmskin.evaluate.cache import Cache\n"
         "from ohmskin.evaluate.experiments import Localisation\nfrom ohmskin.evaluate.runner import run_experiments\n"
         "if __name__ == '__main__':\n"
-        "    tasks = [Localisation('discs', float(db), 0.1, 25, side=3, methods=('12B', '16O')) for db in range(40, 56, 2)]\n"
+        "    levels, methods = range(40, 56, 2), ('12B', '16O')\n"
+        "    tasks = [Localisation('discs', float(db), 0.1, 25, side=3, methods=methods) for db in levels]\n"
         "    run_experiments(tasks, Cache(Path(sys.argv[1])), jobs=2)\n"
     )
     (tmp_path / "run.py").write_text(script)
@@ -110,7 +115,9 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     seen = plan(TINY)
     path = reproduce(folder, TINY, jobs=2)
     assert path == folder / "report.html"
-    assert len(list((folder / "cache").glob("*.npz"))) == len({task for group in seen.values() for task in group.values()})
+    assert len(list((folder / "cache").glob("*.npz"))) == len(
+        {task for group in seen.values() for task in group.values()}
+    )
     return path
 
 
@@ -156,7 +163,9 @@ def test_a_second_run_takes_all_results_from_the_cache_of_the_first(report: Path
             folder,
         ]
     )
-    assert len(list(Path(cache).glob("*.npz"))) == len({task for group in plan(TINY).values() for task in group.values()})
+    assert len(list(Path(cache).glob("*.npz"))) == len(
+        {task for group in plan(TINY).values() for task in group.values()}
+    )
     assert {path.name for path in (tmp_path / "part" / "figures").iterdir()} == {"fig5.png", "table1.png"}
 
 

@@ -26,7 +26,8 @@ def table() -> ContactTable:
 
 
 def integral(position: np.ndarray, radius: float, sheet: TransferModel) -> np.ndarray:
-    """Change of the pairs' resistances for one unit of relative change over a disc, per area of it that is on the sheet."""
+    """Change of the pairs' resistances for one unit of relative change over a disc, per area of it that is on the
+    sheet."""
     cover = disc_overlap(sheet.mesh, position[None], radius).toarray()[0]
     return sheet.pair_sensitivity @ (sheet.conductivity * cover / sheet.mesh.measures) / cover.sum()
 
@@ -48,9 +49,11 @@ def test_at_its_places_the_table_is_the_integral_itself() -> None:
 
 @pytest.mark.parametrize("share", [0.5, 0.6, 0.9, 1.1, 1.4, 1.5])
 def test_between_places_and_radii_it_is_the_integral_but_at_the_elements_of_an_electrode(share: float) -> None:
-    """Where the rim of a disc crosses the elements at a point electrode, which hold a singularity, the integral is not smooth."""
+    """Where the rim of a disc crosses the elements at a point electrode, which hold a singularity, the integral is not
+    smooth."""
     errors = [
-        error(table()(place, share * RADIUS).values[0], integral(place, share * RADIUS, model())) for place in inner_places(80)
+        error(table()(place, share * RADIUS).values[0], integral(place, share * RADIUS, model()))
+        for place in inner_places(80)
     ]
     assert np.median(errors) < 6e-3
     assert np.quantile(errors, 0.9) < 0.03
@@ -82,13 +85,17 @@ def test_places_off_the_sheet_count_as_the_closest_on_it() -> None:
     np.testing.assert_allclose(
         table()([[-0.01, 0.07], [0.25, 0.3]]).values, table()([[0.0, 0.07], [0.2, 0.141]]).values, rtol=1e-12
     )
-    np.testing.assert_allclose(table()([[0.1, 0.07]], 5.0).values, table()([[0.1, 0.07]], 2 * RADIUS).values, rtol=1e-12)
+    np.testing.assert_allclose(
+        table()([[0.1, 0.07]], 5.0).values, table()([[0.1, 0.07]], 2 * RADIUS).values, rtol=1e-12
+    )
 
 
 def test_whole_contacts_are_a_radius_from_the_rim_and_all_places_are_on_the_sheet() -> None:
     round_sheet = Disc(0.1)
     electrodes = Electrodes.rim(round_sheet, 8)
-    shown = ContactTable(TransferModel(mesh_domain(round_sheet, 7e-3, electrodes.positions), electrodes, 1e-3), RADIUS, 5e-3)
+    shown = ContactTable(
+        TransferModel(mesh_domain(round_sheet, 7e-3, electrodes.positions), electrodes, 1e-3), RADIUS, 5e-3
+    )
     for domain, kept, slack in ((SHEET, table(), 1e-6), (round_sheet, shown, 2e-3)):
         depth = domain.depth(kept.places)
         assert depth.min() > -slack
@@ -96,7 +103,9 @@ def test_whole_contacts_are_a_radius_from_the_rim_and_all_places_are_on_the_shee
         assert (depth[~kept.whole] < RADIUS + slack).all()
 
 
-@pytest.mark.parametrize(("radius", "pitch"), [(0.0, 2e-3), (-1e-3, 2e-3), (0.08, 2e-3), (8e-3, 0.0), (8e-3, 0.05), (np.nan, 2e-3)])
+@pytest.mark.parametrize(
+    ("radius", "pitch"), [(0.0, 2e-3), (-1e-3, 2e-3), (0.08, 2e-3), (8e-3, 0.0), (8e-3, 0.05), (np.nan, 2e-3)]
+)
 def test_sizes_out_of_range_are_refused(radius: float, pitch: float) -> None:
     with pytest.raises(ModelError, match=r"radius must be below half .* pitch below a quarter"):
         ContactTable(model(), radius, pitch)

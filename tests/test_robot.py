@@ -1,8 +1,7 @@
 """The robot demonstration: MuJoCo's truth, the real loop's senses, and an arm that yields."""
 
-import ctypes.util
 import json
-import shutil
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from command_line import ohmskin
 from matplotlib.image import imread
 
 from ohmskin import Engine, Skin, connect
@@ -45,7 +45,8 @@ def test_pokes_are_felt_where_they_are(yielded: list[Encounter]) -> None:
 
 
 def test_reaction_is_at_least_the_frames_that_it_takes(yielded: list[Encounter]) -> None:
-    """A contact is reported when it was seen three frames running; 28 injections take the device 28 x 120 us, computing 2 ms."""
+    """A contact is reported when it was seen three frames running; 28 injections take the device 28 x 120 us,
+    computing 2 ms."""
     for encounter in yielded:
         assert 3 * (28 * 120e-6 + 2e-3) - 1e-9 < encounter.reaction < 0.1
 
@@ -63,7 +64,8 @@ def test_same_seed_same_run(yielded: list[Encounter]) -> None:
 
 @pytest.mark.parametrize("aim", [(0.03, 0.05), (0.1, 0.17)])
 def test_place_and_force_are_mujocos(aim: tuple[float, float]) -> None:
-    """Held against the force that keeps the arm in its pose: the joints' torques are the Jacobian's transpose times it."""
+    """Held against the force that keeps the arm in its pose: the joints' torques are the Jacobian's transpose times
+    it."""
     arm = Arm(0.2, 0.2)
     finger = above(arm, np.array(aim), -3e-3)
     arm.advance(2.0, finger)
@@ -103,7 +105,11 @@ def test_summary_counts_what_was_not_felt() -> None:
     figures = summary([felt, missed])
     assert figures["felt"] == 1
     assert figures["frames_in_contact"] == 2
-    assert figures["position_error"] == {"median": pytest.approx(2e-3), "p95": pytest.approx(2.9e-3), "worst": pytest.approx(3e-3)}
+    assert figures["position_error"] == {
+        "median": pytest.approx(2e-3),
+        "p95": pytest.approx(2.9e-3),
+        "worst": pytest.approx(3e-3),
+    }
     assert figures["reaction_time"] == {"median": 0.02, "p95": 0.02, "worst": 0.02}
     assert figures["peak_force"]["worst"] == 50.0  # type: ignore[index]
     assert summary([missed])["reaction_time"] is None
@@ -138,11 +144,6 @@ def test_skin_of_another_shape() -> None:
 
 
 def test_command_line_draws_and_films(tmp_path: Path) -> None:
-    for program, package in (("ffmpeg", "ffmpeg"),):
-        if shutil.which(program) is None:
-            pytest.skip(f"needs Debian's package {package}")
-    if ctypes.util.find_library("OSMesa") is None:
-        pytest.skip("needs Debian's package libosmesa6")
     picture, video = tmp_path / "arm.png", tmp_path / "arm.mp4"
     arguments = ["robot", "--pokes", "1", "--mode", "16O", "--picture", str(picture), "--video", str(video), "--json"]
     done = subprocess.run([sys.executable, "-m", "ohmskin", *arguments], capture_output=True, text=True, check=False)
@@ -171,9 +172,57 @@ def test_command_line_draws_and_films(tmp_path: Path) -> None:
     assert int(frames) > 30
 
 
+BARE = """
+import ctypes, sys
+load = ctypes.CDLL.__init__
+def bare(self, name, *rest, **named):
+    if name and any(word in name for word in ("EGL", "OSMesa", "libGL")):
+        raise OSError(name)
+    load(self, name, *rest, **named)
+ctypes.CDLL.__init__ = bare
+"""
+
+
+def without_graphics(code: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    """Runs code on a machine without EGL, OSMesa and a display."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL")}
+    command = [sys.executable, "-c", BARE + code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment)
+
+
+def test_physics_needs_no_graphics_library() -> None:
+    code = "import numpy as np; from ohmskin.robot.arm import Arm, above; arm = Arm(0.2, 0.2)\n"
+    code += "arm.advance(0.2, above(arm, np.array([0.1, 0.1]), -3e-3)); print(arm.poke().force)"
+    done = without_graphics(code)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) > 1
+
+
+def test_a_picture_without_a_graphics_library_names_the_package(tmp_path: Path) -> None:
+    done = without_graphics("import ohmskin.cli; ohmskin.cli.main()", "robot", "--picture", str(tmp_path / "arm.png"))
+    assert done.returncode == 2
+    assert "apt-get install libegl1" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_help_needs_no_mujoco() -> None:
+    code = "import sys; sys.modules['mujoco'] = None; import ohmskin.cli; ohmskin.cli.main()"
+    done = without_graphics(code, "robot", "--help")
+    assert done.returncode == 0, done.stderr
+    assert "--picture" in done.stdout
+    done = without_graphics(code, "robot", "--pokes", "1")
+    assert done.returncode == 2
+    assert "pip install 'ohmskin[robot]'" in done.stderr
+
+
 def test_command_line_mistakes(tmp_path: Path) -> None:
-    for arguments in (["--pokes", "0"], ["--seed", "-1"], ["--picture", str(tmp_path / "no" / "arm.png")], ["--skin", "tank"]):
-        done = subprocess.run([sys.executable, "-m", "ohmskin", "robot", *arguments], capture_output=True, text=True, check=False)
+    for arguments in (
+        ["--pokes", "0"],
+        ["--seed", "-1"],
+        ["--picture", str(tmp_path / "no" / "arm.png")],
+        ["--skin", "tank"],
+    ):
+        done = ohmskin("robot", *arguments)
         assert done.returncode == 2
         assert done.stderr.strip().splitlines()[-1].startswith("ohmskin:")
         assert "Traceback" not in done.stderr

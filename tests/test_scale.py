@@ -1,4 +1,7 @@
-"""What must not grow too fast with the size of a problem: what is stored. Sizes are small; the benchmark has the large ones."""
+"""What must not grow too fast with the size of a problem: what is stored.
+
+Sizes are small; the benchmark has the large ones.
+"""
 
 import numpy as np
 import pytest
@@ -7,12 +10,12 @@ from numpy.testing import assert_allclose
 from ohmskin.bench import Figure, run, write_report
 from ohmskin.bench.clock import in_turns, ratio, read
 from ohmskin.bench.sheets import CONDUCTIVITY, electrodes, grid, mesh, square
-from ohmskin.cycle import FastCycle
-from ohmskin.drive import modes
+from ohmskin.drive import DRIVES, DriveSettings
 from ohmskin.errors import OhmskinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import assemble
 from ohmskin.inverse import GaussNewton, Pixels
+from ohmskin.sensing import CompiledCycle
 
 
 def test_a_factor_grows_little_faster_than_the_mesh() -> None:
@@ -24,25 +27,26 @@ def test_a_factor_grows_little_faster_than_the_mesh() -> None:
 
 
 def test_with_many_electrodes_nothing_has_pairs_times_pairs() -> None:
-    """64 electrodes, 2016 pairs, 256 pixels: as many modes as pixels, and the same image as from the pairs' own covariance."""
+    """64 electrodes, 2016 pairs, 256 pixels: as many modes as pixels, and the same image as from the pairs' own
+    covariance."""
     where, layout = mesh(42), electrodes(8)
     model, pixels = TransferModel(where, layout, CONDUCTIVITY), Pixels.over(where, 16)
     estimator = GaussNewton(model, 1e-5, amplitude=0.1, pixels=pixels)
     assert estimator.modes.n_modes == 256
     assert "pair_sensitivity" not in model.__dict__
-    mode = list(modes(layout, 2).values())[-1]
-    cycle = FastCycle(estimator, mode, (0.01, 0.01))
+    drive = DRIVES["eq7"](DriveSettings(layout, pairs=2), 0)
+    cycle = CompiledCycle(estimator, drive, (0.01, 0.01))
     raised = np.where(np.linalg.norm(where.centroids - [0.06, 0.13], axis=1) < 0.012, 1.5, 1.0)
     pressed = model.with_conductivity(model.conductivity * raised)
-    base = pressed.voltages(mode.base, 1e-3) - model.voltages(mode.base, 1e-3)
-    chosen = cycle.look(base, np.full(mode.base.n_inj, 1e-3))
+    base = pressed.voltages(drive.base, 1e-3) - model.voltages(drive.base, 1e-3)
+    chosen = cycle.look(base, np.full(drive.base.n_inj, 1e-3))
     pattern = cycle.pattern(chosen)
     volts = pressed.voltages(pattern, 1e-3) - model.voltages(pattern, 1e-3)
     contacts = cycle.see(volts, np.full(pattern.n_inj, 1e-3))
     assert len(contacts) == 1
     assert np.hypot(contacts[0].position[0] - 0.06, contacts[0].position[1] - 0.13) < 0.006
     # the textbook, in pixels
-    both = np.vstack([p.combination(64) @ estimator._relative() * 1e-3 for p in (mode.base, pattern)])
+    both = np.vstack([p.combination(64) @ estimator._relative() * 1e-3 for p in (drive.base, pattern)])
     normal = both.T @ both + (1e-5 / 0.1) ** 2 * estimator._penalty.normalised.toarray()
     exact = np.linalg.solve(normal, both.T @ np.concatenate([base, volts]))
     assert_allclose(cycle.image, exact, rtol=0, atol=5e-5 * np.abs(exact).max())
@@ -51,19 +55,19 @@ def test_with_many_electrodes_nothing_has_pairs_times_pairs() -> None:
 def test_a_large_second_scan_gives_the_image_of_the_normal_equations() -> None:
     model = TransferModel(mesh(24), electrodes(), CONDUCTIVITY)
     estimator = GaussNewton(model, 1e-5, amplitude=0.1, pixels=Pixels.over(model.mesh, 16))
-    mode = modes(model.electrodes, 20)["16O"]  # 260 measurements
-    cycle = FastCycle(estimator, mode, (0.01, 0.01))
+    drive = DRIVES["eq7"](DriveSettings(model.electrodes, pairs=20), 0)  # 260 measurements
+    cycle = CompiledCycle(estimator, drive, (0.01, 0.01))
     rng = np.random.default_rng(0)
-    base, second = rng.normal(size=mode.base.n_meas) * 1e-4, rng.normal(size=260) * 1e-4
+    base, second = rng.normal(size=drive.base.n_meas) * 1e-4, rng.normal(size=260) * 1e-4
     pattern = cycle.pattern(cycle.look(base, np.full(12, 1e-3)))
     cycle.see(second, np.full(20, 1e-3))
-    rows = np.vstack([estimator.modes.rows(p) * 1e-3 for p in (mode.base, pattern)])
+    rows = np.vstack([estimator.modes.rows(p) * 1e-3 for p in (drive.base, pattern)])
     normal = rows.T @ rows + 1e-8 * np.eye(rows.shape[1])
     exact = np.linalg.solve(normal, rows.T @ np.concatenate([base, second])) @ estimator.modes.modes
     assert_allclose(cycle.image, exact, rtol=0, atol=5e-5 * np.abs(exact).max())
 
 
-# --- the benchmark --------------------------------------------------------------------------------------------------------
+# --- the benchmark ----------------------------------------------------------------------------------------------------
 
 
 def test_the_sheets_are_those_of_the_paper() -> None:

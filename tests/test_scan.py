@@ -35,7 +35,9 @@ def four_terminal(s: np.ndarray, pattern: DrivePattern) -> np.ndarray:
     return s[a, c] - s[a, d] - s[b, c] + s[b, d]
 
 
-def frame_of(s: np.ndarray, pattern: DrivePattern, currents: float | np.ndarray = 2e-3, noise: float = 0.0, seed: int = 0) -> Frame:
+def frame_of(
+    s: np.ndarray, pattern: DrivePattern, currents: float | np.ndarray = 2e-3, noise: float = 0.0, seed: int = 0
+) -> Frame:
     currents = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)
     volts = four_terminal(s, pattern) * currents[pattern.measurements[:, 0]]
     return Frame(pattern, volts + np.random.default_rng(seed).normal(0, 1, pattern.n_meas) * noise, currents, time=0.0)
@@ -43,12 +45,13 @@ def frame_of(s: np.ndarray, pattern: DrivePattern, currents: float | np.ndarray 
 
 injections = st.integers(4, 20).flatmap(
     lambda n: st.tuples(
-        st.just(n), st.lists(st.lists(st.integers(0, n - 1), min_size=2, max_size=2, unique=True), min_size=1, max_size=30)
+        st.just(n),
+        st.lists(st.lists(st.integers(0, n - 1), min_size=2, max_size=2, unique=True), min_size=1, max_size=30),
     )
 )
 
 
-# --- pairs --------------------------------------------------------------------------------------------------------------
+# --- pairs ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 7, 16, 64])
@@ -60,7 +63,7 @@ def test_pair_numbers_are_the_order_of_all_pairs_whatever_the_direction(n: int) 
     np.testing.assert_array_equal(pair_index(*pairs[:, ::-1].T, n), np.arange(len(pairs)))
 
 
-# --- patterns -----------------------------------------------------------------------------------------------------------
+# --- patterns ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -122,11 +125,15 @@ def test_electrodes_outside_the_walk_may_be_driven() -> None:
 
 @given(injections, st.data())
 @settings(deadline=None, max_examples=60)
-def test_combinations_of_pairs_polarise_the_transfer_matrix(case: tuple[int, list[list[int]]], data: st.DataObject) -> None:
+def test_combinations_of_pairs_polarise_the_transfer_matrix(
+    case: tuple[int, list[list[int]]], data: st.DataObject
+) -> None:
     n, pairs = case
     pair = st.lists(st.integers(0, n - 1), min_size=2, max_size=2, unique=True)
     measured = sorted(data.draw(st.lists(st.tuples(st.integers(0, len(pairs) - 1), pair), min_size=1, max_size=20)))
-    pattern = DrivePattern(np.array(pairs), np.array([[k, *p] for k, p in measured]))  # driven electrodes may be measured
+    pattern = DrivePattern(
+        np.array(pairs), np.array([[k, *p] for k, p in measured])
+    )  # driven electrodes may be measured
     s = transfer_matrix(n)
     i, j = all_pairs(n).T
     two_terminal = s[i, i] + s[j, j] - 2 * s[i, j]
@@ -190,16 +197,18 @@ def test_an_electrode_that_is_not_there_is_named() -> None:
         measure_others([[0, 1]], [0, 1, 2])
 
 
-# --- frames -------------------------------------------------------------------------------------------------------------
+# --- frames -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("volts", "currents", "named"), [(107, 12, "voltages"), (108, 11, "currents"), (108, 1, "currents")])
+@pytest.mark.parametrize(
+    ("volts", "currents", "named"), [(107, 12, "voltages"), (108, 11, "currents"), (108, 1, "currents")]
+)
 def test_a_frame_fits_its_pattern(volts: int, currents: int, named: str) -> None:
     with pytest.raises(DataError, match=f"frame {named} have shape"):
         Frame(adjacent(RIM), np.zeros(volts), np.ones(currents), time=0.0)
 
 
-# --- baseline -----------------------------------------------------------------------------------------------------------
+# --- baseline ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_reference_is_the_mean_resistance_weighted_as_least_squares_has_it() -> None:
@@ -208,7 +217,8 @@ def test_the_reference_is_the_mean_resistance_weighted_as_least_squares_has_it()
     frames = [frame_of(s, pattern, i, 1e-3, seed) for seed, i in enumerate(currents)]
     which = pattern.measurements[:, 0]
     expected = [
-        np.linalg.lstsq(currents[:, [k]], np.array([f.voltages[m] for f in frames]), rcond=None)[0][0] for m, k in enumerate(which)
+        np.linalg.lstsq(currents[:, [k]], np.array([f.voltages[m] for f in frames]), rcond=None)[0][0]
+        for m, k in enumerate(which)
     ]
     baseline = Baseline.learn(frames)
     np.testing.assert_allclose(baseline.reference(pattern), expected, rtol=1e-12)
@@ -260,7 +270,8 @@ def test_the_noise_of_repeated_frames_is_estimated_without_bias(count: int) -> N
     s, sigma = transfer_matrix(12), 3e-4
     pattern = adjacent(RIM)
     estimates = [
-        Baseline.learn([frame_of(s, pattern, noise=sigma, seed=100 * trial + k) for k in range(count)]).noise for trial in range(40)
+        Baseline.learn([frame_of(s, pattern, noise=sigma, seed=100 * trial + k) for k in range(count)]).noise
+        for trial in range(40)
     ]
     freedom = 40 * 108 * (count - 1)
     assert np.sqrt(np.mean(np.square(estimates))) == pytest.approx(sigma, rel=4 / np.sqrt(2 * freedom))

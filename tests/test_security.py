@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 import ohmskin
+from ohmskin.client.remote import is_loopback
 from ohmskin.device.protocol import MAX_PACKET, Decoder
 from ohmskin.device.server import DeviceServer
 from ohmskin.errors import OhmskinError, SkinError, ViewError
-from ohmskin.publish.outlet import is_loopback, open_outlet
-from ohmskin.publish.topics import contacts_topic
+from ohmskin.outlets.outlet import open_outlet
+from ohmskin.outlets.topics import contacts_topic
 from ohmskin.skin import Skin
 from ohmskin.view import LiveView
 from ohmskin.view.overview import Overview
@@ -42,7 +43,9 @@ def faults(text: str) -> list[str]:
                 keywords = {keyword.arg: keyword.value for keyword in node.keywords}
                 if name in CALLS:
                     found.append(name)
-                if "allow_pickle" in keywords and ast.unparse(keywords["allow_pickle"]) != "False":  # NumPy's default is False
+                if (
+                    "allow_pickle" in keywords and ast.unparse(keywords["allow_pickle"]) != "False"
+                ):  # NumPy's default is False
                     found.append(f"{name} with allow_pickle")
                 if "shell" in keywords and ast.unparse(keywords["shell"]) != "False":
                     found.append("shell=True")
@@ -77,11 +80,12 @@ def test_the_page_runs_no_text_as_code() -> None:
     for path in [*static.glob("*.js"), *static.glob("*.html")]:
         text = path.read_text(encoding="utf-8")
         assert not re.search(
-            r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function|https?://(?!www\.w3\.org)", text
+            r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function|https?://(?!www\.w3\.org)",
+            text,
         ), path
 
 
-# --- this machine only --------------------------------------------------------------------------------------------------
+# --- this machine only ------------------------------------------------------------------------------------------------
 
 
 def test_every_host_is_loopback_unless_told() -> None:
@@ -92,7 +96,10 @@ def test_every_host_is_loopback_unless_told() -> None:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 arguments = [*node.args.posonlyargs, *node.args.args]
                 defaults: list[Any] = [None] * (len(arguments) - len(node.args.defaults)) + node.args.defaults
-                pairs = [*zip(arguments, defaults, strict=True), *zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)]
+                pairs = [
+                    *zip(arguments, defaults, strict=True),
+                    *zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True),
+                ]
                 for argument, default in pairs:
                     if argument.arg == "host" and default is not None:
                         assert ast.literal_eval(default) == "127.0.0.1", f"{path}: {node.name}"
@@ -110,7 +117,9 @@ def test_what_others_can_reach_needs_a_token_where_there_is_such_a_thing(host: s
         Overview("torso", [], host=host)
     if host:
         with pytest.raises(OhmskinError, match="--token"):
-            open_outlet(f"zenoh:listen/tcp/{f'[{host}]' if ':' in host else host}:7447", [contacts_topic("skin")], "test", None)
+            open_outlet(
+                f"zenoh:listen/tcp/{f'[{host}]' if ':' in host else host}:7447", [contacts_topic("skin")], "test", None
+            )
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.10", "::1", "[::1]", "localhost"])
@@ -118,7 +127,7 @@ def test_loopback_addresses_are_known(host: str) -> None:
     assert is_loopback(host)
 
 
-# --- limits -------------------------------------------------------------------------------------------------------------
+# --- limits -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_skin_file_has_a_largest_size(tmp_path: Path) -> None:
@@ -150,17 +159,20 @@ def test_a_line_that_never_ends_takes_no_memory() -> None:
     assert decoder.tally.overlong == 1
 
 
-@pytest.mark.parametrize("text", ["[" * LARGEST_COMMAND, '{"type":' * 500, "9" * LARGEST_COMMAND, '"' + "x" * 4000 + '"'])
+@pytest.mark.parametrize(
+    "text", ["[" * LARGEST_COMMAND, '{"type":' * 500, "9" * LARGEST_COMMAND, '"' + "x" * 4000 + '"']
+)
 def test_a_browser_cannot_break_the_page_with_nesting(text: str) -> None:
     with pytest.raises(CommandError):
         read_command(text, {"modes": [], "press": None})
 
 
 def test_a_token_is_no_argument_of_another_process() -> None:
-    """Arguments of a process can be seen by all users of the machine; what we start is told its token through a pipe."""
+    """Arguments of a process can be seen by all users of the machine; what we start is told its token through a
+    pipe."""
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) == "subprocess.Popen":
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("subprocess.Popen", "Child"):
                 assert "token" not in ast.unparse(node.args[0]), path
 
 

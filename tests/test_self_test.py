@@ -13,9 +13,9 @@ import pytest
 from direct import DirectDevice
 
 from ohmskin.calibrate import Diagnosis, SelfTest, diagnose, self_test, terminal_pattern
-from ohmskin.calibrate.measures import mean_frame
+from ohmskin.calibrate.measures import Linearity, mean_frame
 from ohmskin.errors import DataError, DeviceError, SkinError
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.scan import DrivePattern, Frame, adjacent
 from ohmskin.skin import Fault, PressedSheet, Skin, VirtualSkin
 from ohmskin.skin.faults import Wiring
 
@@ -153,10 +153,10 @@ def test_a_dead_instrument_is_one_finding_not_sixteen() -> None:
     noise = np.random.default_rng(0).normal(0, 0.05, len(frame.voltages))
     assert [finding.kind for finding in diagnose(PAPER, replace(frame, voltages=noise)).findings] == ["contradicts"]
     with pytest.raises(DataError, match=r"terminal_pattern\(16\)"):
-        diagnose(PAPER, virtual(PAPER, (), 1).scan(PAPER.modes["12B"].base))
+        diagnose(PAPER, virtual(PAPER, (), 1).scan(adjacent([PAPER.electrodes.rings[0]])))
 
 
-# --- the instrument -----------------------------------------------------------------------------------------------------
+# --- the instrument ---------------------------------------------------------------------------------------------------
 
 
 class Bent(DirectDevice):
@@ -196,7 +196,9 @@ def test_noise_beyond_the_description_and_a_noisy_electrode_are_remarked() -> No
 
     def crackle(frame: Frame) -> Frame:
         _, plus, minus = frame.pattern.measurements.T
-        return replace(frame, voltages=frame.voltages + ((plus == 5) | (minus == 5)) * rng.normal(0, 3e-3, frame.pattern.n_meas))
+        return replace(
+            frame, voltages=frame.voltages + ((plus == 5) | (minus == 5)) * rng.normal(0, 3e-3, frame.pattern.n_meas)
+        )
 
     assert any("electrode 5 is noisier" in remark for remark in outcome(crackle).remarks)
 
@@ -211,6 +213,36 @@ def test_an_offset_is_found_at_its_electrode() -> None:
     assert found.offset.worst_electrode == 5
     assert found.offset.worst == pytest.approx(5e-3 * 15 / 16, rel=0.05)  # against the mean of all
     assert any("offset" in remark and "electrode 5" in remark for remark in found.remarks)
+
+
+def test_an_offset_is_told_from_currents_that_differ_with_their_direction() -> None:
+    """A pair's two currents differ by a fifth; what does not turn with them is their offset, not their difference."""
+
+    def lopsided(frame: Frame) -> Frame:
+        _, plus, minus = frame.pattern.measurements.T
+        factor = np.where(frame.pattern.injections[:, 0] < frame.pattern.injections[:, 1], 1.2, 1.0)
+        volts = frame.voltages * factor[frame.pattern.measurements[:, 0]]
+        return replace(
+            frame,
+            voltages=volts + 5e-3 * ((plus == 5).astype(float) - (minus == 5)),
+            currents=frame.currents * factor,
+        )
+
+    found = outcome(lopsided)
+    assert found.offset is not None
+    assert found.offset.worst_electrode == 5
+    assert found.offset.worst == pytest.approx(5e-3 * 15 / 16, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("error", "noise", "remarked"),
+    [(0.019, 1e-4, False), (0.021, 1e-4, True), (0.05, 0.011, False), (0.06, 0.011, True)],
+)
+def test_linearity_is_remarked_beyond_two_per_cent_and_beyond_its_noise(
+    error: float, noise: float, remarked: bool
+) -> None:
+    found = replace(outcome(), linearity=Linearity(error, noise, 0.0))
+    assert any("do not add up" in remark for remark in found.remarks) == remarked
 
 
 def test_currents_that_do_not_add_up_are_remarked() -> None:
@@ -247,7 +279,9 @@ def test_all_is_measured_with_electrodes_that_are_not_in_order() -> None:
     assert found.remarks == ()
     assert found.noise is not None
     data = json.loads(found.to_json())
-    assert [finding["text"] for finding in data["diagnosis"]["findings"]] == [str(finding) for finding in found.findings]
+    assert [finding["text"] for finding in data["diagnosis"]["findings"]] == [
+        str(finding) for finding in found.findings
+    ]
     assert data["diagnosis"]["series"][3] is None
     assert len(found.table()) > 10
 
@@ -256,24 +290,35 @@ def test_devices_that_cannot_be_tested_are_told() -> None:
     device = DirectDevice(virtual(PAPER, (), 1))
     with pytest.raises(DeviceError, match="16 electrodes, skin 'ktc2023' has 32"):
         self_test(device, Skin.load("ktc2023"))
-    device.reference = [virtual(PAPER, (), 1).scan(PAPER.modes["12B"].base)]
+    device.reference = [virtual(PAPER, (), 1).scan(adjacent([PAPER.electrodes.rings[0]]))]
     with pytest.raises(DeviceError, match="a recording cannot be tested"):
         self_test(device, PAPER)
 
 
 def test_the_command_says_so_and_leaves_table_picture_and_json(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "ohmskin", "self-test", "--out", "out", "--fault", "open 3", "--fault", "short 7 8"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    command = [
+        sys.executable,
+        "-m",
+        "ohmskin",
+        "self-test",
+        "--out",
+        "out",
+        "--fault",
+        "open 3",
+        "--fault",
+        "short 7 8",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=500)
     assert done.returncode == 1, done.stderr
     assert done.stdout.splitlines()[:2] == ["electrode 3 is open", "electrodes 7 and 8 are shorted together"]
     assert not any("electrode" in line for line in done.stdout.splitlines()[2:])
     assert "round trip" in done.stdout
     data = json.loads((tmp_path / "out" / "self-test.json").read_text())
-    assert data["link"]["bytes_per_scan"] > 400  # 108 voltages of 4 bytes
+    assert data["link"]["bytes_per_scan"] > 312  # 78 voltages of 4 bytes: the first scan of the default mode
     assert (tmp_path / "out" / "self-test.png").read_bytes().startswith(b"\x89PNG")
 
 
-# --- faults of the twin -------------------------------------------------------------------------------------------------
+# --- faults of the twin -----------------------------------------------------------------------------------------------
 
 
 def test_a_fault_is_read_and_written() -> None:

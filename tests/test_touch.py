@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 from scipy.special import erf
 
+from ohmskin.contacts import Contact, ContactFinder, find_regions, label_peaks, learn_threshold
 from ohmskin.geometry import Mesh, Rectangle, mesh_domain
 from ohmskin.inverse import Image
-from ohmskin.touch import Contact, ContactFinder, Tracker, Tracks, find_regions, label_peaks, learn_threshold
+from ohmskin.tracking import Tracker, Tracks
 
 SHEET = Rectangle(0.2, 0.2)
 
@@ -36,7 +37,7 @@ def chain(*values: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array(values, float), np.column_stack([left, right, np.full(n, -1)])
 
 
-# --- regions ------------------------------------------------------------------------------------------------------------
+# --- regions ----------------------------------------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 2**32 - 1), threshold=st.floats(0, 2), levels=st.sampled_from([0, 3]))
@@ -109,7 +110,7 @@ def test_regions_come_strongest_first() -> None:
     assert [round(region.peak, 1) for region in regions] == [1.0, 0.8, 0.6]
 
 
-# --- contacts -----------------------------------------------------------------------------------------------------------
+# --- contacts ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("height", "width"), [(0.3, 0.012), (1.0, 0.02)])
@@ -141,6 +142,12 @@ def test_confidence_is_the_probability_that_the_peak_exceeds_the_threshold() -> 
     assert certain.confidence == 1
 
 
+def test_confidence_of_a_side_contact_is_against_the_threshold_and_not_the_share_of_the_strongest() -> None:
+    values = blob(0.05, 0.1) + blob(0.15, 0.1, height=0.35)
+    _, side = ContactFinder(threshold=0.2, fraction=0.3).find(image(values, 0.1), mesh())
+    assert side.confidence == pytest.approx(0.5 * (1 + erf((side.peak - 0.2) / (0.1 * np.sqrt(2)))), rel=1e-12)
+
+
 def test_side_lobes_below_a_share_of_the_strongest_are_no_contacts() -> None:
     values = blob(0.05, 0.1) + blob(0.15, 0.1, height=0.35)
     for fraction, count in ((0.3, 2), (0.4, 1)):
@@ -153,7 +160,7 @@ def test_falls_count_only_when_asked_for_and_are_negative() -> None:
     values = blob(0.05, 0.1, height=0.5) - blob(0.15, 0.1)
     (rise,) = ContactFinder(threshold=0.1).find(image(values), mesh())
     assert rise.position[0] == pytest.approx(0.05, abs=1e-3)
-    fall, other = ContactFinder(threshold=0.1, falls=True).find(image(values), mesh())
+    fall, other = ContactFinder(threshold=0.1, bipolar=True).find(image(values), mesh())
     assert np.linalg.norm(np.subtract(fall.position, (0.15, 0.1))) < 1e-3
     assert fall.peak == pytest.approx(-1, rel=0.02)
     assert fall.strength < 0 < other.strength
@@ -174,7 +181,7 @@ def test_the_learned_threshold_is_the_mean_and_a_number_of_standard_deviations()
     assert 0.02 + 5 * 0.003 < learn_threshold(quiet) < 0.02 + 7 * 0.003
 
 
-# --- tracking -----------------------------------------------------------------------------------------------------------
+# --- tracking ---------------------------------------------------------------------------------------------------------
 
 
 def contact(x: float, y: float = 0.1) -> Contact:
@@ -231,7 +238,9 @@ def test_patience_starts_anew_with_every_sighting() -> None:
 def test_contacts_that_pass_each_other_keep_their_ids() -> None:
     steps = np.linspace(0.04, 0.16, 25)
     frames = [[contact(x, 0.1), contact(0.2 - x, 0.112)] for x in steps]
-    _, reported = follow(Tracker(reach=0.025, confirm=1), [frame if k % 2 else frame[::-1] for k, frame in enumerate(frames)])
+    _, reported = follow(
+        Tracker(reach=0.025, confirm=1), [frame if k % 2 else frame[::-1] for k, frame in enumerate(frames)]
+    )
     for pair in reported:
         by_height = sorted(pair, key=lambda c: c.position[1])
         assert [c.id for c in by_height] == [2, 1]

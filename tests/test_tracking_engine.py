@@ -73,7 +73,7 @@ def test_every_place_is_found_in_three_frames_of_four_injections(engine: Engine)
         assert contact.velocity is not None
         assert contact.radius is not None
         assert np.linalg.eigvalsh(contact.covariance)[0] > 0
-        assert [frame.pattern.n_inj for frame in touch.sight.frames] == [4]
+        assert [frame.pattern.n_inj for frame in touch.percept.frames] == [4]
         engine.press(1, at, 8e-3, 0.0)
         assert not run(engine, 3).contacts
 
@@ -98,25 +98,24 @@ def test_two_fingers_are_followed_and_keep_their_ids(engine: Engine) -> None:
 def test_the_image_of_the_last_frames_peaks_at_the_contact(engine: Engine) -> None:
     engine.press(1, (0.07, 0.13), 8e-3, 20e3)
     touch = run(engine, 10)
-    image, mesh = touch.sight.image, engine.perception.model.mesh  # type: ignore[union-attr]
+    image, mesh = touch.percept.image, engine.known.model.mesh  # type: ignore[union-attr]
     peak = int(np.argmax(image.values))
     assert np.hypot(*(mesh.centroids[peak] - [0.07, 0.13])) < 12e-3
     assert image.values[peak] > 10 * image.noise_std(peak)[0]
-    assert touch.sight.base is image
-    assert engine.perception.thresholds["16T"].final > 0  # type: ignore[union-attr]
+    assert touch.percept.base_image is image
+    assert engine.sensor.thresholds.final > 0  # type: ignore[union-attr]
 
 
 def test_the_number_of_injections_can_be_changed_while_it_runs(engine: Engine) -> None:
     engine.press(1, (0.12, 0.06), 8e-3, 20e3)
-    shared = engine.mode.policy
+    shared = engine.drive(engine.mode)
     for count in (2, 9, 4):
         engine.set_injections(count)
         touch = run(engine, 6)
         assert engine.injections == count
-        assert touch.sight.frames[0].pattern.n_inj == count
+        assert touch.percept.frames[0].pattern.n_inj == count
         assert miss(touch, (0.12, 0.06)) < 6e-3
-    assert shared is not None
-    assert shared.injections == 4  # type: ignore[attr-defined]  # that of the skin, which other engines share, stays
+    assert shared.injections == 4  # what was there before stays as it was
 
 
 def test_injections_out_of_range_or_in_another_mode_are_refused(engine: Engine) -> None:
@@ -140,13 +139,15 @@ def test_the_frame_wise_mode_fits_contacts_to_the_data(engine: Engine) -> None:
         (contact,) = touch.contacts
         assert contact.covariance is not None
         errors.append(miss(touch, at))
-        assert len(touch.sight.frames) == 2
+        assert len(touch.percept.frames) == 2
     assert np.mean(errors) < 2e-3
     engine.press(1, PLACES[-1], 8e-3, 0.0)
     assert not run(engine, 6).contacts
 
 
-def test_clipped_voltages_are_left_out_and_a_lost_device_is_felt_again(skin: Skin, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clipped_voltages_are_left_out_and_a_lost_device_is_felt_again(
+    skin: Skin, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
     virtual = VirtualSkin(skin, seed=3)
     device = DirectDevice(virtual)

@@ -39,11 +39,16 @@ SETUP: dict[str, Any] = {
         {"name": "16O", "title": "adaptive", "available": True, "why_not": "", "injections": [1, 16]},
         {"name": "16I", "title": "adjacent", "available": False, "why_not": "no inner electrodes"},
     ],
+    "choices": {
+        name: [{"name": choice, "title": choice} for choice in choices]
+        for name, choices in (("estimator", ("gauss-newton", "kalman")), ("prior", ("paper",)), ("rule", ("physical",)))
+    },
     "device": {"url": "virtual:", "virtual": True},
     "unit": "mS",
     "press": {"radius": [0.002, 0.02, 0.008], "pressure": [1e3, 1e5, 2e4]},
 }
 IMAGE = np.arange(NX * NY, dtype=float).reshape(NY, NX)
+ESTIMATOR = {"type": "estimator", "estimator": "kalman", "prior": "paper", "rule": "physical"}
 PRESS = {"type": "press", "id": "a", "x": 0.05, "y": 0.12, "radius": 0.008, "pressure": 2e4}
 
 
@@ -60,7 +65,7 @@ def fresh() -> Iterator[LiveView]:
         yield view
 
 
-def until(condition: Callable[[], Any], seconds: float = 5.0) -> Any:
+def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
     end = time.monotonic() + seconds
     while not (value := condition()):
         assert time.monotonic() < end, "this did not happen in time"
@@ -70,12 +75,14 @@ def until(condition: Callable[[], Any], seconds: float = 5.0) -> Any:
 
 def open_socket(view: LiveView, **more: Any) -> ClientConnection:
     return connect(
-        view.url.replace("http", "ws").replace("/?", "/socket?").removesuffix("/") + ("" if "?" in view.url else "/socket"), **more
+        view.url.replace("http", "ws").replace("/?", "/socket?").removesuffix("/")
+        + ("" if "?" in view.url else "/socket"),
+        **more,
     )
 
 
 def get(view: LiveView, path: str = "/", **headers: str) -> http.client.HTTPResponse:
-    channel = http.client.HTTPConnection("127.0.0.1", view.port, timeout=5)
+    channel = http.client.HTTPConnection("127.0.0.1", view.port, timeout=60)
     channel.request("GET", path, headers=headers)
     response = channel.getresponse()
     response.read()
@@ -97,7 +104,7 @@ def publish(view: LiveView, sequence: int) -> None:
     view.publish({"sequence": sequence}, -IMAGE, sequence + IMAGE)
 
 
-# --- who is let in ------------------------------------------------------------------------------------------------------
+# --- who is let in ----------------------------------------------------------------------------------------------------
 
 
 def test_page_and_its_files_are_served_with_a_strict_policy(view: LiveView) -> None:
@@ -112,22 +119,32 @@ def test_page_and_its_files_are_served_with_a_strict_policy(view: LiveView) -> N
     assert get(view, "/static/../server.py").status == 404
 
 
-@pytest.mark.parametrize("name", ["127.0.0.1:{port}", "localhost:{port}", "[::1]:{port}", "LOCALHOST:{port}", "localhost:9999"])
+@pytest.mark.parametrize(
+    "name", ["127.0.0.1:{port}", "localhost:{port}", "[::1]:{port}", "LOCALHOST:{port}", "localhost:9999"]
+)
 def test_loopback_names_are_let_in(view: LiveView, name: str) -> None:
     assert get(view, Host=name.format(port=view.port)).status == 200
 
 
 @pytest.mark.parametrize(
-    "name", ["evil.example", "evil.example:{port}", "localhost.evil.example", "127.0.0.1@evil.example", "", "192.168.0.7"]
+    "name",
+    ["evil.example", "evil.example:{port}", "localhost.evil.example", "127.0.0.1@evil.example", "", "192.168.0.7"],
 )
 def test_foreign_host_header_is_refused(view: LiveView, name: str) -> None:
     assert get(view, Host=name.format(port=view.port)).status == 403
     assert get(view, "/static/app.js", Host=name.format(port=view.port)).status == 403
-    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "A" * 22 + "=="}
+    upgrade = {
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "A" * 22 + "==",
+    }
     assert get(view, "/socket", Host=name.format(port=view.port), **upgrade).status == 403
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost:{port}.evil.example"])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost:{port}.evil.example"]
+)
 def test_foreign_origin_is_refused(view: LiveView, origin: str) -> None:
     with pytest.raises(InvalidStatus) as refused:
         open_socket(view, origin=origin.format(port=view.port)).close()
@@ -136,7 +153,7 @@ def test_foreign_origin_is_refused(view: LiveView, origin: str) -> None:
 
 def test_own_origin_is_let_in(view: LiveView) -> None:
     with open_socket(view, origin=f"http://127.0.0.1:{view.port}") as browser:
-        assert json.loads(browser.recv(5))["type"] == "setup"
+        assert json.loads(browser.recv(60))["type"] == "setup"
 
 
 def test_token_guards_page_and_socket() -> None:
@@ -146,7 +163,7 @@ def test_token_guards_page_and_socket() -> None:
         assert get(view, "/?token=open-sesamE").status == 403
         assert get(view, "/?token=open-sesame").status == 200
         with open_socket(view) as browser:
-            assert json.loads(browser.recv(5))["type"] == "setup"
+            assert json.loads(browser.recv(60))["type"] == "setup"
         with pytest.raises(InvalidStatus):
             connect(f"ws://127.0.0.1:{view.port}/socket").close()
 
@@ -162,15 +179,15 @@ def test_other_machines_need_a_token() -> None:
         assert get(view, "/", Host=f"robot.local:{view.port}").status == 403
 
 
-# --- frames -------------------------------------------------------------------------------------------------------------
+# --- frames -----------------------------------------------------------------------------------------------------------
 
 
 def test_frame_arrives_as_it_was_published(fresh: LiveView) -> None:
     with open_socket(fresh) as browser:
-        setup = json.loads(browser.recv(5))
+        setup = json.loads(browser.recv(60))
         assert setup["raster"] == SETUP["raster"]
         publish(fresh, 7)
-        header, base, image = read_frame(browser.recv(5))
+        header, base, image = read_frame(browser.recv(60))
         assert header["sequence"] == 7
         np.testing.assert_array_equal(base, -IMAGE)
         np.testing.assert_array_equal(image, 7 + IMAGE)
@@ -180,7 +197,7 @@ def test_no_browser_no_frame(fresh: LiveView) -> None:
     assert not fresh.wants_frame()
     fresh.publish({"sequence": 1}, IMAGE, IMAGE)  # dropped
     with open_socket(fresh) as browser:
-        browser.recv(5)
+        browser.recv(60)
         until(fresh.wants_frame)
         with pytest.raises(TimeoutError):
             browser.recv(0.05)
@@ -189,65 +206,69 @@ def test_no_browser_no_frame(fresh: LiveView) -> None:
 def test_slow_browser_gets_the_newest_frame_only(fresh: LiveView) -> None:
     with open_socket(fresh) as slow, open_socket(fresh) as quick:
         for browser in (slow, quick):
-            browser.recv(5)
+            browser.recv(60)
         for sequence in range(1, 21):
             publish(fresh, sequence)
-            assert read_frame(quick.recv(5))[0]["sequence"] == sequence
+            assert read_frame(quick.recv(60))[0]["sequence"] == sequence
             quick.send(to_json({"type": "ack", "sequence": sequence}))
-        assert read_frame(slow.recv(5))[0]["sequence"] == 1
+        assert read_frame(slow.recv(60))[0]["sequence"] == 1
         slow.send(to_json({"type": "ack", "sequence": 2}))  # of a frame that it was not sent: does not count
         with pytest.raises(TimeoutError):
             slow.recv(0.1)
         slow.send(to_json({"type": "ack", "sequence": 1}))
-        assert read_frame(slow.recv(5))[0]["sequence"] == 20
+        assert read_frame(slow.recv(60))[0]["sequence"] == 20
 
 
 def test_publish_never_waits_for_a_browser_that_does_not_read(fresh: LiveView) -> None:
     with open_socket(fresh) as browser:
-        browser.recv(5)
+        browser.recv(60)
         publish(fresh, 1)
-        longest = 0.0
+        taken = []
         for sequence in range(2, 2000):
             start = time.perf_counter()
             fresh.wants_frame()
             fresh.publish({"sequence": sequence}, IMAGE, IMAGE)
-            longest = max(longest, time.perf_counter() - start)
-        assert longest < 0.05
+            taken.append(time.perf_counter() - start)
+        assert np.quantile(taken, 0.99) < 0.05  # others on the machine may hold up a few
 
 
 def test_announced_setup_reaches_browsers_now_and_later() -> None:
     other = SETUP | {"raster": {"x0": 0.05, "y0": 0.04, "pitch": 0.1, "nx": 2, "ny": 2}}
     with LiveView(SETUP, port=0) as view, open_socket(view) as browser:
-        browser.recv(5)
+        browser.recv(60)
         publish(view, 1)
-        browser.recv(5)
+        browser.recv(60)
         view.announce(other)
-        assert json.loads(browser.recv(5))["raster"]["nx"] == 2
+        assert json.loads(browser.recv(60))["raster"]["nx"] == 2
         browser.send(to_json({"type": "ack", "sequence": 1}))
         until(view.wants_frame)
         with pytest.raises(ViewError, match="shapes"):
             view.publish({"sequence": 2}, IMAGE, IMAGE)
         assert view.wants_frame()  # a refused frame costs no credit
         view.publish({"sequence": 3}, np.zeros((2, 2)), np.zeros((2, 2)))
-        assert isinstance(browser.recv(5), bytes)
+        assert isinstance(browser.recv(60), bytes)
         with open_socket(view) as late:
-            assert json.loads(late.recv(5))["raster"]["nx"] == 2
+            assert json.loads(late.recv(60))["raster"]["nx"] == 2
 
 
 def test_header_with_numpy_values_and_numbers_that_are_not_finite() -> None:
-    header = {"sequence": np.int64(3), "health": {"latency_p50": math.nan, "rate": np.float64(5.0)}, "pairs": np.array([[0, 1]])}
+    header = {
+        "sequence": np.int64(3),
+        "health": {"latency_p50": math.nan, "rate": np.float64(5.0)},
+        "pairs": np.array([[0, 1]]),
+    }
     message = pack_frame(header, IMAGE, np.full_like(IMAGE, np.nan))
     plain, _, image = read_frame(message)
     assert plain == {"sequence": 3, "health": {"latency_p50": None, "rate": 5.0}, "pairs": [[0, 1]]}
     assert np.isnan(image).all()
 
 
-# --- commands -----------------------------------------------------------------------------------------------------------
+# --- commands ---------------------------------------------------------------------------------------------------------
 
 
 def test_commands_arrive_in_order_and_ids_name_the_browser(fresh: LiveView) -> None:
     with open_socket(fresh) as one, open_socket(fresh) as two:
-        names = [json.loads(browser.recv(5))["client"] for browser in (one, two)]
+        names = [json.loads(browser.recv(60))["client"] for browser in (one, two)]
         one.send(to_json(PRESS))
         until(lambda: fresh._pending)
         two.send(to_json(PRESS | {"x": 0.1}))
@@ -263,7 +284,7 @@ def test_commands_arrive_in_order_and_ids_name_the_browser(fresh: LiveView) -> N
 
 def test_presses_of_a_browser_that_leaves_are_lifted(fresh: LiveView) -> None:
     with open_socket(fresh) as browser:
-        name = json.loads(browser.recv(5))["client"]
+        name = json.loads(browser.recv(60))["client"]
         for key in "abc":
             browser.send(to_json(PRESS | {"id": key}))
         browser.send(to_json({"type": "lift", "id": "b"}))
@@ -285,6 +306,9 @@ REFUSED = [
     '{"type":"pause","paused":1}',
     *(to_json({"type": "injections", "count": count}) for count in (0, 17, 2.0, True, "4")),
     '{"type":"demo","on":"yes"}',
+    *(to_json(ESTIMATOR | wrong) for wrong in ({"estimator": "nosuch"}, {"prior": "kalman"}, {"rule": None})),
+    to_json(ESTIMATOR | {"x": 1}),
+    to_json({"type": "estimator", "estimator": "kalman"}),
 ]
 
 
@@ -296,9 +320,9 @@ def test_malformed_commands_are_refused(text: str) -> None:
 
 @given(
     st.text()
-    | st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda inner: st.dictionaries(st.text(), inner)).map(
-        json.dumps
-    )
+    | st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(), lambda inner: st.dictionaries(st.text(), inner)
+    ).map(json.dumps)
 )
 def test_no_text_does_harm(text: str) -> None:
     try:
@@ -314,6 +338,14 @@ def test_presses_in_range_pass_unchanged(x: float, y: float, radius: float, pres
     assert read_command(json.dumps(press), SETUP) == press
 
 
+def test_an_estimator_is_chosen_of_those_in_the_setup() -> None:
+    assert read_command(to_json(ESTIMATOR), SETUP) == ESTIMATOR
+    with pytest.raises(CommandError, match="estimator must be one of gauss-newton, kalman"):
+        read_command(to_json(ESTIMATOR | {"estimator": "tikhonov"}), SETUP)
+    with pytest.raises(CommandError, match="no choice of estimator"):
+        read_command(to_json(ESTIMATOR), {name: part for name, part in SETUP.items() if name != "choices"})
+
+
 def test_real_skin_cannot_be_pressed_from_the_page() -> None:
     with pytest.raises(CommandError, match="not virtual"):
         read_command(to_json(PRESS), SETUP | {"press": None})
@@ -321,13 +353,13 @@ def test_real_skin_cannot_be_pressed_from_the_page() -> None:
 
 def test_refused_command_is_answered_and_the_browser_stays(fresh: LiveView) -> None:
     with open_socket(fresh) as browser:
-        browser.recv(5)
+        browser.recv(60)
         browser.send(to_json(PRESS | {"x": 9}))
-        answer = json.loads(browser.recv(5))
+        answer = json.loads(browser.recv(60))
         assert answer["type"] == "refused"
         assert "x must be from 0 to 0.2" in answer["message"]
         browser.send(b"binary")
-        assert "text" in json.loads(browser.recv(5))["message"]
+        assert "text" in json.loads(browser.recv(60))["message"]
         browser.send(to_json({"type": "calibrate"}))
         until(lambda: fresh._pending)
         assert fresh.commands() == [{"type": "calibrate"}]
@@ -335,20 +367,20 @@ def test_refused_command_is_answered_and_the_browser_stays(fresh: LiveView) -> N
 
 def test_message_that_is_too_long_ends_the_connection(fresh: LiveView) -> None:
     with open_socket(fresh) as browser:
-        browser.recv(5)
+        browser.recv(60)
         browser.send(" " * 5000)
         with pytest.raises(ConnectionClosed):
-            browser.recv(5)
+            browser.recv(60)
     with open_socket(fresh) as browser:
-        assert json.loads(browser.recv(5))["type"] == "setup"
+        assert json.loads(browser.recv(60))["type"] == "setup"
 
 
 def test_number_of_presses_is_limited(fresh: LiveView) -> None:
     with open_socket(fresh) as browser:
-        browser.recv(5)
+        browser.recv(60)
         for k in range(33):
             browser.send(to_json(PRESS | {"id": f"p{k}"}))
-        assert "at most 32" in json.loads(browser.recv(5))["message"]
+        assert "at most 32" in json.loads(browser.recv(60))["message"]
 
 
 def test_moves_of_a_press_are_merged_but_never_across_a_lift() -> None:
@@ -360,7 +392,7 @@ def test_moves_of_a_press_are_merged_but_never_across_a_lift() -> None:
     assert pending == [moves[1], other, {"type": "lift", "id": "a"}, moves[2], {"type": "lift_all"}, moves[0]]
 
 
-# --- the process --------------------------------------------------------------------------------------------------------
+# --- the process ------------------------------------------------------------------------------------------------------
 
 
 def test_taken_port_gives_the_next_one() -> None:
@@ -377,9 +409,9 @@ def test_taken_port_gives_the_next_one() -> None:
 
 def test_close_leaves_no_process_and_is_safe_twice() -> None:
     view = LiveView(SETUP, port=0)
-    child = psutil.Process(view._process.pid)
+    child = psutil.Process(view.pid)
     with open_socket(view) as browser:
-        browser.recv(5)
+        browser.recv(60)
         view.close()
         view.close()
     assert not child.is_running()
@@ -390,7 +422,7 @@ def test_close_leaves_no_process_and_is_safe_twice() -> None:
 
 
 def test_interrupt_is_left_to_the_loop(view: LiveView) -> None:
-    os.kill(view._process.pid, signal.SIGINT)
+    os.kill(view.pid, signal.SIGINT)
     time.sleep(0.2)
     assert get(view).status == 200
 
@@ -398,9 +430,9 @@ def test_interrupt_is_left_to_the_loop(view: LiveView) -> None:
 def test_loop_survives_the_death_of_the_page(caplog: pytest.LogCaptureFixture) -> None:
     with LiveView(SETUP, port=0) as view:
         with open_socket(view) as browser:
-            browser.recv(5)
+            browser.recv(60)
             until(view.wants_frame)
-            view._process.kill()
+            psutil.Process(view.pid).kill()
             until(lambda: not view.wants_frame())
         view.publish({"sequence": 1}, IMAGE, IMAGE)
         view.announce(SETUP)
@@ -408,7 +440,7 @@ def test_loop_survives_the_death_of_the_page(caplog: pytest.LogCaptureFixture) -
 
 
 def test_page_ends_when_its_loop_is_killed() -> None:
-    code = f"from ohmskin.view import LiveView; v = LiveView({SETUP!r}, port=0); print(v._process.pid, flush=True); input()"
+    code = f"from ohmskin.view import LiveView; v = LiveView({SETUP!r}, port=0); print(v.pid, flush=True); input()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as loop:
         assert loop.stdout is not None
         child = psutil.Process(int(loop.stdout.readline()))
@@ -426,6 +458,7 @@ def test_start_that_fails_says_why() -> None:
     "broken",
     [
         {},
+        SETUP | {"choices": {"estimator": ["kalman"]}},
         SETUP | {"press": {"radius": [1, 2, 3], "pressure": [1, 2, 1]}},
         SETUP | {"raster": {"nx": 3}},
         SETUP | {"skin": SETUP["skin"] | {"domain": {"kind": "sphere", "radius": 1}}},

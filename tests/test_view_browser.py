@@ -16,12 +16,25 @@ from ohmskin.view import LiveView
 SHEET = {"kind": "rectangle", "width": 0.2, "height": 0.2}
 DISC = {"kind": "disc", "radius": 0.1}
 MODES = [
-    {"name": "12B", "title": "adjacent, 12 rim injections", "available": True, "why_not": ""},
-    {"name": "16B", "title": "adjacent, 16 injections", "available": True, "why_not": ""},
-    {"name": "16I", "title": "adjacent, 12 + 16 injections", "available": False, "why_not": "needs 4 inner electrodes"},
-    {"name": "16O", "title": "adaptive, 12 + 16 injections", "available": True, "why_not": ""},
-    {"name": "16T", "title": "tracking", "available": True, "why_not": "", "injections": [1, 16]},
+    {
+        "name": "12B",
+        "title": "Rim only",
+        "summary": "Adjacent drive on the 12 electrodes of the rim.",
+        "available": True,
+    },
+    {"name": "16B", "title": "Rim only", "available": True, "why_not": ""},
+    {"name": "16I", "title": "Rim and inside", "available": False, "why_not": "needs 4 inner electrodes"},
+    {
+        "name": "16O",
+        "title": "Adaptive",
+        "summary": "A base scan, then pairs " + 9 * "most informative ",
+        "available": True,
+    },
+    {"name": "16T", "title": "Tracking, fastest", "available": True, "why_not": "", "injections": [1, 16]},
+    {"name": "mine", "title": "mine", "available": True},
 ]
+CHOICES = {"estimator": ("gauss-newton", "kalman"), "prior": ("paper", "matern"), "rule": ("physical", "l-curve")}
+AS_USUAL = {name: names[0] for name, names in CHOICES.items()}
 
 COVARIANCE = [26e-6, 10e-6, 26e-6]  # m2: half axes of 14.7 mm along y = x and 9.8 mm across, at 95 %
 
@@ -36,7 +49,9 @@ def make_setup(domain: dict[str, Any] = SHEET, pixels: int = 64, virtual: bool =
         k, side, left, size = np.arange(3) / 3, domain["width"], 0.0, domain["width"]
         rim = [(a * side, 0.0) for a in k] + [(side, a * side) for a in k]
         rim += [(side - a * side, side) for a in k] + [(0.0, side - a * side) for a in k]
-        points = np.array(rim + [(side * a, side * b) for a, b in ((1 / 3, 1 / 3), (2 / 3, 1 / 3), (2 / 3, 2 / 3), (1 / 3, 2 / 3))])
+        points = np.array(
+            rim + [(side * a, side * b) for a, b in ((1 / 3, 1 / 3), (2 / 3, 1 / 3), (2 / 3, 2 / 3), (1 / 3, 2 / 3))]
+        )
     pitch = size / pixels
     return {
         "version": "0.1.0",
@@ -53,6 +68,7 @@ def make_setup(domain: dict[str, Any] = SHEET, pixels: int = 64, virtual: bool =
             "ny": pixels,
         },
         "modes": MODES,
+        "choices": {name: [{"name": n, "title": n.title()} for n in names] for name, names in CHOICES.items()},
         "device": {"url": "virtual:" if virtual else "tcp://10.0.0.7:7155", "virtual": virtual},
         "unit": "mS",
         "press": {"radius": [0.003, 0.02, 0.008], "pressure": [1e3, 1e5, 2e4]} if virtual else None,
@@ -62,13 +78,15 @@ def make_setup(domain: dict[str, Any] = SHEET, pixels: int = 64, virtual: bool =
 class SyntheticLoop:
     """Stands in for the engine: one bump and one contact per press, commands obeyed and kept."""
 
-    def __init__(self, setup: dict[str, Any], height: float = 1.6, always: tuple[tuple[float, float], ...] = ()) -> None:
+    def __init__(
+        self, setup: dict[str, Any], height: float = 1.6, always: tuple[tuple[float, float], ...] = ()
+    ) -> None:
         self.setup = self._next_setup = setup
         self.sequence = 0
         self.height = height
         self.always = always
         self.heard: list[dict[str, Any]] = []
-        self.header: dict[str, Any] = {"state": "running", "message": "", "demo": False, "mode": "16O"}
+        self.header: dict[str, Any] = {"state": "running", "message": "", "demo": False, "mode": "16O", **AS_USUAL}
         self.presses: dict[str, dict[str, Any]] = {}
         self.view = LiveView(setup, port=0)
         self._stop = threading.Event()
@@ -120,6 +138,8 @@ class SyntheticLoop:
                 self.presses.clear()
             case "mode":
                 self.header["mode"] = command["mode"]
+            case "estimator":
+                self.header |= {name: command[name] for name in CHOICES}
             case "injections":
                 self.header["n_injections"] = command["count"]
             case "pause":
@@ -151,7 +171,9 @@ class SyntheticLoop:
             for k, (x, y) in enumerate(points)
             for weight in (1 - 0.2 * k,)
         ]
-        presses = [{k: p[k] for k in ("id", "x", "y", "radius", "pressure")} | {"demo": False} for p in self.presses.values()]
+        presses = [
+            {k: p[k] for k in ("id", "x", "y", "radius", "pressure")} | {"demo": False} for p in self.presses.values()
+        ]
         health = {"rate": 118 + 6 * np.sin(now / 3), "latency_p50": 3.4e-3, "latency_p99": 7.9e-3}
         health |= {"dropped": 0, "noise": 14.2e-6, "waiting": 0.62}
         rim = 12 if self.setup["skin"]["domain"]["kind"] == "rectangle" else 16
@@ -177,12 +199,15 @@ class Reader:
         self.errors: list[str] = []
         self.context = chromium.new_context(**{"viewport": {"width": 1440, "height": 900}} | options)
         self.page: Page = self.context.new_page()
-        self.page.on("console", lambda message: self.errors.append(message.text) if message.type in ("error", "warning") else None)
+        self.page.on(
+            "console",
+            lambda message: self.errors.append(message.text) if message.type in ("error", "warning") else None,
+        )
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.goto(loop.view.url)
         self.until(lambda: self.page.evaluate("Boolean(window.ohmskin?.ready)"))
 
-    def until(self, condition: Callable[[], Any], seconds: float = 8.0) -> Any:
+    def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> Any:
         end = time.monotonic() + seconds
         while not (value := condition()):
             assert time.monotonic() < end, f"this did not happen in time; heard {self.loop.heard}, errors {self.errors}"
@@ -190,7 +215,8 @@ class Reader:
         return value
 
     def place(self, x: float, y: float, canvas: str = "map") -> tuple[float, float]:
-        """Where on the screen a point of the skin (m) is, worked out from the layout that docs/live-page.md promises."""
+        """Where on the screen a point of the skin (m) is, worked out from the layout that docs/live-page.md
+        promises."""
         box = self.page.locator(f"#{canvas}").bounding_box()
         assert box is not None
         domain = self.loop.setup["skin"]["domain"]
@@ -222,7 +248,7 @@ def sheet() -> Iterator[SyntheticLoop]:
 @pytest.fixture
 def reader(chromium: Browser, sheet: SyntheticLoop) -> Iterator[Reader]:
     sheet.heard.clear()
-    sheet.header.update(state="running", message="", demo=False, mode="16O")
+    sheet.header.update(state="running", message="", demo=False, mode="16O", preparing="", **AS_USUAL)
     reader = Reader(chromium, sheet)
     yield reader
     reader.close()
@@ -362,7 +388,9 @@ def test_two_fingers_are_two_presses(chromium: Browser, sheet: SyntheticLoop) ->
     sheet.heard.clear()
     reader = Reader(chromium, sheet, viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     session = reader.context.new_cdp_session(reader.page)
-    points = [dict(zip("xy", reader.place(*point), strict=True), id=k) for k, point in enumerate([(0.05, 0.05), (0.15, 0.15)])]
+    points = [
+        dict(zip("xy", reader.place(*point), strict=True), id=k) for k, point in enumerate([(0.05, 0.05), (0.15, 0.15)])
+    ]
     session.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": points})
     reader.until(lambda: len(reader.presses()) == 2)
     assert reader.presses() == [pytest.approx((0.05, 0.05), abs=1e-3), pytest.approx((0.15, 0.15), abs=1e-3)]
@@ -380,6 +408,7 @@ def test_buttons_command_and_show_the_state(reader: Reader) -> None:
     expect(barred).to_be_disabled()
     expect(barred).to_have_accessible_description("needs 4 inner electrodes")
     barred.click(force=True)
+    expect(page.locator("#notice")).to_have_text("Not done: Rim and inside (16I) needs 4 inner electrodes.")
     page.click("#calibrate")
     page.click("#pause")
     expect(page.locator("#state")).to_have_text("paused")
@@ -390,6 +419,52 @@ def test_buttons_command_and_show_the_state(reader: Reader) -> None:
     expect(page.locator("#notice")).to_contain_text("press anywhere to take over")
     kinds = [{k: v for k, v in command.items() if k != "type"} for command in reader.loop.heard]
     assert kinds == [{"mode": "12B"}, {}, {"paused": True}, {"paused": False}, {"on": True}]
+
+
+@pytest.mark.parametrize("width", [320, 390, 1440])
+def test_modes_have_plain_names_and_a_sentence_each_and_nothing_moves(
+    chromium: Browser, sheet: SyntheticLoop, width: int
+) -> None:
+    sheet.header.update(state="running", message="", demo=False, mode="12B", **AS_USUAL)
+    reader = Reader(chromium, sheet, viewport={"width": width, "height": 900})
+    page, summary = reader.page, reader.page.locator("#mode-summary")
+    expect(summary.get_by_text("Adjacent drive on the 12 electrodes of the rim.")).to_be_visible()
+    before = page.locator("#map").bounding_box()
+    buttons = page.get_by_role("group", name="Mode").get_by_role("button")
+    assert [name.split() for name in buttons.all_inner_texts()][:3] == [
+        ["Rim", "only", "12B"],
+        ["Rim", "only", "16B"],
+        ["Rim", "and", "inside", "16I"],
+    ]
+    expect(buttons.last).to_have_text("mine ")
+    for title, name in (("Adaptive 16O", "16O"), ("Tracking, fastest", "16T"), ("mine", "mine")):
+        page.get_by_role("button", name=title).click()
+        expect(page.locator(f'[data-mode="{name}"]')).to_have_attribute("aria-pressed", "true")
+        assert reader.heard("mode")[-1] == {"type": "mode", "mode": name}
+        assert page.locator("#map").bounding_box() == before
+        expect(page.locator("#mode-summary > [data-shown]")).to_have_count(1)
+    expect(summary.get_by_text("Adjacent drive")).to_be_hidden()
+    reader.close()
+
+
+def test_experts_choose_estimator_prior_and_rule(reader: Reader) -> None:
+    page, header = reader.page, reader.loop.header
+    expect(page.get_by_label("Estimator")).to_be_hidden()
+    page.locator("#expert > summary").focus()
+    page.keyboard.press("Enter")
+    page.get_by_label("Estimator").select_option("kalman")
+    reader.until(lambda: header["estimator"] == "kalman")
+    header.update(preparing="Adaptive: estimator kalman, prior matern, rule physical", estimator="gauss-newton")
+    expect(page.locator("#notice")).to_have_text("Preparing Adaptive: estimator kalman, prior matern, rule physical")
+    page.wait_for_timeout(700)
+    expect(page.get_by_label("Estimator")).to_have_value("kalman")  # what was asked for, until it is known what came
+    header.update(preparing="", message="estimator 'kalman' does not go with this skin", demo=True)
+    expect(page.locator("#notice")).to_have_text("estimator 'kalman' does not go with this skin")
+    expect(page.get_by_label("Estimator")).to_have_value("gauss-newton")
+    page.get_by_label("Prior").select_option("matern")
+    page.get_by_label("Rule").select_option("l-curve")
+    reader.until(lambda: (header["prior"], header["rule"]) == ("matern", "l-curve"))
+    assert reader.heard("estimator")[-1] == {"type": "estimator", **AS_USUAL, "prior": "matern", "rule": "l-curve"}
 
 
 def test_state_and_message_are_shown(reader: Reader) -> None:
@@ -449,7 +524,10 @@ def test_frames_go_on_through_changes_of_setup(chromium: Browser) -> None:
     loop = SyntheticLoop(make_setup())
     reader = Reader(chromium, loop)
     try:
-        for pixels in (32, 64) * 10:  # also while a frame of the old raster is on its way, which must not stop the new ones
+        for pixels in (
+            32,
+            64,
+        ) * 10:  # also while a frame of the old raster is on its way, which must not stop the new ones
             loop.change(make_setup(pixels=pixels))
             reader.page.wait_for_timeout(23)
         reader.until(lambda: reader.page.evaluate("window.ohmskin.setup.raster.nx") == 64)
@@ -513,7 +591,9 @@ def test_a_recording_is_led_from_the_page_and_all_browsers_agree(chromium: Brows
         reader.until(lambda: place() == pytest.approx(2))
         page.keyboard.press("Shift+ArrowLeft")  # a twentieth of the length at most
         reader.until(lambda: place() == pytest.approx(0))
-        expect(page.get_by_label("Position in the recording")).to_have_attribute("aria-valuetext", "0.00 of 40.00 seconds")
+        expect(page.get_by_label("Position in the recording")).to_have_attribute(
+            "aria-valuetext", "0.00 of 40.00 seconds"
+        )
         page.keyboard.press("End")
         reader.until(lambda: place() == 40)
         page.get_by_label("One frame back").click()
@@ -565,7 +645,9 @@ def test_page_reconnects_to_a_program_that_comes_back(chromium: Browser) -> None
         assert not view.port_was_taken
         reader.until(view.wants_frame)
         expect(reader.page.locator("#state")).not_to_have_text("disconnected")
-        reader.errors = [error for error in reader.errors if "WebSocket connection" not in error]  # the attempts in between
+        reader.errors = [
+            error for error in reader.errors if "WebSocket connection" not in error
+        ]  # the attempts in between
         reader.close()  # before the program goes again
 
 

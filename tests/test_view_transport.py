@@ -14,8 +14,8 @@ import ohmskin as ohm
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import State
 from ohmskin.errors import ViewError
-from ohmskin.publish import Player, Recorder
-from ohmskin.record import Role, Tape
+from ohmskin.mcap import Role, Tape
+from ohmskin.recording import Player, Recorder
 from ohmskin.view.session import Session
 from ohmskin.view.wire import CommandError, check_setup, read_command
 
@@ -35,7 +35,9 @@ class Paper:
     """Stands in for the page: keeps the newest header, hands over commands as a browser would."""
 
     def __init__(self, setup: dict[str, Any], *_: object) -> None:
-        self.setup, self.header, self.sent = check_setup(setup), {}, []  # type: dict[str, Any], dict[str, Any], list[dict[str, Any]]
+        self.setup: dict[str, Any] = check_setup(setup)
+        self.header: dict[str, Any] = {}
+        self.sent: list[dict[str, Any]] = []
 
     def send(self, kind: str, **fields: object) -> None:
         self.sent.append(read_command(json.dumps({"type": kind, **fields}), self.setup))
@@ -107,7 +109,11 @@ def test_a_place_that_is_sought_is_shown_with_its_contacts_also_while_paused(vie
     viewer.send("pause", paused=False)
     assert viewer.send("seek", position=viewer.times[middle]) == middle
     assert viewer.header["state"] == "running"
-    assert [viewer.send("loop", on=False) for _ in range(3)] == [middle + 1, middle + 2, middle + 3]  # and goes on from there
+    assert [viewer.send("loop", on=False) for _ in range(3)] == [
+        middle + 1,
+        middle + 2,
+        middle + 3,
+    ]  # and goes on from there
 
 
 def test_contacts_are_tracked_anew_after_a_seek_and_on_every_round(viewer: Viewer) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ohmskin as ohm
-from ohmskin.drive import Mode
 from ohmskin.plot import draw_image
 from ohmskin.scan import Frame, assess
 
@@ -20,7 +19,7 @@ def main(picture: Path) -> list[str]:
     """Print what the data say, save a picture, and return the report's lines."""
     skin = ohm.Skin.load("paper")
     virtual = ohm.VirtualSkin(skin, seed=1)
-    pattern = skin.modes["16I"].base
+    pattern = ohm.adjacent(skin.electrodes.rings)
     quiet = [virtual.scan(pattern) for _ in range(10)]
     virtual.press(1, 0.06, 0.13, radius=8e-3, pressure=20e3)
     touched = virtual.scan(pattern)
@@ -37,12 +36,9 @@ def main(picture: Path) -> list[str]:
 
     figure = Figure(figsize=(8.2, 3.7), layout="constrained")
     model = skin.transfer_model()
-    mode = Mode("recorded", "what was scanned", pattern)
     for axes, judge, title in zip(figure.subplots(1, 2), (None, quality), ("as measured", "assessed"), strict=True):
-        perception = ohm.Perception(skin, model, quiet, judge)
-        perception.learn_thresholds(mode, lambda _: quiet[0], 1)
-        sight = perception.see(mode, lambda _: touched)
-        shown = draw_image(axes, perception.model.mesh, sight.image.values, skin.electrodes, sight.contacts)
+        seen = ohm.perceive(ohm.SkinModel(skin, model, quiet, judge), touched)
+        shown = draw_image(axes, model.mesh, seen.image.values, skin.electrodes, seen.detections)
         axes.plot(60, 130, "x", color="limegreen", markersize=10, markeredgewidth=2)
         axes.set_title(title, fontsize=10)
         figure.colorbar(shown, ax=axes, shrink=0.8)

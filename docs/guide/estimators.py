@@ -6,10 +6,11 @@ python docs/guide/estimators.py [FOLDER]
 import sys
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 import ohmskin as ohm
-from ohmskin.inverse import AbsoluteGaussNewton, DiscFit, GaussNewton, Greit, Kalman, SparseBayes, TotalVariation
+from ohmskin.inverse import AbsoluteGaussNewton, GaussNewton, Greit, Kalman, SparseBayes, TotalVariation
 from ohmskin.plot import draw_image
 
 PRESSES = [(0.06, 0.13), (0.14, 0.08)]  # metres
@@ -43,18 +44,18 @@ for later in frames:
     belief = kalman.update(belief, baseline.difference(later))
 images["Kalman, five scans"] = belief.image
 
-fit = DiscFit(model, noise, radius=0.01, model_error=0.02).fit(touched)
-images["disc fit"] = fit.image
-for contact in fit.contacts:
-    x, y, radius, _ = 1e3 * contact.std
-    print(
-        f"disc at {1e3 * contact.position[0]:.1f} +- {x:.1f}, {1e3 * contact.position[1]:.1f} +- {y:.1f} mm, "
-        f"radius {1e3 * contact.radius:.1f} +- {radius:.1f} mm, strength {contact.strength:.2f} +- {contact.std[3]:.2f}"
-    )
+fitter = ohm.ContactFitter(ohm.ContactTable(model, radius=0.01), noise, model_error=0.02)
+contacts = fitter.contacts(fitter.fit(touched))  # no image: the contacts themselves
+for contact in contacts:
+    x, y = 1e3 * contact.position[0], 1e3 * contact.position[1]
+    sx, sy = 1e3 * np.sqrt(np.diag(contact.covariance))
+    print(f"contact at {x:.1f} +- {sx:.1f}, {y:.1f} +- {sy:.1f} mm, {1e6 * contact.strength:.0f} mm2 of conductivity")
 
 figure = Figure(figsize=(14.5, 7.2), layout="constrained")
+fitted = "contacts fitted, over Gauss-Newton"
+images[fitted] = images["Gauss-Newton"]
 for axes, (name, image) in zip(figure.subplots(2, 4).flat, images.items(), strict=True):
-    draw_image(axes, model.mesh, image.values, model.electrodes)
+    draw_image(axes, model.mesh, image.values, model.electrodes, contacts if name == fitted else ())
     for x, y in PRESSES:
         axes.plot(1e3 * x, 1e3 * y, "+", color="black", markersize=12)
     axes.set_title(f"{name}: peak {image.values.max():.2f}", fontsize=10)

@@ -1,8 +1,10 @@
-"""Real measurements: targets in the saline tank of the University of Eastern Finland (Hauptmann et al. 2017), in three images each.
+"""Real measurements: targets in the saline tank of the University of Eastern Finland (Hauptmann et al. 2017), in three
+images each.
 
     python docs/guide/estimators_tank.py [FOLDER] [DATA]
 
-DATA is the folder of datamat_1_0.mat and so on (arXiv:1704.01178); ../shared/data/uef2017 beside the repository unless given.
+DATA is the folder of datamat_1_0.mat and so on (arXiv:1704.01178); ../shared/data/uef2017 beside the repository unless
+given.
 """
 
 import csv
@@ -43,7 +45,10 @@ for column, case in enumerate(cases):
         axes.set_title(f"{name}: lowest {image.values.min():.2f}", fontsize=10)
         for target in targets:
             if target["case"] == case:  # outlines from photographs, good to a few millimetres
-                place, radius = (float(target["x_mm"]), float(target["y_mm"])), np.sqrt(float(target["area_mm2"]) / np.pi)
+                place, radius = (
+                    (float(target["x_mm"]), float(target["y_mm"])),
+                    np.sqrt(float(target["area_mm2"]) / np.pi),
+                )
                 axes.add_patch(Circle(place, radius, fill=False, color="green", linewidth=1.5))
 picture = Path(sys.argv[1] if len(sys.argv) > 1 else ".") / "estimators_tank.png"
 figure.savefig(picture, dpi=80)

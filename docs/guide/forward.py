@@ -33,13 +33,18 @@ shown = left.tricontourf(*1e3 * mesh.nodes.T, mesh.elements, potential, levels=2
 left.plot(*1e3 * points.positions.T, "o", color="0.15", markersize=3, clip_on=False)
 for k in (0, 7, 12):
     x, y = 1e3 * points.positions[k]
-    left.annotate(f"{1e3 * currents[k]:+.2f} mA", (x, y), (6, 8 if y < 100 else -14), textcoords="offset points", fontsize=9)
+    left.annotate(
+        f"{1e3 * currents[k]:+.2f} mA", (x, y), (6, 8 if y < 100 else -14), textcoords="offset points", fontsize=9
+    )
 left.set(title="potential, three electrodes at given volts", xlabel="x / mm", ylabel="y / mm", aspect="equal")
 figure.colorbar(shown, ax=left, label="V", shrink=0.75)
 
 # the resistance between two electrodes, driven and measured at the same two: on finer and finer meshes
 sizes = np.array([16, 8, 4, 2, 1]) * 1e-3
-for electrodes, name in ((points, "points"), (points.with_rim_segments(15e-3, 3.0, range(12)), "rim segments of 15 mm")):
+for electrodes, name in (
+    (points, "points"),
+    (points.with_rim_segments(15e-3, 3.0, range(12)), "rim segments of 15 mm"),
+):
     found = []
     for size in sizes:
         s = TransferModel(mesh_domain(sheet, size, electrodes), electrodes, conductivity).transfer_resistance
@@ -56,7 +61,9 @@ centres = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
 inner = (np.stack(np.meshgrid(np.arange(4), np.arange(4)), axis=-1).reshape(-1, 2) - 1.5) * 1.9e-3
 patches = FloatingPatches(model, (centres[:, None] + inner).reshape(-1, 2), np.repeat(np.arange(576), 16))
 at = (np.arange(48) + 0.5) / 48 * 0.2
-presses = [3.66e3 * 1.9e-3**2 * (np.hypot(*(patches.points - (x, y)).T) < 8e-3) for y in at for x in at]  # siemens per point
+presses = [
+    3.66e3 * 1.9e-3**2 * (np.hypot(*(patches.points - (x, y)).T) < 8e-3) for y in at for x in at
+]  # siemens per point
 patches.transfer_resistance(presses[0])  # the first call compiles
 start = time.perf_counter()
 pressed = [patches.transfer_resistance(press) for press in presses]

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ohmskin as ohm
-from ohmskin.drive import Mode
 from ohmskin.plot import draw_image
 from ohmskin.scan import assess
 
@@ -29,17 +28,15 @@ def main(data: Path, picture: Path) -> float:
     for axes, case in zip(panels, ("1_1", "1_2", "2_1", "3_1"), strict=True):
         recording = ohm.read_recording(data / f"datamat_{case}.mat")
         frame = recording.frames[0]
-        perception = ohm.Perception(skin, model, recording.quiet, assess(recording.quiet, recording.frames))
-        mode = Mode("recorded", "the recording's own pattern", frame.pattern)
-        perception.learn_thresholds(mode, lambda _, r=recording: r.quiet[0], 1)
-        sight = perception.see(mode, lambda _, f=frame: f)
-        draw_image(axes, perception.model.mesh, sight.image.values, skin.electrodes, sight.contacts)
+        known = ohm.SkinModel(skin, model, recording.quiet, assess(recording.quiet, recording.frames))
+        seen = ohm.perceive(known, frame)
+        draw_image(axes, model.mesh, seen.image.values, skin.electrodes, seen.detections)
         axes.set(ylabel="y / mm" if case == "1_1" else "")
         axes.set_title(f"case {case.replace('_', '.')}", fontsize=10)
         for target in (t for t in targets if t["case"] == case):
             place = np.array([float(target["x_mm"]), float(target["y_mm"])])
             sign = 1 if target["type"] == "conductive" else -1
-            found = [1e3 * np.array(contact.position) for contact in sight.contacts if contact.strength * sign > 0]
+            found = [1e3 * np.array(contact.position) for contact in seen.detections if contact.strength * sign > 0]
             nearest = min(found, key=lambda x, p=place: float(np.linalg.norm(x - p)))
             errors.append(float(np.linalg.norm(nearest - place)))
             axes.plot(*place, "x", color="limegreen", markersize=9, markeredgewidth=2)

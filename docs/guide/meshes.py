@@ -28,7 +28,9 @@ axes = figure.add_subplot(1, 3, 1)
 density = np.linalg.norm(model.current_density(4, 10), axis=1)
 shown = axes.tripcolor(*1e3 * model.mesh.nodes.T, model.mesh.elements, density, norm=LogNorm(1, 100), cmap="magma_r")
 axes.triplot(*1e3 * model.mesh.nodes.T, model.mesh.elements, color="0.3", linewidth=0.15)
-axes.set(title=f"polygon with a hole, {model.mesh.n_elem:,} triangles", xlabel="x / mm", ylabel="y / mm", aspect="equal")
+axes.set(
+    title=f"polygon with a hole, {model.mesh.n_elem:,} triangles", xlabel="x / mm", ylabel="y / mm", aspect="equal"
+)
 figure.colorbar(shown, ax=axes, label="current density per ampere / 1/m", shrink=0.7)
 
 # the same sheet as in the plane, laid round three quarters of a link of 45 mm radius
@@ -36,7 +38,9 @@ radius, sheet = 0.045, Rectangle(0.21, 0.15)
 
 
 def laid(points: np.ndarray) -> np.ndarray:
-    return np.column_stack([radius * np.sin(points[:, 0] / radius), -radius * np.cos(points[:, 0] / radius), points[:, 1]])
+    return np.column_stack(
+        [radius * np.sin(points[:, 0] / radius), -radius * np.cos(points[:, 0] / radius), points[:, 1]]
+    )
 
 
 grid = Electrodes.grid(sheet).with_discs(4e-3, 1e-3)
@@ -48,7 +52,13 @@ faces = Poly3DCollection(
     1e3 * link.mesh.nodes[link.mesh.elements], array=density, norm=LogNorm(1, 100), cmap="magma_r", linewidth=0
 )
 axes.add_collection3d(faces)
-axes.set(xlim=(-50, 50), ylim=(-50, 50), zlim=(0, 150), title=f"a link, {link.mesh.n_elem:,} triangles", box_aspect=(1, 1, 1.5))
+axes.set(
+    xlim=(-50, 50),
+    ylim=(-50, 50),
+    zlim=(0, 150),
+    title=f"a link, {link.mesh.n_elem:,} triangles",
+    box_aspect=(1, 1, 1.5),
+)
 axes.set(xticks=[], yticks=[], zticks=[0, 50, 100, 150])
 axes.view_init(20, -60)
 bent, straight = link.transfer_resistance, TransferModel(flat, grid, 1.83e-3).transfer_resistance

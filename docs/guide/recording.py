@@ -10,14 +10,17 @@ import numpy as np
 from mcap.reader import make_reader
 
 import ohmskin as ohm
-from ohmskin.publish import ESTIMATORS, Recorder, reimage
-from ohmskin.publish.export import save_comparison, strongest
+from ohmskin.recording import Recorder, reimage
+from ohmskin.recording.export import save_comparison, strongest
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 file = folder / "recording.mcap"
 skin = ohm.Skin.load("paper")
 
-with Recorder(file, skin) as recorder, ohm.Engine(lambda: recorder.tee(ohm.connect("virtual:", skin=skin, seed=1)), skin) as engine:
+with (
+    Recorder(file, skin) as recorder,
+    ohm.Engine(lambda: recorder.tee(ohm.connect("virtual:", skin=skin, seed=1)), skin) as engine,
+):
     recorder.watch(engine)  # so that the file tells what each frame was scanned for
     engine.calibrate()
     engine.press(1, (0.06, 0.12), radius=8e-3, pressure=20e3)
@@ -27,7 +30,7 @@ print(f"{recorder.progress.frames} frames, {recorder.progress.written} bytes")
 
 # the same frames, once as the live loop saw them and once with another prior
 first = strongest(reimage(file))
-other = next(reimage(file, ESTIMATORS["matern"], start=first.time))
+other = next(reimage(file, prior="matern", start=first.time))
 save_comparison(folder / "recording.png", {"paper": first, "matern": other})
 
 # without ohmskin: any MCAP reader, and the layout in the file's own schemas

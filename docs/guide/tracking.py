@@ -11,14 +11,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 import ohmskin as ohm
-from ohmskin.drive import InformedPolicy
+from ohmskin.sensing import drive_of
 
 skin = ohm.Skin.load("paper")
 device = ohm.VirtualSkin(skin, seed=0)
-policy = InformedPolicy(skin.electrodes, skin.design, injections=4)
-quiet = [device.scan(piece) for _ in range(20) for piece in policy.complete.split(24)]
-perception = ohm.Perception(skin, skin.transfer_model(), quiet)
-scene, period = perception.filter.start(), 0.01  # seconds a frame
+mode = ohm.modes(skin)["16T"]  # four injections a frame, contacts tracked on the data
+(complete,) = drive_of(mode, skin).patterns  # all it may ever ask for
+quiet = [device.scan(piece) for _ in range(20) for piece in complete.split(24)]
+sensor = ohm.build(mode, ohm.SkinModel(skin, skin.transfer_model(), quiet))
+state = sensor.start()
 
 figure = Figure(figsize=(6.4, 6), layout="constrained")
 axes = figure.subplots()
@@ -31,15 +32,19 @@ for frame in range(60):
     for number, at in enumerate(fingers, 1):
         device.press(number, *at, radius=8e-3, pressure=20e3)
         axes.plot(*(1e3 * np.array(at)), ".", color="0.4", markersize=3)
-    scene, _ = perception.track(policy, device.scan, scene, lambda _: period)
-    for contact in scene.contacts:
+    state, percept = sensor.step(state, device.scan)
+    for contact in percept.contacts:
         size, axis = np.linalg.eigh(np.array(contact.covariance))
         tilt = np.degrees(np.arctan2(axis[1, 1], axis[0, 1]))
         width, height = 2 * 2.45e3 * np.sqrt(size[::-1])  # 95 % of the probability
         place = (1e3 * contact.position[0], 1e3 * contact.position[1])
-        axes.add_patch(Ellipse(place, width, height, angle=tilt, fill=False, color=f"C{contact.id % 10}", linewidth=0.8))
-axes.set(xlim=(-5, 205), ylim=(-5, 205), xlabel="x / mm", ylabel="y / mm", aspect="equal", title="Four injections a frame")
-for contact in scene.contacts:
+        axes.add_patch(
+            Ellipse(place, width, height, angle=tilt, fill=False, color=f"C{contact.id % 10}", linewidth=0.8)
+        )
+axes.set(
+    xlim=(-5, 205), ylim=(-5, 205), xlabel="x / mm", ylabel="y / mm", aspect="equal", title="Four injections a frame"
+)
+for contact in percept.contacts:
     x, y = contact.position
     print(f"contact {contact.id}: ({1e3 * x:.1f}, {1e3 * y:.1f}) mm, radius {1e3 * (contact.radius or 0):.0f} mm")
 picture = Path(sys.argv[1] if len(sys.argv) > 1 else ".") / "tracking.png"

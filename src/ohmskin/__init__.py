@@ -21,11 +21,13 @@ _HOMES = {
     "AbsoluteGaussNewton": "inverse",
     "Baseline": "scan",
     "Client": "client",
-    "Contact": "touch",
-    "ContactFinder": "touch",
+    "Contact": "contacts",
+    "ContactFinder": "contacts",
+    "ContactFitter": "contacts",
+    "ContactTable": "forward",
+    "Difference": "scan",
     "Device": "device",
     "Disc": "geometry",
-    "DiscFit": "inverse",
     "DrivePattern": "scan",
     "Electrodes": "geometry",
     "Engine": "engine",
@@ -37,27 +39,32 @@ _HOMES = {
     "Kalman": "inverse",
     "Mesh": "geometry",
     "OhmskinError": "errors",
-    "Perception": "engine",
+    "Mode": "skin",
+    "Percept": "sensing",
     "Polygon": "geometry",
     "Raster": "geometry",
     "Rectangle": "geometry",
+    "Sensor": "sensing",
     "Skin": "skin",
+    "SkinModel": "sensing",
     "SparseBayes": "inverse",
     "TotalVariation": "inverse",
     "Touch": "engine",
-    "Tracker": "touch",
+    "Tracker": "tracking",
     "TransferModel": "forward",
     "VirtualSkin": "skin",
     "VoltageSource": "forward",
     "adjacent": "scan",
+    "build": "sensing",
     "connect": "device",
     "fit_background": "forward",
     "mesh_domain": "geometry",
     "mesh_graded": "geometry",
-    "modes": "drive",
+    "modes": "sensing",
     "opposite": "scan",
+    "perceive": "sensing",
     "read_mesh": "geometry",
-    "read_recording": "record",
+    "read_recording": "importers",
     "skip": "scan",
     "thicken": "geometry",
     "write_mesh": "geometry",
@@ -65,11 +72,11 @@ _HOMES = {
 
 if TYPE_CHECKING:
     from ohmskin.client import Client
+    from ohmskin.contacts import Contact, ContactFinder, ContactFitter
     from ohmskin.device import Device, connect
-    from ohmskin.drive import modes
-    from ohmskin.engine import Engine, Perception, Touch
+    from ohmskin.engine import Engine, Touch
     from ohmskin.errors import OhmskinError
-    from ohmskin.forward import FloatingPatches, TransferModel, VoltageSource, fit_background
+    from ohmskin.forward import ContactTable, FloatingPatches, TransferModel, VoltageSource, fit_background
     from ohmskin.geometry import (
         Disc,
         Electrodes,
@@ -83,11 +90,20 @@ if TYPE_CHECKING:
         thicken,
         write_mesh,
     )
-    from ohmskin.inverse import AbsoluteGaussNewton, DiscFit, GaussNewton, Greit, Image, Kalman, SparseBayes, TotalVariation
-    from ohmskin.record import read_recording
-    from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent, opposite, skip
-    from ohmskin.skin import Skin, VirtualSkin
-    from ohmskin.touch import Contact, ContactFinder, Tracker
+    from ohmskin.importers import read_recording
+    from ohmskin.inverse import (
+        AbsoluteGaussNewton,
+        GaussNewton,
+        Greit,
+        Image,
+        Kalman,
+        SparseBayes,
+        TotalVariation,
+    )
+    from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, opposite, skip
+    from ohmskin.sensing import Percept, Sensor, SkinModel, build, modes, perceive
+    from ohmskin.skin import Mode, Skin, VirtualSkin
+    from ohmskin.tracking import Tracker
 
 __all__ = [
     "AbsoluteGaussNewton",
@@ -95,9 +111,11 @@ __all__ = [
     "Client",
     "Contact",
     "ContactFinder",
+    "ContactFitter",
+    "ContactTable",
     "Device",
+    "Difference",
     "Disc",
-    "DiscFit",
     "DrivePattern",
     "Electrodes",
     "Engine",
@@ -108,12 +126,15 @@ __all__ = [
     "Image",
     "Kalman",
     "Mesh",
+    "Mode",
     "OhmskinError",
-    "Perception",
+    "Percept",
     "Polygon",
     "Raster",
     "Rectangle",
+    "Sensor",
     "Skin",
+    "SkinModel",
     "SparseBayes",
     "TotalVariation",
     "Touch",
@@ -122,12 +143,14 @@ __all__ = [
     "VirtualSkin",
     "VoltageSource",
     "adjacent",
+    "build",
     "connect",
     "fit_background",
     "mesh_domain",
     "mesh_graded",
     "modes",
     "opposite",
+    "perceive",
     "read_mesh",
     "read_recording",
     "skip",

@@ -1,7 +1,7 @@
 """How the benchmark measures: side by side, in turns, in CPU seconds of one thread.
 
-CPU time leaves out what other programs take from the processor, but not that they push data out of its caches: what is compared is
-run in turns, so that both suffer alike, and a ratio is the median over the turns.
+CPU time leaves out what other programs take from the processor, but not that they push data out of its caches: what is
+compared is run in turns, so that both suffer alike, and a ratio is the median over the turns.
 """
 
 import json
@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from ohmskin.arrays import Floats
 from ohmskin.bench.figure import Figure
-from ohmskin.geometry.domain import Floats
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 Job = Callable[[], object]
@@ -32,7 +32,7 @@ class Effort:
 
 
 def in_turns(jobs: Mapping[str, Job], seconds: float, most: int = 200, least: int = 3) -> dict[str, Floats]:
-    """CPU seconds (n_rounds,) of each job, run in turns for about `seconds`, at least `least` rounds and at most `most`.
+    """CPU seconds (n_rounds,) of each job, run in turns for about `seconds`, `least` to `most` rounds.
 
     Quick jobs are repeated within a round, so that each takes a millisecond at least.
     """
@@ -55,13 +55,16 @@ def in_turns(jobs: Mapping[str, Job], seconds: float, most: int = 200, least: in
     return {name: np.array(times) for name, times in spent.items()}
 
 
-def ratio(name: str, slow: Floats, quick: Floats, least: float | None = None, most: float | None = None, note: str = "") -> Figure:
-    """How many times `slow` takes as long as `quick`, both (n_rounds,) or one (1,): median and quartiles over the rounds."""
+def ratio(
+    name: str, slow: Floats, quick: Floats, least: float | None = None, most: float | None = None, note: str = ""
+) -> Figure:
+    """How many times as long `slow` takes as `quick`, (n_rounds,) or (1,): median and quartiles over rounds."""
     ratios = slow / quick
     low, value, high = np.percentile(ratios, [25, 50, 75])
     told = f"{duration(float(np.median(slow)))} / {duration(float(np.median(quick)))}"
     data = {"slow_s": np.median(slow), "quick_s": np.median(quick), "rounds": len(ratios)}
-    return Figure(name, float(value), "times", least, most, float(low), float(high), f"{told}{'; ' if note else ''}{note}", data)
+    note = f"{told}{'; ' if note else ''}{note}"
+    return Figure(name, float(value), "times", least, most, float(low), float(high), note, data)
 
 
 def duration(seconds: float) -> str:
@@ -74,10 +77,9 @@ def duration(seconds: float) -> str:
 
 def apart(task: str, **settings: Any) -> dict[str, Any]:
     """What a task of `ohmskin.bench.tasks` measures, in a process of its own, so that its memory can be told."""
-    call = (
-        "import json, sys; from ohmskin.bench.tasks import TASKS; print(json.dumps(TASKS[sys.argv[1]](**json.loads(sys.argv[2]))))"
-    )
-    return outcome([sys.executable, "-c", call, task, json.dumps(settings)])
+    call = "task, settings = sys.argv[1:]; print(json.dumps(TASKS[task](**json.loads(settings))))"
+    imports = "import json, sys; from ohmskin.bench.tasks import TASKS; "
+    return outcome([sys.executable, "-c", imports + call, task, json.dumps(settings)])
 
 
 def outcome(command: list[str]) -> dict[str, Any]:
@@ -86,8 +88,7 @@ def outcome(command: list[str]) -> dict[str, Any]:
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         return {"error": (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]}
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
 @njit(cache=True, nogil=True, fastmath=True)

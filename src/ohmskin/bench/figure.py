@@ -12,7 +12,7 @@ class Figure:
         name: What was measured.
         value: The figure; a median where it was repeated. None if it could not be measured, `note` then says why.
         unit: Its unit; "times" for ratios.
-        least, most: The target: at least or at most; None where there is no such bound. A figure without either is information.
+        least, most: The target's bounds; None where there is no such bound. Without either it is information.
         low, high: Lower and upper quartile over the rounds.
         note: What lies behind it: absolute times, sizes.
         data: The same, for machines.

@@ -32,7 +32,7 @@ class _Lap:
 
 
 def living(effort: Effort) -> Iterator[Figure]:
-    """The live loop while a finger circles, the virtual skin over TCP: the paper's adaptive mode (16O), tracking (16T)."""
+    """The live loop while a finger circles, the virtual skin over TCP: adaptive mode (16O) and tracking (16T)."""
     for mode in ("16O", "16T"):
         yield from _in_mode(mode, effort)
 
@@ -50,8 +50,8 @@ def _in_mode(mode: str, effort: Effort) -> Iterator[Figure]:
         wire = device._inner._transport
         wire.read = waiting.timed(wire.read)
         device.scan = scanning.timed(device.scan)
-        perception: Any = engine.perception
-        perception.see, perception.track = seeing.timed(perception.see), seeing.timed(perception.track)
+        sensor: Any = engine.sensor
+        sensor.step = seeing.timed(sensor.step)
         count = 1000 if effort.quick else 5000
         rows, felt = [], 0
         for k in range(_WARM + count):
@@ -74,11 +74,9 @@ def _in_mode(mode: str, effort: Effort) -> Iterator[Figure]:
     names = ("waiting for the device", "link", "choice and contacts", "the rest")
     shares = ", ".join(f"{name} {duration(m)}" for name, m in zip(names, np.median(parts, axis=0), strict=True))
     low, value, high = 1 / np.percentile(own, [75, 50, 25])
-    yield Figure(
-        f"live loop in {mode}, frames per second, waiting for the device left out", float(value), "1/s", least=1000, low=float(low),
-        high=float(high), note=f"wall clock; medians of a frame: {shares}; one contact in {felt / count:.1%} of the frames",
-    )  # fmt: skip
-    yield Figure(
-        f"live loop in {mode}, frames per second in all", float(1 / np.mean(parts.sum(axis=1))), "1/s",
-        note="wall clock; the twin computes every frame anew, in another process",
-    )  # fmt: skip
+    name = f"live loop in {mode}, frames per second"
+    note = f"wall clock; medians of a frame: {shares}; one contact in {felt / count:.1%} of the frames"
+    alone = f"{name}, waiting for the device left out"
+    yield Figure(alone, float(value), "1/s", least=1000, low=float(low), high=float(high), note=note)
+    note = "wall clock; the twin computes every frame anew, in another process"
+    yield Figure(f"{name} in all", float(1 / np.mean(parts.sum(axis=1))), "1/s", note=note)

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.bench import pyeit_alone, sheets
 from ohmskin.bench.clock import outcome
 from ohmskin.forward import TransferModel
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 from ohmskin.scan import DrivePattern, adjacent
 
 

@@ -1,4 +1,4 @@
-"""What pyEIT does, by itself: run as a script with a sheet (.npz), it imports nothing of ours, so that its memory is its own."""
+"""What pyEIT does, by itself: a script that imports nothing of ours, so that its memory is its own."""
 
 import json
 import resource
@@ -10,45 +10,48 @@ from typing import Any
 
 import numpy as np
 
+Array = np.ndarray
 
-def mesh(nodes: np.ndarray, triangles: np.ndarray, at: np.ndarray, conductivity: float) -> Any:
+
+def mesh(nodes: Array, triangles: Array, at: Array, conductivity: float) -> Any:
     """Its mesh, with point electrodes at nodes `at`."""
     from pyeit.mesh.wrapper import PyEITMesh
 
     flat = np.column_stack([nodes, np.zeros(len(nodes))])
-    return PyEITMesh(node=flat, element=np.array(triangles), perm=np.full(len(triangles), conductivity), el_pos=at, ref_node=0)
+    perm = np.full(len(triangles), conductivity)
+    return PyEITMesh(node=flat, element=np.array(triangles), perm=perm, el_pos=at, ref_node=0)
 
 
-def protocol(injections: np.ndarray, measured: np.ndarray) -> Any:
+def protocol(injections: Array, measured: Array) -> Any:
     """Its name for a drive pattern: injections (n, 2), measured pairs (n, m, 2)."""
     from pyeit.eit.protocol import PyEITProtocol
 
-    return PyEITProtocol(ex_mat=injections, meas_mat=measured, keep_ba=np.ones(measured.shape[0] * measured.shape[1], bool))
+    keep = np.ones(measured.shape[0] * measured.shape[1], bool)
+    return PyEITProtocol(ex_mat=injections, meas_mat=measured, keep_ba=keep)
 
 
-def jacobian(sheet: Any, injections: np.ndarray, measured: np.ndarray) -> np.ndarray:
+def jacobian(sheet: Any, injections: Array, measured: Array) -> Array:
     """Fields and Jacobian."""
     from pyeit.eit.fem import EITForward
 
-    found: np.ndarray = EITForward(sheet, protocol(injections, measured)).compute_jac()[0]
-    return found
+    return np.asarray(EITForward(sheet, protocol(injections, measured)).compute_jac()[0])
 
 
-def image(sheet: Any, injections: np.ndarray, measured: np.ndarray, touched: np.ndarray, quiet: np.ndarray) -> np.ndarray:
+def image(sheet: Any, injections: Array, measured: Array, touched: Array, quiet: Array) -> Array:
     """One-step Gauss-Newton: set-up and the image of one frame."""
     from pyeit.eit.jac import JAC
 
     solver = JAC(sheet, protocol(injections, measured))
     solver.setup(p=0.5, lamb=0.01, method="kotre")
-    found: np.ndarray = solver.solve(touched, quiet)
-    return found
+    return np.asarray(solver.solve(touched, quiet))
 
 
 def peak() -> float:
     """Largest memory that this process has held so far (MiB)."""
     status = Path("/proc/self/status")
     if status.is_file():  # rusage counts what the process that started this one held, too
-        return next(float(line.split()[1]) for line in status.read_text().splitlines() if line.startswith("VmHWM")) / 2**10
+        lines = status.read_text().splitlines()
+        return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 2**10
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
 
 

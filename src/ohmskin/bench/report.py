@@ -18,12 +18,12 @@ _PREFACE = """\
 
 Made by `ohmskin bench`; run it to see these figures on your own machine (`--quick` takes two minutes).
 
-Everything is measured in one run, in turns, on one thread, in CPU time unless a wall clock is named. A value is the median over the
-rounds, the spread its quartiles. Unless a figure names another, and but for the live loop, which has the paper's skin as it ships,
-the sheet is the paper's square with 12 electrodes on the rim and 4 inside, its mesh regular, and the same for all programs. pyEIT
-is used as its own examples use it. Compiled code is loaded before the clock starts: the very first run on a machine compiles it,
-which takes about a minute. Set-up means from nodes and triangles to the first image; making the mesh
-is not part of it.
+Everything is measured in one run, in turns, on one thread, in CPU time unless a wall clock is named. A value is the
+median over the rounds, the spread its quartiles. Unless a figure names another, and but for the live loop, which has
+the paper's skin as it ships, the sheet is the paper's square with 12 electrodes on the rim and 4 inside, its mesh
+regular, and the same for all programs. pyEIT is used as its own examples use it. Compiled code is loaded before the
+clock starts: the very first run on a machine compiles it, which takes about a minute. Set-up means from nodes and
+triangles to the first image; making the mesh is not part of it.
 """
 
 
@@ -37,9 +37,8 @@ def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: boo
         (folder / "images").mkdir(parents=True, exist_ok=True)
         written = [folder / "benchmarks.json", folder / "benchmarks.md"]
         groups = {name: [figure.as_dict() for figure in figures] for name, figures in found.items()}
-        written[0].write_text(
-            json.dumps({"machine": _machine(), "quick": quick, "groups": groups}, indent=1) + "\n", encoding="utf-8"
-        )
+        content = json.dumps({"machine": _machine(), "quick": quick, "groups": groups}, indent=1)
+        written[0].write_text(content + "\n", encoding="utf-8")
         grown = [figure for figure in found.get("scale", ()) if figure.data]
         if grown:
             written.append(_plot(grown[0], folder / "images" / "scale.png"))
@@ -59,12 +58,13 @@ def shown(value: float | None) -> str:
 def _machine() -> dict[str, str]:
     import numba
 
-    versions = f"Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}, numba {numba.__version__}"
+    numerics = f"NumPy {np.__version__}, SciPy {scipy.__version__}, numba {numba.__version__}"
+    system = f"{platform.system()} {platform.machine()}"
     return {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} {platform.machine()}",
-        "versions": versions,
+        "system": system,
+        "versions": f"Python {platform.python_version()}, {numerics}",
     }
 
 
@@ -82,9 +82,8 @@ def _page(found: Mapping[str, Sequence[Figure]], quick: bool, plot: bool) -> str
     lines = [_PREFACE, f"Machine: {told['processor']}, {told['cores']} cores, {told['system']}; {told['versions']}."]
     figures = [figure for group in found.values() for figure in group]
     counts = {verdict: sum(f.verdict == verdict for f in figures) for verdict in ("pass", "short", "not run")}
-    lines.append(
-        f"\n{counts['pass']} targets met, {counts['short']} short, {counts['not run']} not run{'; --quick' if quick else ''}."
-    )
+    counted = f"{counts['pass']} targets met, {counts['short']} short, {counts['not run']} not run"
+    lines.append(f"\n{counted}{'; --quick' if quick else ''}.")
     for name, group in found.items():
         lines.append(f"\n## {(GROUPS[name].__doc__ or name).splitlines()[0].rstrip('.')}\n")
         lines.append("| figure | value | spread | target | | behind it |\n|---|---|---|---|---|---|")
@@ -109,9 +108,11 @@ def _plot(figure: Figure, path: Path) -> Path:
     FigureCanvasAgg(canvas)
     axes = canvas.subplots()
     axes.loglog(n, seconds, "o-", color="#1f5f8b", label="set-up to first image")
-    for stage, colour in (("check mesh", "#b8b8b8"), ("fields", "#d08a2e"), ("pixels", "#6a994e"), ("modes", "#8a5fa8")):
+    colours = {"check mesh": "#b8b8b8", "fields": "#d08a2e", "pixels": "#6a994e", "modes": "#8a5fa8"}
+    for stage, colour in colours.items():
         axes.loglog(n, [s[stage] for s in figure.data["stages"]], ".--", lw=1, color=colour, label=stage)
-    axes.loglog(n[large], np.exp(offset) * n[large] ** power, color="black", lw=1, label=f"fit from 10,000: n^{power:.2f}")
+    fit = np.exp(offset) * n[large] ** power
+    axes.loglog(n[large], fit, color="black", lw=1, label=f"fit from 10,000: n^{power:.2f}")
     axes.set(xlabel="triangles", ylabel="CPU seconds, one thread")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize=8)

@@ -3,29 +3,24 @@
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from time import perf_counter, process_time
+from functools import partial
+from time import perf_counter
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from ohmskin.arrays import Floats
 from ohmskin.bench import peers, sheets
-from ohmskin.bench.clock import Effort, apart, duration, in_turns, ratio, read
+from ohmskin.bench.clock import Effort, Job, apart, duration, in_turns, ratio, read
 from ohmskin.bench.figure import Figure
+from ohmskin.bench.frames import NO_PEER, accuracy, changing, framing, in_once
 from ohmskin.bench.live import living
-from ohmskin.bench.tasks import set_up
-from ohmskin.cycle import FastCycle
-from ohmskin.cycle.kernels import combine
-from ohmskin.drive import modes
 from ohmskin.errors import OhmskinError
 from ohmskin.forward import TouchTable, TransferModel
 from ohmskin.forward.assembly import assemble
-from ohmskin.forward.cholesky import Elimination
-from ohmskin.geometry.domain import Floats
-from ohmskin.scan import DrivePattern, adjacent
-
-_NO_PEER = "pyEIT is not installed: pip install 'ohmskin[bench]'"
-
+from ohmskin.geometry import Electrodes, Mesh
+from ohmskin.scan import adjacent
 
 Group = Callable[[Effort], Iterator[Figure]]
 
@@ -41,7 +36,7 @@ def machine(effort: Effort) -> Iterator[Figure]:
         yield Figure(f"reading {array.nbytes / 2**20:.0f} MiB from {where}", value, "GB/s", low=low, high=high)
     for kind in (np.float64, np.float32):
         square = np.random.default_rng(0).normal(size=(768, 768)).astype(kind)
-        spent = in_turns({"product": lambda square=square: square @ square}, effort.seconds / 2)["product"]  # type: ignore[misc]
+        spent = in_turns({"product": partial(np.matmul, square, square)}, effort.seconds / 2)["product"]
         low, value, high = np.percentile(2 * 768**3 / spent / 1e9, [25, 50, 75])
         yield Figure(f"product of matrices, {np.dtype(kind).name}", value, "GFLOP/s", low=low, high=high)
 
@@ -50,16 +45,19 @@ def setting_up(effort: Effort) -> Iterator[Figure]:
     """From nodes and triangles to the first image, against pyEIT's JAC, each in a process of its own."""
     name = "set-up to first image, 4,608 triangles, against pyEIT's JAC"
     apart("ours", cells=24)  # compiles what is not compiled yet, which takes memory
-    own, theirs = apart("ours", cells=48), peers.pyeit_apart(48) if peers.has_pyeit() else {"error": _NO_PEER}
+    own, theirs = apart("ours", cells=48), peers.pyeit_apart(48) if peers.has_pyeit() else {"error": NO_PEER}
     if "error" in own or "error" in theirs:
         yield Figure(name, None, "times", least=100, note=own.get("error") or theirs["error"])
         return
     yield ratio(name, np.array([theirs["seconds"]]), np.array([own["seconds"]]), least=100)
     note = f"peaks of the whole process {theirs['peak']:.0f} / {own['peak']:.0f} MiB, of which"
     note += f" {theirs['before']:.0f} / {own['before']:.0f} before the sheet"
-    yield Figure(
-        "memory of the same", theirs["peak"] / own["peak"], "times", least=5, note=note, data={"ours": own, "pyeit": theirs}
-    )
+    data = {"ours": own, "pyeit": theirs}
+    yield Figure("memory of the same", theirs["peak"] / own["peak"], "times", least=5, note=note, data=data)
+
+
+def _all_pairs(mesh: Mesh, layout: Electrodes) -> Floats:
+    return TransferModel(mesh, layout, sheets.CONDUCTIVITY).pair_sensitivity
 
 
 def fields(effort: Effort) -> Iterator[Figure]:
@@ -69,53 +67,14 @@ def fields(effort: Effort) -> Iterator[Figure]:
         mesh, pattern = sheets.mesh(cells), adjacent(layout.rings)
         name = f"fields and sensitivity of all pairs, {mesh.n_elem:,} triangles, against pyEIT's Jacobian"
         if not peers.has_pyeit():
-            yield Figure(name, None, "times", least=least, note=_NO_PEER)
+            yield Figure(name, None, "times", least=least, note=NO_PEER)
             continue
         theirs = peers.pyeit_mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions))
-        own = lambda mesh=mesh, layout=layout: TransferModel(mesh, layout, sheets.CONDUCTIVITY).pair_sensitivity  # noqa: E731
+        own = partial(_all_pairs, mesh, layout)
         quick = in_turns({"ours": own}, effort.seconds)["ours"]
-        slow = in_once(lambda theirs=theirs, pattern=pattern: peers.pyeit_jacobian(theirs, pattern), 1 if cells > 50 else 3)  # type: ignore[misc]
+        slow = in_once(partial(peers.pyeit_jacobian, theirs, pattern), 1 if cells > 50 else 3)
         again = in_turns({"ours": own}, effort.seconds)["ours"]
         yield ratio(name, np.median(slow, keepdims=True), np.concatenate([quick, again]), least=least)
-
-
-def in_once(job: Callable[[], object], rounds: int) -> Floats:
-    """CPU seconds (rounds,) of a job that takes too long to be repeated for nothing."""
-    spent = []
-    for _ in range(rounds):
-        start = process_time()
-        job()
-        spent.append(process_time() - start)
-    return np.array(spent)
-
-
-def changing(effort: Effort) -> Iterator[Figure]:
-    """A drive pattern never driven before, to the image of one frame and its contacts."""
-    rng = np.random.default_rng(0)
-    for cells, least in ((24, 1000), (48, 10_000)):
-        estimator, _ = set_up(cells)
-        layout, mesh = estimator.model.electrodes, estimator.model.mesh
-        name = f"change of drive pattern to image, {mesh.n_elem:,} triangles, against pyEIT"
-        cycle = FastCycle(estimator, list(modes(layout, 16, fuse=False).values())[-1], (0.005, 0.005))
-        touched = np.where(np.linalg.norm(mesh.centroids - [0.07, 0.12], axis=1) < 0.01, 1.5, 1.0)
-        pressed = estimator.model.with_conductivity(estimator.model.conductivity * touched)
-        choices = [rng.permutation(120)[:16] for _ in range(256)]
-        changes = [pressed.voltages(p, 1e-3) - estimator.model.voltages(p, 1e-3) for p in map(cycle.pattern, choices)]
-        fresh, currents = iter(range(10**9)), np.full(16, 1e-3)
-
-        def ours(cycle=cycle, choices=choices, changes=changes, fresh=fresh, currents=currents) -> None:  # type: ignore[no-untyped-def]
-            k = next(fresh) % len(choices)
-            cycle.see(changes[k], currents, choices[k])
-
-        if not peers.has_pyeit():
-            yield Figure(name, None, "times", least=least, note=_NO_PEER)
-            continue
-        theirs = peers.pyeit_mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions))
-        pattern = adjacent(layout.rings)
-        quiet = estimator.model.voltages(pattern)
-        slow = in_once(lambda t=theirs, p=pattern, v=quiet: peers.pyeit_image(t, p, 1.01 * v, v), 1 if effort.quick else 3)  # type: ignore[misc]
-        quick = in_turns({"ours": ours}, effort.seconds)["ours"]
-        yield ratio(name, np.median(slow, keepdims=True), quick, least=least, note="ours on 48 x 48 pixels, 16 new injections")
 
 
 def solving(effort: Effort) -> Iterator[Figure]:
@@ -133,9 +92,7 @@ def solving(effort: Effort) -> Iterator[Figure]:
         {
             "splu": lambda: splu(grounded).solve(load[free]),
             "tuned": lambda: splu(grounded, **best).solve(load[free]),
-            "ours": lambda: (
-                Elimination(system.matrix, system.places, int(system.terminals[0])).factorise(system.matrix.data).solve(load)
-            ),
+            "ours": lambda: system.factorise().solve(load),
             "again": lambda: ordered.factorise(system.matrix.data).solve(load),
         },
         2 * effort.seconds,
@@ -144,77 +101,6 @@ def solving(effort: Effort) -> Iterator[Figure]:
     yield ratio(f"{where}, against splu as it comes", spent["splu"], spent["ours"], least=4, note="order found anew")
     yield ratio(f"{where}, order known, against splu as it comes", spent["splu"], spent["again"])
     yield ratio(f"{where}, against splu tuned for symmetry", spent["tuned"], spent["ours"])
-
-
-def framing(effort: Effort) -> Iterator[Figure]:
-    """The adaptive frame on 48 x 48 pixels, four adaptive injections with 13 voltages each."""
-    cycle, frames = _cycle_and_frames()
-    tables = cycle._tables
-    u, out = np.ones(len(tables.modes), np.float32), np.zeros(tables.modes.shape[1], np.float32)
-    flat = tables.modes.ravel()
-    arrays = [a.ravel() for a in (tables.modes[: len(tables.base_squares)], tables.modes, tables.mixing, tables.base_columns)]
-    turn = iter(range(10**9))
-
-    def frame() -> None:
-        base, second = frames[next(turn) % len(frames)]
-        cycle.frame(base, lambda _: second)
-
-    def read_all() -> None:
-        for array in arrays:
-            read(array)
-
-    spent = in_turns(
-        {
-            "product": lambda: combine(u, tables.modes, out),
-            "read": lambda: read(flat),
-            "frame": frame,
-            "all": read_all,
-        },
-        3 * effort.seconds,
-    )
-    yield ratio("image product against one read of its matrix", spent["product"], spent["read"], most=1.2)
-    note = f"m = {cycle._n_meas}; {sum(a.nbytes for a in arrays) / 2**20:.1f} MiB, read from the cache as the frame does"
-    yield ratio("adaptive frame against one read of its matrices", spent["frame"], spent["all"], most=3, note=note)
-    import gc
-
-    gc.collect()
-    gc.freeze()
-    wall = []
-    for _ in range(2000 if effort.quick else 20_000):
-        start = perf_counter()
-        frame()
-        wall.append(perf_counter() - start)
-    gc.unfreeze()
-    p50, p99 = np.percentile(wall, [50, 99])
-    low, high = (1 / np.percentile(wall, q) for q in (75, 25))
-    yield Figure(
-        "adaptive frames per second with contacts, device excluded", 1 / p50, "1/s", least=10_000, low=low, high=high,
-        note=f"wall clock, median {duration(p50)}; by CPU time {1 / float(np.median(spent['frame'])):,.0f}/s",
-    )  # fmt: skip
-    yield Figure(
-        "99th percentile over median of a frame", float(p99 / p50), "times", most=2.5, note="wall clock; asks for a quiet machine"
-    )
-
-
-def _cycle_and_frames() -> tuple[FastCycle, list[tuple[tuple[Floats, Floats], tuple[Floats, Floats]]]]:
-    estimator, _ = set_up(48)
-    model = estimator.model
-    mode = list(modes(model.electrodes, 4, fuse=True).values())[-1]
-    cycle = FastCycle(estimator, mode, (0.005, 0.005))
-    rng, frames = np.random.default_rng(0), []
-    for count in rng.integers(1, 4, 16):
-        touched = model.conductivity.copy()
-        for place in rng.uniform(0.03, 0.17, (count, 2)):
-            touched[np.linalg.norm(model.mesh.centroids - place, axis=1) < 0.01] *= 1.5
-        pressed = model.with_conductivity(touched)
-
-        def scanned(pattern: DrivePattern, pressed: TransferModel = pressed) -> tuple[Floats, Floats]:
-            volts = pressed.voltages(pattern, 1e-3) - model.voltages(pattern, 1e-3)
-            return volts + 1e-6 * rng.normal(size=pattern.n_meas), np.full(pattern.n_inj, 1e-3)
-
-        base = scanned(mode.base)
-        frames.append((base, scanned(cycle.pattern(cycle.look(*base)))))
-    return cycle, frames
 
 
 def touching(effort: Effort) -> Iterator[Figure]:
@@ -237,10 +123,8 @@ def touching(effort: Effort) -> Iterator[Figure]:
         matrix = assemble(model.mesh, model.electrodes, touched).matrix
         splu(sp.csc_matrix(matrix[free][:, free])).solve(load[free])
 
-    spent = in_turns(
-        {"table": lambda: table.many(where, change), "splu": anew, "ours": lambda: model.with_conductivity(touched)},
-        3 * effort.seconds,
-    )
+    jobs: dict[str, Job] = {"table": lambda: table.many(where, change), "splu": anew}
+    spent = in_turns({**jobs, "ours": lambda: model.with_conductivity(touched)}, 3 * effort.seconds)
     one = spent["table"] / count
     name = "one touch simulated exactly, 10,368 triangles"
     yield ratio(f"{name}, against refactorising with splu", spent["splu"], one, least=5000)
@@ -253,13 +137,8 @@ def touching(effort: Effort) -> Iterator[Figure]:
             start = perf_counter()
             table.many(*work, threads=threads)
             times.append(perf_counter() - start)
-    yield ratio(
-        "simulated touches, two cores against one",
-        np.array(wall[1]),
-        np.array(wall[2]),
-        least=1.5,
-        note="wall clock; needs two idle cores",
-    )
+    one, two, note = np.array(wall[1]), np.array(wall[2]), "wall clock; needs two idle cores"
+    yield ratio("simulated touches, two cores against one", one, two, least=1.5, note=note)
 
 
 def scaling(effort: Effort) -> Iterator[Figure]:
@@ -274,10 +153,11 @@ def scaling(effort: Effort) -> Iterator[Figure]:
     power = float(np.polyfit(np.log(n[large]), np.log(seconds[large]), 1)[0])
     note = ", ".join(f"{a:,}: {duration(s)}" for a, s in zip(n, seconds, strict=True))
     data = {"triangles": n.tolist(), "seconds": seconds.tolist(), "stages": [f["stages"] for f in found.values()]}
-    yield Figure(f"growth of the set-up, 10k to {n[-1]:,} triangles", power, "power of n", most=1.2, note=note, data=data)
+    name = f"growth of the set-up, 10k to {n[-1]:,} triangles"
+    yield Figure(name, power, "power of n", most=1.2, note=note, data=data)
     peak = found[int(n[-1])]["peak"] / 1024
     most = None if effort.quick else 4.0
-    yield Figure(f"peak memory at {n[-1]:,} triangles and 16 electrodes", peak, "GiB", most=most, note="the whole process")
+    yield Figure(f"peak memory at {n[-1]:,} triangles and 16 electrodes", peak, "GiB", most=most, note="whole process")
 
 
 def electrodes(effort: Effort) -> Iterator[Figure]:
@@ -297,22 +177,6 @@ def electrodes(effort: Effort) -> Iterator[Figure]:
     )  # fmt: skip
 
 
-def accuracy(effort: Effort) -> Iterator[Figure]:
-    """The fast frame against its plain twin in float64."""
-    from ohmskin.cycle import ReferenceCycle
-
-    cycle, frames = _cycle_and_frames()
-    plain, worst = ReferenceCycle(cycle), 0.0
-    for base, second in frames:
-        chosen = cycle.look(*base)
-        cycle.see(*second)
-        plain.look(*base)
-        plain.see(*second, chosen)  # float32 may turn the order of pairs that are alike
-        for quick, exact in ((cycle.base_image, plain.base_image), (cycle.image, plain.image)):
-            worst = max(worst, float(np.abs(quick - exact).max() / np.abs(exact).max()))
-    yield Figure("fast frame against dense float64, largest relative error", worst, "", most=5e-5, note="of the largest value")
-
-
 def starting(effort: Effort) -> Iterator[Figure]:
     """Start-up, wall clock of whole processes."""
     commands = {
@@ -326,9 +190,8 @@ def starting(effort: Effort) -> Iterator[Figure]:
             subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
             spent.append(perf_counter() - start)
         low, value, high = np.percentile(spent[1:], [25, 50, 75])
-        yield Figure(
-            name, float(value), "s", most=most, low=float(low), high=float(high), note="wall clock, the first run left out"
-        )
+        low, value, high = (float(quartile) for quartile in np.percentile(spent[1:], [25, 50, 75]))
+        yield Figure(name, value, "s", most=most, low=low, high=high, note="wall clock, the first run left out")
     yield _page()
 
 
@@ -344,14 +207,13 @@ def _page() -> Figure:
             assert process.stdout is not None
             address = next((line.split()[1] for line in process.stdout if line.startswith("open ")), None)
             if address is None:
-                return Figure("`ohmskin live` to its page, second start", None, "s", most=5, note="it showed no address")
+                return Figure("`ohmskin live` to its page, second start", None, "s", most=5, note="no address")
             with urlopen(address, timeout=60) as page:
                 page.read()
             spent.append(perf_counter() - start)
             process.stdout.read()
-    return Figure(
-        "`ohmskin live` to its page, second start", spent[1], "s", most=5, note=f"wall clock; first start {spent[0]:.1f} s"
-    )
+    note = f"wall clock; first start {spent[0]:.1f} s"
+    return Figure("`ohmskin live` to its page, second start", spent[1], "s", most=5, note=note)
 
 
 GROUPS: dict[str, Group] = {

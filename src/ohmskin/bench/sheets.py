@@ -2,9 +2,8 @@
 
 import numpy as np
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.geometry import Electrodes, Mesh, Rectangle
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 
 SIDE = 0.2  # m
 SHEET = Rectangle(SIDE, SIDE)

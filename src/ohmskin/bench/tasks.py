@@ -49,19 +49,20 @@ def _first_image(cells: int) -> tuple[float, dict[str, float]]:
 
 def many_electrodes(cells: int, along: int, frames: int) -> dict[str, Any]:
     """Set-up with many electrodes and an adaptive frame of about a thousand measurements."""
-    from ohmskin.cycle import FastCycle  # here, because the other task is measured by its memory and needs none of this
-    from ohmskin.drive import modes
+    from ohmskin.drive import DRIVES, DriveSettings  # here, because the other task is measured by its memory
+    from ohmskin.sensing import CompiledCycle
 
     estimator, stages = set_up(cells, along)
     start = process_time()
     layout = estimator.model.electrodes
-    mode = list(modes(layout, 4).values())[-1]
-    cycle = FastCycle(estimator, mode, (0.01, 0.01))
+    drive: Any = DRIVES["eq7"](DriveSettings(layout, pairs=4), 0)
+    cycle = CompiledCycle(estimator, drive, (0.01, 0.01))
     stages = {**stages, "cycle": process_time() - start}
     touched = estimator.model.conductivity.copy()
     touched[np.linalg.norm(estimator.model.mesh.centroids - [0.06, 0.13], axis=1) < 0.01] *= 1.5
     pressed = estimator.model.with_conductivity(touched)
-    base = (pressed.voltages(mode.base, 1e-3) - estimator.model.voltages(mode.base, 1e-3), np.full(mode.base.n_inj, 1e-3))
+    change = pressed.voltages(drive.base, 1e-3) - estimator.model.voltages(drive.base, 1e-3)
+    base = (change, np.full(drive.base.n_inj, 1e-3))
     chosen = cycle.look(*base)
     pattern = cycle.pattern(chosen)
     second = (pressed.voltages(pattern, 1e-3) - estimator.model.voltages(pattern, 1e-3), np.full(pattern.n_inj, 1e-3))

@@ -35,7 +35,7 @@ class ForceCurve:
         strengths: Rising (m2).
         forces: Rising (N).
         error: Root mean square error over the samples (N).
-        hysteresis: Largest mean difference of strength between unloading and loading at one force, as a share of the largest.
+        hysteresis: Largest mean difference of strength between unloading and loading at a force, by the largest.
         scatter: Standard deviation of strength between places at one force, as a share, mean over the forces.
         missed: Samples that were not felt.
         flat: Forces (N) that strength did not tell from the next lower one, where the skin is saturated or too coarse.
@@ -51,13 +51,12 @@ class ForceCurve:
 
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this curve."""
-        return replace(
-            calibration, strengths=self.strengths, forces=self.forces, force_error=self.error, hysteresis=self.hysteresis
-        )
+        described = replace(calibration, force_error=self.error, hysteresis=self.hysteresis)
+        return replace(described, strengths=self.strengths, forces=self.forces)
 
 
 def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
-    """Fit: mean strength at each force, made monotone by isotonic regression; `Calibration.force` joins the points by PCHIP.
+    """Fit mean strengths at each force by isotonic regression; `Calibration.force` joins the points by PCHIP.
 
     Raises:
         DataError: If fewer than two forces were felt.
@@ -91,12 +90,7 @@ def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
         if len({s.loading for s in felt if s.force == level}) == 2
     ]
     spreads = [float(group.std(ddof=1) / group.mean()) for group in groups if len(group) > 1]
-    return ForceCurve(
-        tuple(strengths),
-        tuple(forces),
-        float(np.sqrt(np.mean(errors**2))),
-        float(np.max(np.abs(gaps), initial=0.0)) / strengths[-1],
-        float(np.mean(spreads)) if spreads else 0.0,
-        len(samples) - len(felt),
-        tuple(flat),
-    )
+    error, scatter = float(np.sqrt(np.mean(errors**2))), float(np.mean(spreads)) if spreads else 0.0
+    hysteresis = float(np.max(np.abs(gaps), initial=0.0)) / strengths[-1]
+    missed = len(samples) - len(felt)
+    return ForceCurve(tuple(strengths), tuple(forces), error, hysteresis, scatter, missed, tuple(flat))

@@ -1,13 +1,15 @@
-"""What the instrument is worth: noise, offset, linearity, settling and the link, each measured on the untouched skin."""
+"""What the instrument is worth: noise, offset, linearity, settling and link, measured on the untouched skin."""
 
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.device import Device, Link
-from ohmskin.geometry.domain import Floats
+from ohmskin.errors import DeviceError
 from ohmskin.scan import DrivePattern, Frame, FrameFlag, all_pairs
+from ohmskin.sensing import drive_of, mode_named, modes
 from ohmskin.skin import Skin
 
 _SWITCHES = 6  # injections between which settling is measured
@@ -74,8 +76,8 @@ class Settling:
         left: Share of the step that is left, least squares over all steps.
         noise: Standard deviation of `left`.
         settle_time: Waiting time of the device (s).
-        needed: Waiting time after which less than the noise would be left of the largest step (s); NaN where nothing is left to
-            tell it from, so that the present time is enough.
+        needed: Waiting time after which less than the noise would be left of the largest step (s); NaN where nothing
+            is left to tell it from, so that the present time is enough.
     """
 
     left: float
@@ -116,7 +118,7 @@ class Rates:
 
     Args:
         base: Base scans per second as measured.
-        cycles: Cycles per second by drive mode, from what was measured; the host's own work, if it is slower, comes on top.
+        cycles: Cycles per second by drive mode, from what was measured; the host's own work, if slower, is on top.
         settle_time: Waiting time proposed for each injection (s).
         proposed: Cycles per second by drive mode with the proposed waiting time.
     """
@@ -125,6 +127,13 @@ class Rates:
     cycles: dict[str, float]
     settle_time: float
     proposed: dict[str, float]
+
+
+def check_fit(device: Device, skin: Skin) -> None:
+    """Raise DeviceError unless a device has as many electrodes as a skin."""
+    found, wanted = device.capabilities.n_electrodes, len(skin.electrodes)
+    if found != wanted:
+        raise DeviceError(f"the device has {found} electrodes, skin {skin.name!r} has {wanted}; choose one that fits")
 
 
 def scan_whole(device: Device, pattern: DrivePattern) -> Frame:
@@ -152,7 +161,7 @@ def measure_noise(frames: list[Frame], useless: list[int], skin: Skin) -> Noise:
     """From repeated scans (at least two); differences of successive ones, so that slow drift is no noise."""
     pattern = frames[0].pattern
     volts = np.stack([frame.voltages for frame in frames])
-    usable = np.flatnonzero(~np.isin(pattern.quadruples, useless).any(axis=1) & np.isfinite(volts).all(axis=0))
+    usable = np.flatnonzero(~pattern.uses(useless) & np.isfinite(volts).all(axis=0))
     squares = np.mean(np.diff(volts[:, usable], axis=0) ** 2, axis=0) / 2
     n_elec = len(skin.electrodes)
     plus = pattern.measurements[usable, 1]
@@ -196,10 +205,11 @@ def measure_linearity(frame: Frame, repeats: int, noise: Noise, useless: list[in
     number = {tuple(pair): k for k, pair in enumerate(all_pairs(n_elec).tolist())}
     volts = np.zeros((len(number), n_elec))
     volts[frame.pattern.measurements[:, 0], frame.pattern.measurements[:, 1]] = frame.voltages
-    ohms = volts / np.where(frame.currents > 0, frame.currents, np.inf)[:, None]  # pairs of useless electrodes are not looked at
+    ohms = volts / np.where(frame.currents > 0, frame.currents, np.inf)[:, None]  # useless pairs are not looked at
     errors, signals, noises = [], [], []
     for at in range(len(alive)):
-        a, b, c, d, e = sorted([alive[(at + k) % len(alive)] for k in range(3)]) + [alive[(at + k) % len(alive)] for k in (3, 4)]
+        *three, d, e = (alive[(at + k) % len(alive)] for k in range(5))
+        a, b, c = sorted(three)
         seen = [ohms[number[pair], d] - ohms[number[pair], e] for pair in ((a, b), (b, c), (a, c))]
         errors.append(seen[0] + seen[1] - seen[2])
         signals.append(seen[2])
@@ -263,15 +273,15 @@ def measure_link(device: Device, base: DrivePattern, useless: list[int]) -> Link
     before = (link.bytes_in + link.bytes_out) if link else 0
     whole = times(base)
     moved = ((link.bytes_in + link.bytes_out) - before) / (_ROUND_TRIPS + 1) if link else 0.0
-    own = device.capabilities.scan_time(base)
-    return LinkBudget(float(np.median(beyond)), float(beyond.max()), float(np.median(whole)), own, moved, device.dropped - retries)
+    own, again = device.capabilities.scan_time(base), device.dropped - retries
+    return LinkBudget(float(np.median(beyond)), float(beyond.max()), float(np.median(whole)), own, moved, again)
 
 
 def propose_rates(device: Device, skin: Skin, link: LinkBudget, settling: Settling) -> Rates:
     """Cycles per second of each mode now, and with a waiting time that settles to below the noise."""
     able = device.capabilities
     # a scan takes a round trip, the waiting of its injections, and the rest by measurements: conversion, line, host
-    base = list(skin.modes.values())[-1].base
+    base = drive_of(mode_named(skin, ""), skin).next((), 0)
     per_measurement = max(link.scan_time - link.round_trip - base.n_inj * able.settle_time, 0.0) / base.n_meas
     wait = settling.needed if settling.needed > able.settle_time and not settling.settled else able.settle_time
 
@@ -280,11 +290,11 @@ def propose_rates(device: Device, skin: Skin, link: LinkBudget, settling: Settli
         return 1 / max(sum(each), 1e-9)
 
     cycles, proposed = {}, {}
-    for name, mode in skin.modes.items():
-        scans = [(mode.base.n_inj, mode.base.n_meas)]
-        if mode.optimal:
-            complete = mode.complete
-            pairs = min(skin.imaging.pairs, complete.n_inj)
-            scans.append((pairs, round(pairs * complete.n_meas / complete.n_inj)))
+    for name, mode in modes(skin).items():
+        drive = drive_of(mode, skin)
+        first, complete = drive.next((), 0), drive.patterns[-1]
+        scans = [(first.n_inj, first.n_meas)]
+        if left := drive.injections - first.n_inj:
+            scans.append((left, round(left * complete.n_meas / complete.n_inj)))
         cycles[name], proposed[name] = cycle(scans, able.settle_time), cycle(scans, wait)
     return Rates(1 / link.scan_time, cycles, wait, proposed)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ohmskin.calibrate.force import PressSample
+from ohmskin.contacts import Contact
 from ohmskin.errors import SkinError
 from ohmskin.skin import Skin
-from ohmskin.touch import Contact
 
 GRAVITY = 9.80665  # m/s2
 _REACH = 0.03  # m from where it was asked for within which a contact is taken for the press
@@ -31,7 +31,8 @@ class PressStep:
     def __str__(self) -> str:
         x, y = self.at
         change = "put" if self.loading else "leave"
-        return f"{change} {1e3 * self.force / GRAVITY:.0f} g in all ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
+        grams = f"{1e3 * self.force / GRAVITY:.0f} g"
+        return f"{change} {grams} in all ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
 
 
 def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[PressStep, ...]:
@@ -47,7 +48,8 @@ def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[Pr
         raise SkinError(f"{places} places; it must be 1 to 100")
     x0, y0, x1, y1 = skin.domain.bounds
     golden = (np.sqrt(5) - 1) / 2
-    candidates = [(0.5, 0.5)] + [((0.5 + k * golden) % 1, (0.5 + k * golden**2 * 1.32471796) % 1) for k in range(1, 50 * places)]
+    others = ((0.5 + k * golden, 0.5 + k * golden**2 * 1.32471796) for k in range(1, 50 * places))
+    candidates = [(0.5, 0.5), *((a % 1, b % 1) for a, b in others)]
     margin = 0.12 * min(x1 - x0, y1 - y0)
     points = [(x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a, b in candidates]
     inside = [point for point in points if skin.domain.depth([point])[0] > margin][:places]

@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from ohmskin.calibrate.measures import mean_frame, measure_noise, scan_whole
+from ohmskin.calibrate.measures import check_fit, mean_frame, measure_noise, scan_whole
 from ohmskin.calibrate.wiring import diagnose, terminal_pattern
 from ohmskin.device import Device
 from ohmskin.errors import DataError, DeviceError
@@ -31,9 +31,7 @@ def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = 
     n_elec = len(skin.electrodes)
     if device.reference:
         raise DeviceError("a recording cannot be calibrated: it has one pattern only")
-    if device.capabilities.n_electrodes != n_elec:
-        found = device.capabilities.n_electrodes
-        raise DeviceError(f"the device has {found} electrodes, skin {skin.name!r} has {n_elec}; choose the skin that fits")
+    check_fit(device, skin)
     if scans < 3:
         raise DataError(f"{scans} scans; drift and noise take 3 at least")
     frames = [scan_whole(device, terminal_pattern(n_elec)) for _ in range(scans)]
@@ -41,7 +39,7 @@ def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = 
     diagnosis = diagnose(skin, mean)
     if diagnosis.findings:
         wrong = "; ".join(str(finding) for finding in diagnosis.findings)
-        raise DataError(f"the wiring is not in order: {wrong}; mend it, check with `ohmskin self-test`, and calibrate again")
+        raise DataError(f"the wiring is not in order: {wrong}; mend it, see `ohmskin self-test`, and calibrate again")
     beyond = float(np.median(diagnosis.series))
     told = beyond > _TELLING * float(np.median(diagnosis.pair_resistances))
     noise = measure_noise(frames, [], skin)

@@ -3,31 +3,18 @@
 import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 
-from ohmskin.calibrate.measures import (
-    Linearity,
-    LinkBudget,
-    Noise,
-    Offset,
-    Rates,
-    Settling,
-    mean_frame,
-    measure_linearity,
-    measure_link,
-    measure_noise,
-    measure_offset,
-    measure_settling,
-    propose_rates,
-    scan_whole,
-)
-from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
+from ohmskin.arrays import as_plain
+from ohmskin.calibrate import measures
+from ohmskin.calibrate.findings import Diagnosis, Finding
+from ohmskin.calibrate.wiring import diagnose, terminal_pattern
 from ohmskin.device import Device
 from ohmskin.errors import DeviceError
+from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
 _REPEATS = 12
@@ -51,12 +38,12 @@ class SelfTest:
     device: str
     date: str
     diagnosis: Diagnosis
-    noise: Noise | None = None
-    offset: Offset | None = None
-    linearity: Linearity | None = None
-    settling: Settling | None = None
-    link: LinkBudget | None = None
-    rates: Rates | None = None
+    noise: measures.Noise | None = None
+    offset: measures.Offset | None = None
+    linearity: measures.Linearity | None = None
+    settling: measures.Settling | None = None
+    link: measures.LinkBudget | None = None
+    rates: measures.Rates | None = None
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -68,20 +55,19 @@ class SelfTest:
         """What is not as it should be with the instrument."""
         found = []
         if (n := self.noise) and n.described > 0 and n.typical > _LOUD * n.described:
-            found.append(
-                f"noise is {_si(n.typical, 'V')}, {n.typical / n.described:.0f} times what the skin's description says; "
-                "check shields, supply and ground"
-            )
+            times = f"{n.typical / n.described:.0f} times what the skin's description says"
+            found.append(f"noise is {_si(n.typical, 'V')}, {times}; check shields, supply and ground")
         if (n := self.noise) and n.worst > _LOUD * 2 * n.typical:
-            found.append(f"electrode {n.worst_electrode} is noisier than the others: {_si(n.worst, 'V')}; check its contact")
+            noisiest = f"electrode {n.worst_electrode} is noisier than the others"
+            found.append(f"{noisiest}: {_si(n.worst, 'V')}; check its contact")
         if (o := self.offset) and o.rms > 5 * o.noise:
-            found.append(
-                f"voltages have an offset of {_si(o.rms, 'V')} rms, most at electrode {o.worst_electrode}; differences cancel it"
-            )
+            most = f"{_si(o.rms, 'V')} rms, most at electrode {o.worst_electrode}"
+            found.append(f"voltages have an offset of {most}; differences cancel it")
         if (lin := self.linearity) and lin.error > max(_BENT, 5 * lin.noise):
-            found.append(f"currents do not add up by {100 * lin.error:.2g} % of the signal: out of range, or a touched skin?")
+            found.append(f"currents do not add up by {100 * lin.error:.2g} %: out of range, or a touched skin?")
         if (s := self.settling) and not s.settled:
-            more = f"wait {_si(s.needed, 's')} instead of {_si(s.settle_time, 's')}" if s.needed > s.settle_time else "wait longer"
+            instead = f"{_si(s.needed, 's')} instead of {_si(s.settle_time, 's')}"
+            more = f"wait {instead if s.needed > s.settle_time else 'longer'}"
             found.append(f"{100 * s.left:.2g} % of a step is left when voltages are sampled; {more}")
         return tuple(found)
 
@@ -97,7 +83,8 @@ class SelfTest:
         if (o := self.offset) is not None:
             rows.append(("offset", f"{_si(o.rms, 'V')} rms (noise alone {_si(o.noise, 'V')})"))
         if (lin := self.linearity) is not None:
-            rows.append(("R(ab) + R(bc) - R(ac)", f"{100 * lin.error:.2g} % of the signal (noise alone {100 * lin.noise:.2g} %)"))
+            left = f"{100 * lin.error:.2g} % of the signal (noise alone {100 * lin.noise:.2g} %)"
+            rows.append(("R(ab) + R(bc) - R(ac)", left))
             rows.append(("against any network", f"{100 * lin.reciprocity:.2g} % of the signal"))
         if (s := self.settling) is not None:
             left = f"{100 * s.left:.2g} +- {100 * s.noise:.1g} % of a step left after {_si(s.settle_time, 's')}"
@@ -110,12 +97,12 @@ class SelfTest:
         if (r := self.rates) is not None:
             rows += [(f"{name} cycles", f"{rate:.4g} per second") for name, rate in r.cycles.items()]
             name, best = list(r.proposed.items())[-1]
-            rows.append(("best with this wiring", f"{name} at {best:.4g} per second, waiting {_si(r.settle_time, 's')}"))
+            rows.append(("best with this wiring", f"{name} at {best:.4g} a second, waiting {_si(r.settle_time, 's')}"))
         return rows
 
     def to_json(self) -> str:
         """All of it as JSON text; what is not known is null."""
-        return json.dumps(_plain({**asdict(self), "remarks": self.remarks}), indent=1)
+        return json.dumps(as_plain({**asdict(self), "remarks": self.remarks}), indent=1)
 
 
 def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lambda _: None) -> SelfTest:
@@ -132,28 +119,27 @@ def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lamb
     n_elec = len(skin.electrodes)
     if device.reference:
         raise DeviceError("a recording cannot be tested: it has one pattern only; `ohmskin image` judges its data")
-    if device.capabilities.n_electrodes != n_elec:
-        found = device.capabilities.n_electrodes
-        raise DeviceError(f"the device has {found} electrodes, skin {skin.name!r} has {n_elec}; choose the skin that fits")
+    measures.check_fit(device, skin)
     progress("driving every pair of electrodes")
-    frames = [scan_whole(device, terminal_pattern(n_elec)) for _ in range(_REPEATS)]
-    mean = mean_frame(frames)
+    frames = [measures.scan_whole(device, terminal_pattern(n_elec)) for _ in range(_REPEATS)]
+    mean = measures.mean_frame(frames)
     progress("comparing with the model")
     diagnosis = diagnose(skin, mean)
     date = datetime.now(UTC).isoformat(timespec="seconds")
+    untested = SelfTest(skin.name, device.capabilities.name, date, diagnosis)
     useless = [e for e in range(n_elec) if np.isnan(diagnosis.series[e])]
     if n_elec - len(useless) < 6:
-        return SelfTest(skin.name, device.capabilities.name, date, diagnosis)
-    noise = measure_noise(frames, useless, skin)
+        return untested
+    noise = measures.measure_noise(frames, useless, skin)
     progress("reversing currents")
-    offset = measure_offset(device, noise, useless)
-    linearity = measure_linearity(mean, len(frames), noise, useless, diagnosis.contradiction)
+    offset = measures.measure_offset(device, noise, useless)
+    linearity = measures.measure_linearity(mean, len(frames), noise, useless, diagnosis.contradiction)
     progress("switching and waiting")
-    settling = measure_settling(device, noise, useless)
+    settling = measures.measure_settling(device, noise, useless)
     progress("timing the link")
-    link = measure_link(device, list(skin.modes.values())[-1].base, useless)
-    rates = propose_rates(device, skin, link, settling)
-    return SelfTest(skin.name, device.capabilities.name, date, diagnosis, noise, offset, linearity, settling, link, rates)
+    link = measures.measure_link(device, drive_of(mode_named(skin, ""), skin).next((), 0), useless)
+    rates = measures.propose_rates(device, skin, link, settling)
+    return replace(untested, noise=noise, offset=offset, linearity=linearity, settling=settling, link=link, rates=rates)
 
 
 def _si(value: float, unit: str) -> str:
@@ -164,16 +150,3 @@ def _si(value: float, unit: str) -> str:
         if abs(value) >= 0.9995 * factor:
             return f"{value / factor:.3g} {prefix}{unit}"
     return f"{value / 1e-9:.3g} n{unit}"
-
-
-def _plain(value: Any) -> Any:
-    """The value in what JSON has."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

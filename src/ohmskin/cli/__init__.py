@@ -30,16 +30,16 @@ for _name, (_help, _example) in {
     "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --out my-skin.toml"),
     "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
     "record": ("Record a device to a file.", "ohmskin record touch.mcap --seconds 10"),
-    "replay": ("Replay a recording, or compare estimators on it.", "ohmskin replay touch.mcap --speed 2 --start 10 --loop"),
+    "replay": ("Replay a recording, or compare estimators on it.", "ohmskin replay touch.mcap --speed 2 --loop"),
     "recover": ("Mend a recording that was cut short.", "ohmskin recover touch.mcap"),
     "export": ("Export a recording as tables, arrays, pictures or a film.", "ohmskin export touch.mcap --to csv"),
-    "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick --output out/paper"),
-    "policies": ("Compare drive policies with the paper's: what to measure next.", "ohmskin policies --quick --out out/policies"),
+    "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick"),
+    "policies": ("Compare drive policies with the paper's: what to measure next.", "ohmskin policies --quick"),
     "robot": ("Poke a simulated robot arm that wears the skin.", "ohmskin robot --pokes 5 --picture arm.png"),
     "dataset": ("Simulate touches for learning.", "ohmskin dataset touches.zarr --count 1000"),
-    "layout": ("Map how well a skin can locate a contact, or find a better electrode layout.", "ohmskin layout --optimise 16"),
+    "layout": ("Map how well a skin can locate a contact, or find a better layout.", "ohmskin layout --optimise 16"),
     "bench": ("Measure how fast everything is, beside others and the machine's limits.", "ohmskin bench --quick"),
-    "info": ("Show versions, skins, drivers and serial ports.", "ohmskin info"),
+    "info": ("Show versions, skins and modes, estimators, drivers and serial ports.", "ohmskin info"),
 }.items():
     _module = _name.replace("-", "_")
     app.command(f"ohmskin.cli.{_module}:{_module}", name=_name, help=f"{_help}\n\nExample: `{_example}`")
@@ -48,7 +48,7 @@ for _name, (_help, _example) in {
 def main() -> None:
     """Run the command line. A mistake of the user gets one line on stderr and exit status 2."""
     try:
-        app()
+        app(sys.argv[1:])
     except OhmskinError as error:
         print(f"ohmskin: {error}", file=sys.stderr)
         sys.exit(2)

@@ -22,31 +22,19 @@ def bench(
 ) -> None:
     """Measure how fast everything is, beside pyEIT, plain SciPy and the machine's own limits; one thread.
 
-    Example: `ohmskin bench --quick --out out/bench`
-
-    Parameters
-    ----------
-    quick
-        Two minutes instead of about ten: smaller sizes, fewer rounds.
-    out
-        Folder for benchmarks.json, benchmarks.md and the plot.
-    only
-        Parts wanted: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes, accuracy, start.
+    Args:
+        quick: Two minutes instead of about ten: smaller sizes, fewer rounds.
+        out: Folder for benchmarks.json, benchmarks.md and the plot.
+        only: Parts wanted: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes, accuracy,
+            start.
     """
     started = time.monotonic()
     console = Console()
     with console.status("measuring") as status:
         found = run(quick, only, lambda name, figure: status.update(f"{name}: {figure.name}"))
     table = Table(box=None, padding=(0, 1))
-    for title, side in (
-        ("figure", "left"),
-        ("value", "right"),
-        ("spread", "left"),
-        ("target", "left"),
-        ("", "left"),
-        ("behind it", "left"),
-    ):
-        table.add_column(title, justify="right" if side == "right" else "left", overflow="fold")
+    for title in ("figure", "value", "spread", "target", "", "behind it"):
+        table.add_column(title, justify="right" if title == "value" else "left", overflow="fold")
     for figure in (figure for group in found.values() for figure in group):
         table.add_row(*_row(figure))
     console.print(table, highlight=False)
@@ -59,4 +47,5 @@ def _row(figure: Figure) -> tuple[str, ...]:
     spread = "" if figure.low is None or figure.low == figure.high else f"{shown(figure.low)} to {shown(figure.high)}"
     colour, verdict = _COLOURS[figure.verdict], figure.verdict
     value = f"{shown(figure.value)} {figure.unit}".rstrip()
-    return figure.name, value, spread, figure.target, f"[{colour}]{verdict}[/{colour}]" if colour else verdict, figure.note
+    shaded = f"[{colour}]{verdict}[/{colour}]" if colour else verdict
+    return figure.name, value, spread, figure.target, shaded, figure.note

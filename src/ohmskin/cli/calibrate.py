@@ -32,24 +32,15 @@ def calibrate(
 ) -> None:
     """Calibrate a skin and write its description with what was measured. A virtual skin presses itself.
 
-    Parameters
-    ----------
-    device
-        Address: virtual:, tcp://HOST:PORT, serial://PORT.
-    skin
-        A skin that ships with ohmskin or a .toml file.
-    out
-        File for the calibrated skin; NAME-calibrated.toml unless given.
-    picture
-        Also save the curve as a picture, such as force.png.
-    mode
-        Drive mode to calibrate; the skin's best unless given.
-    weights
-        Weights to put on (g), all on the same small foot.
-    places
-        At how many places.
-    force
-        Whether to calibrate newtons, too; --no-force measures the quiet skin only.
+    Args:
+        device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
+        skin: A skin that ships with ohmskin or a .toml file.
+        out: File for the calibrated skin; NAME-calibrated.toml unless given.
+        picture: Also save the curve as a picture, such as force.png.
+        mode: Drive mode to calibrate; the skin's best unless given.
+        weights: Weights to put on (g), all on the same small foot.
+        places: At how many places.
+        force: Whether to calibrate newtons, too; --no-force measures the quiet skin only.
     """
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin)
@@ -61,8 +52,10 @@ def calibrate(
             _check_writable(file)  # now, rather than after an hour of presses
         console.print("measuring the quiet skin; nothing may touch it")
         found = calibrate_quiet(opened, description, ohmskin.__version__)
-        contact = f"{found.contact_resistance:.3g} ohm more than described" if found.contact_resistance else "as described"
-        console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square, misfit {100 * found.misfit:.2g} %; contacts {contact}")
+        more = found.contact_resistance
+        contact = f"{more:.3g} ohm more than described" if more else "as described"
+        sheet = f"sheet {1e3 * found.conductivity:.4g} mS per square, misfit {100 * found.misfit:.2g} %"
+        console.print(f"{sheet}; contacts {contact}")
         console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
         if force:
             console.print(f"learning what mode {engine.mode.name} sees of it")
@@ -73,8 +66,8 @@ def calibrate(
             found = curve.put_into(replace(found, mode=engine.mode.name))
             console.print(
                 f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {engine.mode.name}: "
-                f"error {curve.error:.2g} N rms, "
-                f"hysteresis {100 * curve.hysteresis:.2g} %, {100 * curve.scatter:.2g} % between places, {curve.missed} missed"
+                f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
+                f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
             )
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
@@ -92,7 +85,7 @@ def _check_writable(path: Path) -> None:
     """Raise DataError if a file cannot be written."""
     place = path if path.exists() else path.parent
     if path.is_dir() or not os.access(place, os.W_OK):
-        raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or not ours to write'}")
+        raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or read-only'}")
 
 
 def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
@@ -111,7 +104,7 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
             if touch is not None and guide.see(touch.contacts):
                 break
         else:
-            raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; calibrate again")
+            raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; try again")
         strength = guide.samples[-1].strength
         print(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not felt: it does not count", flush=True)
     if virtual:

@@ -11,12 +11,9 @@ from ohmskin.device.conformance import check_device as run_checks
 def check_device(url: str, *, json: bool = False) -> None:
     """Check a device and its driver; nothing may touch the skin meanwhile. The exit status is 1 if a check fails.
 
-    Parameters
-    ----------
-    url
-        Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of a driver that is installed.
-    json
-        Print JSON instead of lines.
+    Args:
+        url: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of a driver that is installed.
+        json: Print JSON instead of lines.
     """
     checks = run_checks(connect(url), lambda check: None if json else print(check, flush=True))
     failed = sum(check.outcome == "failed" for check in checks)

@@ -26,51 +26,29 @@ def dataset(
     jobs: int | None = None,
     scheduler: str = "",
 ) -> None:
-    """Simulate touches for learning: voltages, truth and parameters, in a Zarr group. Run it again to go on, or to add more.
+    """Simulate touches for learning: voltages, truth and parameters, in a Zarr group. Run again to go on or add more.
 
-    Example: `ohmskin dataset touches.zarr --count 1000`
-
-    Parameters
-    ----------
-    output
-        Folder of the data set; made if it is not there.
-    count
-        Samples wanted in all.
-    skin
-        A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
-    pattern
-        What is driven: "complete" (all electrode pairs, of which every pattern is a part) or a mode such as 16I (its base scan).
-    contacts
-        Least and largest number of contacts.
-    radius
-        Least and largest radius (mm).
-    pressure
-        Least and largest pressure (kPa).
-    gap
-        Least distance between the rims of two contacts (mm).
-    pixels
-        Pixels of the truth along the longer side.
-    seed
-        Seed of everything: the same seed gives the same data on any number of workers.
-    jobs
-        Processes; one per core unless given.
-    scheduler
-        Address of a Dask scheduler to run on instead, such as tcp://host:8786.
+    Args:
+        output: Folder of the data set; made if it is not there.
+        count: Samples wanted in all.
+        skin: A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
+        pattern: What is driven: "complete" (all electrode pairs, of which every pattern is a part) or a mode such as
+            16I (its base scan).
+        contacts: Least and largest number of contacts.
+        radius: Least and largest radius (mm).
+        pressure: Least and largest pressure (kPa).
+        gap: Least distance between the rims of two contacts (mm).
+        pixels: Pixels of the truth along the longer side.
+        seed: Seed of everything: the same seed gives the same data on any number of workers.
+        jobs: Processes; one per core unless given.
+        scheduler: Address of a Dask scheduler to run on instead, such as tcp://host:8786.
     """
-    recipe = Recipe(
-        Skin.load(skin).dump(),
-        pattern,
-        contacts,
-        (1e-3 * radius[0], 1e-3 * radius[1]),
-        (1e3 * pressure[0], 1e3 * pressure[1]),
-        1e-3 * gap,
-        pixels,
-        seed,
-    )
+    metres, pascals = (1e-3 * radius[0], 1e-3 * radius[1]), (1e3 * pressure[0], 1e3 * pressure[1])
+    recipe = Recipe(Skin.load(skin).dump(), pattern, contacts, metres, pascals, 1e-3 * gap, pixels, seed)
     console, started = Console(), time.monotonic()
     columns = (TextColumn("samples"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         bar = progress.add_task("samples", total=count)
-        made = generate(output, recipe, count, jobs, scheduler, lambda done, total: progress.update(bar, completed=done))
+        made = generate(output, recipe, count, jobs, scheduler, lambda done, _: progress.update(bar, completed=done))
     seconds = time.monotonic() - started
     console.print(f"{made} samples made in {seconds:.0f} s, {count} in {output}", highlight=False, soft_wrap=True)

@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 
 from ohmskin.errors import DataError, OhmskinError
-from ohmskin.publish import export as exporting
-from ohmskin.publish.player import reimage
-from ohmskin.record import Tape, is_tape
+from ohmskin.mcap import Tape, is_tape
+from ohmskin.recording import export as exporting
+from ohmskin.recording.player import reimage
 
 
 def export(
@@ -27,28 +27,17 @@ def export(
 ) -> None:
     """Write a recording as csv, npz, parquet, png or mp4; columns and units are in docs/guide/recording.md.
 
-    Parameters
-    ----------
-    file
-        The recording.
-    to
-        csv and parquet: a table; npz: everything as NumPy arrays; png: a picture; mp4: a film (needs ffmpeg).
-    output
-        Where to; beside the recording's name in this folder unless given. An existing file is never overwritten.
-    what
-        Which table: contacts (a row per contact and cycle) or frames (a row per voltage).
-    start
-        From when on, seconds from the first frame after the calibration; with the calibration unless given.
-    seconds
-        How much of it.
-    at
-        png: which time; that of the strongest contact unless given.
-    mode
-        png, mp4: another drive mode, if its scans were recorded.
-    skin
-        png, mp4: another skin than the recorded one.
-    rate
-        mp4: pictures per second.
+    Args:
+        file: The recording.
+        to: csv and parquet: a table; npz: everything as NumPy arrays; png: a picture; mp4: a film (needs ffmpeg).
+        output: Where to; the recording's name in this folder unless given. No file is ever overwritten.
+        what: Which table: contacts (a row per contact and cycle) or frames (a row per voltage).
+        start: From when on, seconds from the first frame after the calibration; with the calibration unless given.
+        seconds: How much of it.
+        at: png: which time; that of the strongest contact unless given.
+        mode: png, mp4: another drive mode, if its scans were recorded.
+        skin: png, mp4: another skin than the recorded one.
+        rate: mp4: pictures per second.
     """
     if (start is not None and not start >= 0) or (seconds is not None and not seconds > 0):
         raise OhmskinError("--start must be 0 or more and --seconds positive")
@@ -63,7 +52,7 @@ def export(
         _show(file, to, target, start or 0.0, stop, at, {"mode": mode, "skin": skin}, rate)
         return
     if not is_tape(file):
-        raise DataError(f"{file} is no recording of ohmskin (.mcap); recordings of others can be exported as png and mp4")
+        raise DataError(f"{file} is no recording of ohmskin (.mcap); recordings of others can become png and mp4")
     begin = -np.inf if start is None else start
     with Tape(file) as tape:
         for note in tape.notes:

@@ -8,21 +8,21 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, TextIO
 
 from cyclopts import Parameter
 
-from ohmskin.cli.options import has_display, open_skin, say
-from ohmskin.cli.recording import Teller, refuse_existing, summary
-from ohmskin.client.felt import Patch
-from ohmskin.device import Device
+from ohmskin.cli.options import AS_THE_MODE, Imaging, check_seconds, has_display, open_skin, say
+from ohmskin.cli.recording import ProgressReport, refuse_existing, reopening, reporting, summary
+from ohmskin.client import Patch
+from ohmskin.client.fields import as_json
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, Touch
-from ohmskin.errors import OhmskinError
-from ohmskin.publish.player import Player
-from ohmskin.publish.publisher import Publisher
-from ohmskin.publish.recorder import Recorder
+from ohmskin.outlets.publisher import Publisher
+from ohmskin.recording.player import Player
+from ohmskin.recording.recorder import Recorder
 from ohmskin.view.session import Session
 
 _ROWS_PER_SECOND = 5
@@ -34,6 +34,7 @@ def live(
     device: str = "virtual:",
     skin: str = "",
     mode: str = "",
+    imaging: Imaging = AS_THE_MODE,
     host: str = "127.0.0.1",
     port: int = 8000,
     token: str = "",
@@ -50,76 +51,48 @@ def live(
 ) -> None:
     """Sense touches, live: a page in the browser, or contacts on the terminal.
 
-    Parameters
-    ----------
-    device
-        Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.
-    skin
-        A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
-    mode
-        Drive mode, such as 12B, 16I or 16O; the skin's best unless given.
-    host
-        Address to serve the page at; one that others can reach needs a token.
-    port
-        Port of the page; if it is taken, the next free one.
-    token
-        Password, a part of the page's address.
-    demo
-        Let a demonstration finger wander over a virtual skin until somebody presses.
-    browser
-        Open the page in a browser if there is a display.
-    headless
-        No page: contacts as a table on the terminal.
-    json
-        No page: a line of JSON for every frame.
-    seconds
-        End after so many seconds.
-    record
-        Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
-    publish
-        Show other programs what is felt: shm, zenoh[:PLACE], dds[:INTERFACE], foxglove[:HOST:PORT]; may be given several times.
-    name
-        What clients call this skin, and what its topics begin with.
-    frame
-        The frame of published contacts: a link of the robot.
-    newtons
-        Newtons per m2 of contact strength, if you have calibrated that; wrenches are published with it only.
+    Args:
+        device: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.
+        skin: A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
+        mode: A mode of the skin, such as 16P or 12B (`ohmskin info` lists them); the most precise one unless given.
+        host: Address to serve the page at; one that others can reach needs a token.
+        port: Port of the page; if it is taken, the next free one.
+        token: Password, a part of the page's address.
+        demo: Let a demonstration finger wander over a virtual skin until somebody presses.
+        browser: Open the page in a browser if there is a display.
+        headless: No page: contacts as a table on the terminal.
+        json: No page: a line of JSON for every frame.
+        seconds: End after so many seconds.
+        record: Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
+        publish: Publish what is felt to shm, zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        name: What clients call this skin, and what its topics begin with.
+        frame: The frame of published contacts: a link of the robot.
+        newtons: Newtons per m2 of contact strength, if you have calibrated that; wrenches are published with it only.
     """
-    if seconds is not None and not seconds > 0:
-        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
+    check_seconds(seconds)
     if record is not None:
         refuse_existing(record)
     stop = Stop()
     tell = say if not json else lambda _: None
     opened, description = open_skin(device, skin)
-    first: list[Device] = [opened]
     recorder = Recorder(record, description) if record is not None else None
-
-    def open_device() -> Device:
-        found = first.pop() if first else open_skin(device, skin)[0]
-        return recorder.tee(found) if recorder else found
-
-    def report(sentence: str) -> None:
-        if recorder:
-            recorder.note(sentence)
-        tell(sentence)
-
+    source = reopening(opened, device, skin, recorder), description, mode, reporting(recorder, tell)
     with ExitStack() as stack:
         if recorder:
             stack.callback(_sum_up, recorder, sys.stderr if json else sys.stdout)
-        engine = stack.enter_context(Engine(open_device, description, mode, report=report))
+        engine = stack.enter_context(Engine(*source, **asdict(imaging)))
         player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
         sinks: list[Callable[[Touch], None]] = []
         if recorder:
             recorder.watch(engine)
-            sinks += [recorder.publish, Teller(recorder, quiet=True)]
+            sinks += [recorder.publish, ProgressReport(recorder, quiet=True)]
         if publish:
             publisher = Publisher(description, publish, name, Patch(name, frame), newtons, token or None)
             stack.enter_context(publisher)
             sinks.insert(0, publisher.publish)  # first, because robots wait for it
             tell(f"publishing at {', '.join(publisher.addresses)}")
         if headless or json:
-            tell("calibrating: keep the skin untouched")
+            tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
             engine.calibrate()
             ended = player.until(stop) if player else stop
             run(player.step if player else engine.step, ended, seconds, *sinks, _print_json if json else _Table())
@@ -132,7 +105,7 @@ def live(
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             if browser and has_display():
                 webbrowser.open(session.view.url)
-            say("calibrating: keep the skin untouched")
+            say(f"{engine.mode.label}; calibrating: keep the skin untouched")
             session.calibrate()
             run(player.lead(session.step) if player else session.step, stop, seconds, *sinks, _Arrivals())
 
@@ -200,34 +173,19 @@ class _Table:
         for c in touch.contacts:
             x, y = c.position
             place = f"{x * 1e3:6.1f}  {y * 1e3:6.1f}"
-            print(f"{start}  {c.id:2d}  {place}  {c.extent * 1e4:10.1f}  {c.strength * 1e4:12.2f}  {c.confidence:10.3f}")
+            size = f"{c.extent * 1e4:10.1f}  {c.strength * 1e4:12.2f}"
+            print(f"{start}  {c.id:2d}  {place}  {size}  {c.confidence:10.3f}")
         if not touch.contacts:
             print(f"{start}   -       -       -           -             -           -")
         sys.stdout.flush()
 
 
 def _print_json(touch: Touch) -> None:
-    health = touch.health
     line = {
         "sequence": touch.sequence,
         "time": touch.time,
         "mode": touch.mode.name,
-        "contacts": [
-            {
-                "id": c.id,
-                "position": c.position,
-                "extent": c.extent,
-                "strength": c.strength,
-                "confidence": c.confidence,
-                "peak": c.peak,
-            }
-            for c in touch.contacts
-        ],
-        "rate": health.rate,
-        "latency_p50": health.latency_p50,
-        "latency_p99": health.latency_p99,
-        "dropped": health.dropped,
-        "noise": health.noise,
-        "waiting": health.waiting,
+        "contacts": [as_json(contact) for contact in touch.contacts],
+        **touch.health.figures,
     }
     print(json_module.dumps(line), flush=True)

@@ -5,10 +5,46 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
+from cyclopts import Parameter
+
+from ohmskin.child import when_input_ends
 from ohmskin.device import Device, connect
-from ohmskin.errors import OhmskinError, SkinError
+from ohmskin.device.replay import ReplayDevice, recorded_skin
+from ohmskin.errors import ModelError, OhmskinError, SkinError
+from ohmskin.inverse import PRIORS
+from ohmskin.inverse.choice import RULES
+from ohmskin.inverse.estimators import ESTIMATORS
 from ohmskin.skin import Fault, Skin
+
+
+@dataclass(frozen=True)
+class _Imaging:
+    """How images are made.
+
+    Args:
+        estimator: What makes the image, such as kalman or total-variation (see `ohmskin info`); the mode's as usual.
+        prior: What the estimator believes beforehand, such as paper or matern; the mode's unless given.
+        rule: How the regularisation parameter is chosen, such as physical or l-curve; the mode's unless given.
+    """
+
+    estimator: str = ""
+    prior: str = ""
+    rule: str = ""
+
+    def __post_init__(self) -> None:
+        for option, table in (("estimator", ESTIMATORS), ("prior", [*PRIORS, "pixels"]), ("rule", RULES)):
+            if (name := getattr(self, option)) and name not in table:
+                raise ModelError(f"no {option} {name!r}; choose from {', '.join(table)}")
+
+
+Imaging = Annotated[_Imaging, Parameter(name="*")]
+"""The options ``--estimator``, ``--prior`` and ``--rule``, checked before anything is opened."""
+
+AS_THE_MODE = _Imaging()
+"""What the mode says."""
 
 
 def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Device, Skin]:
@@ -25,12 +61,18 @@ def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Dev
         raise SkinError(f"--fault is for virtual: only; give it to `ohmskin serve-skin` if {device} is one of those")
     opened = connect(device)
     try:
-        if (recorded := getattr(opened, "description", "")) and not skin:
-            return opened, Skin.parse(recorded, f"the skin in {device}")
+        if isinstance(opened, ReplayDevice) and (skin or opened.description):
+            return opened, recorded_skin(opened, skin)
         return opened, Skin.load(skin or opened.default_skin)
     except BaseException:
         opened.close()
         raise
+
+
+def check_seconds(seconds: float | None) -> None:
+    """Raise unless a command may end after so many seconds."""
+    if seconds is not None and not seconds > 0:
+        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
 
 
 def check_seed(seed: int | None) -> None:
@@ -45,12 +87,7 @@ def asked_to_stop(lifeline: bool = False) -> threading.Event:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     if lifeline:
-
-        def end_with_input() -> None:
-            sys.stdin.read()
-            stop.set()
-
-        threading.Thread(target=end_with_input, daemon=True).start()
+        when_input_ends(stop.set)
     return stop
 
 

@@ -8,11 +8,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from ohmskin.cli.options import asked_to_stop, has_display, say
+from ohmskin.body.body import Body
+from ohmskin.body.patches import Patches
+from ohmskin.cli.options import asked_to_stop, check_seconds, has_display, say
 from ohmskin.client.felt import Felt
-from ohmskin.errors import OhmskinError
-from ohmskin.publish.body import Body
-from ohmskin.publish.patches import Patches
 from ohmskin.view.overview import Overview
 
 _TABLE_EVERY = 2.0
@@ -32,29 +31,18 @@ def patches(
 ) -> None:
     """Sense with all patches of a robot: a process for each, one stream of contacts in the robot's frames, one page.
 
-    Parameters
-    ----------
-    body
-        The body file (TOML): which patches there are, and where on the robot.
-    publish
-        Show other programs what is felt: zenoh[:PLACE], dds[:INTERFACE], foxglove[:HOST:PORT]; may be given several times.
-    host
-        Address to serve the page at; one that others can reach needs a token.
-    port
-        Port of the page; if it is taken, the next free one.
-    token
-        Password, a part of the page's address.
-    demo
-        Let a demonstration finger press each virtual patch now and then.
-    browser
-        Open the page in a browser if there is a display.
-    headless
-        No page.
-    seconds
-        End after so many seconds.
+    Args:
+        body: The body file (TOML): which patches there are, and where on the robot.
+        publish: Publish what is felt to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        host: Address to serve the page at; one that others can reach needs a token.
+        port: Port of the page; if it is taken, the next free one.
+        token: Password, a part of the page's address.
+        demo: Let a demonstration finger wander over each virtual patch.
+        browser: Open the page in a browser if there is a display.
+        headless: No page.
+        seconds: End after so many seconds.
     """
-    if seconds is not None and not seconds > 0:
-        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
+    check_seconds(seconds)
     loaded = Body.load(body)
     stop = asked_to_stop()
     with ExitStack() as stack:
@@ -84,6 +72,7 @@ def _table(all_patches: Patches, felt: Felt, rate: float) -> None:
         count = sum(contact.patch == seen.patch for contact in felt.contacts)
         age = f"{seen.age:.2f} s" if seen.sequence else "never heard"
         state = "" if status.get("state") == "running" else f"  {status.get('state', 'starting')}"
-        print(f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}  {latency:>15}  {count:8d}  {age}{state}")
+        patch = f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}"
+        print(f"{patch}  {latency:>15}  {count:8d}  {age}{state}")
     print(f"merged: {rate:.0f} messages/s\n")
     sys.stdout.flush()

@@ -20,22 +20,14 @@ def press(
 ) -> None:
     """Press a virtual skin at (x, y) for a while, or slide to another place meanwhile.
 
-    Parameters
-    ----------
-    x
-        Place from the left edge (mm).
-    y
-        Place from the lower edge (mm).
-    radius
-        Radius of the finger (mm).
-    pressure
-        Pressure (kPa).
-    seconds
-        How long.
-    to
-        Where to slide to (mm).
-    device
-        Address of the virtual skin.
+    Args:
+        x: Place from the left edge (mm).
+        y: Place from the lower edge (mm).
+        radius: Radius of the finger (mm).
+        pressure: Pressure (kPa).
+        seconds: How long.
+        to: Where to slide to (mm).
+        device: Address of the virtual skin.
     """
     if not 0 < seconds <= 3600:
         raise OhmskinError(f"--seconds is {seconds:g}; it must be above 0 and at most 3600")

@@ -2,48 +2,66 @@
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+from ohmskin.cli.options import open_skin
+from ohmskin.device import Device
 from ohmskin.engine import Touch
 from ohmskin.errors import OhmskinError
-from ohmskin.publish.recorder import Recorder
-from ohmskin.record import Progress
+from ohmskin.mcap import Progress
+from ohmskin.recording.recorder import Recorder
 
-_TELL_EVERY = 1.0  # s
+_REPORT_EVERY = 1.0  # s
 
 
-class Teller:
+class ProgressReport:
     """Says how a recording goes, once a second, and warns when something stands in its way."""
 
     def __init__(self, recorder: Recorder, quiet: bool = False) -> None:
         self._recorder, self._quiet = recorder, quiet
-        self._due = time.monotonic() + _TELL_EVERY
+        self._due = time.monotonic() + _REPORT_EVERY
         self._last, self._troubled = Progress(), ""
 
     def __call__(self, touch: Touch) -> None:
         now = time.monotonic()
         if now < self._due:
             return
-        since, self._due = now - self._due + _TELL_EVERY, now + _TELL_EVERY
+        since, self._due = now - self._due + _REPORT_EVERY, now + _REPORT_EVERY
         progress = self._recorder.progress
         if progress.trouble != self._troubled:
             self._troubled = progress.trouble
-            print(
-                f"warning: the recording stands still: {progress.trouble}; the loop goes on"
-                if progress.trouble
-                else "the recording goes on",
-                file=sys.stderr,
-                flush=True,
-            )
+            why = f"warning: the recording stands still: {progress.trouble}; the loop goes on"
+            print(why if progress.trouble else "the recording goes on", file=sys.stderr, flush=True)
         if not self._quiet:
             rate = (progress.written - self._last.written) / since
             dropped = sum(progress.dropped.values())
-            print(
-                f"{touch.health.rate:6.0f} cycles/s  {progress.frames:8d} frames  {progress.written / 1e6:8.2f} MB"
-                f"  {rate / 1e6:6.2f} MB/s" + (f"  {dropped} messages dropped" if dropped else ""),
-                flush=True,
-            )
+            counts = f"{touch.health.rate:6.0f} cycles/s  {progress.frames:8d} frames  {progress.written / 1e6:8.2f} MB"
+            lost = f"  {dropped} messages dropped" if dropped else ""
+            print(f"{counts}  {rate / 1e6:6.2f} MB/s{lost}", flush=True)
         self._last = progress
+
+
+def reopening(opened: Device, device: str, skin: str, recorder: Recorder | None) -> Callable[[], Device]:
+    """What opens a device for an engine: the one that is open, later the address anew. A recorder listens to each."""
+    first = [opened]
+
+    def open_device() -> Device:
+        found = first.pop() if first else open_skin(device, skin)[0]
+        return recorder.tee(found) if recorder else found
+
+    return open_device
+
+
+def reporting(recorder: Recorder | None, tell: Callable[[str], None]) -> Callable[[str], None]:
+    """What takes the sentences of an engine, which are recorded, too."""
+
+    def report(sentence: str) -> None:
+        if recorder:
+            recorder.note(sentence)
+        tell(sentence)
+
+    return report
 
 
 def refuse_existing(file: Path) -> None:

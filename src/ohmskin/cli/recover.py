@@ -2,18 +2,15 @@
 
 from pathlib import Path
 
-from ohmskin.record import recover as recover_file
+from ohmskin.mcap import recover as recover_file
 
 
 def recover(file: Path, output: Path | None = None) -> None:
-    """Mend a recording that was cut short: write a whole, indexed copy of all that can be read. The original stays as it is.
+    """Mend a recording that was cut short: write an indexed copy of all that can be read. The original stays.
 
-    Parameters
-    ----------
-    file
-        The recording.
-    output
-        The copy; NAME.recovered.mcap beside it unless given. An existing file is never overwritten.
+    Args:
+        file: The recording.
+        output: The copy; NAME.recovered.mcap beside it unless given. An existing file is never overwritten.
     """
     done = recover_file(file, output)
     if done.whole and not done.damaged:

@@ -3,8 +3,12 @@
 import math
 from pathlib import Path
 
+import numpy as np
+
 from ohmskin.cli.live import live
+from ohmskin.cli.options import AS_THE_MODE, Imaging
 from ohmskin.errors import OhmskinError
+from ohmskin.inverse.estimators import image_of
 
 
 def replay(
@@ -12,6 +16,7 @@ def replay(
     *,
     skin: str = "",
     mode: str = "",
+    imaging: Imaging = AS_THE_MODE,
     speed: float = 1.0,
     start: float = 0.0,
     loop: bool = False,
@@ -29,34 +34,25 @@ def replay(
 ) -> None:
     """Replay a recording through the same loop and page as a device, or compare estimators on it.
 
-    Parameters
-    ----------
-    file
-        The recording: ours (.mcap), or a table or MATLAB file of others.
-    skin
-        Another skin than the recorded one.
-    mode
-        Another drive mode, if its scans were recorded; those of the recording unless given.
-    speed
-        Seconds of the recording per second; inf for as fast as it goes.
-    start
-        Where to begin, seconds from the first frame after the calibration.
-    loop
-        Begin again at the end.
-    rate
-        Frames per second of recordings that hold no times.
-    compare
-        Estimators, such as paper,matern,tv: no page, a picture of their images side by side.
-    at
-        With --compare: which time; that of the strongest contact unless given.
-    output
-        With --compare: where to put the picture; beside the recording's name in this folder unless given.
-    host, port, token, browser, headless, json, seconds
-        As for `ohmskin live`.
+    Args:
+        file: The recording: ours (.mcap), or a table or MATLAB file of others.
+        skin: Another skin than the recorded one.
+        mode: Another mode, if its scans were recorded; those of the recording unless given.
+        speed: Seconds of the recording per second; inf for as fast as it goes.
+        start: Where to begin, seconds from the first frame after the calibration.
+        loop: Begin again at the end.
+        rate: Frames per second of recordings that hold no times.
+        compare: Estimators or priors, such as paper,matern,total-variation,absolute:matern: no page, a picture of their
+            images side by side.
+        at: With --compare: which time; that of the strongest contact unless given.
+        output: With --compare: where to put the picture; beside the recording's name in this folder unless given.
+        host, port, token, browser, headless, json, seconds: As for `ohmskin live`.
     """
     if compare:
         if headless or json or loop:
             raise OhmskinError("--compare makes a picture; leave --headless, --json and --loop out")
+        if imaging != AS_THE_MODE:
+            raise OhmskinError("--compare names estimators and priors itself, such as --compare kalman:matern")
         _compare(file, compare.split(","), at, mode, skin, output or Path(f"{file.stem}.compare.png"))
         return
     if at is not None or output is not None:
@@ -67,6 +63,7 @@ def replay(
         device=f"replay:{file}?speed={speed}&start={start}&loop={int(loop)}&rate={rate}",
         skin=skin,
         mode=mode,
+        imaging=imaging,
         host=host,
         port=port,
         token=token,
@@ -79,19 +76,19 @@ def replay(
 
 
 def _compare(file: Path, names: list[str], at: float | None, mode: str, skin: str, output: Path) -> None:
-    from ohmskin.publish.export import cycle_at, save_comparison, strongest
-    from ohmskin.publish.player import ESTIMATORS, reimage
+    from ohmskin.recording.export import cycle_at, save_comparison, strongest
+    from ohmskin.recording.player import reimage
 
-    if unknown := [name for name in names if name not in ESTIMATORS]:
-        raise OhmskinError(f"no estimator {unknown[0]!r}; choose from {', '.join(ESTIMATORS)}")
+    chosen = {name: image_of(name) for name in names}
     if output.exists():
         raise OhmskinError(f"{output} exists and is never overwritten; choose another with --output")
     if at is None:
         at = strongest(reimage(file, mode=mode, skin=skin)).time
     cycles = {}
-    for name in names:
-        cycles[name] = cycle = cycle_at(file, at, estimator=ESTIMATORS[name], mode=mode, skin=skin)
-        places = ", ".join(f"({1e3 * c.position[0]:.1f}, {1e3 * c.position[1]:.1f}) mm" for c in cycle.touch.sight.contacts)
+    for name, (estimator, prior) in chosen.items():
+        cycles[name] = cycle = cycle_at(file, at, estimator=estimator, prior=prior, mode=mode, skin=skin)
+        found = [1e3 * np.array(contact.position) for contact in cycle.touch.percept.detections]
+        places = ", ".join(f"({x:.1f}, {y:.1f}) mm" for x, y in found)
         print(f"{name:10s} {places or 'no contact'}")
     save_comparison(output, {f"{name}, {cycle.time:.2f} s": cycle for name, cycle in cycles.items()})
     print(f"picture: {output}")

@@ -1,19 +1,14 @@
 """``ohmskin reproduce``: the paper's experiments, figures and table, with verdicts."""
 
-import time
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ohmskin.evaluate.groups import assign
-from ohmskin.evaluate.plan import Settings, plan
-from ohmskin.evaluate.reproduction import reproduce as run
-from ohmskin.evaluate.result import Experiment
+from ohmskin.cli.studies import run_study
+from ohmskin.evaluate.plan import Settings
+from ohmskin.evaluate.reproduction import REPRODUCTION
 
 _SEVERAL = Parameter(consume_multiple=True)  # --noise 45 35 55
 
@@ -33,30 +28,18 @@ def reproduce(
 ) -> None:
     """Reproduce the paper: every figure and table, beside the paper's own figures, in one report.
 
-    Example: `ohmskin reproduce --quick --output out/paper`
-
-    Parameters
-    ----------
-    quick
-        Few seeds and noise levels: about a minute on two cores.
-    output
-        Folder for report.html, figures and data.
-    noise
-        Noise levels (dB below the largest 12B voltage); the first is that of the figures, all make the sweep.
-    amplitude
-        Prior amplitudes (relative conductivity change); the first is that of the figures, all make the sweep.
-    seeds
-        Noise seeds; 20 unless given, 5 with --quick.
-    only
-        Figures wanted: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep.
-    jobs
-        Processes; one per core unless given.
-    scheduler
-        Address of a Dask scheduler to run on instead, such as tcp://host:8786.
-    cache
-        Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
-    fresh
-        Run everything anew.
+    Args:
+        quick: Few seeds and noise levels: about a minute on two cores.
+        output: Folder for report.html, figures and data.
+        noise: Noise levels (dB below the largest 12B voltage); the first is that of the figures, all make the sweep.
+        amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the
+            sweep.
+        seeds: Noise seeds; 20 unless given, 5 with --quick.
+        only: Figures wanted: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep.
+        jobs: Processes; one per core unless given.
+        scheduler: Address of a Dask scheduler to run on instead, such as tcp://host:8786.
+        cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
+        fresh: Run everything anew.
     """
     usual = Settings.quick() if quick else Settings()
     settings = replace(
@@ -65,15 +48,4 @@ def reproduce(
         amplitude=amplitude or usual.amplitude,
         seeds=usual.seeds if seeds is None else seeds,
     )
-    started = time.monotonic()
-    console = Console()
-    columns = (TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        shares = Counter(assign(plan(settings, only)).values())
-        bars = {figure: progress.add_task(figure, total=count) for figure, count in reversed(shares.items())}
-
-        def done(figure: str, task: Experiment, cached: bool) -> None:
-            progress.advance(bars[figure])
-
-        report = run(output, settings, only, cache, jobs, scheduler, fresh, done)
-    console.print(f"report: {report}  ({time.monotonic() - started:.0f} s)", highlight=False, soft_wrap=True)
+    run_study(REPRODUCTION, settings, output, only, cache=cache, jobs=jobs, scheduler=scheduler, fresh=fresh)

@@ -11,7 +11,6 @@ from ohmskin.cli.options import check_seed
 from ohmskin.device import connect
 from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
-from ohmskin.robot import Demonstration, Encounter, Moment, summary
 from ohmskin.skin import Skin
 
 
@@ -26,28 +25,17 @@ def robot(
     picture: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Poke a robot arm that wears the skin: MuJoCo's contacts press the virtual skin, the loop senses them, the arm yields.
+    """Poke a robot arm that wears the skin: MuJoCo's contacts press it, the loop senses them, the arm yields.
 
-    Example: `ohmskin robot --pokes 5 --picture arm.png`
-
-    Parameters
-    ----------
-    pokes
-        How many times it is poked, at random places.
-    skin
-        A rectangular skin that ships with ohmskin or a .toml file.
-    mode
-        Drive mode, such as 16I or 16O; the skin's best unless given.
-    seed
-        Chooses the places.
-    yielding
-        Let the arm yield; --no-yielding shows the forces without.
-    video
-        MP4 file to write (needs ffmpeg).
-    picture
-        PNG file to write: the moment of the largest force.
-    json
-        Print figures as JSON.
+    Args:
+        pokes: How many times it is poked, at random places.
+        skin: A rectangular skin that ships with ohmskin or a .toml file.
+        mode: Drive mode, such as 16I or 16O; the skin's best unless given.
+        seed: Chooses the places.
+        yielding: Let the arm yield; --no-yielding shows the forces without.
+        video: MP4 file to write (needs ffmpeg).
+        picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
+        json: Print figures as JSON.
     """
     if not 1 <= pokes <= 10_000:
         raise OhmskinError(f"--pokes is {pokes}; choose 1 to 10000")
@@ -56,6 +44,13 @@ def robot(
         if path is not None and not path.parent.is_dir():
             raise OhmskinError(f"there is no folder {path.parent}; make it first")
     description = Skin.load(skin)
+    from ohmskin.robot import Demonstration, Encounter, Moment, summary  # here: help needs no MuJoCo
+
+    if video or picture:
+        from ohmskin.robot.display import check_display
+        from ohmskin.robot.film import Film, Snapshot, Video
+
+        check_display()
     console = Console(stderr=True)
     encounters: list[Encounter] = []
     with ExitStack() as stack:
@@ -66,8 +61,6 @@ def robot(
         demonstration = Demonstration(engine, seed, yielding)
         shows = []
         if video or picture:
-            from ohmskin.robot.film import Film, Snapshot, Video
-
             film = Film(description, demonstration.arm)
             stack.callback(film.close)
             if picture:
@@ -94,5 +87,6 @@ def robot(
         ("peak_force", "peak force", 1.0, "N"),
     ):
         if (spread := figures[name]) is not None:
-            said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())  # type: ignore[attr-defined]
+            assert isinstance(spread, dict)
+            said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())
             print(f"{label:<15} {said} {unit}")

@@ -8,31 +8,24 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.cli.options import open_skin
-from ohmskin.errors import PatternError
+from ohmskin.sensing import drive_of, mode_named
 
 
 def scan(*, device: str = "virtual:", skin: str = "", mode: str = "", json: bool = False) -> None:
     """Scan a device once with the base pattern of a mode and print what it measured.
 
-    Parameters
-    ----------
-    device
-        Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.
-    skin
-        A skin that ships with ohmskin or a .toml file.
-    mode
-        Drive mode, such as 12B; the skin's best unless given.
-    json
-        Print JSON instead of a table.
+    Args:
+        device: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.
+        skin: A skin that ships with ohmskin or a .toml file.
+        mode: Drive mode, such as 12B; that of least measured error unless given.
+        json: Print JSON instead of a table.
     """
     opened, description = open_skin(device, skin)
     with opened:
-        modes = description.modes
-        if mode and mode not in modes:
-            raise PatternError(f"mode {mode!r} is not possible with this skin; choose from {', '.join(modes)}")
-        pattern = opened.reference[0].pattern if opened.reference else modes[mode or list(modes)[-1]].base
+        drive = drive_of(mode_named(description, mode), description)
+        pattern = opened.reference[0].pattern if opened.reference else drive.next((), 0)
         frame = opened.scan(pattern)
-    rows = np.column_stack([pattern.quadruples, frame.currents[pattern.measurements[:, 0]], frame.voltages])
+    rows = np.column_stack([pattern.quadruples, frame.measurement_currents, frame.voltages])
     if json:
         data: dict[str, Any] = {
             "device": device,

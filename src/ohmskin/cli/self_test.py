@@ -14,33 +14,35 @@ from ohmskin.skin import Fault
 
 
 def self_test(
-    *, device: str = "virtual:", skin: str = "", out: Path | None = None, json: bool = False, fault: tuple[str, ...] = ()
+    *,
+    device: str = "virtual:",
+    skin: str = "",
+    out: Path | None = None,
+    json: bool = False,
+    fault: tuple[str, ...] = (),
 ) -> None:
     """Test the wiring and the instrument of an untouched skin. Nothing may touch it meanwhile.
 
     The exit status is 1 if an electrode is not in order.
 
-    Parameters
-    ----------
-    device
-        Address: virtual:, tcp://HOST:PORT, serial://PORT.
-    skin
-        A skin that ships with ohmskin or a .toml file.
-    out
-        Folder for self-test.json and self-test.png.
-    json
-        Print JSON instead of a table.
-    fault
-        With virtual: only: something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5 20".
+    Args:
+        device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
+        skin: A skin that ships with ohmskin or a .toml file.
+        out: Folder for self-test.json and self-test.png.
+        json: Print JSON instead of a table.
+        fault: With virtual: only: something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5
+            20".
     """
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin, [Fault.parse(text) for text in fault])
     with opened:
-        result = run_self_test(opened, description, lambda text: None if json else print(f"{text} ...", file=sys.stderr))
+        tell = (lambda _: None) if json else (lambda text: print(f"{text} ...", file=sys.stderr))
+        result = run_self_test(opened, description, tell)
     if json:
         print(result.to_json())
     else:
-        for text in [str(finding) for finding in result.findings] or [f"all {len(description.electrodes)} electrodes are in order"]:
+        all_well = f"all {len(description.electrodes)} electrodes are in order"
+        for text in [str(finding) for finding in result.findings] or [all_well]:
             console.print(text)
         for remark in result.remarks:
             console.print(f"note: {remark}")

@@ -25,24 +25,15 @@ def serve_firmware(
 ) -> None:
     """Run the board's firmware in QEMU, with the physics twin as its analogue side.
 
-    Parameters
-    ----------
-    skin
-        A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
-    image
-        The firmware; the one that `make -C firmware qemu` builds unless given.
-    host
-        Address to listen at.
-    port
-        TCP port of the firmware's UART, for one host at a time; 0 takes a free one.
-    press_port
-        TCP port for `ohmskin press`; 0 takes a free one.
-    seed
-        Seed of the noise, to make it repeatable.
-    averages
-        Samples that the firmware makes one value of.
-    lifeline
-        End when standard input ends.
+    Args:
+        skin: A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
+        image: The firmware; the one that `make -C firmware qemu` builds unless given.
+        host: Address to listen at.
+        port: TCP port of the firmware's UART, for one host at a time; 0 takes a free one.
+        press_port: TCP port for `ohmskin press`; 0 takes a free one.
+        seed: Seed of the noise, to make it repeatable.
+        averages: Samples that the firmware makes one value of.
+        lifeline: End when standard input ends.
     """
     check_seed(seed)
     stop = asked_to_stop(lifeline)

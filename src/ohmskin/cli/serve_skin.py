@@ -23,25 +23,16 @@ def serve_skin(
 ) -> None:
     """Serve a virtual skin: the physics twin behind the wire protocol.
 
-    Parameters
-    ----------
-    skin
-        A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
-    host
-        Address to listen at.
-    port
-        TCP port; 0 takes a free one.
-    pty
-        Also serve on a pseudo-terminal, like a board on a serial port.
-    seed
-        Seed of the noise, to make it repeatable.
-    realtime
-        Take as long for a scan as the instrument would.
-    fault
-        Something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5 20" (20 times the contact
-        impedance); give it once for each.
-    lifeline
-        End when standard input ends.
+    Args:
+        skin: A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
+        host: Address to listen at.
+        port: TCP port; 0 takes a free one.
+        pty: Also serve on a pseudo-terminal, like a board on a serial port.
+        seed: Seed of the noise, to make it repeatable.
+        realtime: Take as long for a scan as the instrument would.
+        fault: Something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5 20" (20 times the
+            contact impedance); give it once for each.
+        lifeline: End when standard input ends.
     """
     check_seed(seed)
     stop = asked_to_stop(lifeline)

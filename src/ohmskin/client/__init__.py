@@ -1,4 +1,4 @@
-"""What a robot's program needs to know what its skin feels: the newest contacts, at once. Imports only the standard library.
+"""What a robot's program needs of its skin: the newest contacts, at once. Imports the standard library only.
 
 from ohmskin.client import Client
 

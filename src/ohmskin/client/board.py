@@ -1,15 +1,14 @@
 """A board: the newest message of one writer, in shared memory, for any number of readers that never hold it up.
 
-The file (docs/guide/publishing.md has its layout) is a ring of slots. The writer fills the next slot and then says which one is
-the newest; it never looks at a reader. A reader copies the newest slot and holds number and checksum against what it copied, so
-that a slot written meanwhile, or seen half by another core, is noticed and read again.
+The file (docs/guide/publishing.md has its layout) is a ring of slots. The writer fills the next slot and then says
+which one is the newest; it never looks at a reader. A reader copies the newest slot and holds number and checksum
+against what it copied, so that a slot written meanwhile, or seen half by another core, is noticed and read again.
 """
 
 import json
 import mmap
 import os
 import re
-import stat
 import struct
 import tempfile
 import time
@@ -17,17 +16,20 @@ import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from stat import S_ISDIR
+from typing import Any
 
+from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 
-MAGIC = int.from_bytes(b"ohmskin1", "little")
+MAGIC = int.from_bytes(b"ohmskin2", "little")
 LARGEST_BOARD = 64 * 2**20
 LARGEST_SETUP = 2**20
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(\.[A-Za-z][A-Za-z0-9_]{0,31}){0,2}")
 _SLOTS = 8
-_MAGIC, _SLOTS_AT, _N_SLOTS, _SLOT_BYTES, _BOOT, _NEWEST, _CLOSED, _SETUP_BYTES = range(8)  # words of the head, 8 bytes each
+# words of the head, 8 bytes each
+_MAGIC, _SLOTS_AT, _N_SLOTS, _SLOT_BYTES, _BOOT, _NEWEST, _CLOSED, _SETUP_BYTES = range(8)
 _HEAD_BYTES = 64
 _SLOT = struct.Struct("<QII")  # number of the message, its length, checksum of number and message
 _NUMBER = struct.Struct("<Q")
@@ -48,9 +50,11 @@ def board_folder() -> Path:
             folder.mkdir(mode=0o700, parents=bool(given))
         found = folder.lstat()
     except OSError as error:
-        raise PublishError(f"cannot make the folder {folder}: {error.strerror}; set OHMSKIN_BOARDS to another one") from error
-    if hasattr(os, "getuid") and (not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077):
-        raise PublishError(f"{folder} must be a folder that only you may use (chmod 700); remove it, or set OHMSKIN_BOARDS")
+        what = f"cannot make the folder {folder}: {error.strerror}"
+        raise PublishError(f"{what}; set OHMSKIN_BOARDS to another one") from error
+    if hasattr(os, "getuid") and (not S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077):
+        private = f"{folder} must be a folder that only you may use (chmod 700)"
+        raise PublishError(f"{private}; remove it, or set OHMSKIN_BOARDS")
     return folder
 
 
@@ -61,7 +65,8 @@ def check_name(name: str) -> None:
         PublishError: If it is none.
     """
     if not _NAME.fullmatch(name):
-        raise PublishError(f"{name!r} cannot name what a skin publishes; use letters, digits and '_', 32 at most, a letter first")
+        rule = "letters, digits and '_', 32 at most, a letter first"
+        raise PublishError(f"{name!r} cannot name what a skin publishes; use {rule}")
 
 
 def board_path(name: str) -> Path:
@@ -74,7 +79,7 @@ def board_path(name: str) -> Path:
     return board_folder() / name
 
 
-class Board:
+class Board(Closing):
     """The writer's side.
 
     Args:
@@ -83,7 +88,7 @@ class Board:
         largest: Bytes of the largest message.
 
     Raises:
-        PublishError: If another program writes this board now, the name or the sizes cannot be used, or there is no room.
+        PublishError: If another program writes this board now, name or sizes cannot be used, or there is no room.
     """
 
     def __init__(self, name: str, setup: Mapping[str, Any], largest: int) -> None:
@@ -96,7 +101,7 @@ class Board:
             raise PublishError(f"board {name!r} would take {size} bytes; {LARGEST_BOARD} is the most")
         self._path = path
         self._lock: int | None = _lock(path, name)
-        # Made beside and then renamed, so that a reader of the board of before keeps what it has and nobody sees half a board.
+        # Made beside and then renamed, so that readers keep the board of before and nobody sees half a board.
         fresh = path.with_name(f".{name}-{os.getpid()}")
         try:
             self._memory = _new_memory(fresh, size)
@@ -105,9 +110,11 @@ class Board:
             os.close(self._lock)
             self._lock = None
             raise PublishError(
-                f"cannot make the board {path}: {error.strerror}; make room there, or set OHMSKIN_BOARDS to another folder"
+                f"cannot make the board {path}: {error.strerror}; make room there, or set OHMSKIN_BOARDS to another "
+                "folder"
             ) from error
-        self._words = memoryview(self._memory)[:_HEAD_BYTES].cast("Q")  # a word is stored in one go, other than by `pack_into`
+        # a word is stored in one go, other than by `pack_into`
+        self._words = memoryview(self._memory)[:_HEAD_BYTES].cast("Q")
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
         self.boot = int.from_bytes(os.urandom(8), "little") or 1
         values = (MAGIC, slots_at, _SLOTS, slot_bytes, self.boot, 0, 0, len(text))
@@ -143,14 +150,8 @@ class Board:
         os.close(self._lock)
         self._lock = None
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class BoardReader:
+class BoardReader(Closing):
     """A reader's side. The board need not be there yet, and may be taken away and come again.
 
     Attributes:
@@ -213,12 +214,6 @@ class BoardReader:
             self._words = self._memory = None
         self._identity = (0, 0)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _open(self) -> None:
         """Take the board that has the name now, if it is another one than before."""
         try:
@@ -239,7 +234,9 @@ class BoardReader:
         words = memoryview(memory)[:_HEAD_BYTES].cast("Q")
         _, slots_at, n_slots, slot_bytes, _, _, _, setup_bytes = words
         fits = (
-            _HEAD_BYTES + setup_bytes <= slots_at and slot_bytes > _SLOT.size and slots_at + n_slots * slot_bytes == found.st_size
+            _HEAD_BYTES + setup_bytes <= slots_at
+            and slot_bytes > _SLOT.size
+            and slots_at + n_slots * slot_bytes == found.st_size
         )
         try:
             if words[_MAGIC] != MAGIC or n_slots != _SLOTS or not fits:
@@ -250,7 +247,7 @@ class BoardReader:
         except (ValueError, RecursionError) as error:
             words.release()
             memory.close()
-            raise PublishError(f"{self._path} is no board of this version of ohmskin ({error}); start its writer anew") from error
+            raise PublishError(f"{self._path} is no board of this ohmskin ({error}); start its writer anew") from error
         self.close()
         self._memory, self._words, self.setup = memory, words, setup
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
@@ -258,7 +255,10 @@ class BoardReader:
 
 
 def _new_memory(path: Path, size: int) -> mmap.mmap:
-    """A new file of so many bytes, mapped. They are taken now: one that is not to be had later would kill who writes to it."""
+    """A new file of so many bytes, mapped.
+
+    They are taken now: one that is not to be had later would kill who writes to it.
+    """
     path.unlink(missing_ok=True)
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
     try:
@@ -282,5 +282,5 @@ def _lock(path: Path, name: str) -> int:
         pass
     except OSError as error:
         os.close(file)
-        raise PublishError(f"another skin publishes as {name!r} on this machine; choose another name with --name") from error
+        raise PublishError(f"another skin publishes as {name!r} here; choose another name with --name") from error
     return file

@@ -1,15 +1,12 @@
 """The client: the newest contacts for a control loop in another process."""
 
 import re
-import time
-from importlib import import_module
-from typing import Protocol, Self
+from typing import Protocol
 
-from ohmskin.client.board import BoardReader
-from ohmskin.client.felt import Felt, Patch, patches_from, unpack
+from ohmskin.client.felt import Felt, SharedMemory
+from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 
-_NAP = 0.0003  # seconds between looks while waiting; a look costs some microseconds
 _ADDRESS = re.compile(r"(shm|zenoh):([A-Za-z0-9_.]*)(?:@(.+))?")
 
 
@@ -21,8 +18,8 @@ class _Source(Protocol):
     def close(self) -> None: ...
 
 
-class Client:
-    """What a skin feels, from another process. Neither side ever waits for the other, and either may start, end and come again.
+class Client(Closing):
+    """What a skin feels, from another process. Neither side waits for the other; either may start, end and come again.
 
     Args:
         address: ``shm:NAME`` on the same machine, or ``zenoh:NAME@tcp/HOST:PORT`` (extra `zenoh`); the name is what
@@ -41,13 +38,17 @@ class Client:
         self._last: Felt | None = None
         self._source: _Source
         if kind == "shm":
-            self._source = _Shared(name)
+            self._source = SharedMemory(name)
         else:
-            # By name, because it stands on the rest of ohmskin, which this package does not.
-            self._source = import_module("ohmskin.publish.far").Far(name, where or "tcp/127.0.0.1:7447", token)
+            from ohmskin.client.remote import Subscriber  # only here: shared memory needs none of it
+
+            self._source = Subscriber(name, where or "tcp/127.0.0.1:7447", token)
 
     def newest(self) -> Felt | None:
-        """The newest that was felt, new or seen before; None before there is anything. Never waits: look at its `age`."""
+        """The newest that was felt, new or seen before; None before there is anything.
+
+        Never waits: look at its `age`.
+        """
         self._last = self._source.newest() or self._last
         return self._last
 
@@ -60,36 +61,3 @@ class Client:
     def close(self) -> None:
         """Let go. Safe twice."""
         self._source.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class _Shared:
-    """Through shared memory."""
-
-    def __init__(self, name: str) -> None:
-        self._board = BoardReader(name)
-        self._boot = 0
-        self._patches: tuple[Patch, ...] = ()
-
-    def newest(self) -> Felt | None:
-        if (record := self._board.newest()) is None:
-            return None
-        if self._board.boot != self._boot:
-            self._boot, self._patches = self._board.boot, patches_from(self._board.setup)
-        return unpack(record, self._patches, self._boot)
-
-    def wait(self, timeout: float) -> Felt | None:
-        end = time.monotonic() + timeout
-        while time.monotonic() < end:
-            time.sleep(_NAP)
-            if (fresh := self.newest()) is not None:
-                return fresh
-        return None
-
-    def close(self) -> None:
-        self._board.close()

@@ -1,19 +1,23 @@
-"""What is felt: contacts in the robot's frames, and their record on a board (docs/guide/publishing.md, for other languages)."""
+"""What is felt: contacts in the robot's frames, and their record on a board (docs/guide/publishing.md)."""
 
 import struct
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, nan, sqrt
 from typing import Any
 
+from ohmskin.client.board import BoardReader
+from ohmskin.client.fields import attributes, components, numbers
 from ohmskin.errors import PublishError
 
 MOST_CONTACTS, MOST_PATCHES = 256, 64
+_NAP = 0.0003  # seconds between looks while waiting; a look costs some microseconds
 
 _HEAD = struct.Struct("<QdqII")
 _PATCH = struct.Struct("<Qdq16s")
-_CONTACT = struct.Struct("<iI11d")
+_COMPONENTS = components(3)
+_CONTACT = struct.Struct(f"<Ii{len(_COMPONENTS) - 1}d")
 LARGEST = _HEAD.size + MOST_PATCHES * _PATCH.size + MOST_CONTACTS * _CONTACT.size
 """Bytes of the largest record."""
 
@@ -36,9 +40,36 @@ class Patch:
 
     def place(self, x: float, y: float) -> tuple[float, float, float]:
         """A place on the sheet (m) in the frame."""
+        (px, py, pz), (tx, ty, tz) = self.position, self.turn(x, y)
+        return px + tx, py + ty, pz + tz
+
+    def turn(self, x: float, y: float) -> tuple[float, float, float]:
+        """A vector along the sheet in the frame."""
         (ax, ay, az), (bx, by, bz), _ = self.axes
-        px, py, pz = self.position
-        return (px + x * ax + y * bx, py + x * ay + y * by, pz + x * az + y * bz)
+        return x * ax + y * bx, x * ay + y * by, x * az + y * bz
+
+    def contact(self, contact: Any) -> "Contact":
+        """A contact on the sheet (`ohmskin.contacts.Contact`) in the frame."""
+        velocity, flat = contact.velocity, contact.covariance
+        covariance = None
+        if flat is not None:
+            (xx, xy), (_, yy) = flat
+            u, v, _ = self.axes
+            covariance = tuple(
+                tuple(xx * (u[i] * u[j]) + yy * (v[i] * v[j]) + xy * (u[i] * v[j] + u[j] * v[i]) for j in range(3))
+                for i in range(3)
+            )
+        return Contact(
+            id=contact.id,
+            patch=self.name,
+            frame=self.frame,
+            position=self.place(*contact.position),
+            normal=self.normal,
+            **{name: float(getattr(contact, name)) for name in ("extent", "strength", "confidence", "peak")},
+            radius=contact.radius,
+            velocity=None if velocity is None else self.turn(*velocity),
+            covariance=covariance,
+        )
 
     def flat(self, place: Sequence[float]) -> tuple[float, float]:
         """Where on the sheet a place in the frame is; the inverse of `place`."""
@@ -66,7 +97,9 @@ class Contact:
         strength: Integral of the relative conductivity change over the extent (m2); not a force, but grows with it.
         confidence: Probability that it is one (0 to 1).
         peak: Largest relative conductivity change.
-        spread: Standard deviation of the position in its worst direction (m); NaN where the mode does not tell.
+        radius: Of the disc that explains the data best (m); None where the mode does not tell.
+        velocity: In the frame (m/s); None likewise.
+        covariance: Of the position (3, 3) in the frame (m2); None likewise.
     """
 
     id: int
@@ -78,7 +111,19 @@ class Contact:
     strength: float
     confidence: float
     peak: float
-    spread: float = float("nan")
+    radius: float | None = None
+    velocity: tuple[float, float, float] | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the position in its worst direction on the skin (m); NaN if it is not known."""
+        if self.covariance is None:
+            return nan
+        # two eigenvalues are not zero: their sum is the trace, the sum of their squares that of all entries
+        trace = sum(self.covariance[i][i] for i in range(3))
+        squares = sum(entry * entry for row in self.covariance for entry in row)
+        return sqrt(trace / 2 + sqrt(max(0.0, 2 * squares - trace * trace)) / 2)
 
 
 @dataclass(frozen=True)
@@ -141,15 +186,13 @@ def felt(sequence: int, patches: Sequence[Sighting], contacts: Sequence[Contact]
 
 def pack(felt: Felt, patches: Sequence[Patch]) -> bytes:
     """The record of `felt` on a board whose setup tells of `patches`; the strongest `MOST_CONTACTS` contacts of it."""
-    numbers = {patch.name: number for number, patch in enumerate(patches)}
+    places = {patch.name: number for number, patch in enumerate(patches)}
     contacts = felt.contacts
     if len(contacts) > MOST_CONTACTS:
         contacts = tuple(sorted(contacts, key=lambda contact: -abs(contact.peak))[:MOST_CONTACTS])
     parts = [_HEAD.pack(felt.sequence, felt.time, felt.stamp, len(felt.patches), len(contacts))]
     parts += [_PATCH.pack(s.sequence, s.time, s.stamp, s.mode.encode()[:16]) for s in felt.patches]
-    for c in contacts:
-        figures = (c.extent, c.strength, c.confidence, c.peak, c.spread)
-        parts.append(_CONTACT.pack(c.id, numbers[c.patch], *c.position, *c.normal, *figures))
+    parts += [_CONTACT.pack(places[c.patch], *numbers(c, 3)) for c in contacts]
     return b"".join(parts)
 
 
@@ -161,20 +204,26 @@ def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Felt:
     """
     try:
         sequence, at, stamp, n_patches, n_contacts = _HEAD.unpack_from(record)
-        if n_patches != len(patches) or len(record) != _HEAD.size + n_patches * _PATCH.size + n_contacts * _CONTACT.size:
+        if (
+            n_patches != len(patches)
+            or len(record) != _HEAD.size + n_patches * _PATCH.size + n_contacts * _CONTACT.size
+        ):
             raise PublishError(f"a record of {len(record)} bytes says {n_patches} patches and {n_contacts} contacts")
         middle = _HEAD.size + n_patches * _PATCH.size
+        rows = zip(patches, _PATCH.iter_unpack(record[_HEAD.size : middle]), strict=True)
         sightings = [
             Sighting(patch.name, patch.frame, number, seen, when, mode.rstrip(b"\0").decode(errors="replace"))
-            for patch, (number, seen, when, mode) in zip(patches, _PATCH.iter_unpack(record[_HEAD.size : middle]), strict=True)
+            for patch, (number, seen, when, mode) in rows
         ]
-        contacts = []
-        for number, which, x, y, z, nx, ny, nz, *figures in _CONTACT.iter_unpack(record[middle:]):
-            patch = patches[which]
-            contacts.append(Contact(number, patch.name, patch.frame, (x, y, z), (nx, ny, nz), *figures))
+        contacts = tuple(contact_from(patches[which], own) for which, *own in _CONTACT.iter_unpack(record[middle:]))
     except (struct.error, IndexError) as error:
         raise PublishError(f"a record of {len(record)} bytes cannot be read: {error}") from error
-    return Felt(sequence, at, stamp, tuple(sightings), tuple(contacts), boot)
+    return Felt(sequence, at, stamp, tuple(sightings), contacts, boot)
+
+
+def contact_from(patch: Patch, own: Sequence[float]) -> Contact:
+    """A contact of a patch, from its numbers in the order of `fields.components(3)`."""
+    return Contact(patch=patch.name, frame=patch.frame, **attributes(dict(zip(_COMPONENTS, own, strict=True)), 3))
 
 
 def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
@@ -189,6 +238,43 @@ def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
             for p in setup["patches"]
         )
     except (KeyError, TypeError) as error:
-        raise PublishError(
-            f"the setup of a board does not tell its patches ({error!r}); is its writer of another version?"
-        ) from error
+        what = f"the setup of a board does not tell its patches ({error!r})"
+        raise PublishError(f"{what}; is its writer of another version?") from error
+
+
+class SharedMemory:
+    """What is felt, from the board of that name.
+
+    Attributes:
+        patches: The patches that the board tells of; empty before there is one.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._board = BoardReader(name)
+        self._boot = 0
+        self.patches: tuple[Patch, ...] = ()
+
+    def newest(self) -> Felt | None:
+        """The newest that was not given before; None if there is none. Never waits.
+
+        Raises:
+            PublishError: If the board is of another version.
+        """
+        if (record := self._board.newest()) is None:
+            return None
+        if self._board.boot != self._boot:
+            self._boot, self.patches = self._board.boot, patches_from(self._board.setup)
+        return unpack(record, self.patches, self._boot)
+
+    def wait(self, timeout: float) -> Felt | None:
+        """The next that was not given before; None if nothing comes within `timeout` seconds."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            time.sleep(_NAP)
+            if (fresh := self.newest()) is not None:
+                return fresh
+        return None
+
+    def close(self) -> None:
+        """Let go of the board. Safe twice."""
+        self._board.close()

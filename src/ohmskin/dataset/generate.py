@@ -40,11 +40,11 @@ def generate(
     scheduler: str = "",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
-    """Write `count` samples of a recipe to a Zarr group (format 3). What is there already is kept: a run that was stopped goes on.
+    """Write `count` samples of a recipe to a Zarr group (format 3). What is there already stays: a stopped run goes on.
 
     Args:
-        path: Folder of the store. If it is a data set of the same recipe, samples that are missing are added, also to make it
-            larger; it is never made smaller.
+        path: Folder of the store. If it is a data set of the same recipe, samples that are missing are added, also to
+            make it larger; it is never made smaller.
         recipe: What to make.
         count: Samples wanted.
         jobs: Processes; one per core unless given.
@@ -55,7 +55,7 @@ def generate(
         How many samples were made now.
 
     Raises:
-        DataError: If `path` is something else, was made by another recipe, or cannot be written, or Zarr is not installed.
+        DataError: If `path` is something else, of another recipe, or cannot be written, or Zarr is missing.
         OhmskinError: If the cluster cannot be used.
     """
     if not 1 <= count <= 10**10:
@@ -93,9 +93,8 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
         except (OSError, ValueError, KeyError) as error:
             raise DataError(f"{path} is there already and is not a data set; give another folder ({error})") from error
         if found != described:
-            raise DataError(
-                f"{path} was made by another recipe: {_unlike(found, described)}; give another folder, or the same recipe"
-            )
+            unlike = _unlike(found, described)
+            raise DataError(f"{path} was made by another recipe: {unlike}; give another folder, or the same recipe")
         for name, most in {**dict.fromkeys(recipe.arrays(), count), "done": -(-count // CHUNK)}.items():
             if most > group[name].shape[0]:  # each for itself: a run may have been stopped between two of them
                 group[name].resize((most, *group[name].shape[1:]))
@@ -103,7 +102,8 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
     quiet = recipe.quiet()  # what takes time comes first: a group without its attributes would not be taken for ours
     group = zarr.open_group(str(path), mode="w", zarr_format=3)
     for name, (shape, kind, fill, meaning) in recipe.arrays().items():
-        array = group.create_array(name, shape=(count, *shape), dtype=kind, chunks=(CHUNK, *shape), fill_value=kind(fill))
+        shapes = {"shape": (count, *shape), "chunks": (CHUNK, *shape)}
+        array = group.create_array(name, dtype=kind, fill_value=kind(fill), **shapes)
         array.attrs["meaning"] = meaning
     pattern = recipe.drive_pattern
     for name, values, meaning in (

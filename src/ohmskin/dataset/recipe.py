@@ -5,10 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.geometry import Raster
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, all_pairs, measure_others
+from ohmskin.sensing import drive_of, modes
 from ohmskin.skin import Press, Skin, VirtualSkin
 
 COMPLETE = "complete"
@@ -19,13 +20,13 @@ _TRIES = 200  # places tried for a contact that must keep its distance
 class Recipe:
     """Everything that a data set depends on; equal recipes make equal data, whatever makes them.
 
-    Sample `i` draws all its numbers from the seed sequence (seed, i): how many contacts (evenly), and of each the place (evenly
-    over the sheet), the radius (evenly) and the pressure (evenly in its logarithm).
+    Sample `i` draws all its numbers from the seed sequence (seed, i): how many contacts (evenly), and of each the
+    place (evenly over the sheet), the radius (evenly) and the pressure (evenly in its logarithm).
 
     Args:
         skin: Description of the skin, as TOML text.
-        pattern: What is driven: a mode of the skin (its base scan), or ``complete``, all electrode pairs, of which every other
-            pattern is a part.
+        pattern: What is driven: a mode of the skin (its base scan), or ``complete``, all electrode pairs, of which
+            every other pattern is a part.
         contacts: Least and largest number of contacts.
         radius: Least and largest radius of a contact (m).
         pressure: Least and largest pressure (Pa).
@@ -49,7 +50,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         skin = Skin.parse(self.skin)
-        if self.pattern not in (choices := [COMPLETE, *skin.modes]):
+        if self.pattern not in (choices := [COMPLETE, *modes(skin)]):
             raise DataError(f"no pattern {self.pattern!r}; choose from {', '.join(choices)}")
         x0, y0, x1, y1 = skin.domain.bounds
         ranges = (
@@ -59,9 +60,8 @@ class Recipe:
         )
         for name, (low, high), least, most in ranges:
             if not least <= low <= high <= most:
-                raise DataError(
-                    f"{name} are {low:g} to {high:g}; the first must not exceed the second, within {least:g} to {most:g}"
-                )
+                allowed = f"the first must not exceed the second, within {least:g} to {most:g}"
+                raise DataError(f"{name} are {low:g} to {high:g}; {allowed}")
         if not 0 <= self.gap <= max(x1 - x0, y1 - y0):
             raise DataError(f"gap is {self.gap:g} m; it must be 0 to the length of the sheet")
         if not 2 <= self.pixels <= 1024:
@@ -76,7 +76,7 @@ class Recipe:
             index: Number of the sample, from 0.
         """
         random = np.random.default_rng([self.seed, index])
-        domain = _kitchen(self).skin.domain
+        domain = _simulator(self).skin.domain
         x0, y0, x1, y1 = domain.bounds
         placed: list[Press] = []
         for _ in range(random.integers(self.contacts[0], self.contacts[1], endpoint=True)):
@@ -94,64 +94,57 @@ class Recipe:
 
     def simulate(self, first: int, count: int) -> dict[str, np.ndarray]:
         """Samples `first` to `first + count - 1`, by array name; see `arrays`."""
-        kitchen = _kitchen(self)
+        simulator = _simulator(self)
         samples: dict[str, np.ndarray] = {
             name: np.full((count, *shape), fill, kind) for name, (shape, kind, fill, _) in self.arrays().items()
         }
         for row, index in enumerate(range(first, first + count)):
             presses = self.presses(index)
-            kitchen.twin.reset([self.seed, index, 1], presses)
-            frame = kitchen.twin.scan(kitchen.pattern)
+            simulator.twin.reset([self.seed, index, 1], presses)
+            frame = simulator.twin.scan(simulator.pattern)
             samples["voltages"][row], samples["currents"][row] = frame.voltages, frame.currents
             samples["count"][row] = len(presses)
             for k, press in enumerate(presses):
                 samples["contacts"][row, k] = *press.position, press.radius, press.pressure
-            samples["truth"][row] = kitchen.pressure(presses)
+            samples["truth"][row] = simulator.pressure(presses)
         return samples
 
     def quiet(self, count: int = 32) -> Floats:
         """Voltages (count, n_meas) of the untouched skin (V), with the noise of its instrument."""
-        kitchen = _kitchen(self)
-        kitchen.twin.reset([self.seed, 0, 2])
-        return np.array([kitchen.twin.scan(kitchen.pattern).voltages for _ in range(count)])
+        simulator = _simulator(self)
+        simulator.twin.reset([self.seed, 0, 2])
+        return np.array([simulator.twin.scan(simulator.pattern).voltages for _ in range(count)])
 
     @property
     def drive_pattern(self) -> DrivePattern:
         """What is driven in every sample."""
-        return _kitchen(self).pattern
+        return _simulator(self).pattern
 
     def arrays(self) -> dict[str, tuple[tuple[int, ...], type, float, str]]:
         """Shape of a sample, type, fill value and meaning of each array."""
-        kitchen = _kitchen(self)
-        ny, nx = kitchen.raster.inside.shape
+        simulator = _simulator(self)
+        ny, nx = simulator.raster.inside.shape
+        n_meas, n_inj, most = simulator.pattern.n_meas, simulator.pattern.n_inj, max(1, self.contacts[1])
         return {
-            "voltages": (
-                (kitchen.pattern.n_meas,),
-                np.float32,
-                np.nan,
-                "V, in the order of pattern_measurements; infinite if clipped",
-            ),
-            "currents": ((kitchen.pattern.n_inj,), np.float32, np.nan, "A, measured, in the order of pattern_injections"),
-            "contacts": (
-                (max(1, self.contacts[1]), 4),
-                np.float32,
-                np.nan,
-                "x (m), y (m), radius (m), pressure (Pa); NaN beyond count",
-            ),
+            "voltages": ((n_meas,), np.float32, np.nan, "V, in the order of pattern_measurements; infinite if clipped"),
+            "currents": ((n_inj,), np.float32, np.nan, "A, measured, in the order of pattern_injections"),
+            "contacts": ((most, 4), np.float32, np.nan, "x (m), y (m), radius (m), pressure (Pa); NaN beyond count"),
             "count": ((), np.uint8, 0, "number of contacts"),
             "truth": ((ny, nx), np.float32, 0.0, "Pa on pixels, row 0 at the smallest y; 0 off the sheet"),
         }
 
 
-class _Kitchen:
-    """What takes time to make and all samples of a recipe share."""
+class _Simulator:
+    """The twin that simulates a recipe's samples; it takes time to make, and all samples share it."""
 
     def __init__(self, recipe: Recipe) -> None:
         self.skin = Skin.parse(recipe.skin)
         self.twin = VirtualSkin(self.skin)
         n_elec = len(self.skin.electrodes)
         self.pattern = (
-            measure_others(all_pairs(n_elec), range(n_elec)) if recipe.pattern == COMPLETE else self.skin.modes[recipe.pattern].base
+            measure_others(all_pairs(n_elec), range(n_elec))
+            if recipe.pattern == COMPLETE
+            else drive_of(modes(self.skin)[recipe.pattern], self.skin).next((), 0)
         )
         self.raster = Raster(self.twin.sheet.mesh, recipe.pixels)
         self._centres = np.stack(np.meshgrid(self.raster.x, self.raster.y), axis=-1)
@@ -164,5 +157,5 @@ class _Kitchen:
 
 
 @lru_cache(maxsize=2)
-def _kitchen(recipe: Recipe) -> _Kitchen:
-    return _Kitchen(recipe)
+def _simulator(recipe: Recipe) -> _Simulator:
+    return _Simulator(recipe)

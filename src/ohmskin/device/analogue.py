@@ -1,8 +1,9 @@
 """The analogue side of the emulated firmware: multiplexers, source and converter as the physics twin would have them.
 
-The firmware in QEMU has no analogue pins; its second UART stands for them. Each packet is COBS(kind, tag, payload) and a zero
-byte; a reply has the request's tag and 0x80 more in its kind. The line is a pipe of the emulator and loses nothing, so there is
-no checksum; a firmware that was reset in mid-packet begins with a zero byte, and by the tags knows replies that came too late.
+The firmware in QEMU has no analogue pins; its second UART stands for them. Each packet is COBS(kind, tag, payload) and
+a zero byte; a reply has the request's tag and 0x80 more in its kind. The line is a pipe of the emulator and loses
+nothing, so there is no checksum; a firmware that was reset in mid-packet begins with a zero byte, and by the tags
+knows replies that came too late.
 """
 
 import os
@@ -15,13 +16,12 @@ from typing import Any
 import numpy as np
 from cobs import cobs
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.device.capabilities import Feature
 from ohmskin.device.layout import LAYOUTS as PROTOCOL
 from ohmskin.device.layout import Kind as ProtocolKind
 from ohmskin.device.layout import Layout
 from ohmskin.errors import ProtocolError, SkinError
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 from ohmskin.skin import Skin, VirtualSkin
 
 REPLY = 0x80
@@ -44,8 +44,9 @@ LAYOUTS = {
     Kind.DESCRIBE: (
         Layout(""),
         Layout(
-            "serial:u32 boot:u32 features:u32 excitation:f32 full_scale:f32 settle_time:f32 conversion_time:f32 volts_per_code:f32 "
-            "amperes_per_code:f32 volts_zero:u16 amperes_zero:u16 code_max:u16 averages:u16 electrodes:u16 name:text<=32"
+            "serial:u32 boot:u32 features:u32 excitation:f32 full_scale:f32 settle_time:f32 conversion_time:f32 "
+            "volts_per_code:f32 amperes_per_code:f32 volts_zero:u16 amperes_zero:u16 code_max:u16 averages:u16 "
+            "electrodes:u16 name:text<=32"
         ),
     ),
     Kind.SAMPLE: (
@@ -75,7 +76,7 @@ class AnalogueSide:
         if skin.converter.bits > 16:
             raise SkinError(f"converter.bits is {skin.converter.bits}; the emulated board's codes have at most 16")
         if len(skin.electrodes) > 256:
-            raise SkinError(f"skin {skin.name!r} has {len(skin.electrodes)} electrodes; the emulated board has at most 256")
+            raise SkinError(f"skin {skin.name!r} has {len(skin.electrodes)} electrodes; the emulated board takes 256")
         if not 1 <= averages <= 65535:
             raise SkinError(f"averages is {averages}; it must be 1..65535")
         self.skin = skin
@@ -92,7 +93,7 @@ class AnalogueSide:
         """Put, move or lift a touch; metres and pascals.
 
         Raises:
-            SkinError: If the place is off the sheet, or radius or pressure are out of range, or too many touches are down.
+            SkinError: If the place is off the sheet, radius or pressure out of range, or too many touches down.
         """
         with self._lock:
             down = self._virtual.presses

@@ -1,8 +1,10 @@
 """What a device says about itself."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,6 +19,13 @@ class Feature(IntFlag):
     VIRTUAL = 1  # simulated: touches can be put on it with `press`
     CURRENT_MEASURED = 2  # the currents of a frame are measured, not nominal
     VOLTAGE_SOURCE = 4  # it drives volts; otherwise amperes
+
+
+_RECORDED: dict[str, Any] = {
+    "name": str,
+    **dict.fromkeys(("n_electrodes", "max_injections", "max_measurements", "features", "serial"), int),
+    **dict.fromkeys(("excitation", "full_scale", "settle_time", "conversion_time"), float),
+}
 
 
 @dataclass(frozen=True)
@@ -59,13 +68,9 @@ class Capabilities:
     def __post_init__(self) -> None:
         if len(self.name.encode()) > 32:
             raise ProtocolError(f"device name {self.name!r} has {len(self.name.encode())} bytes; at most 32")
-        counts = (
-            ("n_electrodes", 2, 65535),
-            ("max_injections", 1, 65535),
-            ("max_measurements", 1, 65535),
-            ("pattern_slots", 1, 255),
-        )
-        for name, low, high in counts:
+        most = {"n_electrodes": 65535, "max_injections": 65535, "max_measurements": 65535, "pattern_slots": 255}
+        for name, high in most.items():
+            low = 2 if name == "n_electrodes" else 1
             if not low <= (count := getattr(self, name)) <= high:
                 raise ProtocolError(f"{name} is {count}; it must be {low}..{high}")
         for name in ("excitation", "full_scale", "settle_time", "conversion_time"):
@@ -73,7 +78,22 @@ class Capabilities:
                 raise ProtocolError(f"{name} is {value}; it must be finite and not negative")
         largest = 4 * self.max_injections + 6 * self.max_measurements
         if largest > MAX_PACKET - 512:  # leaves room for header, checksum and byte stuffing
-            raise ProtocolError(f"max_injections and max_measurements make {largest} bytes; one packet holds {MAX_PACKET - 512}")
+            size = f"max_injections and max_measurements make {largest} bytes"
+            raise ProtocolError(f"{size}; one packet holds {MAX_PACKET - 512}")
+
+    def as_texts(self) -> dict[str, str]:
+        """What a recording keeps of them, by name."""
+        return {name: str(kind(getattr(self, name))) for name, kind in _RECORDED.items()}
+
+    @classmethod
+    def from_texts(cls, told: Mapping[str, str]) -> Self:
+        """The inverse of `as_texts`, for a replay, which cannot be pressed.
+
+        Raises:
+            KeyError, ValueError, OverflowError, ProtocolError: If something is missing or makes no sense.
+        """
+        values = {name: kind(told[name]) for name, kind in _RECORDED.items()}
+        return cls(**values | {"features": Feature(values["features"] & 7) & ~Feature.VIRTUAL})
 
     @property
     def virtual(self) -> bool:
@@ -94,7 +114,7 @@ class Capabilities:
         try:
             pattern.check(self.n_electrodes)
         except PatternError as error:
-            raise PatternError(f"{error} on device {self.name!r}; is this the skin the pattern was made for?") from error
+            raise PatternError(f"{error} on device {self.name!r}; was the pattern made for this skin?") from error
         if pattern.n_inj <= self.max_injections and pattern.n_meas <= self.max_measurements:
             return
         per_injection = int(np.bincount(pattern.measurements[:, 0]).max())

@@ -1,7 +1,8 @@
 """Does a device do what every device must? For those who write drivers and firmware.
 
-Each check is a function that raises `_Failed` with what it saw, or `_Skipped` with why it does not apply; a device that is lost or
-raises something else in a check fails it. They take some seconds; nothing should touch the skin meanwhile.
+Each check is a function that raises `_Failed` with what it saw, or `_Skipped` with why it does not apply; a device
+that is lost or raises something else in a check fails it. They take some seconds; nothing should touch the skin
+meanwhile.
 """
 
 import math
@@ -43,11 +44,11 @@ class Check:
 
 
 class _Failed(Exception):
-    pass
+    """What was seen."""
 
 
 class _Skipped(Exception):
-    pass
+    """Why a check does not apply."""
 
 
 def check_device(device: Device, report: Callable[[Check], None] = lambda _: None) -> list[Check]:
@@ -127,13 +128,15 @@ def _capabilities(device: Device) -> None:
     if Feature.VOLTAGE_SOURCE in able.features:
         _need(Feature.CURRENT_MEASURED in able.features, "a voltage source without measured currents cannot be used")
     longest = able.max_injections * able.settle_time + able.max_measurements * able.conversion_time
-    _need(longest < 600, f"the largest pattern would take {longest:.0f} s by settle_time and conversion_time; are they in seconds?")
+    words = f"the largest pattern would take {longest:.0f} s by settle_time and conversion_time; are they in seconds?"
+    _need(longest < 600, words)
 
 
 def _frames(device: Device) -> None:
     pattern = _pattern(device)
     frame = _scanned(device, pattern)
-    _need(frame.voltages.shape == (pattern.n_meas,), f"{frame.voltages.shape} voltages for {pattern.n_meas} measurements")
+    shape = frame.voltages.shape
+    _need(shape == (pattern.n_meas,), f"{shape} voltages for {pattern.n_meas} measurements")
     _need(np.isfinite(frame.currents).all(), f"currents are not finite: {frame.currents}")
     _need((frame.currents > 0).all(), f"currents are not positive: {frame.currents}; a current enters at the source")
     lost = ~np.isfinite(frame.voltages)
@@ -144,8 +147,8 @@ def _frames(device: Device) -> None:
     largest = float(np.abs(frame.voltages[~lost]).max())
     _need(largest > 0, "all voltages are exactly 0")
     if able.full_scale:
-        words = f"a voltage of {largest:.3g} V is beyond full_scale, {able.full_scale:.3g} V; say it clipped (infinite) instead"
-        _need(largest <= 1.01 * able.full_scale, words)
+        words = f"a voltage of {largest:.3g} V is beyond full_scale, {able.full_scale:.3g} V"
+        _need(largest <= 1.01 * able.full_scale, f"{words}; say it clipped (infinite) instead")
     if able.excitation and Feature.VOLTAGE_SOURCE not in able.features:
         ratio = float(np.median(frame.currents)) / able.excitation
         _need(0.2 < ratio < 5, f"currents are {ratio:.3g} times the excitation it states; are they in amperes?")
@@ -157,7 +160,8 @@ def _direction(device: Device) -> None:
     frame = _scanned(device, DrivePattern(pairs, np.column_stack([np.arange(len(pairs)), pairs])))
     if not np.isfinite(frame.voltages).any():
         raise _Skipped("no voltage at driven electrodes is known")
-    _need(np.nanmin(frame.voltages) > 0, f"V(source) - V(sink) is {frame.voltages} V; it must be positive: signs exchanged?")
+    words = f"V(source) - V(sink) is {frame.voltages} V; it must be positive: signs exchanged?"
+    _need(np.nanmin(frame.voltages) > 0, words)
 
 
 def _reciprocity(device: Device) -> None:
@@ -182,7 +186,8 @@ def _superposition(device: Device) -> None:
     _no_recording(device)
     if device.capabilities.n_electrodes < 5 or device.capabilities.max_injections < 3:
         raise _Skipped("needs five electrodes and three injections in a pattern")
-    frame = _scanned(device, DrivePattern(np.array([[0, 1], [1, 2], [0, 2]]), np.array([[0, 3, 4], [1, 3, 4], [2, 3, 4]])))
+    pattern = DrivePattern(np.array([[0, 1], [1, 2], [0, 2]]), np.array([[0, 3, 4], [1, 3, 4], [2, 3, 4]]))
+    frame = _scanned(device, pattern)
     ab, bc, ac = frame.voltages / frame.currents
     size = max(abs(ab), abs(bc), abs(ac))
     words = f"R(ab) + R(bc) is {ab + bc:.4g} ohm, R(ac) {ac:.4g} ohm: wrong currents, or not linear"
@@ -197,7 +202,8 @@ def _repeats(device: Device) -> None:
     volts = np.stack([frame.voltages for frame in frames])
     volts = volts[:, np.isfinite(volts).all(axis=0)]
     scatter = float(np.sqrt(np.mean(np.var(volts, axis=0)) / np.mean(volts**2)))
-    _need(scatter < _NOISY, f"repeated scans scatter by {100 * scatter:.2g} % of the signal; is the skin connected and untouched?")
+    words = f"repeated scans scatter by {100 * scatter:.2g} % of the signal; is the skin connected and untouched?"
+    _need(scatter < _NOISY, words)
 
 
 def _clock(device: Device) -> None:
@@ -207,7 +213,8 @@ def _clock(device: Device) -> None:
     _need(np.isfinite(times).all(), f"times are not finite: {times}")
     _need((np.diff(times) > 0).all(), f"times do not rise from frame to frame: {times[:4]}")
     _need((np.diff(numbers) > 0).all(), f"sequence numbers do not rise from frame to frame: {numbers[:4]}")
-    _need(times[-1] - times[0] < 600, f"{_SCANS} scans took {times[-1] - times[0]:.3g} s on the device's clock; is it in seconds?")
+    taken = times[-1] - times[0]
+    _need(taken < 600, f"{_SCANS} scans took {taken:.3g} s on the device's clock; is it in seconds?")
 
 
 def _validation(device: Device) -> None:
@@ -307,7 +314,8 @@ def _same(frame: Frame, before: Frame, when: str) -> None:
     known = np.isfinite(frame.voltages) & np.isfinite(before.voltages)
     size = float(np.sqrt(np.mean(before.voltages[known] ** 2)))
     off = float(np.sqrt(np.mean((frame.voltages - before.voltages)[known] ** 2)))
-    _need(off < 5 * _NOISY * size, f"{when}, voltages are off by {100 * off / size:.2g} % from the first scan of their pattern")
+    words = f"{when}, voltages are off by {100 * off / size:.2g} % from the first scan of their pattern"
+    _need(off < 5 * _NOISY * size, words)
 
 
 def _closing(device: Device) -> None:

@@ -1,7 +1,7 @@
 """A multiplexer board and a separate data acquisition card as one device: the paper's arrangement (section IV-B).
 
-The board connects a source and a sink electrode to the excitation; the card digitises all electrodes at once, and the voltage
-over a shunt in the sink's path. Fill two small protocols for your own parts; `MuxDaqDevice` does the rest.
+The board connects a source and a sink electrode to the excitation; the card digitises all electrodes at once, and the
+voltage over a shunt in the sink's path. Fill two small protocols for your own parts; `MuxDaqDevice` does the rest.
 """
 
 import time
@@ -10,11 +10,11 @@ from typing import Protocol
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
 from ohmskin.device.press import Press
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, Frame, FrameFlag
 
 
@@ -90,7 +90,8 @@ class MuxDaqDevice(Device):
             features=Feature.VOLTAGE_SOURCE | Feature.CURRENT_MEASURED,
             excitation=excitation,
             full_scale=full_scale,
-            settle_time=settle + averages * conversion,  # all electrodes at once: it does not grow with the voltages asked for
+            # all electrodes at once: it does not grow with the voltages asked for
+            settle_time=settle + averages * conversion,
         )
         super().__init__(url, able)
         self._mux, self._daq, self._shunt, self._settle, self._averages = mux, daq, shunt, settle, averages
@@ -129,7 +130,7 @@ class MuxDaqDevice(Device):
         samples = [self._daq.sample() for _ in range(self._averages)]
         potentials = np.stack([np.asarray(values, float) for values, _ in samples])
         if potentials.shape[1:] != (self.capabilities.n_electrodes,):
-            raise DeviceError(f"{self.url}: the card gave {potentials.shape[1:]} values; it needs one for each electrode")
+            raise DeviceError(f"{self.url}: the card gave {potentials.shape[1:]} values; need one for each electrode")
         limit = self.capabilities.full_scale
         worst = potentials[np.argmax(np.abs(potentials), axis=0), np.arange(potentials.shape[1])]
         mean = np.where(np.abs(worst) >= limit, worst, potentials.mean(axis=0))

@@ -1,18 +1,18 @@
 """What every device can do, whatever carries it."""
 
 import threading
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from types import TracebackType
-from typing import Self, final
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import final
 
+from ohmskin.closing import Closing
 from ohmskin.device.capabilities import Capabilities
 from ohmskin.device.press import Press
 from ohmskin.errors import DeviceError, DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
 
 
-class Device(ABC):
+class Device(Closing):
     """A skin that can be scanned. Safe to use from several threads; a context manager.
 
     A driver fills `_scan`, `_press` and `_close`; limits, timeout and locking are settled here.
@@ -24,12 +24,14 @@ class Device(ABC):
 
     reference: Sequence[Frame] = ()  # quiet frames that come with it, so that nobody need wait for new ones
     default_skin: str = "paper"  # the skin it most probably has
+    default_mode: str = ""  # the mode that a recording begins in
 
     def __init__(self, url: str, capabilities: Capabilities) -> None:
         self.url = url
         self.capabilities = capabilities
         self._lock = threading.Lock()
         self._closed = False
+        self._listeners: list[Callable[[Frame], None]] = []
 
     @property
     def dropped(self) -> int:
@@ -56,7 +58,15 @@ class Device(ABC):
         with self._lock:
             self._check_open()
             self.capabilities.check(pattern)
-            return self._scan(pattern, limit)
+            frame = self._scan(pattern, limit)
+            for hand in self._listeners:
+                hand(frame)
+            return frame
+
+    @final
+    def listen(self, hand: Callable[[Frame], None]) -> None:
+        """Have every frame handed on as soon as it is there, from the thread that scanned; `hand` must not wait."""
+        self._listeners.append(hand)
 
     @final
     def press(self, number: int, at: tuple[float, float], radius: float, pressure: float) -> None:
@@ -87,14 +97,6 @@ class Device(ABC):
             if not self._closed:
                 self._closed = True
                 self._close()
-
-    @final
-    def __enter__(self) -> Self:
-        return self
-
-    @final
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
 
     def _check_open(self) -> None:
         if self._closed:

@@ -7,9 +7,9 @@ import subprocess
 import threading
 import time
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from ohmskin.child import Child
+from ohmskin.closing import Closing
 from ohmskin.device.analogue import AnalogueSide
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.server import DeviceServer, listen
@@ -19,10 +19,11 @@ from ohmskin.skin import Skin
 
 _EMULATOR, _MACHINE = "qemu-system-arm", "stm32vldiscovery"
 _START = 20.0  # s, on a computer busy with other things
+_STOP = 5.0  # s
 _POLL = 0.05  # s
 _BUILT = Path(__file__).parents[3] / "firmware" / "build" / "ohmskin-qemu.elf"
 
-# The shell ends the emulator as soon as its standard input closes, which it does however we end; and itself when the emulator ends.
+# The shell ends the emulator as soon as its standard input closes, however we end; and itself when the emulator does.
 _LIFELINE = """
 exec 3<&0
 "$@" </dev/null 3<&- & board=$!
@@ -32,11 +33,11 @@ kill $reader
 """
 
 
-class EmulatedBoard:
+class EmulatedBoard(Closing):
     """A board made of the real firmware and a made-up skin.
 
-    A host has the board to itself, as it would have a serial port: a second one waits until the first has gone. Touches that
-    come from elsewhere (`ohmskin press` beside `ohmskin live`) go to `press_url`, straight to the twin.
+    A host has the board to itself, as it would have a serial port: a second one waits until the first has gone.
+    Touches that come from elsewhere (`ohmskin press` beside `ohmskin live`) go to `press_url`, straight to the twin.
 
     Args:
         skin: What its electrodes are connected to.
@@ -65,16 +66,16 @@ class EmulatedBoard:
     ) -> None:
         self._command = [_emulator(), "-machine", _MACHINE, "-display", "none", "-kernel", str(_image(image))]
         self._analogue = AnalogueSide(skin, seed, averages)
-        self._door = DeviceServer(_Door(self._analogue), host, press_port)
-        self.press_url = self._door.url
+        self._press_server = DeviceServer(_PressOnly(self._analogue), host, press_port)
+        self.press_url = self._press_server.url
         try:
             with listen(host, port) as listener:
                 self.url = f"tcp://{host}:{listener.getsockname()[1]}"
                 self._start(listener)
         except BaseException:
-            self._door.close()
+            self._press_server.close()
             raise
-        self._door.start()
+        self._press_server.start()
         try:
             self._await_firmware()
         except BaseException:
@@ -87,19 +88,19 @@ class EmulatedBoard:
         with analogue_end, monitor_end:
             ends = (listener, analogue_end, monitor_end)
             self._command += [
-                *("-chardev", f"socket,id=host,fd={listener.fileno()},server=on,wait=off,nodelay=on", "-serial", "chardev:host"),
-                *("-chardev", f"socket,id=analogue,fd={analogue_end.fileno()}", "-serial", "chardev:analogue"),
-                *("-chardev", f"socket,id=monitor,fd={monitor_end.fileno()}", "-monitor", "chardev:monitor"),
+                *("-chardev", f"socket,id=host,fd={listener.fileno()},server=on,wait=off,nodelay=on"),
+                *("-chardev", f"socket,id=analogue,fd={analogue_end.fileno()}"),
+                *("-chardev", f"socket,id=monitor,fd={monitor_end.fileno()}"),
+                *("-serial", "chardev:host", "-serial", "chardev:analogue", "-monitor", "chardev:monitor"),
             ]
-            self._process = subprocess.Popen(
+            self._child = Child(
                 ["sh", "-c", _LIFELINE, "lifeline", *self._command],
-                stdin=subprocess.PIPE,
+                "the emulator",
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 pass_fds=[end.fileno() for end in ends],
-                start_new_session=True,  # Ctrl-C is ours to handle
             )
-        self._thread = threading.Thread(target=self._analogue.serve, args=(self._line,), daemon=True, name="analogue side")
+        self._thread = threading.Thread(target=self._analogue.serve, args=(self._line,), daemon=True, name="analogue")
         self._thread.start()
 
     def _await_firmware(self) -> None:
@@ -129,29 +130,21 @@ class EmulatedBoard:
 
     def close(self) -> None:
         """End the emulator. Safe twice."""
-        self._door.close()
-        for pipe in (self._process.stdin, self._process.stderr):
-            if pipe is not None:
-                pipe.close()
-        self._process.wait()
+        self._press_server.close()
+        self._child.close(_STOP)
         self._line.close()
         self._monitor.close()
         self._thread.join()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
     def _complaint(self) -> str:
-        assert self._process.stderr is not None
-        os.set_blocking(self._process.stderr.fileno(), False)
-        said = self._process.stderr.read() or b""
+        errors = self._child.process.stderr
+        assert errors is not None
+        os.set_blocking(errors.fileno(), False)
+        said = errors.read() or b""
         return said.decode(errors="replace").strip() or "it gave no reason"
 
 
-class _Door:
+class _PressOnly:
     """Takes touches for the twin, and refuses to scan: that is the firmware's part."""
 
     def __init__(self, analogue: AnalogueSide) -> None:
@@ -172,7 +165,7 @@ class _Door:
 
 def _emulator() -> str:
     if (found := shutil.which(_EMULATOR)) is None:
-        raise DeviceError(f"{_EMULATOR} is missing, which emulates the board; install it: apt-get install qemu-system-arm")
+        raise DeviceError(f"{_EMULATOR} is missing, the board's emulator: apt-get install qemu-system-arm")
     return found
 
 

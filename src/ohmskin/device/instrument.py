@@ -22,7 +22,10 @@ class Instrument(Protocol):
         """Drive `pattern` once; may block for the time of the acquisition."""
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """Put touch `number` at (x, y) (m) with a radius (m) and a pressure (Pa); 0 lifts it. Virtual instruments only."""
+        """Put touch `number` at (x, y) (m) with a radius (m) and a pressure (Pa); 0 lifts it.
+
+        Virtual instruments only.
+        """
 
 
 class SharedInstrument:
@@ -54,7 +57,8 @@ class SharedInstrument:
                 if len(self._numbers) >= _MOST_PRESSES:
                     raise DeviceRefused(f"{_MOST_PRESSES} presses are down, which is the most; lift one first")
                 number = min(set(range(_MOST_PRESSES)).difference(self._numbers.values()))
-            self._instrument.press(number, press.x, press.y, press.radius, press.pressure)  # may refuse: then nothing has changed
+            # may refuse: then nothing has changed
+            self._instrument.press(number, press.x, press.y, press.radius, press.pressure)
             if press.pressure == 0:
                 del self._numbers[key]
             else:

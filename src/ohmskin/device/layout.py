@@ -1,7 +1,7 @@
 """The layout of every message on the wire. docs/protocol.md and the firmware's header are checked against this table.
 
-All numbers are little-endian. A payload is a run of scalars, naturally aligned behind the 4-byte header, followed by arrays
-whose lengths the scalars give, or by a text that fills the rest.
+All numbers are little-endian. A payload is a run of scalars, naturally aligned behind the 4-byte header, followed by
+arrays whose lengths the scalars give, or by a text that fills the rest.
 """
 
 import re
@@ -73,9 +73,8 @@ class Layout:
             match = _TOKEN.fullmatch(token)
             if match is None:
                 raise ProtocolError(f"layout {token!r}; need name:kind, name:kind[count][width] or name:text<=bytes")
-            fields.append(
-                Field(match["name"], match["kind"], match["count"] or "", int(match["width"] or 1), int(match["limit"] or 0))
-            )
+            width, limit = int(match["width"] or 1), int(match["limit"] or 0)
+            fields.append(Field(match["name"], match["kind"], match["count"] or "", width, limit))
         self.scalars = tuple(field for field in fields if not field.count and not field.limit)
         self.tail = tuple(fields[len(self.scalars) :])
         self._struct = struct.Struct("<" + "".join(_CODES[field.kind] for field in self.scalars))
@@ -90,7 +89,8 @@ class Layout:
             parts = [self._struct.pack(*(values[field.name] for field in self.scalars))]
         except (struct.error, OverflowError) as error:
             given = {field.name: values[field.name] for field in self.scalars}
-            raise ProtocolError(f"{given} does not fit {', '.join(f'{f.name} {f.kind}' for f in self.scalars)}: {error}") from error
+            wanted = ", ".join(f"{field.name} {field.kind}" for field in self.scalars)
+            raise ProtocolError(f"{given} does not fit {wanted}: {error}") from error
         for field in self.tail:
             value = values[field.name]
             if field.limit:
@@ -98,8 +98,10 @@ class Layout:
                 parts.append(value.encode()[: field.limit].decode(errors="ignore").encode())
                 continue
             array = np.asarray(value)
-            if field.kind != "f32" and array.size and not 0 <= array.min() <= array.max() <= np.iinfo(_DTYPES[field.kind]).max:
-                raise ProtocolError(f"{field.name} reach from {array.min()} to {array.max()}; {field.kind} is all the wire carries")
+            most = np.inf if field.kind == "f32" else np.iinfo(_DTYPES[field.kind]).max
+            if field.kind != "f32" and array.size and not 0 <= array.min() <= array.max() <= most:
+                span = f"{array.min()} to {array.max()}"
+                raise ProtocolError(f"{field.name} reach from {span}; {field.kind} is all the wire carries")
             with np.errstate(over="ignore"):  # a voltage beyond f32 arrives as inf: clipped
                 parts.append(array.astype(_DTYPES[field.kind]).tobytes())
         return b"".join(parts)
@@ -113,14 +115,16 @@ class Layout:
         offset = self._struct.size
         if len(payload) < offset:
             raise ProtocolError(f"payload has {len(payload)} bytes; need at least {offset}")
-        values: dict[str, Any] = dict(zip((f.name for f in self.scalars), self._struct.unpack_from(payload), strict=True))
+        names = [field.name for field in self.scalars]
+        values: dict[str, Any] = dict(zip(names, self._struct.unpack_from(payload), strict=True))
         for field in self.tail:
             if field.limit:
                 values[field.name] = _text(payload[offset:], field.limit)
                 return values
             end = offset + values[field.count] * field.size
             if len(payload) < end:
-                raise ProtocolError(f"payload has {len(payload)} bytes; {field.count} = {values[field.count]} needs {end}")
+                counted = f"{field.count} = {values[field.count]}"
+                raise ProtocolError(f"payload has {len(payload)} bytes; {counted} needs {end}")
             array = np.frombuffer(payload[offset:end], _DTYPES[field.kind])
             values[field.name] = array.reshape(-1, field.width) if field.width > 1 else array
             offset = end
@@ -149,6 +153,8 @@ LAYOUTS = {
         "firmware_major:u8 firmware_minor:u8 firmware_patch:u8 name:text<=32"
     ),
     Kind.ACK: Layout("value:u32"),
-    Kind.FRAME: Layout("digest:u32 number:u32 time:u64 flags:u32 n_inj:u16 n_meas:u16 currents:f32[n_inj] voltages:f32[n_meas]"),
+    Kind.FRAME: Layout(
+        "digest:u32 number:u32 time:u64 flags:u32 n_inj:u16 n_meas:u16 currents:f32[n_inj] voltages:f32[n_meas]"
+    ),
     Kind.ERROR: Layout("code:u16 text:text<=120"),
 }

@@ -91,7 +91,7 @@ class FrameData:
         with np.errstate(over="ignore"):  # a voltage beyond f32 arrives as inf: clipped
             currents, voltages = frame.currents.astype(np.float32), frame.voltages.astype(np.float32)
         microseconds = max(0, round(frame.time * 1e6))
-        return cls(frame.pattern.digest, frame.sequence & 0xFFFFFFFF, microseconds, int(frame.flags), currents, voltages)
+        return cls(frame.pattern.digest, frame.sequence & 2**32 - 1, microseconds, int(frame.flags), currents, voltages)
 
     def frame(self, pattern: DrivePattern) -> Frame:
         """The frame, given the pattern it was asked for.
@@ -106,8 +106,8 @@ class FrameData:
                 f"the device drove a pattern with digest, injections, measurements = {told}; asked for {asked}. "
                 "Its firmware must refuse such a scan; update it"
             )
-        flags = FrameFlag(self.flags)
-        return Frame(pattern, self.voltages.astype(float), self.currents.astype(float), self.time * 1e-6, self.number, flags)
+        voltages, currents = self.voltages.astype(float), self.currents.astype(float)
+        return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, FrameFlag(self.flags))
 
 
 Message = Hello | SetPattern | Scan | Press | Capabilities | Ack | FrameData | Refusal

@@ -37,4 +37,4 @@ class Press:
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
-                raise DeviceRefused(f"press {name} is {value} {_UNITS[name]}; it must be {low:g}..{high:g} {_UNITS[name]}")
+                raise DeviceRefused(f"press {name} is {value} {_UNITS[name]}; it must be {low:g}..{high:g}")

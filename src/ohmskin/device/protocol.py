@@ -1,4 +1,7 @@
-"""Bytes to messages and back: framing, checksum, resynchronisation. No input or output; docs/protocol.md describes it all."""
+"""Bytes to messages and back: framing, checksum, resynchronisation.
+
+No input or output; docs/protocol.md describes it all.
+"""
 
 import zlib
 from dataclasses import dataclass, replace

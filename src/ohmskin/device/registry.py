@@ -36,7 +36,8 @@ def connect(url: str, **options: Any) -> Device:
     scheme, colon, _ = url.partition(":")
     known = drivers()
     if not colon or scheme not in known:
-        raise DeviceError(f"no driver for {url!r}; an address begins with one of {', '.join(f'{s}:' for s in sorted(known))}")
+        schemes = ", ".join(f"{name}:" for name in sorted(known))
+        raise DeviceError(f"no driver for {url!r}; it begins with one of {schemes}")
     opener: Callable[..., Device] = EntryPoint(scheme, known[scheme], GROUP).load()
     parameters = list(inspect.signature(opener).parameters.values())[1:]
     if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):

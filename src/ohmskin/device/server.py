@@ -6,9 +6,9 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import closing
-from types import TracebackType
 from typing import Self
 
+from ohmskin.closing import Closing
 from ohmskin.device.instrument import Instrument, SharedInstrument
 from ohmskin.device.session import Session
 from ohmskin.device.terminal import PseudoTerminal
@@ -19,7 +19,7 @@ _LOG = logging.getLogger(__name__)
 _POLL = 0.05  # s, how soon threads notice that the server closes; replies do not wait for it
 
 
-class DeviceServer:
+class DeviceServer(Closing):
     """A device made of software: answers the wire protocol for an instrument.
 
     Args:
@@ -75,12 +75,10 @@ class DeviceServer:
         self.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
     def _spawn(self, work: Callable[..., None], *args: object) -> None:
         new = threading.Thread(target=work, args=args, daemon=True, name=f"{self.url} {work.__name__}")
-        self._threads = {new, *(thread for thread in self._threads if thread.is_alive())}  # `close` may be looking at the old ones
+        # a new set: `close` may be looking at the old one
+        self._threads = {new, *(thread for thread in self._threads if thread.is_alive())}
         new.start()
 
     def _accept(self) -> None:
@@ -131,7 +129,7 @@ def listen(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port))  # on Unix it reuses the address of a server just closed
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise DeviceError(f"port {port} on {host} is in use; stop the other server, or choose another port (0: any)") from error
-        raise DeviceError(
-            f"cannot listen on {host}:{port}: {error}; use 127.0.0.1 for this machine only, 0.0.0.0 for all"
-        ) from error
+            raise DeviceError(
+                f"port {port} on {host} is in use; stop the other server, or choose another port"
+            ) from error
+        raise DeviceError(f"cannot listen on {host}:{port}: {error}; use 127.0.0.1, or 0.0.0.0 for all") from error

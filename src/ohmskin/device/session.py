@@ -68,7 +68,8 @@ class Session:
             return Refusal(ErrorCode.TOO_LARGE, f"slot {slot}; there are {limits.pattern_slots}")
         if pattern.n_inj > limits.max_injections or pattern.n_meas > limits.max_measurements:
             most = f"{limits.max_injections} and {limits.max_measurements}"
-            return Refusal(ErrorCode.TOO_LARGE, f"{pattern.n_inj} injections, {pattern.n_meas} measurements; at most {most}")
+            size = f"{pattern.n_inj} injections, {pattern.n_meas} measurements"
+            return Refusal(ErrorCode.TOO_LARGE, f"{size}; at most {most}")
         pattern.check(limits.n_electrodes)
         self._patterns[slot] = pattern
         return Ack(pattern.digest)
@@ -78,7 +79,8 @@ class Session:
         if pattern is None:
             return Refusal(ErrorCode.UNKNOWN_SLOT, f"no pattern in slot {slot}; send it again")
         if pattern.digest != digest:
-            return Refusal(ErrorCode.DIGEST_MISMATCH, f"slot {slot} has {pattern.digest:#010x}, not {digest:#010x}; send it again")
+            other = f"slot {slot} has {pattern.digest:#010x}, not {digest:#010x}; send it again"
+            return Refusal(ErrorCode.DIGEST_MISMATCH, other)
         return FrameData.of(self._instrument.scan(pattern))
 
     def _press(self, press: Press) -> Message:

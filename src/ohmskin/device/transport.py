@@ -53,9 +53,8 @@ def open_transport(url: str) -> Transport:
     if parts.scheme not in allowed:
         raise DeviceError(f"no transport {parts.scheme!r} in {url!r}; choose one of {', '.join(allowed)}")
     if unknown := options.keys() - allowed[parts.scheme]:
-        raise DeviceError(
-            f"{url!r} has the option {min(unknown)!r}; {parts.scheme} takes {', '.join(allowed[parts.scheme]) or 'none'}"
-        )
+        takes = ", ".join(allowed[parts.scheme]) or "none"
+        raise DeviceError(f"{url!r} has the option {min(unknown)!r}; {parts.scheme} takes {takes}")
     if parts.scheme == "tcp":
         try:
             host, port = parts.hostname, parts.port
@@ -101,7 +100,8 @@ class SocketTransport:
         except ConnectionRefusedError as error:
             raise DeviceLost(f"nothing listens on {host}:{port}; is `ohmskin serve-skin` running there?") from error
         except TimeoutError as error:
-            raise DeviceLost(f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall") from error
+            late = f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s"
+            raise DeviceLost(f"{late}; check address and firewall") from error
         except (OSError, UnicodeError) as error:  # a name that cannot be one, such as "a..b"
             raise DeviceLost(f"cannot reach {host}:{port}: {error}; check the address and the network") from error
 
@@ -155,7 +155,7 @@ class SerialTransport:
                 if data or time.monotonic() >= end:
                     return data
         except (OSError, TypeError) as error:  # pyserial raises TypeError on a port closed meanwhile
-            raise DeviceLost(f"serial port {self._serial.port} is gone: {error}; plug it in and connect again") from error
+            raise DeviceLost(f"serial port {self._serial.port} is gone: {error}; plug it in, connect again") from error
 
     def write(self, data: bytes) -> None:
         try:
@@ -172,7 +172,8 @@ def _reason(error: OSError | ValueError) -> str:
         case errno.ENOENT:
             return f"there is no such port; {_ports()}"
         case errno.EACCES:
-            return "permission denied; join the group that owns it, e.g. `sudo usermod -aG dialout $USER`, and log in again"
+            join = "join the group that owns it, e.g. `sudo usermod -aG dialout $USER`, and log in again"
+            return f"permission denied; {join}"
         case errno.EAGAIN | errno.EBUSY:
             return "another program uses it; close that one first"
         case _:

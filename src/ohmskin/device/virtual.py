@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ohmskin.child import Child
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
 from ohmskin.device.link import Link
@@ -31,7 +32,9 @@ class VirtualInstrument:
         faults: What is wrong with its wiring.
     """
 
-    def __init__(self, skin: Skin, seed: int | None = None, realtime: bool = True, faults: Sequence[Fault] = ()) -> None:
+    def __init__(
+        self, skin: Skin, seed: int | None = None, realtime: bool = True, faults: Sequence[Fault] = ()
+    ) -> None:
         self._skin = VirtualSkin(skin, seed, faults)
         self._realtime = realtime
         source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
@@ -100,18 +103,11 @@ class VirtualDevice(Device):
             if skin is not None:
                 source = str(Path(folder) / "skin.toml")
                 Path(source).write_text(skin.dump(), encoding="utf-8")
-            self._process = subprocess.Popen(
-                [*command, "--skin", source],
-                stdin=subprocess.PIPE,  # its end tells the child that we are gone, however we went
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                start_new_session=True,  # Ctrl-C is ours to handle
-            )
+            self._child = Child([*command, "--skin", source], "the virtual skin", stderr=subprocess.PIPE)
             try:
                 self._inner = WireDevice(self._address())
             except BaseException:
-                self._end_process()
+                self._child.close(0.0)
                 raise
         super().__init__(url, self._inner.capabilities)
 
@@ -130,13 +126,13 @@ class VirtualDevice(Device):
         return self._inner.dropped
 
     def _address(self) -> str:
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        for line in self._process.stdout:
-            if found := re.search(r"tcp://\S+", line):
+        for line in self._child.stdout:
+            if found := re.search(r"tcp://\S+", line.decode()):
                 return found[0]
-        self._process.wait(5)
-        raise DeviceLost(f"the virtual skin did not start: {self._process.stderr.read().strip() or 'no reason given'}")
+        errors = self._child.process.stderr
+        assert errors is not None
+        why = errors.read().decode(errors="replace").strip()
+        raise DeviceLost(f"the virtual skin did not start: {why or 'no reason given'}")
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         return self._inner.scan(pattern, timeout)
@@ -146,14 +142,4 @@ class VirtualDevice(Device):
 
     def _close(self) -> None:
         self._inner.close()
-        self._end_process()
-
-    def _end_process(self) -> None:
-        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
-            if pipe is not None:
-                pipe.close()
-        try:
-            self._process.wait(2)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._child.close(2.0)

@@ -33,8 +33,8 @@ class _ForgottenError(Exception):
 class WireDevice(Device):
     """A device behind TCP or a serial port.
 
-    Lost requests and replies are sent again with the same number, so that a late reply still counts and its duplicate is
-    dropped. A pattern is put into a slot of the device together with its first scan, in one round trip.
+    Lost requests and replies are sent again with the same number, so that a late reply still counts and its duplicate
+    is dropped. A pattern is put into a slot of the device together with its first scan, in one round trip.
 
     Args:
         url: `tcp://host:port` or `serial:///dev/ttyACM0?baud=921600`.
@@ -65,7 +65,8 @@ class WireDevice(Device):
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         deadline = time.monotonic() + timeout
-        own_time = self.capabilities.scan_time(pattern) + 4 * (pattern.n_inj + pattern.n_meas + 10) * self._transport.byte_time
+        on_the_line = 4 * (pattern.n_inj + pattern.n_meas + 10) * self._transport.byte_time
+        own_time = self.capabilities.scan_time(pattern) + on_the_line
         while True:
             slot = self._slots.get(pattern)
             upload = slot is None
@@ -101,7 +102,8 @@ class WireDevice(Device):
         _LOG.warning("%s has forgotten its patterns, probably reset; giving them again", self._peer)
         before, now = self.capabilities, self._greet(deadline - time.monotonic())
         if replace(now, boot=before.boot) != before:
-            raise DeviceLost(f"another device answers at {self._peer}: {now.name!r} instead of {before.name!r}; connect again")
+            other = f"{now.name!r} instead of {before.name!r}"
+            raise DeviceLost(f"another device answers at {self._peer}: {other}; connect again")
         self.capabilities = now
 
     def _free_slot(self) -> int:
@@ -145,7 +147,8 @@ class WireDevice(Device):
                 return reply
             if self.link.damaged > damaged:  # most probably that was the reply
                 next_try = now
-        raise DeviceLost(f"{self._peer} did not answer in {now - start:.2f} s and {attempts} attempts{last_word}; {self._hint()}")
+        tried = f"in {now - start:.2f} s and {attempts} attempts"
+        raise DeviceLost(f"{self._peer} did not answer {tried}{last_word}; {self._hint()}")
 
     def _numbers(self, count: int) -> list[int]:
         numbers = [(self._sequence + i) & 0xFFFF for i in range(count)]
@@ -196,5 +199,6 @@ class WireDevice(Device):
         if not self.link.bytes_in:
             return "nothing at all came back: is it powered, and is this the right port?"
         if not self._decoder.tally.good:
-            return f"{self.link.bytes_in} bytes came, none a message: is the baud rate right, and is this an ohmskin device?"
+            came = f"{self.link.bytes_in} bytes came, none a message"
+            return f"{came}: is the baud rate right, and is this an ohmskin device?"
         return "it answered before: is it still powered and plugged in?"

@@ -1,39 +1,41 @@
-"""What to drive next: the paper's modes and its adaptive choice; policies that choose by what is not yet known."""
+"""What to drive next: fixed sets, the paper's choice (eq. 7), choices by what is not yet known; what each is worth."""
 
 from ohmskin.drive.bound import ContactPrior, best_fixed, position_bound
 from ohmskin.drive.design import Candidates, Choice, Search, exchange, greedy, pair_currents
+from ohmskin.drive.drive import Drive, Fixed, SecondScan, Target, TwoScans
+from ohmskin.drive.drives import DRIVES, DriveSettings
 from ohmskin.drive.informed import InformedPolicy, Plan, PositionDrive, Ranking
 from ohmskin.drive.layout import LayoutSearch, arranged
 from ohmskin.drive.local import LocalDrive
-from ohmskin.drive.modes import AdaptiveDrive, Mode, mode, modes
 from ohmskin.drive.optimal import OptimalDrive, pair_weights, part_of, take_turns
-from ohmskin.drive.policy import Exploration, Policy, Target, base_pattern, complete_pattern
+from ohmskin.drive.patterns import Exploration, base_pattern, complete_pattern
 
 __all__ = [
-    "AdaptiveDrive",
+    "DRIVES",
     "Candidates",
     "Choice",
     "ContactPrior",
+    "Drive",
+    "DriveSettings",
     "Exploration",
+    "Fixed",
     "InformedPolicy",
     "LayoutSearch",
     "LocalDrive",
-    "Mode",
     "OptimalDrive",
     "Plan",
-    "Policy",
     "PositionDrive",
     "Ranking",
     "Search",
+    "SecondScan",
     "Target",
+    "TwoScans",
     "arranged",
     "base_pattern",
     "best_fixed",
     "complete_pattern",
     "exchange",
     "greedy",
-    "mode",
-    "modes",
     "pair_currents",
     "pair_weights",
     "part_of",

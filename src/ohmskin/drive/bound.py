@@ -1,23 +1,22 @@
-"""How well contacts can be located at all: the bound of Cramer and Rao, for any pattern, policy or mode."""
+"""How well contacts can be located at all: the bound of Cramer and Rao, for any drive."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.design import CURRENT, Candidates, exchange, whitened
-from ohmskin.drive.modes import Mode
-from ohmskin.drive.policy import Target
+from ohmskin.drive.drive import Drive, Target
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern
-from ohmskin.scan.pairs import Ints
 
 PARAMETERS = 4  # of each contact: x and y in metres, effect over the usual one, log radius
-Scheme = DrivePattern | Mode | Callable[[Floats], Sequence[DrivePattern]]
+Scheme = DrivePattern | Drive | Callable[[Floats], Sequence[DrivePattern]]
 
 
 @dataclass(frozen=True)
@@ -48,11 +47,11 @@ class ContactPrior:
 
     @classmethod
     def usual(cls, radius: float, position: float = 6.0, effect_spread: float = 1.0) -> "ContactPrior":
-        """A contact of a radius (m) that changes the conductivity by a half and whose place is known to so many radii."""
+        """A contact of a radius (m) that changes conductivity by a half, its place known to so many radii."""
         return cls(0.5 * np.pi * radius**2, radius, position * radius, effect_spread)
 
     def covariance(self, targets: Sequence[Target] | None = None) -> Floats:
-        """Of the parameters of one contact (4, 4), or of several (4 n, 4 n), whose positions are known as well as `targets` say."""
+        """Of one contact (4, 4), or of several (4 n, 4 n) whose positions are known as well as `targets` say."""
         blocks = [np.eye(2) * self.position**2] if targets is None else [target.covariance for target in targets]
         covariance = np.diag(np.tile([0, 0, self.effect_spread**2, self.radius_spread**2], len(blocks)).astype(float))
         for k, block in enumerate(blocks):
@@ -66,12 +65,11 @@ class ContactPrior:
 
 
 def contact_columns(table: ContactTable, targets: Sequence[Target]) -> Floats:
-    """How the two-terminal resistances depend on the parameters of each contact (n, n_pairs, 4), in ohms per unit of each."""
+    """Derivatives (n, n_pairs, 4) of the two-terminal resistances by each contact's parameters (ohms per unit)."""
     effect, radius = (np.array([getattr(target, name) for target in targets])[:, None] for name in ("effect", "radius"))
     response = table(np.array([target.position for target in targets]), radius[:, 0])
     along = (response.slopes[:, 0], response.slopes[:, 1], response.values, 2 * radius**2 * response.widening)
-    columns: Floats = np.stack(along, axis=-1) * effect[..., None]
-    return columns
+    return np.asarray(np.stack(along, axis=-1) * effect[..., None])
 
 
 def position_goals(contacts: int) -> Floats:
@@ -95,7 +93,7 @@ def position_bound(
     Args:
         table: Responses of contacts.
         places: (n, 2) in metres.
-        scheme: A pattern; a mode; or what gives the patterns for a contact at a place (2,).
+        scheme: A pattern; a drive; or what gives the patterns for a contact at a place (2,).
         noise: Standard deviation of a voltage (V).
         currents: One value, or one for each electrode pair (n_pairs,) in amperes.
         prior: What is known before; `ContactPrior.usual` of the table's radius unless given.
@@ -107,13 +105,14 @@ def position_bound(
     prior = prior or ContactPrior.usual(table.radius)
     targets = prior.at(places)
     inverse = np.linalg.inv(prior.covariance())
-    fixed = {pattern: whitened(pattern, table.n_elec, noise, currents) for pattern in _fixed(scheme)}
+    known: dict[DrivePattern, sp.csr_array] = {}
     errors = np.empty(len(targets))
     for k, column in enumerate(contact_columns(table, targets)):
         information = inverse.copy()
-        adaptive = [whitened(pattern, table.n_elec, noise, currents) for pattern in _adaptive(scheme, targets[k].position)]
-        for weights in [*fixed.values(), *adaptive]:
-            rows = weights @ column
+        for pattern in _driven(scheme, targets[k]):
+            if pattern not in known:
+                known[pattern] = whitened(pattern, table.n_elec, noise, currents)
+            rows = known[pattern] @ column
             information += rows.T @ rows
         errors[k] = np.sqrt(np.trace(np.linalg.inv(information)[:2, :2]))
     return errors
@@ -127,7 +126,7 @@ def best_fixed(
     prior: ContactPrior | None = None,
     power: float = 1.0,
 ) -> Ints:
-    """The fixed set of injections (count,) with the least squared position bound over the sheet, by greedy choice and exchange.
+    """The fixed set of injections (count,) of least squared position bound over the sheet, by greed and exchange.
 
     Args:
         table: Responses of contacts.
@@ -154,23 +153,13 @@ def spread_places(table: ContactTable, count: int = 150) -> Floats:
     axes = [np.linspace(low[k], high[k], max(round((high[k] - low[k]) / step) + 1, 2)) for k in range(2)]
     wanted = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     distance, closest = cKDTree(places).query(wanted)
-    spread: Floats = places[np.unique(closest[distance < step / 2])]
-    return spread
+    return np.asarray(places[np.unique(closest[distance < step / 2])])
 
 
-def _fixed(scheme: Scheme) -> list[DrivePattern]:
-    if isinstance(scheme, Mode):
-        return [scheme.base] if scheme.fuse or scheme.optimal is None else []
-    return [scheme] if isinstance(scheme, DrivePattern) else []
-
-
-def _adaptive(scheme: Scheme, place: Floats) -> Sequence[DrivePattern]:
-    if isinstance(scheme, Mode):
-        return [] if scheme.optimal is None else [scheme.optimal.pattern([_about(place)])]
-    return [] if isinstance(scheme, DrivePattern) else scheme(place)
-
-
-def _about(place: Floats) -> Floats:
-    """Anchors (3, 2) about a place: a triangle of the size of a mesh's."""
-    angle = np.pi / 2 + 2 * np.pi / 3 * np.arange(3)
-    return place + 2e-3 * np.column_stack([np.cos(angle), np.sin(angle)])
+def _driven(scheme: Scheme, target: Target) -> Sequence[DrivePattern]:
+    """What a frame drives had the first scan shown the contact."""
+    if isinstance(scheme, DrivePattern):
+        return [scheme]
+    if callable(scheme):
+        return scheme(target.position)
+    return [scheme.next([target] if turn else [], turn) for turn in range(scheme.scans)]

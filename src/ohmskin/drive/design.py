@@ -1,29 +1,30 @@
 """Optimal design: which injections, of all that can be driven, say most about what is not yet known.
 
-What is not known is a state of d numbers with a covariance P: the modes of an image, or position, effect and size of contacts.
-An injection k measures H_k state + white noise of variance one, H_k (m, d). Knowing it takes
+What is not known is a state of d numbers with a covariance P: the modes of an image, or position, effect and size of
+contacts. An injection k measures H_k state + white noise of variance one, H_k (m, d). Knowing it takes
 
     P H_k^T (I + H_k P H_k^T)^-1 H_k P
 
 off the covariance: m x m matrices, and an update of rank m after each choice. Two criteria serve all ends.
 
-    A-optimal: the summed variance of `goal @ state`, such as a region's pixels. If the state is contacts and the goal their
-    coordinates, it is the bound of Cramer and Rao on the squared error of position (with the prior: of van Trees).
-    D-optimal: the information 1/2 log det(I + H P H^T), in nats.
+    A-optimal: the summed variance of `goal @ state`, such as a region's pixels. If the state is contacts and the goal
+    their coordinates, it is the bound of Cramer and Rao on the squared error of position (with the prior: of van
+    Trees). D-optimal: the information 1/2 log det(I + H P H^T), in nats.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ohmskin.drive.policy import complete_pattern
+from ohmskin.arrays import Floats, Ints
+from ohmskin.drive.patterns import complete_pattern
 from ohmskin.errors import ModelError, PatternError
 from ohmskin.forward import TransferModel, VoltageSource
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, pair_index
-from ohmskin.scan.pairs import Ints, n_pairs
+from ohmskin.scan.pairs import n_pairs
 
 CURRENT = 1e-3  # amperes, where nothing else is said
 
@@ -41,7 +42,7 @@ class Candidates:
     weights: sp.csr_array
 
     @classmethod
-    def at_currents(cls, pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> "Candidates":
+    def at_currents(cls, pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> Self:
         """Candidates whose currents are given or measured.
 
         Args:
@@ -55,20 +56,11 @@ class Candidates:
         """
         return cls(pattern, whitened(pattern, n_elec, noise, currents))
 
-    @classmethod
-    def of_source(cls, pattern: DrivePattern, model: TransferModel, source: VoltageSource, noise: float) -> "Candidates":
-        """Candidates of a voltage source whose currents are not measured: each voltage falls with its own pair's resistance.
-
-        Raises:
-            ModelError: If the noise is not positive or a driven electrode is a point.
-        """
-        return cls(pattern, sp.csr_array(source.by_pairs(model, pattern) / _positive("noise", noise)))
-
     def __len__(self) -> int:
         return self.pattern.n_inj
 
     def rows(self, columns: Floats) -> Floats:
-        """H (..., n, min(m, d), d) of a state that changes the two-terminal resistances by `columns` (..., n_pairs, d) in ohms.
+        """H (..., n, min(m, d), d) of a state that changes the resistances by `columns` (..., n_pairs, d) (ohm).
 
         More rows than unknowns are reduced to as many, which say the same.
         """
@@ -79,13 +71,11 @@ class Candidates:
 
 
 def whitened(pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> sp.csr_array:
-    """What the voltages of any pattern say in units of the noise (n_meas, n_pairs); arguments as for `Candidates.at_currents`."""
+    """A pattern's voltages over their noise, by pairs (n_meas, n_pairs); arguments as `Candidates.at_currents`."""
     given = np.asarray(currents, float)
     if given.shape not in ((), (n_pairs(n_elec),)) or not (np.isfinite(given) & (given > 0)).all():
-        raise ModelError(
-            f"currents of shape {given.shape}, least {given.min(initial=np.inf):.3g} A; give one value or one for each of "
-            f"{n_pairs(n_elec)} electrode pairs, all positive"
-        )
+        allowed = f"give one value or one for each of {n_pairs(n_elec)} electrode pairs, all positive"
+        raise ModelError(f"currents of shape {given.shape}, least {given.min(initial=np.inf):.3g} A; {allowed}")
     pattern.check(n_elec)
     source, sink, _, _ = pattern.quadruples.T
     amperes = np.broadcast_to(given, n_pairs(n_elec))[pair_index(source, sink, n_elec)]
@@ -98,7 +88,7 @@ class Choice:
 
     Args:
         chosen: (count,) their numbers.
-        values: (count + 1,) the criterion before, and after each: summed variance, or information (nats); a mean over cases.
+        values: (count + 1,) the criterion before and after: summed variance, or information (nats), mean over cases.
     """
 
     chosen: Ints
@@ -109,7 +99,7 @@ class Search:
     """A covariance, what each candidate would take off it, and the choice so far.
 
     Args:
-        rows: (n, m, d), or (n_cases, n, m, d): cases are alternatives, such as places of a contact, over which means are taken.
+        rows: (n, m, d), or (n_cases, n, m, d): cases are alternatives, such as places, over which means are taken.
         covariance: (d, d) or (n_cases, d, d) before.
         goal: (k, d): the sum of the variances of goal @ state is to become small; (n_goals, k, d): several such sums.
             None: the information is to become large.
@@ -125,7 +115,8 @@ class Search:
         self, rows: Floats, covariance: Floats, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
     ) -> None:
         self._rows = rows if rows.ndim == 4 else rows[None]
-        self.covariance: Floats = np.array(np.broadcast_to(covariance, (len(self._rows), *covariance.shape[-2:])), float)
+        shape = (len(self._rows), *covariance.shape[-2:])
+        self.covariance: Floats = np.array(np.broadcast_to(covariance, shape), float)
         self._goal = None if goal is None else goal.reshape(-1, *goal.shape[-2:])
         self._power, self._repeats = power, repeats
         self._seen = self._rows @ self.covariance[:, None]
@@ -150,17 +141,13 @@ class Search:
         return np.asarray(np.moveaxis(less.reshape(*less.shape[:2], goals, k).sum(axis=-1), 1, 0))
 
     def scores(self) -> Floats:
-        """What to make small (n,): minus the mean gain of each candidate, or with a power, the mean of what would be left."""
+        """What to make small (n,): minus each candidate's mean gain; with a power, the mean of what would be left."""
         if self._goal is None or self._power == 1:
             return np.asarray(-self.gains().mean(axis=(1, 2)))
         return np.asarray((np.maximum(self.sums - self.gains(), 0.0) ** self._power).mean(axis=(1, 2)))
 
     def best(self) -> int:
-        """The candidate to take next; the first of equals.
-
-        Raises:
-            PatternError: If all are chosen.
-        """
+        """The candidate to take next, the first of equals; raises PatternError if all are chosen."""
         scores = self.scores()
         if not self._repeats:
             scores[self.chosen] = np.inf
@@ -234,8 +221,7 @@ def pair_currents(model: TransferModel, source: VoltageSource, limit: float = np
     Raises:
         ModelError: If an electrode is a point, whose own resistance is that of the mesh.
     """
-    currents: Floats = np.minimum(source.currents(model, complete_pattern(model.electrodes)), limit)
-    return currents
+    return np.asarray(np.minimum(source.currents(model, complete_pattern(model.electrodes)), limit))
 
 
 def _positive(name: str, value: float) -> float:

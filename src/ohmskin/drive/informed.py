@@ -1,10 +1,11 @@
 """Policies that choose what to measure next by what is not yet known: from tables, in microseconds, or exactly.
 
-A table holds, for each cell of a grid over the sheet, the injections in the order of a greedy choice for a contact somewhere
-in that cell. A frame takes the next ones of that order, so that frames complement each other as the choices do.
+A table holds, for each cell of a grid over the sheet, the injections in the order of a greedy choice for a contact
+somewhere in that cell. A frame takes the next ones of that order, so that frames complement each other.
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -12,18 +13,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.drive.bound import PARAMETERS, ContactPrior, contact_columns, position_goals
+from ohmskin.arrays import Floats, Ints
+from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
 from ohmskin.drive.design import Candidates, Search, greedy
+from ohmskin.drive.drive import Target
 from ohmskin.drive.optimal import part_of
-from ohmskin.drive.policy import Exploration, Target, base_pattern, complete_pattern
+from ohmskin.drive.patterns import Exploration, complete_pattern
 from ohmskin.errors import PatternError
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Electrodes
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, pair_index
-from ohmskin.scan.pairs import Ints
 
-CRITERIA = ("position", "information", "region")
 _CELL = 2.5  # radii of a contact: 20 mm for one of 8 mm
 _DEPTH = 24  # injections of a table's cell, after which frames start again with the best
 _TRACKED = 0.6  # radii to which a tracker knows a contact's place between two frames
@@ -31,8 +31,6 @@ _BASED = 2.5  # radii to which it is known before a base scan refines it
 _EFFECT = 0.5  # share to which a tracker knows its effect
 Design = Callable[[], tuple[ContactTable, Candidates]]
 _KEPT = 64  # candidates; with them the paper's sheet loses nothing, 32 electrodes 0.1 % of the error
-_SEEN = 0.1  # signal of a mode over noise, below which no choice depends on it
-_REGION = 2.5  # radii about a contact that count as its region
 
 
 class Ranking:
@@ -41,65 +39,52 @@ class Ranking:
     Args:
         table: Responses of contacts.
         candidates: The injections.
-        criterion: ``position``: the contact's position error; ``information``: information on position, effect and size;
-            ``region``: variance of the conductivity about it, if that may change anywhere.
         depth: How many injections to rank in each cell.
         known: Numbers of injections that each frame measures anyway.
         prior: What is known of a contact in the cell; as much as a tracker knows unless given.
-        cell: Width of a cell, about (m); 2.5 radii of a contact unless given. ``region`` takes some 30 ms a cell, others 7 ms.
+        cell: Width of a cell, about (m); 2.5 radii of a contact unless given. A cell takes some 7 ms.
 
     Attributes:
         order: (n_x, n_y, depth) numbers of injections, best first.
-        values: (n_x, n_y, depth + 1) the criterion before, and after each: squared position error (m2), information (nats), or
-            variance over that before.
+        values: (n_x, n_y, depth + 1) the squared position error (m2) before, and after each.
 
     Raises:
-        PatternError: If there is no such criterion, or depth or cell are not positive.
+        PatternError: If depth or cell are not positive.
     """
 
     def __init__(
         self,
         table: ContactTable,
         candidates: Candidates,
-        criterion: str = "position",
         depth: int = _DEPTH,
         known: Sequence[int] = (),
         prior: ContactPrior | None = None,
         cell: float | None = None,
     ) -> None:
-        if criterion not in CRITERIA:
-            raise PatternError(f"criterion {criterion!r}; choose from {', '.join(CRITERIA)}")
         cell = _CELL * table.radius if cell is None else cell
         prior = prior or ContactPrior.usual(table.radius, _TRACKED, _EFFECT)
         if depth < 1 or not cell > 0:
             raise PatternError(f"{depth} injections ranked in cells of {cell!r} m; both must be positive")
-        self.criterion = criterion
         low, high = table.places.min(axis=0), table.places.max(axis=0)
         self._shape = np.maximum(np.round((high - low) / cell).astype(int), 1)
         self._low, self._cell = low, (high - low) / self._shape
-        field = _Field(table, candidates) if criterion == "region" else None
         self.order: Ints = np.empty((*self._shape, depth), np.int64)
         self.values: Floats = np.empty((*self._shape, depth + 1))
         for at in product(*(range(n) for n in self._shape)):
             middle = low + (np.array(at) + 0.5) * self._cell
             # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
             places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
-            if field is None:
-                rows, covariance = candidates.rows(contact_columns(table, prior.at(places))), prior.covariance()
-                goal = position_goals(1) if criterion == "position" else None
-            else:
-                rows, covariance, goal = field.rows, np.eye(field.rows.shape[-1]), field.goal(places, _REGION * prior.radius)
+            rows, covariance = candidates.rows(contact_columns(table, prior.at(places))), prior.covariance()
             if len(known):
                 measured = rows[..., list(known), :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
                 information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
                 covariance = np.asarray(np.linalg.inv(information), float)
-            self.order[at], self.values[at] = _ranked(rows, covariance, depth, goal)
+            self.order[at], self.values[at] = _ranked(rows, covariance, depth)
 
     def at(self, position: Floats) -> Ints:
         """The ranked injections (depth,) for a contact at a position (2,) in metres."""
         x, y = self.cell_of(position)
-        ranked: Ints = self.order[x, y]
-        return ranked
+        return np.asarray(self.order[x, y])
 
     def cell_of(self, position: Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
@@ -107,8 +92,9 @@ class Ranking:
         return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
 
 
-def _ranked(rows: Floats, covariance: Floats, depth: int, goal: Floats | None) -> tuple[Ints, Floats]:
-    """The greedy choice and its values. After two choices, which set the directions, only the `_KEPT` best are looked at."""
+def _ranked(rows: Floats, covariance: Floats, depth: int) -> tuple[Ints, Floats]:
+    """The greedy choice and its values. After two, which set the directions, only the `_KEPT` best are looked at."""
+    goal = position_goals(1)
     search = Search(rows, covariance, goal, repeats=True)
     values = [search.sums.mean()]
     for _ in range(min(2, depth)):
@@ -116,31 +102,7 @@ def _ranked(rows: Floats, covariance: Floats, depth: int, goal: Floats | None) -
         values.append(search.sums.mean())
     kept = np.sort(np.argsort(search.scores(), kind="stable")[:_KEPT])
     rest = greedy(rows[..., kept, :, :], search.covariance, depth - len(search.chosen), goal, repeats=True)
-    further = rest.values[1:] + (values[-1] if goal is None else 0.0)
-    return np.append(search.chosen, kept[rest.chosen]), np.append(values, further)
-
-
-class _Field:
-    """A conductivity that may change anywhere, each place of the table by itself, in coordinates white beforehand."""
-
-    def __init__(self, table: ContactTable, candidates: Candidates, amplitude: float = 0.1) -> None:
-        places = table.places
-        area = float(np.prod(np.ptp(places, axis=0))) / len(places)
-        effect = amplitude * np.sqrt(np.pi * table.radius**2 * area)  # so that the mean over a contact varies by `amplitude`
-        seen = table.responses * effect  # (n_places, n_pairs) ohms
-        variance, vectors = np.linalg.eigh(seen.T @ seen)
-        kept = np.sqrt(np.maximum(variance, 0.0)) * abs(candidates.weights).max() > _SEEN
-        deviation = np.sqrt(variance[kept])
-        self.rows: Floats = candidates.rows(vectors[:, kept] * deviation)
-        self._places, self._modes = places, seen @ vectors[:, kept] / deviation
-
-    def goal(self, places: Floats, radius: float) -> Floats:
-        """What is to be known: the change at all places closer than `radius` to one of `places` (n, 2); (k, n_modes)."""
-        near = np.linalg.norm(self._places[:, None] - places, axis=2).min(axis=1) < radius
-        within = self._modes[near]
-        _, weight, directions = np.linalg.svd(within, full_matrices=False)
-        kept = weight > 1e-3 * weight[0]  # of the variance all but a millionth
-        return np.asarray(weight[kept, None] * directions[kept] / np.sqrt(np.sum(weight**2)), float)
+    return np.append(search.chosen, kept[rest.chosen]), np.append(values, rest.values[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,21 +112,19 @@ class Plan:
     Args:
         pattern: What to drive.
         explored: How many of the injections, the first ones, explore.
-        criterion: What chose the others.
         before: (n_targets,) expected root-mean-square error of each contact's position before the frame (m).
         after: (n_targets,) and after it (m).
     """
 
     pattern: DrivePattern
     explored: int
-    criterion: str
     before: Floats
     after: Floats
 
     def __str__(self) -> str:
         pairs = " ".join(f"{a}-{b}" for a, b in self.pattern.injections)
         errors = ", ".join(f"{1e3 * b:.2f} to {1e3 * a:.2f} mm" for b, a in zip(self.before, self.after, strict=True))
-        return f"{pairs} ({self.explored} exploring), chosen by {self.criterion}; position error {errors or 'of no contact'}"
+        return f"{pairs} ({self.explored} exploring); position error {errors or 'of no contact'}"
 
 
 class InformedPolicy:
@@ -175,20 +135,19 @@ class InformedPolicy:
         design: Gives the responses of contacts and all pairs with their currents and noise (`Candidates` of
             `complete_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
         injections: Per frame.
-        explore: How many of them go round the exploring set, but no more than half. With two of four, 95 % of new contacts and
-            more are found within three frames (docs/policies.md).
-        criterion: See `Ranking`.
-        exact: Weigh all candidates against what is believed now, contacts together and the ellipses of their positions included;
-            about a millisecond for a contact and three injections. Otherwise contacts take turns at their cell's ranking, in a
-            tenth of that. Not for the criterion ``region``.
+        explore: How many of them go round the exploring set, but no more than half. With two of four, 95 % of new
+            contacts and more are found within three frames (docs/policies.md).
+        exact: Weigh all candidates against what is believed now, contacts together and the ellipses of their positions
+            included; in about a millisecond. Otherwise contacts take turns at their cell's ranking, in a tenth of that.
         drives: (n, 2) source and sink of the exploring set; opposite electrodes of the rim unless given.
         prior: What is known of a contact's effect and radius; as much as a tracker knows unless given.
         cell: Width of the tables' cells, about (m), see `Ranking`.
 
     Raises:
-        PatternError: If the counts are out of range, the criterion is unknown or not to be had exactly. Later, if the candidates
-            are not complete.
+        PatternError: If the counts are out of range. Later, if the candidates are not complete.
     """
+
+    scans, adjustable = 1, True
 
     def __init__(
         self,
@@ -196,7 +155,6 @@ class InformedPolicy:
         design: Design,
         injections: int = 4,
         explore: int = 2,
-        criterion: str = "position",
         exact: bool = False,
         drives: Ints | None = None,
         prior: ContactPrior | None = None,
@@ -204,14 +162,22 @@ class InformedPolicy:
     ) -> None:
         if explore < 1:
             raise PatternError(f"{explore} injections explore; at least one must, or new contacts are never found")
-        if exact and criterion == "region":
-            raise PatternError('criterion "region" is chosen from tables only; use exact=False')
         self._exploration = Exploration(electrodes, injections, drives)
         self.complete, self.injections = self._exploration.complete, injections
-        if criterion not in CRITERIA:
-            raise PatternError(f"criterion {criterion!r}; choose from {', '.join(CRITERIA)}")
-        self.explore, self.criterion, self.exact = explore, criterion, exact
+        self.explore, self.exact = explore, exact
         self._design, self._given_prior, self._cell = design, prior, cell
+
+    @property
+    def patterns(self) -> tuple[DrivePattern, ...]:
+        """All pairs: each of its patterns is a part of them."""
+        return (self.complete,)
+
+    def with_injections(self, count: int) -> "InformedPolicy":
+        """The same policy with another number of injections a frame; it keeps its tables."""
+        other = copy(self)
+        other._exploration = self._exploration.with_injections(count)
+        other.injections = count
+        return other
 
     @cached_property
     def _known(self) -> tuple[ContactTable, Candidates, ContactPrior]:
@@ -223,7 +189,7 @@ class InformedPolicy:
     @cached_property
     def _ranking(self) -> Ranking | None:
         table, candidates, prior = self._known
-        return None if self.exact else Ranking(table, candidates, self.criterion, prior=prior, cell=self._cell)
+        return None if self.exact else Ranking(table, candidates, prior=prior, cell=self._cell)
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
         """The pattern of frame number `turn` (from 0), given what is believed of the contacts."""
@@ -234,16 +200,16 @@ class InformedPolicy:
         chosen = self._choose(targets, turn)
         pattern = part_of(self.complete, chosen)
         if not targets:
-            return Plan(pattern, len(chosen), self.criterion, np.empty(0), np.empty(0))
+            return Plan(pattern, len(chosen), np.empty(0), np.empty(0))
         search = self._search(targets)
         before = np.sqrt(search.sums[0])
         for number in chosen:
             search.take(int(number))
-        return Plan(pattern, self._exploring, self.criterion, before, np.sqrt(search.sums[0]))
+        return Plan(pattern, self._exploring, before, np.sqrt(search.sums[0]))
 
     @property
     def _exploring(self) -> int:
-        """How many injections of a frame explore while contacts are known; `injections` may have been changed since."""
+        """How many injections of a frame explore while contacts are known."""
         return max(1, min(self.explore, self.injections // 2))
 
     def _choose(self, targets: Sequence[Target], turn: int) -> Ints:
@@ -253,21 +219,21 @@ class InformedPolicy:
         wanted = self.injections - self._exploring
         if self._ranking is not None:
             return np.append(explored, _in_turn(self._ranking, [target.position for target in targets], wanted, turn))
-        search = self._search(targets, goals=self.criterion == "position")
+        search = self._search(targets)
         for number in explored:
             search.take(int(number))
         for _ in range(wanted):
             search.take(search.best())
         return np.array(search.chosen, np.int64)
 
-    def _search(self, targets: Sequence[Target], goals: bool = True) -> Search:
+    def _search(self, targets: Sequence[Target]) -> Search:
         table, candidates, prior = self._known
         rows, covariance = candidates.rows(np.hstack(list(contact_columns(table, targets)))), prior.covariance(targets)
-        return Search(rows, covariance, position_goals(len(targets)) if goals else None, repeats=True)
+        return Search(rows, covariance, position_goals(len(targets)), repeats=True)
 
 
 class PositionDrive:
-    """The second scan of a frame-wise mode (``16P``): injections that say most about where the contacts are, given the base scan.
+    """The second scan of mode ``16P``: what says most about where contacts are, given the base scan.
 
     Args:
         electrodes: Electrode layout.
@@ -306,8 +272,4 @@ def _in_turn(ranking: Ranking, positions: Sequence[Floats], count: int, turn: in
     served = turn * count + np.arange(count)  # injections that frames before this one have had, then this one's
     cell, rank = served % len(cells), served // len(cells) % depth
     x, y = np.array(cells).T
-    chosen: Ints = ranking.order[x[cell], y[cell], rank]
-    return chosen
-
-
-__all__ = ["CRITERIA", "PARAMETERS", "InformedPolicy", "Plan", "PositionDrive", "Ranking", "base_pattern"]
+    return np.asarray(ranking.order[x[cell], y[cell], rank])

@@ -1,29 +1,29 @@
 """Where to put electrodes: for the smallest worst-case error of a contact's position, on the rim and inside.
 
-All places where an electrode may be are electrodes of one finite-element model, factorised once. What a contact does to a
-two-terminal resistance is the mean of |grad u_i - grad u_j|^2 over it, so with the means of all products grad u_i . grad u_j kept,
-any layout is looked up. Layouts are mirror images of themselves about both middle lines of the sheet, and so are their errors.
+All places where an electrode may be are electrodes of one finite-element model, factorised once. What a contact does
+to a two-terminal resistance is the mean of |grad u_i - grad u_j|^2 over it, so with the means of all products grad u_i
+. grad u_j kept, any layout is looked up. Layouts and their errors are mirror-symmetric about both middle lines.
 """
 
 from itertools import product
 
 import numpy as np
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.bound import ContactPrior
 from ohmskin.drive.design import CURRENT, whitened
-from ohmskin.drive.policy import complete_pattern
+from ohmskin.drive.patterns import complete_pattern
 from ohmskin.errors import GeometryError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Disc, Electrodes, Rectangle, mesh_domain
-from ohmskin.geometry.domain import Domain, Floats
+from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import all_pairs
-from ohmskin.scan.pairs import Ints
 
 _STEPS = 12  # candidates along the shorter side
 _PLACES = 7  # of contacts, along each side of a quarter of the sheet
 _LEAST_ON_RIM = 4  # electrodes; fewer have no base scan
-_POWER = 8.0  # of the squared errors before their mean: close to the worst one, but with a slope where others can still gain
+_POWER = 8.0  # of the squared errors before their mean: close to the worst, but with a slope where others can gain
 _SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the triangles
 
 
@@ -39,16 +39,13 @@ def arranged(domain: Domain, positions: Floats) -> Electrodes:
     on_rim = np.abs(domain.depth(points)) < 1e-6
     rim, inside = points[on_rim], points[~on_rim]
     if len(rim) < _LEAST_ON_RIM:
-        raise GeometryError(
-            f"{len(rim)} of {len(points)} electrodes are on the rim; a base scan needs {_LEAST_ON_RIM} or more there"
-        )
+        raise GeometryError(f"{len(rim)} of {len(points)} electrodes are on the rim; a base scan needs {_LEAST_ON_RIM}")
     arc = np.mod(domain.arc(rim) + 1e-9, domain.perimeter)  # rounding may put the rim's start at its end
     rim = domain.rim(np.sort(arc) - 1e-9)
     middle = points.mean(axis=0)
     away = inside - middle
-    inside = inside[
-        np.lexsort((np.hypot(*away.T), np.round(np.mod(np.arctan2(away[:, 1], away[:, 0]) + 3 * np.pi / 4, 2 * np.pi), 9)))
-    ]
+    turn = np.round(np.mod(np.arctan2(away[:, 1], away[:, 0]) + 3 * np.pi / 4, 2 * np.pi), 9)
+    inside = inside[np.lexsort((np.hypot(*away.T), turn))]
     rings = [tuple(range(len(rim)))] + ([tuple(range(len(rim), len(points)))] if len(inside) else [])
     return Electrodes.at(np.vstack([rim, inside]), tuple(rings))
 
@@ -56,8 +53,8 @@ def arranged(domain: Domain, positions: Floats) -> Electrodes:
 class LayoutSearch:
     """Position errors of any layout, and the search for the best one.
 
-    The error is that of Cramer and Rao for one contact, had the frame's injections been spread evenly over all electrode pairs:
-    a layout is judged before its policy.
+    The error is that of Cramer and Rao for one contact, had the frame's injections been spread evenly over all
+    electrode pairs: a layout is judged before its policy.
 
     Args:
         domain: The sheet, a rectangle or a disc.
@@ -114,13 +111,13 @@ class LayoutSearch:
         return self._numbered(closest)
 
     def best(self, count: int) -> Electrodes:
-        """The layout of `count` electrodes with the least worst error, by exchange of single sites and their mirror images.
+        """The layout of `count` electrodes with the least worst error, by exchange of sites and their mirror images.
 
         Raises:
             GeometryError: If there are not so many sites, or fewer than four electrodes.
         """
         if not _LEAST_ON_RIM <= count <= len(self.sites) // 2:
-            raise GeometryError(f"{count} electrodes to place; between {_LEAST_ON_RIM} and {len(self.sites) // 2} can be")
+            raise GeometryError(f"{count} electrodes to place; between {_LEAST_ON_RIM} and {len(self.sites) // 2}")
         found = [self._exchanged(start) for start in self._starts(count)]
         return arranged(self.domain, self.sites[min(found, key=lambda pair: pair[0])[1]])
 
@@ -143,7 +140,7 @@ class LayoutSearch:
         return float(np.mean(self.errors(self._numbered(chosen)) ** (2 * _POWER)))
 
     def _starts(self, count: int) -> list[list[int]]:
-        """Orbits that add up to `count` electrodes, far from each other; several numbers of pairs on the middle lines."""
+        """Orbits that add up to `count` electrodes, far apart; several numbers of pairs on the middle lines."""
         size = np.array([len(orbit) for orbit in self.orbits])
         ones = count % 2
         starts = []
@@ -192,7 +189,8 @@ def _sites(domain: Domain) -> tuple[Floats, np.ndarray]:
         x, y = (np.linspace(a, b, 2 * round((b - a) / pitch / 2) + 1) for a, b in ((x0, x1), (y0, y1)))
         sites = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     elif isinstance(domain, Disc):
-        rings = [(0.0, 1)] + [(domain.radius * 2 * k / _STEPS, 4 * round(np.pi * k / 2)) for k in range(1, _STEPS // 2 + 1)]
+        steps = range(1, _STEPS // 2 + 1)
+        rings = [(0.0, 1)] + [(domain.radius * 2 * k / _STEPS, 4 * round(np.pi * k / 2)) for k in steps]
         angles = [(radius, 2 * np.pi * np.arange(count) / count) for radius, count in rings]
         sites = np.vstack([np.column_stack([r * np.cos(angle), r * np.sin(angle)]) for r, angle in angles])
     else:
@@ -204,10 +202,8 @@ def _orbits(domain: Domain, sites: Floats) -> list[Ints]:
     """The sites that are mirror images of each other, by their numbers."""
     x0, y0, x1, y1 = domain.bounds
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-    images = [
-        np.linalg.norm(middle + (sites - middle) * sign - sites[:, None], axis=2).argmin(axis=0)
-        for sign in product((1, -1), repeat=2)
-    ]
+    mirrored = (middle + (sites - middle) * sign for sign in product((1, -1), repeat=2))
+    images = [np.linalg.norm(image - sites[:, None], axis=2).argmin(axis=0) for image in mirrored]
     found = {tuple(sorted({int(image[k]) for image in images})) for k in range(len(sites))}
     return [np.array(orbit, np.int64) for orbit in sorted(found)]
 
@@ -217,19 +213,20 @@ def _quarter(domain: Domain, radius: float) -> Floats:
     x0, y0, x1, y1 = domain.bounds
     x, y = (np.linspace(a + radius, (a + b) / 2, _PLACES) for a, b in ((x0, x1), (y0, y1)))
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside: Floats = places[domain.depth(places) > radius * (1 - 1e-9)]
-    return inside
+    return np.asarray(places[domain.depth(places) > radius * (1 - 1e-9)])
 
 
 def _mean_products(model: TransferModel, places: Floats, radius: float) -> Floats:
-    """What sites a and b do together at contacts: -mean of grad u_a . grad u_b and its derivatives (n_sites, n_sites, n_places, 4).
+    """Minus the mean of grad u_a . grad u_b over contacts, and its derivatives (n_sites, n_sites, n_places, 4).
 
     Derivatives are by x, y (per m), and by the logarithm of the radius; in the order x, y, value, radius.
     """
     mesh, step = model.mesh, _SHIFT * radius
-    density = np.einsum("ekd,ekl->led", mesh.gradients, model.potentials[mesh.elements]) * np.sqrt(model.conductivity)[:, None]
+    density = np.einsum("ekd,ekl->led", mesh.gradients, model.potentials[mesh.elements])
+    density *= np.sqrt(model.conductivity)[:, None]
     parts = []
-    for offset, r in (((0, 0), 1.0), ((1, 0), 1.0), ((-1, 0), 1.0), ((0, 1), 1.0), ((0, -1), 1.0), ((0, 0), 1.1), ((0, 0), 0.9)):
+    shifts = (0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0), (0, 0)
+    for offset, r in zip(shifts, (1.0, 1.0, 1.0, 1.0, 1.0, 1.1, 0.9), strict=True):
         cover = disc_overlap(mesh, places + step * np.array(offset), r * radius)
         parts.append(cover.multiply(1 / cover.sum(axis=1)[:, None]).tocsr())
     middle, right, left, up, down, wide, narrow = parts

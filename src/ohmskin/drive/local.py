@@ -1,10 +1,9 @@
-"""Local measurement patterns near the pressed region (the paper's reference [14]), the adaptive drive that it improves on.
+"""Local measurement patterns near the pressed region (the paper's reference [14]), the drive that it improves on.
 
 The paper says of it: "adaptively select a set of local patterns near the pressed region for acquiring more detailed
-information". Read concretely here: currents flow only between neighbours, that is between electrodes no further apart than
-the diagonal of a cell of the layout, and of these short pairs the ones whose middle is closest to the region are driven.
-The number of injections and the electrodes measured are those of the paper's own scheme, so that the two differ in the
-choice of pairs alone.
+information". Read concretely here: currents flow only between neighbours, that is between electrodes no further apart
+than the diagonal of a cell of the layout, and of these short pairs the ones whose middle is closest to the region are
+driven. The injections and the electrodes measured are as many as in the paper's own scheme, for comparison.
 """
 
 from collections.abc import Sequence
@@ -34,7 +33,7 @@ class LocalDrive:
         self.electrodes, self.pairs = electrodes, pairs
         self.complete = measure_others(all_pairs(len(electrodes)), range(len(electrodes)))
         if not 1 <= pairs <= self.complete.n_inj:
-            raise PatternError(f"{pairs} injections per local scan; there are 1..{self.complete.n_inj} pairs to choose from")
+            raise PatternError(f"{pairs} injections per local scan; there are 1..{self.complete.n_inj} pairs")
         ends = electrodes.positions[all_pairs(len(electrodes))]
         length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         spacing = float(cKDTree(electrodes.positions).query(electrodes.positions, k=2)[0][:, 1].max())

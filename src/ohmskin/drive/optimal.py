@@ -5,11 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, all_pairs, measure_others
-from ohmskin.scan.pairs import Ints
 
 
 def pair_weights(positions: ArrayLike, anchors: ArrayLike) -> Floats:
@@ -20,7 +19,7 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike) -> Floats:
 
     Args:
         positions: Electrode positions (n_elec, 2) in metres.
-        anchors: Centroids of the elements closest to the middle of the contact (n_anchors, 2) in metres; the paper takes three.
+        anchors: Centroids (n_anchors, 2) of the elements closest to the contact's middle (m); the paper takes three.
     """
     positions, anchors = np.asarray(positions, float), np.asarray(anchors, float)
     i, j = all_pairs(len(positions)).T
@@ -28,8 +27,7 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike) -> Floats:
     to_anchor = anchors[None] - positions[i][:, None]
     area = 0.5 * np.abs(along[:, None, 0] * to_anchor[..., 1] - along[:, None, 1] * to_anchor[..., 0]).sum(axis=1)
     area = np.maximum(area, 1e-9 * area.max())
-    weights: Floats = area.sum() / area
-    return weights
+    return np.asarray(area.sum() / area)
 
 
 def take_turns(weights: ArrayLike, count: int) -> Ints:
@@ -64,7 +62,7 @@ class OptimalDrive:
         self.electrodes, self.pairs = electrodes, pairs
         self.complete = measure_others(all_pairs(len(electrodes)), range(len(electrodes)))
         if not 1 <= pairs <= self.complete.n_inj:
-            raise PatternError(f"{pairs} injections per optimal scan; there are 1..{self.complete.n_inj} pairs to choose from")
+            raise PatternError(f"{pairs} injections per optimal scan; there are 1..{self.complete.n_inj} pairs")
 
     def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
         """The pattern for one or several regions, each given by its anchors (3, 2) in metres. A part of `complete`."""

@@ -1,7 +1,7 @@
-"""The adaptive loop: perception, health, and keeping going."""
+"""The adaptive loop: calibration, health, and keeping going."""
 
-from ohmskin.engine.engine import Engine, State, Touch
+from ohmskin.engine.engine import Engine
 from ohmskin.engine.health import Health
-from ohmskin.engine.perception import Perception, Sight, Thresholds
+from ohmskin.engine.touch import State, Touch
 
-__all__ = ["Engine", "Health", "Perception", "Sight", "State", "Thresholds", "Touch"]
+__all__ = ["Engine", "Health", "State", "Touch"]

@@ -1,66 +1,55 @@
-"""The loop: device, perception, tracking and health, kept going whatever the device does."""
+"""The loop: device, sensor and health, kept going whatever the device does."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from copy import copy
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
-import numpy as np
+from threadpoolctl import threadpool_limits
 
+from ohmskin.closing import Closing
 from ohmskin.device import Device
-from ohmskin.drive import Mode, Policy
-from ohmskin.engine.health import Health, HealthMonitor
-from ohmskin.engine.perception import Perception, Sight
-from ohmskin.errors import DeviceError, DeviceLost, PatternError
+from ohmskin.drive import Drive, Fixed
+from ohmskin.engine.health import HealthMonitor
+from ohmskin.engine.notices import SLOW, Notices
+from ohmskin.engine.quiet import quiet_frames
+from ohmskin.engine.touch import State, Touch
+from ohmskin.errors import DeviceError, DeviceLost, ModelError, PatternError
 from ohmskin.scan import DrivePattern, Frame
-from ohmskin.skin import Skin
-from ohmskin.touch import Contact, Scene, Tracker, Tracks
+from ohmskin.sensing import (
+    RECORDED,
+    Belief,
+    Sensor,
+    SensorState,
+    SkinModel,
+    build,
+    default_mode,
+    drive_of,
+    modes,
+)
+from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
-_QUIET_SCANS = 40  # of each pattern, for the baseline
-_LONGEST = 1.0  # seconds between two frames of a tracking mode beyond which nothing more is forgotten
 
 
-class State(Enum):
-    """What the loop is doing."""
-
-    CALIBRATING = "calibrating"
-    RUNNING = "running"
-    PAUSED = "paused"
-    LOST = "lost"
-
-
-@dataclass(frozen=True)
-class Touch:
-    """What the skin feels now: the outcome of one cycle.
-
-    Args:
-        sequence: Number of the cycle.
-        time: Time of the last sample on the host's monotonic clock (s).
-        mode: The mode it was made in.
-        sight: Frames, images and regions behind it.
-        contacts: Tracked contacts, strongest first.
-        health: How the loop is doing.
-    """
-
-    sequence: int
-    time: float
-    mode: Mode
-    sight: Sight
-    contacts: tuple[Contact, ...]
-    health: Health
-
-
-class Engine:
+class Engine(Closing):
     """Runs the adaptive loop on any device. Calibrate it, then `step` it or iterate `touches`.
+
+    While it is open, BLAS works on one thread: its small products are quicker so, and the same to the last bit.
 
     Args:
         open_device: Opens the device; called again after it was lost.
         skin: What the device is.
-        mode: Name of the drive mode; the best one unless given.
+        mode: Name of the mode; the one of least measured error unless given.
         report: Called with a sentence whenever something worth telling happens.
+        estimator, prior, rule: Names of another estimator, prior or rule for the regularisation parameter than those
+            of the modes.
+
+    Attributes:
+        modes: The modes of the skin, by name.
+        known: What was learned of the quiet skin; None before the first calibration.
+        sensor: What it senses with now, likewise.
+        scans_made: Scans of the cycle that is under way.
 
     Raises:
         DeviceError: If the device cannot be opened or does not fit the skin.
@@ -68,28 +57,45 @@ class Engine:
     """
 
     def __init__(
-        self, open_device: Callable[[], Device], skin: Skin, mode: str = "", report: Callable[[str], None] = lambda _: None
+        self,
+        open_device: Callable[[], Device],
+        skin: Skin,
+        mode: str = "",
+        report: Callable[[str], None] = lambda _: None,
+        *,
+        estimator: str = "",
+        prior: str = "",
+        rule: str = "",
     ) -> None:
-        self.skin, self._open_device, self._report = skin, open_device, report
-        self.state, self.message = State.CALIBRATING, ""
+        self.skin, self._open_device, self._notices = skin, open_device, Notices(report)
+        self.state = State.CALIBRATING
         self.device = self._opened()
         recorded = self.device.reference
-        self.modes = (
-            {"recorded": Mode("recorded", "the recording's own pattern", recorded[0].pattern)} if recorded else dict(skin.modes)
-        )
+        self._recorded: Drive | None = Fixed(recorded[0].pattern) if recorded else None
+        found = {"recorded": RECORDED} if recorded else modes(skin)
+        self.modes = {name: one.using(estimator, prior, rule) for name, one in found.items()}
         try:
-            self.mode = self._named(mode or list(self.modes)[-1])
+            begins = self.device.default_mode if self.device.default_mode in self.modes else default_mode(skin)
+            self.mode = self._named(mode or begins)
         except PatternError:
             self.device.close()
             raise
+        self._threads = threadpool_limits(1, "blas")
         self._sheet = skin.transfer_model()
-        self.perception: Perception | None = None
-        self._tracker, self._tracks = Tracker(), Tracks()
-        self._scene: Scene | None = None
-        self._before: float | None = None  # the device's time of the last frame
+        self.known: SkinModel | None = None
+        self.sensor: Sensor | None = None
+        self._sensed: SensorState
+        self._sensors: dict[Mode, Sensor] = {}
+        self._drives: dict[Mode, Drive] = {}
+        self._beliefs: dict[str, Belief] = {}  # the last one of each reader
         self._monitor = HealthMonitor()
         self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
-        self._missing = 0
+        self.scans_made = 0
+
+    @property
+    def message(self) -> str:
+        """What a user should know now, such as why the device is lost; empty if nothing."""
+        return self._notices.message
 
     def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
         """Learn the quiet skin: reference data and noise, then gamma_0 of every mode. Nothing may touch it meanwhile.
@@ -99,45 +105,50 @@ class Engine:
 
         Raises:
             DeviceLost: If the device goes away. What was learned before is kept.
+            ModelError: If the estimator or the prior is unknown, or does not go with the skin.
         """
         before, self.state = self.state, State.CALIBRATING
         try:
             quiet = list(self.device.reference) or self._quiet_frames(lambda share: progress(0.7 * share))
-            perception = Perception(self.skin, self._sheet, quiet)
-            cycles = 1 if self.device.reference else _QUIET_SCANS
-            for done, mode in enumerate(self.modes.values()):
-                progress(0.7 + 0.3 * done / len(self.modes))
-                quiet_scan = self._scan if not self.device.reference else lambda _: quiet[0]
-                perception.learn_thresholds(mode, quiet_scan, cycles)
+            known = SkinModel(self.skin, self._sheet, quiet)
+            sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}
+            if sensors[self.mode].seconds < SLOW:  # else the others are made when they are asked for
+                sensors |= self._others(known, lambda share: progress(0.7 + 0.3 * share))
         except DeviceLost as error:
             self._lose(error)
             raise
         except BaseException:  # what was learned before still holds
             self.state = before
             raise
-        self.perception = perception
+        self.known, self._sensors = known, sensors
         self.forget()
         self.state = State.RUNNING
         progress(1.0)
 
     def step(self) -> Touch | None:
-        """One cycle; None while there is nothing to see (paused, not calibrated, or the device is lost and sought again)."""
+        """One cycle; None while there is nothing to see: paused, not calibrated, or the device is lost and sought."""
         if self.state is State.LOST:
             self._seek()
             return None
-        if self.state is not State.RUNNING or self.perception is None:
+        if self.state is not State.RUNNING or self.sensor is None or self.known is None:
             time.sleep(0.01)
             return None
+        self.scans_made = 0
         try:
-            sight, contacts = self._tracked(policy) if (policy := self.mode.policy) else self._seen()
+            self._sensed, percept = self.sensor.step(self._sensed, self._scan)
         except DeviceLost as error:
             self._lose(error)
             return None
-        self._tell_missing(sight)
+        except ModelError as error:  # of these data; the next ones may be better
+            self._notices.unread(str(error))
+            return None
+        self._notices.unread("")
+        self._notices.missing(percept.frames)
         self._sequence += 1
         dropped = self._dropped_before + self.device.dropped
-        health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.perception.baseline.noise)
-        return Touch(self._sequence, self._sampled, self.mode, sight, contacts, health)
+        health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.known.baseline.noise)
+        self._notices.pace(self.mode, self.sensor.seconds, health.rate)
+        return Touch(self._sequence, self._sampled, self.mode, percept, percept.contacts, health)
 
     def touches(self) -> Iterator[Touch]:
         """Cycles without end."""
@@ -146,52 +157,77 @@ class Engine:
                 yield touch
 
     def set_mode(self, name: str) -> None:
-        """Switch to another drive mode from the next cycle on.
+        """Switch to another mode from the next cycle on.
 
         Raises:
             PatternError: If it is not possible; the message lists the choices.
         """
-        before, self.mode = self.mode, self._named(name)
-        if self.mode.policy:
-            self._tracks = Tracks(next_id=self._tracks.next_id)
-        if self.mode is not before and self._scene is not None and self.perception is not None:
-            self._scene = self.perception.filter.lifted(self._scene)
+        self._switch(self._named(name))
+
+    def ready(self, mode: Mode) -> bool:
+        """Whether it can sense in a mode at once; else its sensor is made first."""
+        return self.known is None or mode in self._sensors
+
+    def set_estimator(self, estimator: str = "", prior: str = "", rule: str = "") -> None:
+        """Make images with another estimator, prior or rule from the next cycle on, in all modes.
+
+        Raises:
+            ModelError: If one is unknown, or does not go with the skin; nothing is changed then.
+        """
+        changed = {name: mode.using(estimator, prior, rule) for name, mode in self.modes.items()}
+        if self.known is not None:
+            self._sensor(changed[self.mode.name])
+        self.modes = changed
+        self._switch(changed[self.mode.name])
 
     @property
     def injections(self) -> int | None:
-        """Injections per frame of a tracking mode; None in others."""
-        policy = self.mode.policy
-        return policy.injections if policy else None
+        """Injections per frame of a mode whose drive takes any number; None in others."""
+        return self.drive(self.mode).injections if self.drive(self.mode).adjustable else None
 
     def set_injections(self, count: int) -> None:
-        """Spend so many injections on every frame of the mode from the next cycle on; it must be a tracking mode.
+        """Spend so many injections on every frame of the mode from the next cycle on; its drive must take any number.
 
         Raises:
-            PatternError: If the mode does not track, or the device or the electrodes do not allow so many.
+            PatternError: If it does not, or the device or the electrodes do not allow so many.
         """
-        policy = self.mode.policy
-        if policy is None:
-            tracking = [name for name, mode in self.modes.items() if mode.policy]
-            raise PatternError(f"mode {self.mode.name} has no choice of injections; choose one of {', '.join(tracking) or 'none'}")
-        low, high = self.injection_limits(self.mode)
+        mode, (low, high) = self.mode, self.injection_limits(self.mode)
         if not low <= count <= high:
-            raise PatternError(f"{count} injections per frame; mode {self.mode.name} takes {low} to {high} on this device")
-        changed = copy(policy)
-        changed.injections = count
-        self.mode = self.modes[self.mode.name] = replace(self.mode, policy=changed)
+            raise PatternError(f"{count} injections per frame; mode {mode.name} takes {low} to {high} on this device")
+        changed = replace(mode, injections=count)
+        self._drives[changed] = self.drive(self.mode).with_injections(count)
+        if self.sensor is not None:
+            self.sensor = self._sensors[changed] = self.sensor.with_drive(self._drives[changed])
+        self.mode = self.modes[changed.name] = changed
 
     def injection_limits(self, mode: Mode) -> tuple[int, int]:
-        """The least and the most injections per frame that can be set in a tracking mode."""
-        policy, able = mode.policy, self.device.capabilities
-        if policy is None:
-            raise PatternError(f"mode {mode.name} has no choice of injections")
-        per_injection = policy.complete.n_meas // policy.complete.n_inj
-        most = min(policy.complete.n_inj, able.max_injections, able.max_measurements // per_injection)
-        return 1, most
+        """The least and the most injections per frame that can be set in a mode whose drive takes any number.
+
+        Raises:
+            PatternError: If it does not.
+        """
+        drive, able = self.drive(mode), self.device.capabilities
+        if not drive.adjustable:
+            others = [name for name, one in self.modes.items() if self.drive(one).adjustable]
+            raise PatternError(
+                f"mode {mode.name} has no choice of injections; choose one of {', '.join(others) or 'none'}"
+            )
+        complete = drive.patterns[0]
+        per_injection = complete.n_meas // complete.n_inj
+        return 1, min(complete.n_inj, able.max_injections, able.max_measurements // per_injection)
+
+    def drive(self, mode: Mode) -> Drive:
+        """The drive of a mode."""
+        if mode not in self._drives:
+            self._drives[mode] = self._recorded or drive_of(mode, self.skin)
+        return self._drives[mode]
 
     def forget(self) -> None:
         """Let go of the contacts that are followed, because what comes next is another time."""
-        self._tracks, self._scene, self._before = Tracks(), None, None
+        self._beliefs.clear()
+        if self.known is not None:
+            self.sensor = self._sensor(self.mode)
+            self._sensed = self.sensor.start()
 
     def pause(self, paused: bool) -> None:
         """Stop scanning, or go on."""
@@ -213,12 +249,7 @@ class Engine:
     def close(self) -> None:
         """Let go of the device. Safe twice."""
         self.device.close()
-
-    def __enter__(self) -> "Engine":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._threads.restore_original_limits()
 
     def _named(self, name: str) -> Mode:
         if name not in self.modes:
@@ -235,38 +266,47 @@ class Engine:
             )
         return device
 
-    def _seen(self) -> tuple[Sight, tuple[Contact, ...]]:
-        """A cycle of a mode that looks at every frame afresh."""
-        assert self.perception is not None
-        sight = self.perception.see(self.mode, self._scan)
-        self._tracks, contacts = self._tracker.update(self._tracks, sight.contacts)
-        return sight, contacts
+    def _others(self, known: SkinModel, progress: Callable[[float], None]) -> dict[Mode, Sensor]:
+        """The sensors of all modes but this one; modes that are not possible are dropped, and told."""
+        sensors: dict[Mode, Sensor] = {}
+        for done, mode in enumerate([mode for mode in self.modes.values() if mode != self.mode]):
+            progress(done / len(self.modes))
+            try:
+                sensors[mode] = build(mode, known, self.drive(mode))
+            except (ModelError, PatternError) as error:
+                self._drop(mode, error)
+        return sensors
 
-    def _tracked(self, policy: Policy) -> tuple[Sight, tuple[Contact, ...]]:
-        """A cycle of a tracking mode. Time is the device's or the recording's, so that a replay gives the same."""
-        assert self.perception is not None
-        scene = self._scene or self.perception.filter.start()
-        self._scene, sight = self.perception.track(policy, self._scan, scene, self._elapsed)
-        return sight, sight.contacts
+    def _drop(self, mode: Mode, error: Exception) -> None:
+        """Go without a mode that is not possible, unless it is the one wanted."""
+        if mode == self.mode:
+            raise error
+        del self.modes[mode.name]
+        self._notices.say(f"mode {mode.name} is not possible: {error}")
 
-    def _elapsed(self, frame: Frame) -> float:
-        """Time since the last frame (s); as long as matters, where it is not known."""
-        at = frame.time if frame.recorded is None else frame.recorded
-        before, self._before = self._before, at
-        if before is None or not 0 <= at - before <= _LONGEST:
-            return _LONGEST
-        return at - before
+    def _sensor(self, mode: Mode) -> Sensor:
+        """The sensor of a mode; made when it is first asked for."""
+        assert self.known is not None
+        if mode not in self._sensors:
+            self._sensors[mode] = build(mode, self.known, self.drive(mode))
+        return self._sensors[mode]
+
+    def _switch(self, mode: Mode) -> None:
+        """Sense in another mode, with the names and the drift that its reader knew last."""
+        if mode != self.mode and self.sensor is not None:
+            self._beliefs[self.mode.reader] = self._sensed.belief
+            self.sensor = self._sensor(mode)
+            self._sensed = self.sensor.start(self._beliefs.get(mode.reader))
+        self.mode = mode
 
     def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:
-        patterns = [mode.base for mode in self.modes.values()]
-        patterns += [mode.complete for mode in self.modes.values()]
-        able = self.device.capabilities
-        pieces = [p for pattern in dict.fromkeys(patterns) for p in pattern.split(able.max_injections, able.max_measurements)]
-        frames = []
-        for done in range(_QUIET_SCANS):
-            progress(done / _QUIET_SCANS)
-            frames += [self._scan(piece) for piece in pieces]
-        return frames
+        patterns: dict[DrivePattern, None] = {}
+        for mode in list(self.modes.values()):
+            try:
+                patterns |= dict.fromkeys(self.drive(mode).patterns)
+            except PatternError as error:
+                self._drop(mode, error)
+        return quiet_frames(list(patterns), self.device.capabilities, self._scan, progress)
 
     def _scan(self, pattern: DrivePattern) -> Frame:
         asked = time.monotonic()
@@ -274,45 +314,33 @@ class Engine:
         arrived = time.monotonic()
         self._monitor.waited(arrived - asked)
         self._sampled = self._monitor.arrived(arrived, frame.time)
+        self.scans_made += 1
         return frame
 
     def _lose(self, error: DeviceLost) -> None:
         self.state, self._retry_at = State.LOST, time.monotonic() + _RETRY_AFTER
         self._dropped_before += self.device.dropped
         self.device.close()
-        self._say(f"device lost: {error}; reconnecting")
+        self._notices.say(f"device lost: {error}; reconnecting")
 
     def _seek(self) -> None:
         if (wait := self._retry_at - time.monotonic()) > 0:
             time.sleep(min(wait, 0.02))
             return
         self._retry_at = time.monotonic() + _RETRY_AFTER
-        known = self.device.capabilities.serial
+        serial = self.device.capabilities.serial
         try:
             self.device = self._opened()
         except DeviceError as error:
-            self.message = f"device lost: {error}; trying again"
+            self._notices.message = f"device lost: {error}; trying again"
             return
         self._monitor.reconnected()
-        self.state = State.RUNNING if self.perception else State.CALIBRATING
-        self._say("device is back")
-        self.message = ""
-        if self.device.capabilities.serial != known or self.perception is None:
-            self._say("calibrating, because this is another device than before" if self.perception else "calibrating")
+        self.state = State.RUNNING if self.known else State.CALIBRATING
+        self._notices.say("device is back")
+        self._notices.message = ""
+        if self.device.capabilities.serial != serial or self.known is None:
+            self._notices.say(
+                "calibrating, because this is another device than before" if self.known else "calibrating"
+            )
             with suppress(DeviceLost):  # gone again: sought again
                 self.calibrate()
-
-    def _tell_missing(self, sight: Sight) -> None:
-        """Say when voltages begin to be left out of the image, and when none is any more."""
-        missing = sum(int(np.count_nonzero(~np.isfinite(frame.voltages))) for frame in sight.frames)
-        if missing and not self._missing:
-            total = sum(frame.pattern.n_meas for frame in sight.frames)
-            self._say(f"{missing} of {total} voltages are missing or clipped and left out of the image")
-        elif self._missing and not missing:
-            self._report("all voltages are there again")
-            self.message = ""
-        self._missing = missing
-
-    def _say(self, message: str) -> None:
-        self.message = message
-        self._report(message)

@@ -15,8 +15,9 @@ class Health:
 
     Args:
         rate: Cycles per second over the last second.
-        latency_p50, latency_p99: Time from the last sample of a cycle to its contacts (s), over the last 1000 cycles. The
-            device's clock is tied to the host's by the fastest answer seen, so the smallest transit time is not in it.
+        latency_p50, latency_p99: Time from the last sample of a cycle to its contacts (s), over the last 1000 cycles.
+            The device's clock is tied to the host's by the fastest answer seen, so the smallest transit time is not in
+            it.
         dropped: Frames lost on the way, since the start.
         noise: Standard deviation of a voltage on the quiet skin (V).
         waiting: Share of the time spent waiting for the device (0 to 1).
@@ -30,6 +31,11 @@ class Health:
     noise: float = 0.0
     waiting: float = 0.0
     cycles: int = 0
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """All but the count of cycles by name, for pages and JSON."""
+        return {name: value for name, value in vars(self).items() if name != "cycles"}
 
 
 class HealthMonitor:

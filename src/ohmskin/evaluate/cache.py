@@ -15,36 +15,22 @@ import ohmskin
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.result import Experiment, Result
 
-# what results do not depend on
+# what results do not depend on: other packages, and what comes after the results
 _BESIDE = {"cli", "view", "engine", "device", "plot", "record", "publish", "learn"}
-_AFTER = {
-    "report.py",
-    "claims.py",
-    "verdict.py",
-    "paper.py",
-    "groups.py",
-    "plan.py",
-    "runner.py",
-    "cache.py",
-    "statistics.py",
-    "resolution.py",
-    "reproduction.py",
-    "comparison.py",
-    "goals.py",
-    "judge.py",
-    "pictures.py",
-}
+_AFTER = {"cache", "claims", "comparison", "figures", "goals", "paper", "plan", "report", "reproduction", "resolution"}
+_AFTER |= {"runner", "statistics", "study", "verdict"}
 
 
 @lru_cache(maxsize=1)
 def fingerprint() -> str:
-    """The version of ohmskin and a checksum of the source that results depend on: change it, and they are computed anew."""
+    """The version of ohmskin and a checksum of the source that results depend on: change it, and they are computed
+    anew."""
     root = Path(ohmskin.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(p for pattern in ("*/**/*.py", "*/**/*.toml") for p in root.glob(pattern)):
         part = path.relative_to(root)
-        drawing = part.parts[0] == "evaluate" and (path.name in _AFTER or "figures" in part.parts)
-        if part.parts[0] not in _BESIDE and not drawing:
+        after = part.parts[0] == "evaluate" and not _AFTER.isdisjoint(part.with_suffix("").parts)
+        if part.parts[0] not in _BESIDE and not after:
             digest.update(str(part).encode() + path.read_bytes())
     return f"{ohmskin.__version__}+{digest.hexdigest()[:16]}"
 
@@ -98,7 +84,8 @@ class Cache:
                 np.savez_compressed(stream, allow_pickle=False, _task=np.array(json.dumps(describe(task))), **result)
             os.replace(part, target)
         except OSError as error:
-            raise OhmskinError(f"cannot write {target}: {error}; free some space or give another folder with --cache") from error
+            text = f"cannot write {target}: {error}; free some space or give another folder with --cache"
+            raise OhmskinError(text) from error
 
     def _file(self, task: Experiment) -> Path:
         return self.folder / f"{key(task)}.npz"

@@ -1,7 +1,9 @@
-"""Figures of merit of images on pixels, after Adler et al. 2009 ("GREIT"), fit for any domain and any number of targets.
+"""Figures of merit of images on pixels, after Adler et al. 2009 ("GREIT"), fit for any domain and any number of
+targets.
 
 `figures_of_merit` is the modern definition. It works in the image's own coordinates, on pixel centres, without a mask
-other than the domain itself. `eidors_figures` computes what EIDORS computes, which the paper used: see there what differs.
+other than the domain itself. `eidors_figures` computes what EIDORS computes, which the paper used: see there what
+differs.
 """
 
 from collections.abc import Sequence
@@ -10,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
-from ohmskin.geometry.domain import Floats
 
 _QUARTER = 0.25  # share of the largest value above which a pixel belongs to the target's image
 
@@ -69,7 +71,9 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
     """
     image, x, y = np.asarray(pixels, float), np.asarray(x, float), np.asarray(y, float)
     if image.shape != (len(y), len(x)) or min(image.shape) < 2:
-        raise DataError(f"the image has shape {image.shape}; its {len(y)} x {len(x)} pixel centres need that shape, 2 x 2 or more")
+        raise DataError(
+            f"the image has shape {image.shape}; its {len(y)} x {len(x)} pixel centres need that shape, 2 x 2 or more"
+        )
     if not targets:
         raise DataError("no target to hold the image against; give at least one")
     pixel = float((x[-1] - x[0]) / (len(x) - 1) * (y[-1] - y[0]) / (len(y) - 1))
@@ -88,7 +92,9 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
 def _merit(values: Floats, x: Floats, y: Floats, target: Target, pixel: float, in_domain: int) -> Merit:
     peak = float(values.max(initial=-np.inf))
     if not peak > 0:
-        raise DataError(f"nothing positive in the image about the target at {target.position}; there is no figure of merit")
+        raise DataError(
+            f"nothing positive in the image about the target at {target.position}; there is no figure of merit"
+        )
     q = values >= _QUARTER * peak
     count = int(q.sum())
     cx, cy = float(x[q].mean()), float(y[q].mean())
@@ -121,8 +127,8 @@ def eidors_figures(pixels: ArrayLike, target: tuple[float, float]) -> EidorsMeri
 
     AR is the plain sum of all pixels. PE is a difference of two distances from the origin, so that it has a sign and is
     blind to errors along the tangent. Pixels are taken to lie on a lattice that spans the domain from edge to edge. The
-    search for q leaves out what is beyond a circle of squared radius 1.1, 17.3 % of a square of 64 x 64 pixels. RNG counts
-    the negative pixels outside q, against the sum over q.
+    search for q leaves out what is beyond a circle of squared radius 1.1, 17.3 % of a square of 64 x 64 pixels. RNG
+    counts the negative pixels outside q, against the sum over q.
 
     Args:
         pixels: (n, n) image; NaN off the domain.

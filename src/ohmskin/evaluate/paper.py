@@ -13,21 +13,18 @@ DISCRIMINATION = {"16I": 17e-3, "16O": 12e-3}  # metres, smallest distance of tw
 
 SAYS = {
     "fig3": "The proposed method gives the best image of a single touch. Four more electrodes on the rim help, but "
-    "mainly near "
-    "the rim; electrodes inside the sheet help markedly, most of all in the centre.",
+    "mainly near the rim; electrodes inside the sheet help markedly, most of all in the centre.",
     "fig4": "Images of several touches by the proposed method are correct, clearer, and contain fewer artefacts.",
     "fig5": "In sections through the touch the proposed method reaches the largest value, and its width follows the "
     "pressure profile.",
     "table1": "For the touch in the upper left, the proposed method has the highest AR and the smallest PE; SD and R "
-    "fall from each "
-    "method to the next.",
+    "fall from each method to the next.",
     "fig6": "With adjacent drive the image has relatively large artefacts and another shape than the contact; with "
-    "adaptive drive there are "
-    "fewer artefacts and the shape of the object is reflected.",
-    "fig7": "Over 81 places the average error is 1.301 cm with adjacent and 1.023 cm with adaptive drive (1.27 times less).",
+    "adaptive drive there are fewer artefacts and the shape of the object is reflected.",
+    "fig7": "Over 81 places the average error is 1.301 cm with adjacent and 1.023 cm with adaptive drive (1.27 times "
+    "less).",
     "fig8": "Two weights of 100 g, 60 mm apart and then closer by 5 mm each time: adjacent drive cannot tell them "
-    "apart below 17 mm, adaptive "
-    "drive can above 12 mm.",
+    "apart below 17 mm, adaptive drive can above 12 mm.",
     "sweep": "The paper gives no noise level and no regularisation parameter.",
 }  # in our words
 TESTED_ON = {  # the way of making data that is like the paper's own

@@ -14,7 +14,7 @@ from ohmskin.evaluate.experiments import (
     Touches,
 )
 from ohmskin.evaluate.experiments.discrimination import areas
-from ohmskin.evaluate.result import Experiment
+from ohmskin.evaluate.result import Groups
 from ohmskin.evaluate.shapes import SHAPES, Shape
 from ohmskin.evaluate.worlds import WORLDS, Contacts, contact
 
@@ -38,8 +38,10 @@ class Settings:
 
     Args:
         noise: Noise levels (dB); the first is that of the figures and of Table I, all make the sweep.
-        amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the sweep.
-        seeds: Noise seeds of every experiment; the single touch of Fig. 5 and Table I, which is cheap, has ten times as many.
+        amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the
+            sweep.
+        seeds: Noise seeds of every experiment; the single touch of Fig. 5 and Table I, which is cheap, has ten times
+            as many.
         fine_noise: Level of the second, quieter run of Fig. 8 (dB).
         distances: Of the two contacts of Fig. 8 (m).
         side: Places along a side of the sheet in Fig. 7 and in the sweep.
@@ -74,8 +76,9 @@ def cases(world: str, places: dict[str, tuple[float, float]]) -> tuple[Contacts,
     return tuple((contact(world, *place),) for place in places.values())
 
 
-def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, Experiment]]:
-    """The experiments of each figure by name: ``world``, ``world/area/dB`` or, in the sweep, ``what/world/dB/amplitude``.
+def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
+    """The experiments of each figure by name: ``world``, ``world/area/dB`` or, in the sweep,
+    ``what/world/dB/amplitude``.
 
     Args:
         settings: How thoroughly.
@@ -87,7 +90,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, 
     if unknown := [name for name in only if name not in FIGURES]:
         raise OhmskinError(f"no figure {unknown[0]!r}; choose from {', '.join(FIGURES)}")
     db, s, n = settings.noise[0], settings.amplitude[0], settings.seeds
-    found: dict[str, dict[str, Experiment]] = {name: {} for name in FIGURES}
+    found: Groups = {name: {} for name in FIGURES}
     for world in WORLDS:
         single = cases(world, SINGLE)
         several = tuple(tuple(contact(world, *place) for place in places) for places in SEVERAL.values())

@@ -59,7 +59,8 @@ def run_experiments(
 
 
 def spread(tasks: list[Task], jobs: int, scheduler: str = "") -> Iterator[tuple[Task, Result]]:
-    """Run tasks in `jobs` processes (1: in this one) or on the workers of a Dask scheduler; results as they come, in any order."""
+    """Run tasks in `jobs` processes (1: in this one) or on the workers of a Dask scheduler; results as they come, in
+    any order."""
     if not tasks:
         return iter(())
     if scheduler:
@@ -72,7 +73,9 @@ def spread(tasks: list[Task], jobs: int, scheduler: str = "") -> Iterator[tuple[
 def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers inherit it; each has one core
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    pool = ProcessPoolExecutor(min(jobs, len(tasks)), multiprocessing.get_context("spawn"), initializer=_die_with_parent)
+    pool = ProcessPoolExecutor(
+        min(jobs, len(tasks)), multiprocessing.get_context("spawn"), initializer=_die_with_parent
+    )
     try:
         futures: dict[Future[Result], Task] = {}
         waiting = iter(tasks)
@@ -123,7 +126,9 @@ def _on_cluster(tasks: list[Task], scheduler: str) -> Iterator[tuple[Task, Resul
         try:
             versions = client.run(fingerprint)
         except ImportError as error:
-            raise OhmskinError(f"a worker of {scheduler} cannot import ohmskin: {error}; install this version there") from error
+            raise OhmskinError(
+                f"a worker of {scheduler} cannot import ohmskin: {error}; install this version there"
+            ) from error
         if not versions:
             raise OhmskinError(f"the Dask scheduler at {scheduler} has no workers; start some: dask worker {scheduler}")
         for worker, version in versions.items():

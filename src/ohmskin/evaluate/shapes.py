@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import OhmskinError
-from ohmskin.geometry.domain import Floats
 
 SHAPES = ("disc", "square", "ring", "cross", "L")
 

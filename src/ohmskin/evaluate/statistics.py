@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import beta
 
-from ohmskin.geometry.domain import Floats
+from ohmskin.arrays import Floats
 
 RESAMPLES = 2000
 LEVEL = 0.95
@@ -43,26 +43,35 @@ def _medians(values: Floats) -> Floats:
 
 
 def fewer(a: ArrayLike, b: ArrayLike) -> float:
-    """How sure it is that the median of a (n_seeds,) is below that of b, paired by seed: share of bootstrap resamples."""
+    """How sure it is that the median of a (n_seeds,) is below that of b, paired by seed: share of bootstrap
+    resamples."""
     a, b = (np.where(np.isfinite(v := np.asarray(values, float)), v, 1e300) for values in (a, b))
     drawn = np.random.default_rng(0).integers(0, len(a), (RESAMPLES, len(a)))
     return float(np.mean(np.median(a[drawn], axis=1) < np.median(b[drawn], axis=1)))
 
 
 def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
-    """The mean of a (n_seeds,) over the mean of b, and its interval, seeds drawn in pairs."""
+    """The mean of a over the mean of b, and its interval; shapes as for `mean`, seeds and places drawn in pairs."""
     a, b = np.asarray(a, float), np.asarray(b, float)
-    drawn = np.random.default_rng(0).integers(0, len(a), (RESAMPLES, len(a)))
-    low, high = np.quantile(a[drawn].mean(axis=1) / b[drawn].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = np.quantile(_means(a) / _means(b), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Estimate(float(a.mean() / b.mean()), float(low), float(high))
 
 
 def mean(values: ArrayLike) -> Estimate:
-    """The mean of values (n_seeds,) and its interval."""
+    """The mean of values and its interval, over seeds (n_seeds,), or over seeds and places (n_seeds, n_places)."""
     values = np.asarray(values, float)
-    drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
-    low, high = np.quantile(values[drawn].mean(axis=1), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = np.quantile(_means(values), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Estimate(float(values.mean()), float(low), float(high))
+
+
+def _means(values: Floats) -> Floats:
+    """Means (n_resamples,) of values whose seeds, and places if there are any, are drawn anew."""
+    random = np.random.default_rng(0)
+    drawn = values[random.integers(0, len(values), (RESAMPLES, len(values)))].mean(axis=1)
+    if values.ndim > 1:
+        places = random.integers(0, values.shape[1], (RESAMPLES, values.shape[1]))
+        drawn = np.take_along_axis(drawn, places, axis=1).mean(axis=1)
+    return np.asarray(drawn)
 
 
 def share(count: int, total: int) -> Estimate:

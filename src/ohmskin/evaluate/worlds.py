@@ -1,34 +1,37 @@
 """Where data come from: two models of a touched sheet, neither on the estimator's mesh.
 
-``discs``    The paper's simulation: discs of raised conductivity, point electrodes. The conductivity of each triangle is
-             the exact mean over it. The mesh has edges half as long as the estimator's.
-``pressed``  The contact-layer twin (`ohmskin.skin.PressedSheet`): floating patches pressed on the sheet, area electrodes with
-             contact impedance. The paper's physical experiments have this mechanism.
+- ``discs``: the paper's simulation. Discs of raised conductivity, point electrodes. The conductivity of each triangle
+  is the exact mean over it. The mesh has edges half as long as the estimator's.
+- ``pressed``: the contact-layer twin (`ohmskin.skin.PressedSheet`). Floating patches pressed on the sheet, area
+  electrodes with contact impedance. The paper's physical experiments have this mechanism.
 
 Both give transfer resistances under any contacts, for the electrode layouts ``grid`` (the paper's 12 rim and 4 inner
 electrodes) and ``rim`` (16 on the rim). Data are voltages at one current, `CURRENT`, with white noise of one standard
-deviation for all methods: so many decibels below the largest voltage that the 12-electrode adjacent scan (12B) has on the
-untouched sheet of the same world. The untouched reference is taken as free of noise (in practice a mean of many frames).
+deviation for all methods: so many decibels below the largest voltage that the 12-electrode adjacent scan (12B) has on
+the untouched sheet of the same world. The untouched reference is taken as free of noise (in practice a mean of many
+frames).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh, mesh_domain
-from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.skin import PressedSheet, Skin
 
 CURRENT = 1e-3  # amperes, in every injection
 LAYOUTS = {"grid": "paper", "rim": "paper-rim16"}  # electrode layouts and the skins that have them
-WORLDS = ("discs", "pressed")
+WORLD_NAMES = {"discs": "discs of raised conductivity", "pressed": "contact-layer twin"}
+WORLDS = tuple(WORLD_NAMES)
 CONTACT_STRENGTH = {"discs": 0.5, "pressed": 20e3}  # relative change of conductivity | pascals
 CONTACT_RADIUS = {"discs": 10e-3, "pressed": 8e-3}  # metres
 
@@ -66,7 +69,11 @@ class DiscSheet:
         for contact in contacts:
             if contact.kind != "disc":
                 raise OhmskinError(f"the world of discs has no {contact.kind}; press it on the world 'pressed'")
-            change += contact.strength * disc_overlap(self.mesh, contact.position, contact.radius).toarray()[0] / self.mesh.measures
+            change += (
+                contact.strength
+                * disc_overlap(self.mesh, contact.position, contact.radius).toarray()[0]
+                / self.mesh.measures
+            )
         conductivity = self.skin.sheet.conductivity * (1 + change)
         return TransferModel(self.mesh, self.skin.electrodes, conductivity).transfer_resistance
 
@@ -109,7 +116,9 @@ def sheet(world: str, layout: str, wear: float = 1.0) -> Sheet:
         OhmskinError: If there is no such world.
     """
     skin = Skin.load(LAYOUTS[layout])
-    skin = replace(skin, electrode=replace(skin.electrode, contact_resistivity=wear * skin.electrode.contact_resistivity))
+    skin = replace(
+        skin, electrode=replace(skin.electrode, contact_resistivity=wear * skin.electrode.contact_resistivity)
+    )
     if world == "discs":
         return DiscSheet(skin)
     if world == "pressed":
@@ -158,3 +167,15 @@ def contact(world: str, x: float, y: float, radius: float | None = None, strengt
         CONTACT_RADIUS[world] if radius is None else radius,
         CONTACT_STRENGTH[world] if strength is None else strength,
     )
+
+
+def described(levels: Sequence[float]) -> list[tuple[str, str, str, str]]:
+    """A row for each world: its name, its usual contact, its largest 12B voltage, and the noise at each level (dB)."""
+    rows = []
+    for world, name in WORLD_NAMES.items():
+        strength = CONTACT_STRENGTH[world]
+        amount = f"+{100 * strength:g} %" if world == "discs" else f"{strength / 1e3:g} kPa"
+        noise = " / ".join(f"{1e6 * noise_volts(world, level):.0f} µV at {level:g} dB" for level in levels)
+        largest = f"{1e3 * full_scale(world):.1f} mV"
+        rows.append((name, f"{1e3 * CONTACT_RADIUS[world]:g} mm, {amount}", largest, noise))
+    return rows

@@ -1,13 +1,14 @@
 """Conductivity calibration: background and contact impedances from a measured frame of the untouched skin."""
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern
 
 BACKGROUNDS = {"scale": 0, "linear": 1, "quadratic": 2}  # degree of the polynomial that the log-conductivity changes by
@@ -21,7 +22,7 @@ class BackgroundFit:
     Args:
         model: The model with what was fitted.
         names: (n_params,) of the parameters: "background 0", ..., "contact 3" or "contacts".
-        log_values: (n_params,) fitted: coefficients of the background's basis; logarithms of the factors on contact impedances.
+        log_values: (n_params,) coefficients of the background's basis; logarithms of factors on contact impedances.
         covariance: (n_params, n_params) of `log_values`.
         residual: Root mean square of what is left (V).
         rounds: Gauss-Newton steps taken.
@@ -37,17 +38,16 @@ class BackgroundFit:
     @property
     def log_std(self) -> Floats:
         """(n_params,) standard deviations of `log_values`: relative ones of what they scale."""
-        std: Floats = np.sqrt(np.diag(self.covariance))
-        return std
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def factors(self) -> Floats:
         """(n_params,) exp(log_values): the factor on the conductivity, for "scale", and on contact impedances."""
-        factors: Floats = np.exp(self.log_values)
-        return factors
+        return np.asarray(np.exp(self.log_values))
 
     def __str__(self) -> str:
-        lines = [f"{n}: factor {f:.4g} +- {f * s:.2g}" for n, f, s in zip(self.names, self.factors, self.log_std, strict=True)]
+        parts = zip(self.names, self.factors, self.log_std, strict=True)
+        lines = [f"{name}: factor {factor:.4g} +- {factor * std:.2g}" for name, factor, std in parts]
         return "\n".join([*lines, f"residual {self.residual:.3g} V rms after {self.rounds} rounds"])
 
 
@@ -62,22 +62,21 @@ def fit_background(
     noise: float | None = None,
     max_rounds: int = 30,
 ) -> BackgroundFit:
-    """Fit conductivity and contact impedances of the untouched skin to a measured frame, by Gauss-Newton in their logarithms.
+    """Fit the untouched skin's conductivity and contact impedances to a frame, by Gauss-Newton in their logarithms.
 
     Args:
         model: Where to start.
         pattern: What was driven.
         voltages: (n_meas,) measured (V); what is not finite is left out.
         currents: Measured currents, one value or (n_inj,) in amperes.
-        background: What the log-conductivity may change by: a constant ("scale"), or a "linear" or "quadratic" polynomial in the
-            coordinates, relative to the skin's middle and half its largest extent; or a basis (n_elem, n_params) of one's own.
-        contacts: "keep" the contact impedances, fit a "common" factor, or one for "each" area electrode. Only voltages at driven
-            electrodes tell them well.
+        background: What the log-conductivity may change by: a constant ("scale"), or a "linear" or "quadratic"
+            polynomial in the coordinates, from the skin's middle over half its extent; or a basis (n_elem, n_params).
+        contacts: "keep" them, or fit a "common" factor or one for "each", which needs voltages at driven electrodes.
         noise: Standard deviation of a voltage (V); the residual's unless given.
         max_rounds: Gauss-Newton steps at most.
 
     Raises:
-        ModelError: If an option is unknown, data are too few or do not determine a parameter, or the fit does not converge.
+        ModelError: If an option is unknown, the data do not determine a parameter, or the fit does not converge.
     """
     basis, names = _basis(model, background)
     if contacts not in CONTACTS:
@@ -99,17 +98,16 @@ def fit_background(
         raise ModelError(f"noise is {noise} V; it must be positive and finite, or None to tell it from the residual")
     known = np.isfinite(measured)
     if known.sum() < len(names) + (noise is None):
-        raise ModelError(f"{known.sum()} finite voltages do not determine {len(names)} parameters; measure more or fit less")
+        raise ModelError(f"{known.sum()} finite voltages do not determine {len(names)} parameters; measure more")
 
     n_basis, start = basis.shape[1], model
     values, rounds = np.zeros(len(names)), 0
     predicted = model.voltages(pattern, currents)[known]
     while True:
         rounds += 1
-        rows = np.hstack([
-            model.sensitivity(pattern, currents)[known] @ (model.conductivity[:, None] * basis),
-            model.contact_sensitivity(pattern, currents)[known] @ (model.electrodes.contact_impedances[:, None] * spread),
-        ])  # fmt: skip
+        sheet = model.sensitivity(pattern, currents)[known] @ (model.conductivity[:, None] * basis)
+        impedances = model.electrodes.contact_impedances[:, None]
+        rows = np.hstack([sheet, model.contact_sensitivity(pattern, currents)[known] @ (impedances * spread)])
         _check_rank(rows, names)
         step = np.linalg.lstsq(rows, measured[known] - predicted, rcond=None)[0]
         misfit, share = float(np.linalg.norm(measured[known] - predicted)), 1.0
@@ -125,7 +123,7 @@ def fit_background(
             share /= 2
         values, model, predicted = tried, other, foreseen
         if rounds == max_rounds:
-            raise ModelError(f"the background did not settle in {max_rounds} rounds; fit fewer parameters, or start closer")
+            raise ModelError(f"the background did not settle in {max_rounds} rounds; fit less or start closer")
     left = measured[known] - predicted
     spare = max(1, len(left) - len(names))
     variance = float(left @ left) / spare if noise is None else noise**2
@@ -146,21 +144,15 @@ def _basis(model: TransferModel, background: str | ArrayLike) -> tuple[Floats, t
     mesh = model.mesh
     if isinstance(background, str):
         if background not in BACKGROUNDS:
-            raise ModelError(
-                f"background is {background!r}; choose from {', '.join(BACKGROUNDS)}, or give a basis (n_elem, n_params)"
-            )
+            choices = ", ".join(BACKGROUNDS)
+            raise ModelError(f"background is {background!r}; choose from {choices}, or give a basis (n_elem, n_params)")
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
         x = (mesh.centroids - (low + high) / 2) / ((high - low).max() / 2)
         columns, names = [np.ones(mesh.n_elem)], ["background"]
-        axes = "xyz"[: x.shape[1]]
-        if BACKGROUNDS[background] >= 1:
-            columns += list(x.T)
-            names += [f"background {a}" for a in axes]
-        if BACKGROUNDS[background] >= 2:
-            for i in range(len(axes)):
-                for j in range(i, len(axes)):
-                    columns.append(x[:, i] * x[:, j])
-                    names.append(f"background {axes[i]}{axes[j]}")
+        for degree in range(1, BACKGROUNDS[background] + 1):
+            for axes in combinations_with_replacement(range(x.shape[1]), degree):
+                columns.append(x[:, axes].prod(axis=1))
+                names.append(f"background {''.join('xyz'[k] for k in axes)}")
         return np.column_stack(columns), tuple(names)
     basis = np.asarray(background, float)
     if basis.ndim != 2 or basis.shape[0] != mesh.n_elem or basis.shape[1] == 0 or not np.isfinite(basis).all():
@@ -171,9 +163,8 @@ def _basis(model: TransferModel, background: str | ArrayLike) -> tuple[Floats, t
 def _check_rank(rows: Floats, names: tuple[str, ...]) -> None:
     size = np.linalg.norm(rows, axis=0)
     if (size <= 1e-12 * size.max()).any():
-        raise ModelError(
-            f"the data do not depend on {names[int(np.argmin(size))]!r}; measure at driven electrodes, or do not fit it"
-        )
+        unseen = names[int(np.argmin(size))]
+        raise ModelError(f"the data do not depend on {unseen!r}; measure at driven electrodes, or do not fit it")
     singular, right = np.linalg.svd(rows / size)[1:]
     if singular[-1] < 1e-9 * singular[0]:
         mixed = np.argsort(-np.abs(right[-1]))[:2]

@@ -1,28 +1,27 @@
 """Sparse Cholesky factors of matrices whose unknowns have places in space, as those of finite elements have.
 
-Cutting space in halves, and the halves again, gives an elimination order in which the factor stays sparse (George 1973, nested
-dissection): unknowns of one half know nothing of those of the other, except through the separator, which is eliminated last. Each
-part of the order is one dense front of the multifrontal method (Duff and Reid 1983, Liu 1992), so that nearly all work is
-products of small dense matrices; for n unknowns in the plane it grows as n^1.5, memory as n log n.
+Cutting space in halves, and the halves again, gives an elimination order in which the factor stays sparse (George
+1973, nested dissection): unknowns of one half know nothing of those of the other, except through the separator, which
+is eliminated last. Each part of the order is one dense front of the multifrontal method (Duff and Reid 1983, Liu
+1992), so that nearly all work is products of small dense matrices; it grows as n^1.5 in the plane, memory as n log n.
 
-Fronts of a few dozen unknowns are too small for BLAS: all products are made of one small one, `tile`, that stays in registers.
+Fronts of a few dozen unknowns are too small for BLAS: all products are made of one, `tile`, that stays in registers.
 """
 
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.dissection import borders, dissect
 from ohmskin.forward.tiles import eliminate_front, tile
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 
 _LEAF = 24  # unknowns below which a part is cut no further: dense work is cheaper than book-keeping
 
 
 class Elimination:
-    """The order in which unknowns are eliminated and what that fills: all of a factorisation that the values do not change.
+    """The order of elimination and what it fills: all of a factorisation that does not depend on the values.
 
     Args:
         pattern: (n, n) sparse symmetric matrix, both halves; only its pattern counts.
@@ -33,12 +32,12 @@ class Elimination:
     def __init__(self, pattern: sp.csc_array, places: Floats, without: int = -1) -> None:
         self.n = pattern.shape[0]
         self.indptr, self.indices = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
-        self.order, part_of, self.start, self.parent = dissect(
-            self.indptr, self.indices, np.ascontiguousarray(places, dtype=float), without, _LEAF
-        )
+        places = np.ascontiguousarray(places, dtype=float)
+        self.order, part_of, self.start, self.parent = dissect(self.indptr, self.indices, places, without, _LEAF)
         self.place = np.full(self.n, -1)
         self.place[self.order] = np.arange(len(self.order))
-        self.border_start, self.border = borders(self.indptr, self.indices, self.order, part_of, self.start, self.parent)
+        filled = borders(self.indptr, self.indices, self.order, part_of, self.start, self.parent)
+        self.border_start, self.border = filled
         own, beyond = np.diff(self.start), np.diff(self.border_start)
         self.factor_start = np.concatenate([[0], np.cumsum(own * (own + beyond))])
         self.largest = int((own + beyond).max())
@@ -56,11 +55,11 @@ class Elimination:
         factor = np.empty(self.factor_start[-1] + 4 * self.largest + 4)
         factor[self.factor_start[-1] :] = 0.0  # read by tiles that reach beyond the last row, and not used
         bad = eliminate(
-            self.indptr, self.indices, np.ascontiguousarray(values, dtype=float), self.order, self.place, self.start, self.parent,
-            self.border_start, self.border, self.factor_start, factor,
+            self.indptr, self.indices, np.ascontiguousarray(values, dtype=float), self.order, self.place, self.start,
+            self.parent, self.border_start, self.border, self.factor_start, factor,
         )  # fmt: skip
         if bad >= 0:
-            raise ModelError(f"the system is not positive definite at unknown {bad}; check conductivities and contact impedances")
+            raise ModelError(f"the system is not positive definite at unknown {bad}; check the conductivities")
         return Factor(self, factor)
 
 
@@ -79,7 +78,7 @@ class Factor:
         return result.reshape(given.shape)
 
     def half_solve(self, loads: Floats) -> Floats:
-        """W loads (n, k), with W^T W the inverse of the matrix: what white noise makes of a Gaussian field, the other way round."""
+        """W loads (n, k), with W^T W the inverse of the matrix: it whitens a Gaussian field."""
         columns = np.asarray(loads, float).reshape(self.elimination.n, -1)
         return self._down(columns)[:, : columns.shape[1]]
 
@@ -96,23 +95,14 @@ class Factor:
 
 @njit(cache=True, nogil=True)
 def eliminate(
-    indptr: Ints,
-    indices: Ints,
-    values: Floats,
-    order: Ints,
-    place: Ints,
-    start: Ints,
-    parent: Ints,
-    border_start: Ints,
-    border: Ints,
-    factor_start: Ints,
-    factor: Floats,
-) -> int:
-    """Fill `factor`, own rows of each front; the number of an unknown where the matrix is not positive definite, else -1."""
+    indptr: Ints, indices: Ints, values: Floats, order: Ints, place: Ints, start: Ints, parent: Ints,
+    border_start: Ints, border: Ints, factor_start: Ints, factor: Floats,
+) -> int:  # fmt: skip
+    """Fill `factor`, own rows of each front; an unknown where the matrix is not positive definite, else -1."""
     parts = len(parent)
     skip, width, depth = np.empty(parts, np.int64), np.empty(parts, np.int64), np.zeros(parts, np.int64)
     room, front = np.zeros(parts + 1, np.int64), np.empty(parts, np.int64)
-    for part in range(parts - 1, -1, -1):  # of the fronts at one depth only one is under way at a time: they share their room
+    for part in range(parts - 1, -1, -1):  # of the fronts at one depth one is under way at a time: they share memory
         skip[part] = start[part + 1] - start[part] + 3 & -4
         width[part] = skip[part] + border_start[part + 1] - border_start[part]
         if parent[part] >= 0:
@@ -207,7 +197,7 @@ def substitute_up(
     order: Ints, start: Ints, border_start: Ints, border: Ints, factor_start: Ints, factor: Floats, largest: int,
     x: Floats, result: Floats,
 ) -> None:  # fmt: skip
-    """L^-T x in place, x (n, whole tiles) in the order of elimination; also to `result`, in the order of the unknowns."""
+    """L^-T x in place, x (n, whole tiles) in the order of elimination; also to `result`, by unknowns."""
     columns, width = result.shape[1], x.shape[1]
     front = np.zeros((largest + 8, width))
     for part in range(len(start) - 2, -1, -1):
@@ -224,7 +214,8 @@ def substitute_up(
             block = factor_start[part] + i * size
             for c in range(0, width, 8):
                 at = i * width + c
-                tile(front, at, width, True, factor, block + own, 1, size, front, skip * width + c, width, len(its_border))
+                below = skip * width + c
+                tile(front, at, width, True, factor, block + own, 1, size, front, below, width, len(its_border))
                 tile(front, at, width, True, factor, block + i + 4, 1, size, front, at + 4 * width, width, own - i - 4)
                 tile(front, at, width, False, factor, block + i, 1, size, front, at, width, min(4, own - i))
         for i in range(own):

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,9 +15,9 @@ class Conductivity:
     """The conductivity of each element: how much, and in which directions.
 
     Args:
-        values: (n_elem,) geometric mean of the principal conductivities; of a sheet in siemens (per square), of a thick skin in
-            siemens per metre.
-        shape: (n_elem, dim, dim) tensors of which `values` is the factor, with determinant 1 within the element; None if isotropic.
+        values: (n_elem,) geometric mean of the principal conductivities; of a sheet in siemens (per square), of a
+            thick skin in siemens per metre.
+        shape: (n_elem, dim, dim) tensors of determinant 1 that `values` multiplies; None if isotropic.
     """
 
     values: Floats
@@ -35,7 +35,7 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
     Tensors are in the coordinates of the nodes; on a surface in space only their part tangential to it counts.
 
     Raises:
-        ModelError: If a value is not positive and finite, a tensor not symmetric positive definite, or the shape is wrong.
+        ModelError: If a value is not positive, a tensor not symmetric positive definite, or the shape is wrong.
     """
     sigma, n, dim = np.array(given, float), mesh.n_elem, mesh.nodes.shape[1]
     if sigma.shape == (dim, dim):
@@ -44,13 +44,13 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
         sigma = np.full(n, sigma)
     if sigma.shape == (n,):
         if len(bad := np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)))):
-            raise ModelError(f"conductivity of {mesh.noun} {bad[0]} is {sigma[bad[0]]}; it must be positive ({_unit(mesh)})")
+            one = f"conductivity of {mesh.noun} {bad[0]} is {sigma[bad[0]]}"
+            raise ModelError(f"{one}; it must be positive ({_unit(mesh)})")
         return Conductivity(sigma)
     if sigma.shape != (n, dim, dim):
-        raise ModelError(
-            f"conductivity has shape {sigma.shape}; give one value or ({n},), one per {mesh.noun}, or tensors ({dim}, {dim}) or "
-            f"({n}, {dim}, {dim})"
-        )
+        tensors = f"tensors ({dim}, {dim}) or ({n}, {dim}, {dim})"
+        one_each = f"one value or ({n},), one per {mesh.noun}"
+        raise ModelError(f"conductivity has shape {sigma.shape}; give {one_each}, or {tensors}")
     finite = np.isfinite(sigma).all(axis=(1, 2))
     scale = np.abs(np.where(finite[:, None, None], sigma, 0)).max(axis=(1, 2))
     symmetric = np.abs(sigma - sigma.transpose(0, 2, 1)).max(axis=(1, 2)) <= 1e-12 * scale
@@ -62,10 +62,8 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
         within = np.einsum("eda,edc,ecb->eab", frames, np.where(finite[:, None, None], sigma, -1), frames)
         principal = np.linalg.eigvalsh(within)
     if len(bad := np.flatnonzero(~(finite & symmetric & (principal[:, 0] > 0)))):
-        raise ModelError(
-            f"conductivity tensor of {mesh.noun} {bad[0]} is {sigma[bad[0]].tolist()}; it must be symmetric positive definite "
-            f"({_unit(mesh)})"
-        )
+        tensor = f"conductivity tensor of {mesh.noun} {bad[0]} is {sigma[bad[0]].tolist()}"
+        raise ModelError(f"{tensor}; it must be symmetric positive definite ({_unit(mesh)})")
     values = np.exp(np.log(principal).mean(axis=1))
     return Conductivity(values, sigma / values[:, None, None])
 

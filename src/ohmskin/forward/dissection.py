@@ -3,17 +3,16 @@
 import numpy as np
 from numba import njit
 
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
+from ohmskin.arrays import Floats, Ints
 
 
 @njit(cache=True, nogil=True)
 def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int) -> tuple[Ints, Ints, Ints, Ints]:
-    """Nested dissection by coordinates: space is cut first, then unknowns that see others across a cut are lifted to it.
+    """Nested dissection by coordinates: space is cut, then unknowns with neighbours across a cut are lifted to it.
 
     Returns:
-        order (n,) of elimination; the part of each unknown (n,), -1 of the one left out; of each part its first place in the order
-        (n_parts + 1,), and the later part that it hangs on (n_parts,), -1 of the last.
+        order (n,) of elimination; the part of each unknown (n,), -1 of the one left out; of each part its first place
+            in the order (n_parts + 1,), and the later part that it hangs on (n_parts,), -1 of the last.
     """
     n, dim = places.shape
     order = np.array([v for v in range(n) if v != without])
@@ -56,7 +55,11 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
             low_of[waiting], high_of[waiting], above[waiting] = first, last, part
             waiting += 1
     # the edges across each cut, in a linked list
-    left, right, following = np.empty(len(indices), np.int64), np.empty(len(indices), np.int64), np.empty(len(indices), np.int64)
+    left, right, following = (
+        np.empty(len(indices), np.int64),
+        np.empty(len(indices), np.int64),
+        np.empty(len(indices), np.int64),
+    )
     newest = np.full(parts, -1)
     edges = 0
     for v in range(n):
@@ -103,7 +106,7 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
 def borders(indptr: Ints, indices: Ints, order: Ints, part_of: Ints, start: Ints, parent: Ints) -> tuple[Ints, Ints]:
     """Of each front, the later unknowns (places in the order, rising) that eliminating its own ties together.
 
-    They are in the borders of the parts of their earlier neighbours and of all parts on the way up to their own (Liu 1990).
+    They are in the borders of the parts of their earlier neighbours and of all parts up to their own (Liu 1990).
     """
     parts = len(parent)
     border_start, border = np.zeros(parts + 1, np.int64), np.empty(0, np.int64)

@@ -4,7 +4,7 @@ All of it is algebra on the transfer resistances S, and so are its derivatives: 
 
     c . dS d = -1/2 sum_{i<j} (c_i d_j + c_j d_i) dR_ij,
 
-so that the derivative by anything (conductivity, contact impedance) is a matrix by pairs times the sensitivity of the pairs.
+so that the derivative by conductivity or contact impedance is a matrix by pairs times the sensitivity of the pairs.
 """
 
 from dataclasses import dataclass, replace
@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
-from ohmskin.geometry.domain import Floats
-from ohmskin.scan import Difference, DrivePattern, all_pairs
+from ohmskin.scan import Difference, DrivePattern, all_pairs, pair_index
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +24,11 @@ class Response:
     """Currents and potentials of all electrodes, for any number of excitations.
 
     The derivatives by the two-terminal resistances R_ij, `..._by_pairs`, give the sensitivity to anything: times
-    `TransferModel.pair_sensitivity` that to conductivity, times `TransferModel.pair_contact_sensitivity` that to contact impedance.
+    `TransferModel.pair_sensitivity` that to conductivity, times `pair_contact_sensitivity` that to contact impedance.
 
     Args:
         currents: (n_drive, n_elec) into the skin (A).
-        potentials: (n_drive, n_elec) of the electrodes (V); of given currents with mean zero, of given voltages as those are.
+        potentials: (n_drive, n_elec) of the electrodes (V); with mean zero if currents are given.
         current_weights: (n_drive, n_elec, n_elec) a with dI = a . dS I for each electrode; zero-sum.
         potential_weights: Likewise for potentials.
     """
@@ -52,8 +52,7 @@ class Response:
 def by_pairs(c: Floats, d: Floats) -> Floats:
     """The rows (..., n_pairs) that make c . dS d of dR_ij, for zero-sum c and d (..., n_elec)."""
     i, j = all_pairs(c.shape[-1]).T
-    rows: Floats = -(c[..., i] * d[..., j] + c[..., j] * d[..., i]) / 2
-    return rows
+    return np.asarray(-(c[..., i] * d[..., j] + c[..., j] * d[..., i]) / 2)
 
 
 def drive_currents(model: TransferModel, currents: ArrayLike) -> Response:
@@ -70,13 +69,12 @@ def drive_currents(model: TransferModel, currents: ArrayLike) -> Response:
     if given.ndim != 2 or given.shape[1] != n_elec:
         raise ModelError(f"currents have shape {given.shape}; give (n_drive, {n_elec}), one for each electrode")
     if not np.isfinite(given).all():
-        raise ModelError(
-            f"currents of excitation {int(np.argmin(np.isfinite(given).all(1)))} are not finite; give 0 for no current"
-        )
+        k = int(np.argmin(np.isfinite(given).all(axis=1)))
+        raise ModelError(f"currents of excitation {k} are not finite; give 0 for no current")
     excess = np.abs(given.sum(axis=1)) - 1e-9 * np.abs(given).sum(axis=1)
     if (excess > 0).any():
         k = int(np.argmax(excess))
-        raise ModelError(f"currents of excitation {k} sum to {given[k].sum():.3g} A; what goes in must come out, so make it 0")
+        raise ModelError(f"currents of excitation {k} sum to {given[k].sum():.3g} A; make it 0")
     centred = np.eye(n_elec) - 1 / n_elec
     weights = np.broadcast_to(centred, (len(given), n_elec, n_elec))
     return Response(given, given @ model.transfer_resistance, np.zeros_like(weights), weights)
@@ -91,25 +89,25 @@ def drive_voltages(model: TransferModel, voltages: ArrayLike, resistance: ArrayL
         resistance: In series between the source and each driven electrode, one value or (n_elec,) in ohms.
 
     Raises:
-        ModelError: If voltages or resistances do not fit, fewer than two electrodes are driven, or one of them is a point.
+        ModelError: If shapes or values do not fit, fewer than two electrodes are driven, or one is a point.
     """
     given, n_elec = np.array(voltages, float), len(model.electrodes)
     if given.ndim != 2 or given.shape[1] != n_elec:
-        raise ModelError(f"voltages have shape {given.shape}; give (n_drive, {n_elec}), NaN where an electrode is not driven")
+        raise ModelError(f"voltages have shape {given.shape}; give (n_drive, {n_elec}), NaN where not driven")
     if np.isinf(given).any():
         raise ModelError("a voltage is infinite; give NaN where an electrode is not driven")
-    series = np.array(np.broadcast_to(np.asarray(resistance, float), n_elec)) if np.size(resistance) in (1, n_elec) else None
-    if series is None or not (np.isfinite(series) & (series >= 0)).all():
-        raise ModelError(
-            f"series resistance is {np.asarray(resistance)}; give one value or ({n_elec},), finite and not negative (ohm)"
-        )
+    fits = np.size(resistance) in (1, n_elec)
+    series = np.array(np.broadcast_to(np.asarray(resistance, float), n_elec)) if fits else np.full(n_elec, np.nan)
+    if not (np.isfinite(series) & (series >= 0)).all():
+        allowed = f"give one value or ({n_elec},), finite and not negative (ohm)"
+        raise ModelError(f"series resistance is {np.asarray(resistance)}; {allowed}")
     s = model.transfer_resistance
     currents, potentials = np.zeros_like(given), np.empty_like(given)
     by_current, by_potential = np.zeros((len(given), n_elec, n_elec)), np.zeros((len(given), n_elec, n_elec))
     for k, row in enumerate(given):
         driven = np.flatnonzero(np.isfinite(row))
         if len(driven) < 2:
-            raise ModelError(f"excitation {k} gives {len(driven)} electrodes a voltage; current flows between two or more")
+            raise ModelError(f"excitation {k} gives {len(driven)} electrodes a voltage; give two or more")
         _refuse_points(model, driven)
         count = len(driven)
         bordered = np.ones((count + 1, count + 1))
@@ -156,10 +154,8 @@ class VoltageSource:
         """
         pattern.check(len(model.electrodes))
         _refuse_points(model, np.unique(pattern.injections))
-        i, j = pattern.injections.T
-        s = model.transfer_resistance
-        currents: Floats = self.amplitude / (s[i, i] + s[j, j] - 2 * s[i, j] + self.resistance)
-        return currents
+        pairs = pair_index(pattern.injections[:, 0], pattern.injections[:, 1], len(model.electrodes))
+        return np.asarray(self.amplitude / (model.pair_resistances[pairs] + self.resistance))
 
     def voltages(self, model: TransferModel, pattern: DrivePattern) -> Floats:
         """Voltages (n_meas,) of a pattern (V)."""
@@ -179,28 +175,26 @@ class VoltageSource:
         return rows * currents[which, None]
 
     def unmeasured(self, model: TransferModel, difference: Difference) -> Difference:
-        """A difference whose currents were not measured but taken from `currents`, with what the source's sagging does to it.
+        """A difference whose currents were not measured but taken from `currents`, with the effect of source loading.
 
-        The baseline must have been learned with the same currents in its frames. A contact lowers the resistance of the driven
-        pair, too, so that its current rises: to first order dV = I (dR_m - R_m / (R_pair + resistance) dR_pair).
+        The baseline must have been learned with the same currents in its frames. A contact lowers the resistance of
+        the driven pair too and raises its current: to first order dV = I (dR_m - R_m / (R_pair + resistance) dR_pair).
         """
         amperes = self.currents(model, difference.pattern)[difference.pattern.measurements[:, 0]]
-        return replace(difference, currents=amperes, sag=model.voltages(difference.pattern) * amperes / self.amplitude)
+        loading = model.voltages(difference.pattern) * amperes / self.amplitude
+        return replace(difference, currents=amperes, source_loading=loading)
 
     def sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
         """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens), with the current left to change."""
-        rows: Floats = self.by_pairs(model, pattern) @ model.pair_sensitivity
-        return rows
+        return np.asarray(self.by_pairs(model, pattern) @ model.pair_sensitivity)
 
     def contact_sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """dV/dz (n_meas, n_elec) of a pattern, in volts per ohm m2 (disc) or ohm m (rim), with the current left to change."""
-        rows: Floats = self.by_pairs(model, pattern) @ model.pair_contact_sensitivity
-        return rows
+        """dV/dz (n_meas, n_elec) of a pattern in V per ohm m2 (disc) or ohm m (rim), the current left to change."""
+        return np.asarray(self.by_pairs(model, pattern) @ model.pair_contact_sensitivity)
 
 
 def _refuse_points(model: TransferModel, driven: np.ndarray) -> None:
     if len(points := driven[~model.electrodes.are_areas[driven]]):
-        raise ModelError(
-            f"electrode {points[0]} is a point, whose own resistance grows without bound as the mesh is refined; give it an area "
-            "(Electrodes.with_discs, with_rim_segments) to drive it by a voltage"
-        )
+        advice = "give it an area (Electrodes.with_discs, with_rim_segments) to drive it by a voltage"
+        grows = "whose own resistance grows without bound as the mesh is refined"
+        raise ModelError(f"electrode {points[0]} is a point, {grows}; {advice}")

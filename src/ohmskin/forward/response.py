@@ -1,8 +1,9 @@
 """What a small contact anywhere on a flat sheet does to the data: a table made once, read in microseconds.
 
-A contact is a disc that changes the conductivity by a share e over an area a; to first order its effect on the resistance of
-every electrode pair is e a times the mean, over the disc, of the sensitivity per area. Cubic splines over the sheet at five
-radii hold it; between them it is nearly linear in r^2 (the mean of f over a disc is f + r^2/8 laplace f + ...).
+A contact is a disc that changes the conductivity by a share e over an area a; to first order its effect on the
+resistance of every electrode pair is e a times the mean, over the disc, of the sensitivity per area. Cubic splines
+over the sheet at five radii hold it; between them it is nearly linear in r^2 (the mean of f over a disc is f + r^2/8
+laplace f + ...).
 """
 
 from dataclasses import dataclass
@@ -12,9 +13,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, spline_filter1d
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
-from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.overlap import disc_overlap
 
 _SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5])  # radii kept, as shares of the usual one; one of them is the usual one
@@ -40,11 +41,11 @@ class ContactResponse:
 class ContactTable:
     """Responses of contacts anywhere on a flat sheet.
 
-    Against the integrals they stand for they err by a quarter of a per cent in the middle, and by up to a tenth where the edge of
-    a contact crosses the triangles at a point electrode, which are not exact either.
+    Against the integrals they stand for they err by a quarter of a per cent in the middle, and by up to a tenth where
+    the edge of a contact crosses the triangles at a point electrode, which are not exact either.
 
     Args:
-        model: Forward model of the untouched sheet; the finer its mesh (half the radius and less), the smoother the table.
+        model: Of the untouched sheet; the finer its mesh (half the radius and less), the smoother the table.
         radius: Usual radius of a contact (m); responses are kept at 0.5 to 1.5 times it, and
             extended linearly in the squared radius beyond.
         pitch: Distance of the places at which responses are kept (m).
@@ -61,13 +62,11 @@ class ContactTable:
     def __init__(self, model: TransferModel, radius: float = 8e-3, pitch: float = 2.5e-3) -> None:
         mesh = model.mesh
         if mesh.nodes.shape[1] != 2:
-            raise ModelError("a contact table needs a flat sheet; on surfaces in space use DiscFit")
+            raise ModelError("a contact table needs a flat sheet; on surfaces in space find contacts in an image")
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
         if not (0 < pitch < (high - low).min() / 4 and 0 < radius < (high - low).min() / 2):
-            raise ModelError(
-                f"radius {radius!r} m and pitch {pitch!r} m; on a sheet of {high - low} m the radius must be below half of its "
-                "shorter side and the pitch below a quarter"
-            )
+            allowed = "the radius must be below half of its shorter side and the pitch below a quarter"
+            raise ModelError(f"radius {radius!r} m and pitch {pitch!r} m; on a sheet of {high - low} m {allowed}")
         self.radius, self.n_elec = radius, len(model.electrodes)
         self._low = low
         self._steps = np.ceil((high - low) / pitch - 1e-9).astype(int)  # at least four
@@ -86,7 +85,8 @@ class ContactTable:
             closest = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
             layers.append(mean.reshape(*grid.shape[:2], -1)[closest[0], closest[1]])
         usual = list(_SPREAD).index(1.0)
-        inside = covered[0] >= _LEAST_COVER * (1 - 1e-9)  # the smallest disc says best whether its centre is on the sheet
+        # the smallest disc says best whether its centre is on the sheet
+        inside = covered[0] >= _LEAST_COVER * (1 - 1e-9)
         self.places: Floats = grid.reshape(-1, 2)[inside]
         self.whole: NDArray[np.bool_] = covered[usual][inside] > _WHOLE
         knots = np.stack(layers, axis=2)
@@ -96,7 +96,7 @@ class ContactTable:
         self._knots = np.pad(knots, ((1, 2), (1, 2), (0, 0), (0, 0)), mode="reflect")
 
     def __call__(self, positions: ArrayLike, radius: ArrayLike | None = None) -> ContactResponse:
-        """Responses of contacts at positions (n, 2) in metres with radii, one value or (n,) in metres; the usual one unless given.
+        """Responses of contacts at positions (n, 2) (m) with radii, one or (n,) (m); the usual one unless given.
 
         Positions off the table's rectangle count as the closest in it, radii beyond twice the usual one as that.
         """
@@ -106,24 +106,34 @@ class ContactTable:
         first = np.minimum(at.astype(int), self._steps - 1)
         b, d = _cubic(at - first)  # (4, n, 2) each
         squares = (_SPREAD * self.radius) ** 2
-        r2 = np.broadcast_to(np.minimum(np.asarray(self.radius if radius is None else radius, float), 2 * self.radius) ** 2, n)
+        r = np.minimum(np.asarray(self.radius if radius is None else radius, float), 2 * self.radius)
+        r2 = np.broadcast_to(r**2, n)
         layer = np.clip(np.searchsorted(squares, r2, side="right") - 1, 0, len(squares) - 2)
         width = (squares[layer + 1] - squares[layer])[:, None]
         share = ((r2 - squares[layer])[:, None] / width)[:, None]
         reach = np.arange(4)
         rows, columns = (first[:, 0, None] + reach)[:, :, None, None], (first[:, 1, None] + reach)[:, None, :, None]
         patch = self._knots[rows, columns, (layer[:, None] + np.arange(2))[:, None, None, :]]
-        weights = np.stack(
-            [
-                np.einsum("in,jn->nij", b[..., 0], b[..., 1]),
-                np.einsum("in,jn->nij", d[..., 0], b[..., 1]) / self._pitch[0],
-                np.einsum("in,jn->nij", b[..., 0], d[..., 1]) / self._pitch[1],
-            ],
-            axis=1,
+        factors = (
+            (b[..., 0], b[..., 1]),
+            (d[..., 0] / self._pitch[0], b[..., 1]),
+            (b[..., 0], d[..., 1] / self._pitch[1]),
         )
+        weights = np.stack([np.einsum("in,jn->nij", across, along) for across, along in factors], axis=1)
         low, high = np.moveaxis((weights.reshape(n, 3, 16) @ patch.reshape(n, 16, -1)).reshape(n, 3, 2, -1), 2, 0)
         mixed = (1 - share) * low + share * high
         return ContactResponse(mixed[:, 0], mixed[:, 1:], (high[:, 0] - low[:, 0]) / width)
+
+
+def effective_change(log_ratio: ArrayLike, dim: int = 2) -> tuple[Floats, Floats]:
+    """dim (rho - 1) / (rho + dim - 1) of a conductivity ratio rho and its derivative, both by log rho.
+
+    A disc of that ratio disturbs a field as this times its area does to first order: in the plane exactly, whatever
+    the field (every multipole has the same factor), a ball in a uniform one. Left out is its influence on itself by
+    way of the rim, and on other discs.
+    """
+    ratio = np.exp(np.asarray(log_ratio, float))
+    return dim * (ratio - 1) / (ratio + dim - 1), dim**2 * ratio / (ratio + dim - 1) ** 2
 
 
 def _cubic(t: Floats) -> tuple[Floats, Floats]:

@@ -1,16 +1,15 @@
-"""Sensitivities of all electrode pairs at once, from the potentials that the electrodes cause: the kernels behind `TransferModel`.
+"""Sensitivities of all electrode pairs at once, from the electrodes' potentials: the kernels behind `TransferModel`.
 
-With E_i the field of a current into electrode i (and out of the first), the two-terminal resistance of electrodes i and j depends
-on the conductivity of an element e as dR_ij/dsigma_e = -|e| |E_i - E_j|^2.
+With E_i the field of a current into electrode i (and out of the first), the two-terminal resistance of electrodes i
+and j depends on the conductivity of an element e as dR_ij/dsigma_e = -|e| |E_i - E_j|^2.
 """
 
 import numpy as np
 import scipy.sparse as sp
 from numba import njit
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 from ohmskin.scan import all_pairs
 from ohmskin.scan.pairs import n_pairs
 
@@ -77,10 +76,10 @@ def fill_pairs(elements: Ints, gradients: Floats, measures: Floats, potentials: 
 
 
 def grouped_sensitivity(mesh: Mesh, potentials: Floats, shares: sp.csc_array) -> Floats:
-    """dR_ij (n_pairs, n_groups) when the conductivity of element e changes by `shares`[e, g] siemens: sensitivity @ shares.
+    """dR_ij (n_pairs, n_groups) when element e changes by `shares`[e, g] siemens: sensitivity @ shares.
 
-    The sensitivity of single elements is never stored, which for many electrodes and elements no memory would hold: each group
-    takes a product of a matrix (n_elec, n_fields) with its transpose. Isotropic skins only.
+    The sensitivity of single elements is never stored, which for many electrodes and elements no memory would hold:
+    each group takes a product of a matrix (n_elec, n_fields) with its transpose. Isotropic skins only.
 
     Args:
         mesh: The skin.
@@ -98,15 +97,9 @@ def grouped_sensitivity(mesh: Mesh, potentials: Floats, shares: sp.csc_array) ->
 
 @njit(cache=True, nogil=True)
 def fill_groups(
-    elements: Ints,
-    gradients: Floats,
-    measures: Floats,
-    potentials: Floats,
-    indptr: Ints,
-    indices: Ints,
-    shares: Floats,
-    grouped: Floats,
-) -> None:
+    elements: Ints, gradients: Floats, measures: Floats, potentials: Floats,
+    indptr: Ints, indices: Ints, shares: Floats, grouped: Floats,
+) -> None:  # fmt: skip
     """`grouped_sensitivity`; eight groups at a time, so that rows of the result are written in lines of the cache."""
     corners, dim = gradients.shape[1], gradients.shape[2]
     n_elec, n_groups = potentials.shape[1], len(indptr) - 1

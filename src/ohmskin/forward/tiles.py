@@ -1,4 +1,4 @@
-"""Dense matrices of some dozen unknowns, too small for BLAS: one product that stays in registers, and factors made of it."""
+"""Dense matrices of some dozen unknowns, too small for BLAS: a product that stays in registers, and factors of it."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ohmskin.geometry.domain import Floats
+from ohmskin.arrays import Floats
 
 _PANEL = 32  # rows of a front eliminated at once
 _STRIP = 64  # columns of a front that a panel is taken from at once
@@ -20,7 +20,7 @@ def _tile(
 ) -> tuple[Any, Any]:  # fmt: skip
     """C = A^T B, or C - A^T B if `less`, for 4 rows and 8 columns of C, which may be B; in flat arrays (n,).
 
-    The loops below in plain Python, but with all of C in registers; LLVM itself does not see that C, A and B do not overlap.
+    The loops below in plain Python, but with all of C in registers; LLVM does not see that they do not overlap.
 
         for i in range(4):
             for j in range(8):
@@ -43,7 +43,9 @@ def _tile(
             row = builder.load(eight(b, builder.add(b_at, builder.mul(loop.index, b_step))), align=8)
             at = builder.add(a_at, builder.mul(loop.index, a_step))
             for total in totals:
-                one = builder.insert_element(nothing, builder.load(builder.gep(a, [at])), ir.Constant(ir.IntType(32), 0))
+                one = builder.insert_element(
+                    nothing, builder.load(builder.gep(a, [at])), ir.Constant(ir.IntType(32), 0)
+                )
                 product = builder.fmul(builder.shuffle_vector(one, nothing, zeros), row, flags=["contract"])
                 builder.store(builder.fadd(builder.load(total), product, flags=["contract"]), total)
                 at = builder.add(at, a_next)
@@ -65,8 +67,8 @@ tile: Any = intrinsic(_tile)
 def padded(n: int) -> int:
     """Length of the rows in which n numbers are kept.
 
-    It has room for a tile that reaches beyond, and is an odd number of cache lines, or numbers below each other would drive each
-    other out of the cache.
+    It has room for a tile that reaches beyond, and is an odd number of cache lines, or numbers below each other would
+    drive each other out of the cache.
     """
     return int(8 * ((n + 15) // 8 | 1))
 
@@ -75,8 +77,9 @@ def padded(n: int) -> int:
 def eliminate_front(work: Floats, front: int, step: int, own: int, width: int) -> int:
     """Eliminate the first `own` unknowns of a front in place, panel by panel; the number of a bad one, else -1.
 
-    A front is the upper half of a matrix, by rows from `front` on. Its own rows are filled up to whole tiles, and its columns with
-    them, so that tiles that reach beyond do no harm. Squares on the diagonal are left as R^-1, which is all that solving asks for.
+    A front is the upper half of a matrix, by rows from `front` on. Its own rows are filled up to whole tiles, and its
+    columns with them, so that tiles that reach beyond do no harm. Squares on the diagonal are left as R^-1, which is
+    all that solving asks for.
     """
     for first in range(0, own, _PANEL):
         last = min(first + _PANEL, own)
@@ -94,7 +97,8 @@ def eliminate_front(work: Floats, front: int, step: int, own: int, width: int) -
             end = min(strip + _STRIP, width)
             for i in range(beyond, end, 4):
                 for j in range(strip + max(0, i - strip & -8), end, 8):
-                    tile(work, front + i * step + j, step, True, work, top + i, step, 1, work, top + j, step, last - first)
+                    at = front + i * step + j
+                    tile(work, at, step, True, work, top + i, step, 1, work, top + j, step, last - first)
     return -1
 
 
@@ -123,7 +127,7 @@ def invert_root(work: Floats, at: int, step: int, rows: int) -> int:
 
 @njit(cache=True, nogil=True)
 def solve_front(work: Floats, step: int, own: int, x: Floats) -> None:
-    """Solve for eight right-hand sides x (own * 8,) in place, with a front of `own` unknowns, whole tiles, that was eliminated."""
+    """Solve eight right-hand sides x (own * 8,) in place, with an eliminated front of `own` unknowns, whole tiles."""
     for i in range(0, own, 4):
         tile(x, i * 8, 8, True, work, i, step, 1, x, 0, 8, i)
         tile(x, i * 8, 8, False, work, i * step + i, step, 1, x, i * 8, 8, 4)
@@ -133,7 +137,8 @@ def solve_front(work: Floats, step: int, own: int, x: Floats) -> None:
         tile(x, i * 8, 8, False, work, at, 1, step, x, i * 8, 8, 4)
 
 
-# sums may be taken in any order, which makes them quick; no other "fast" arithmetic, so that what is not finite is still seen
+# sums may be taken in any order, which makes them quick; no other "fast" arithmetic, so that non-finite values are
+# still seen
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def eliminate_dense(front: Floats, own: int, panel: int) -> int:
     """Eliminate the first `own` unknowns of a front, lower half, in place; the number of a bad one, else -1."""

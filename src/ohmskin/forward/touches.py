@@ -1,14 +1,14 @@
 """Touches at places known beforehand, simulated in microseconds: exact on the mesh, whatever its size.
 
-A touch multiplies the conductivity of its elements by 1 + f. With K = B^T B what these elements add to the conductance matrix,
-G the Green's matrix of the untouched skin at their nodes and X the potentials that the electrodes cause there, Woodbury's identity
-and B G B^T = W diag(a) W^T give
+A touch multiplies the conductivity of its elements by 1 + f. With K = B^T B what these elements add to the conductance
+matrix, G the Green's matrix of the untouched skin at their nodes and X the potentials that the electrodes cause there,
+Woodbury's identity and B G B^T = W diag(a) W^T give
 
     R(f) = R_0 - Y^T diag(f / (1 + f a)) Y,      Y = W^T B X,
 
-for touches of any strength. Rows of Y that vanish, potentials that no current from outside makes, are left out: what is left
-of a touch is about as many modes as it has nodes on its outline (11 of a square of 3 x 3 cells). Several touches at once are a
-dense system in their modes; where they overlap, one is touched from inside by the other, and all modes count.
+for touches of any strength. Rows of Y that vanish, potentials that no current from outside makes, are left out: what
+is left of a touch is about as many modes as it has nodes on its outline (11 of a square of 3 x 3 cells). Several
+touches are a dense system in their modes; where they overlap, one touches the other from inside and all modes count.
 """
 
 from collections.abc import Sequence
@@ -17,15 +17,14 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import local_stiffness
 from ohmskin.forward.tiles import eliminate_dense
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 
 
 class TouchTable:
@@ -50,7 +49,7 @@ class TouchTable:
         for k, elements in enumerate(chosen):
             good = elements.ndim == 1 and elements.dtype.kind in "iu" and len(elements) == len(np.unique(elements)) > 0
             if not good or elements.min() < 0 or elements.max() >= mesh.n_elem:
-                raise ModelError(f"place {k} needs elements (n,), distinct integers within 0..{mesh.n_elem - 1}, one at least")
+                raise ModelError(f"place {k} needs elements (n,), distinct, within 0..{mesh.n_elem - 1}, one at least")
         if not chosen:
             raise ModelError("a touch table needs one place at least")
         self.model = model
@@ -121,21 +120,21 @@ class TouchTable:
         """
         where, change = np.asarray(places), np.asarray(changes, float)
         if where.ndim != 2 or where.dtype.kind not in "iu" or where.shape != change.shape:
-            raise ModelError(f"places and changes have shapes {where.shape} and {change.shape}; give (n, k) integers and numbers")
+            raise ModelError(f"places and changes have shapes {where.shape} and {change.shape}; give both (n, k)")
         if where.size and not (where.min() >= -1 and where.max() < len(self)):
-            raise ModelError(f"places {where.min()}..{where.max()}; there are {len(self)} (0..{len(self) - 1}), -1 for none")
+            raise ModelError(
+                f"places {where.min()}..{where.max()}; there are {len(self)} (0..{len(self) - 1}), -1 for none"
+            )
         if not ((change >= 0) & (change < np.inf)).all():
-            raise ModelError("a conductivity change is negative or not finite; use LocalUpdate for falling conductivity")
+            raise ModelError("a conductivity change is negative or not finite; use LocalUpdate to lower it")
         where, change = np.ascontiguousarray(where, dtype=np.int64), np.ascontiguousarray(change)
         n_elec = len(self.model.electrodes)
         out = np.empty((len(where), n_elec, n_elec))
         untouched = self.model.transfer_resistance
 
         def part(share: slice) -> None:
-            touched(
-                untouched, self.coupling, self.spread, self._basis, self._nodes, self._felt, self._all, self._overlap, self._green,
-                where[share], change[share], out[share],
-            )  # fmt: skip
+            known = (self._basis, self._nodes, self._felt, self._all, self._overlap, self._green)
+            touched(untouched, self.coupling, self.spread, *known, where[share], change[share], out[share])
 
         if threads == 1:
             part(slice(None))
@@ -148,19 +147,9 @@ class TouchTable:
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def touched(
-    untouched: Floats,
-    coupling: Floats,
-    spread: Floats,
-    basis: Floats,
-    nodes: Ints,
-    felt: Ints,
-    every: Ints,
-    overlap: NDArray[np.bool_],
-    green: Floats,
-    places: Ints,
-    changes: Floats,
-    out: Floats,
-) -> None:
+    untouched: Floats, coupling: Floats, spread: Floats, basis: Floats, nodes: Ints, felt: Ints, every: Ints,
+    overlap: Bools, green: Floats, places: Ints, changes: Floats, out: Floats,
+) -> None:  # fmt: skip
     """`TouchTable.many`, scene by scene."""
     n_elec = len(untouched)
     for scene in range(len(places)):
@@ -183,7 +172,11 @@ def touched(
         counts = felt
         for k in range(places.shape[1]):
             for other in range(k):
-                if places[scene, k] >= 0 and places[scene, other] >= 0 and overlap[places[scene, k], places[scene, other]]:
+                if (
+                    places[scene, k] >= 0
+                    and places[scene, other] >= 0
+                    and overlap[places[scene, k], places[scene, other]]
+                ):
                     counts = every
         size = 0
         for k in range(places.shape[1]):

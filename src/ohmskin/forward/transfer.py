@@ -7,37 +7,37 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble
 from ohmskin.forward.cholesky import Elimination
 from ohmskin.forward.conductivity import Conductivity, conductivity_of
-from ohmskin.forward.contact import Contact
+from ohmskin.forward.quadrature import ElectrodeQuadrature
 from ohmskin.forward.sensitivity import grouped_sensitivity, pair_sensitivity
 from ohmskin.geometry import Electrodes, Mesh
-from ohmskin.geometry.domain import Floats
-from ohmskin.scan import DrivePattern, all_pairs
+from ohmskin.scan import DrivePattern, n_pairs, two_terminal
 
 
 class TransferModel:
     """Finite-element model of a skin with any electrodes (paper, section II-A), factorised once for all of them.
 
-    Area electrodes follow the complete electrode model, point electrodes the paper. The skin may be a flat sheet, a curved surface
-    in space or a thick body.
+    Area electrodes follow the complete electrode model, point electrodes the paper. The skin may be a flat sheet, a
+    curved surface in space or a thick body.
 
     Args:
         mesh: The skin; every point electrode must be at a node.
         electrodes: Electrode layout.
-        conductivity: One value, (n_elem,) values, one symmetric tensor (dim, dim) or (n_elem, dim, dim) tensors in the coordinates
-            of the nodes; of a sheet in siemens (per square), of a thick skin in siemens per metre.
+        conductivity: One value, (n_elem,) values, one symmetric tensor (dim, dim) or (n_elem, dim, dim) tensors in the
+            coordinates of the nodes; of a sheet in siemens (per square), of a thick skin in siemens per metre.
 
     Attributes:
         conductivity: (n_elem,), of tensors the geometric mean of the principal conductivities.
         potentials: (n_nodes, n_elec) potential for 1 A into each electrode and out of the first (V).
         electrode_potentials: (n_elec, n_elec) potential of each electrode (rows), likewise (V).
-        contacts: Where each area electrode touches the skin, by its number.
+        quadratures: Where each area electrode touches the skin, by its number.
 
     Raises:
-        ModelError: If the conductivity is not positive and finite (a tensor: symmetric positive definite), or has the wrong shape.
+        ModelError: If the conductivity is not positive (a tensor: positive definite), or has the wrong shape.
         GeometryError: If a point electrode is not at a mesh node or an area electrode not on the skin.
     """
 
@@ -49,7 +49,7 @@ class TransferModel:
         mesh: Mesh,
         electrodes: Electrodes,
         sigma: Conductivity,
-        touching: dict[int, Contact] | None = None,
+        touching: dict[int, ElectrodeQuadrature] | None = None,
         known: Elimination | None = None,
     ) -> None:
         self.mesh, self.electrodes, self.conductivity, self._shape = mesh, electrodes, sigma.values, sigma.shape
@@ -60,32 +60,33 @@ class TransferModel:
         solution = self._elimination.factorise(system.matrix.data).solve(load)
         self.potentials: Floats = solution[: mesh.n_nodes]
         self.electrode_potentials: Floats = solution[system.terminals]
-        self.contacts = system.contacts
+        self.quadratures = system.quadratures
 
     def with_conductivity(self, conductivity: ArrayLike) -> "TransferModel":
         """The same skin with another conductivity. (n_elem,) values keep the directions of a sheet that has such."""
         sigma = conductivity_of(self.mesh, conductivity)
         other = object.__new__(TransferModel)
         shape = self._shape if sigma.shape is None else sigma.shape
-        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape), self.contacts, self._elimination)
+        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape), self.quadratures, self._elimination)
         return other
 
     def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
         """The same skin with other contact impedances, see `Electrodes.with_contact_impedances`."""
         other = object.__new__(TransferModel)
         electrodes = self.electrodes.with_contact_impedances(values)
-        other._solve(self.mesh, electrodes, Conductivity(self.conductivity, self._shape), self.contacts, self._elimination)
+        sigma = Conductivity(self.conductivity, self._shape)
+        other._solve(self.mesh, electrodes, sigma, self.quadratures, self._elimination)
         return other
 
     def scaled(self, factor: float) -> "TransferModel":
         """The same model with all conductances multiplied by `factor`; costs no factorisation.
 
-        This divides contact impedances by `factor`, so that every voltage is divided by it. To keep them use `with_conductivity`.
+        Contact impedances are divided by `factor` too, and with them voltages; to keep them use `with_conductivity`.
         """
         if not (np.isfinite(factor) and factor > 0):
             raise ModelError(f"conductivity factor is {factor}; it must be positive")
         other = copy.copy(self)
-        for cached in ("transfer_resistance", "pair_sensitivity", "pair_contact_sensitivity"):
+        for cached in ("transfer_resistance", "pair_resistances", "pair_sensitivity", "pair_contact_sensitivity"):
             other.__dict__.pop(cached, None)
         other.conductivity = self.conductivity * factor
         other.electrodes = self.electrodes.with_contact_impedances(self.electrodes.contact_impedances / factor)
@@ -102,28 +103,31 @@ class TransferModel:
     def transfer_resistance(self) -> Floats:
         """S of eq. (3), (n_elec, n_elec) in ohms: zero-mean electrode potentials for zero-sum currents.
 
-        With point electrodes the diagonal, the potential of a driven electrode, grows without bound as the mesh is refined; with
-        area electrodes it is what a driven electrode really has, contact impedance included.
+        With point electrodes the diagonal, the potential of a driven electrode, grows without bound as the mesh is
+        refined; with area electrodes it is what a driven electrode really has, contact impedance included.
         """
         s = self.electrode_potentials
         s = s - s.mean(axis=0) - s.mean(axis=1, keepdims=True) + s.mean()
-        symmetric: Floats = (s + s.T) / 2
-        return symmetric
+        return np.asarray((s + s.T) / 2)
+
+    @cached_property
+    def pair_resistances(self) -> Floats:
+        """Two-terminal resistance (n_pairs,) of each pair (ohm); of points good for four-terminal combinations only."""
+        return two_terminal(self.transfer_resistance)
 
     def voltages(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """Voltages (n_meas,) of a pattern (V) at given injected currents, one value or (n_inj,) in amperes."""
         pattern.check(len(self.electrodes))
         a, b, c, d = pattern.quadruples.T
         s = self.transfer_resistance
-        voltages: Floats = (s[a, c] - s[a, d] - s[b, c] + s[b, d]) * self._driven(pattern, currents)
-        return voltages
+        return np.asarray((s[a, c] - s[a, d] - s[b, c] + s[b, d]) * self._driven(pattern, currents))
 
     @cached_property
     def pair_sensitivity(self) -> Floats:
-        """dR_ij/dsigma (n_pairs, n_elem): two-terminal resistance of each electrode pair against conductivity (ohm/siemens).
+        """dR_ij/dsigma (n_pairs, n_elem): two-terminal resistance of each pair against conductivity (ohm/S).
 
-        Every sensitivity is a combination of these rows (`DrivePattern.combination`). Where the conductivity is a tensor, against
-        its factor `conductivity`: the directions stay.
+        Every sensitivity is a combination of these rows (`DrivePattern.combination`). Where the conductivity is a
+        tensor, against its factor `conductivity`: the directions stay.
         """
         return pair_sensitivity(self.mesh, self.potentials, self._shape)
 
@@ -131,7 +135,7 @@ class TransferModel:
         """`pair_sensitivity @ shares`, (n_pairs, n_groups), without the memory of the former.
 
         Args:
-            shares: (n_elem, n_groups) sparse, not negative: by how much a group's unknown changes the conductivity of each element.
+            shares: (n_elem, n_groups) sparse, not negative: how a group's unknown changes each element's conductivity.
         """
         if self._shape is not None:
             return np.asarray(self.pair_sensitivity @ shares)
@@ -139,33 +143,31 @@ class TransferModel:
 
     @cached_property
     def pair_contact_sensitivity(self) -> Floats:
-        """dR_ij/dz_k (n_pairs, n_elec): two-terminal resistance of each pair against contact impedances (ohm / unit of z).
+        """dR_ij/dz_k (n_pairs, n_elec): two-terminal resistance of pairs against contact impedances (ohm / unit of z).
 
         The integral of the squared current density through each contact; zero for point electrodes.
         """
-        i, j = all_pairs(len(self.electrodes)).T
-        sensitivity = np.zeros((len(i), len(self.electrodes)))
-        for k, contact in self.contacts.items():
-            density = (self.electrode_potentials[k] - contact.at @ self.potentials) / self.electrodes.contact_impedances[k]
-            gram = density.T @ (contact.weights[:, None] * density)
-            own = np.diag(gram)
-            sensitivity[:, k] = own[i] + own[j] - 2 * gram[i, j]
+        sensitivity = np.zeros((n_pairs(len(self.electrodes)), len(self.electrodes)))
+        for k, quadrature in self.quadratures.items():
+            drop = self.electrode_potentials[k] - quadrature.at @ self.potentials
+            density = drop / self.electrodes.contact_impedances[k]
+            sensitivity[:, k] = two_terminal(density.T @ (quadrature.weights[:, None] * density))
         return sensitivity
 
     def sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A). J of eq. (4), with that sign."""
+        """J of eq. (4): dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A)."""
         rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
 
     def contact_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """dV/dz (n_meas, n_elec) of a pattern at given injected currents (A), in volts per ohm m2 (disc) or ohm m (rim)."""
+        """dV/dz (n_meas, n_elec) of a pattern at given injected currents (A), in V per ohm m2 (disc) or ohm m (rim)."""
         rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_contact_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
 
     def tensor_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """dV/dsigma_ab (n_meas, n_elem, dim, dim) against the entries of the conductivity tensor (V/siemens); symmetric.
+        """dV/dsigma_ab (n_meas, n_elem, dim, dim) against the entries of the tensor (V/siemens), symmetric.
 
-        A change T of the tensor of element e changes measurement m by the sum over a and b of result[m, e, a, b] T[a, b].
+        A change T of the tensor of element e changes measurement m by the sum of result[m, e, a, b] T[a, b].
         """
         pattern.check(len(self.electrodes))
         a, b, c, d = pattern.quadruples.T
@@ -176,7 +178,7 @@ class TransferModel:
         return rows
 
     def current_density(self, source: int, sink: int, current: float = 1.0) -> Floats:
-        """Current density (n_elem, dim), of a sheet in A/m, for a current from electrode `source` to electrode `sink` (A)."""
+        """Current density (n_elem, dim), of a sheet in A/m, for a current (A) from electrode `source` to `sink`."""
         DrivePattern(np.array([[source, sink]]), np.array([[0, source, sink]])).check(len(self.electrodes))
         potential = (self.potentials[:, source] - self.potentials[:, sink])[self.mesh.elements] * current
         field = np.einsum("ekd,ek->ed", self.mesh.gradients, potential)
@@ -185,15 +187,13 @@ class TransferModel:
             field = np.einsum("ecd,ed->ec", self._shape, field)
             if self.mesh.nodes.shape[1] != self.mesh.dim:
                 field = self._tangential(field)
-        density: Floats = -self.conductivity[:, None] * field
-        return density
+        return np.asarray(-self.conductivity[:, None] * field)
 
     def _tangential(self, vectors: Floats) -> Floats:
         corners = self.mesh.nodes[self.mesh.elements]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        tangential: Floats = vectors - np.sum(vectors * normal, axis=1, keepdims=True) * normal
-        return tangential
+        return np.asarray(vectors - np.sum(vectors * normal, axis=1, keepdims=True) * normal)
 
     def _driven(self, pattern: DrivePattern, currents: ArrayLike) -> Floats:
         """The current (n_meas,) that flows during each measurement."""
@@ -201,5 +201,5 @@ class TransferModel:
             given = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)
         except ValueError:
             shape = np.shape(currents)
-            raise ModelError(f"currents have shape {shape}; give one value or ({pattern.n_inj},), one per injection") from None
+            raise ModelError(f"currents have shape {shape}; give one value or ({pattern.n_inj},)") from None
         return np.asarray(given[pattern.measurements[:, 0]])

@@ -1,7 +1,7 @@
 """Local changes of a skin as exact updates of low rank: nothing is factorised again.
 
-If the conductance matrix of the skin changes by a symmetric M at a few nodes only, then with the Green's matrix G of the unchanged
-skin at these nodes and the potentials X that the electrodes cause there (Woodbury)
+If the conductance matrix of the skin changes by a symmetric M at a few nodes only, then with the Green's matrix G of
+the unchanged skin at these nodes and the potentials X that the electrodes cause there (Woodbury)
 
     R = R_0 - X^T M (I + G M)^-1 X,
 
@@ -9,16 +9,14 @@ exactly, at the cost of a dense system in these nodes, whatever the size of the 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble, local_stiffness
-from ohmskin.forward.contact import Surface
+from ohmskin.forward.quadrature import Surface
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 
 _BLOCK = 256  # columns solved at once
 
@@ -34,8 +32,8 @@ class LocalUpdate:
         model: The unchanged skin.
         nodes: (n,) the nodes.
         green: (n, n) potential at each node for 1 A into each node and out of the first electrode (V).
-        caused: (n, n_elec) potential at each node for 1 A into each electrode and out of the first, less its mean over the
-            electrodes (V).
+        caused: (n, n_elec) potential at each node for 1 A into each electrode and out of the first, less its mean over
+            the electrodes (V).
 
     Raises:
         ModelError: If `nodes` are not distinct nodes of the mesh.
@@ -47,7 +45,7 @@ class LocalUpdate:
         if chosen.dtype.kind not in "iu" or not len(chosen) or chosen[0] < 0 or chosen[-1] >= mesh.n_nodes:
             raise ModelError(f"nodes to update must be integers within 0..{mesh.n_nodes - 1}, one at least")
         self.model, self.nodes = model, chosen.astype(np.int64)
-        system = assemble(mesh, model.electrodes, model.tensors, model.contacts)
+        system = assemble(mesh, model.electrodes, model.tensors, model.quadratures)
         count = system.matrix.shape[0]
         factor = system.factorise()
         self.green: Floats = np.empty((len(chosen), len(chosen)))
@@ -66,21 +64,22 @@ class LocalUpdate:
 
         Args:
             nodes: (m,) nodes that change, distinct and among `self.nodes`.
-            change: (m, m) symmetric change of the conductance matrix at these nodes, with rows that sum to zero (siemens).
+            change: (m, m) symmetric change of the conductance matrix there, with rows that sum to zero (siemens).
 
         Raises:
             ModelError: If nodes or the change are not like that, or the changed skin no longer conducts.
         """
         rows = np.searchsorted(self.nodes, nodes)
         if (rows >= len(self.nodes)).any() or (self.nodes[np.minimum(rows, len(self.nodes) - 1)] != nodes).any():
-            raise ModelError("some nodes to change are not among those chosen for the update; choose them when making it")
+            raise ModelError("some nodes to change are not among those chosen for the update; choose them there")
         if change.shape != (len(rows), len(rows)) or len(np.unique(rows)) != len(rows):
-            raise ModelError(f"change has shape {change.shape}; need ({len(rows)}, {len(rows)}) for that many distinct nodes")
+            raise ModelError(f"change has shape {change.shape}; need ({len(rows)}, {len(rows)}) for distinct nodes")
         scale = np.abs(change).max(initial=0.0)
-        if not np.isfinite(scale) or max(np.abs(change - change.T).max(), np.abs(change.sum(axis=0)).max()) > 1e-9 * scale:
-            raise ModelError(
-                "change must be finite and symmetric, with rows that sum to zero: current flows between its nodes only"
-            )
+        if (
+            not np.isfinite(scale)
+            or max(np.abs(change - change.T).max(), np.abs(change.sum(axis=0)).max()) > 1e-9 * scale
+        ):
+            raise ModelError("change must be finite and symmetric, with rows that sum to zero")
         return self._resistance - low_rank_change(self.green[np.ix_(rows, rows)], self.caused[rows], change)
 
     def with_conductivity(self, elements: ArrayLike, conductivity: ArrayLike) -> Floats:
@@ -116,16 +115,15 @@ def low_rank_change(green: Floats, caused: Floats, change: Floats) -> Floats:
         drop = caused.T @ change @ np.linalg.solve(np.eye(len(change)) + green @ change, caused)
     except np.linalg.LinAlgError:
         raise ModelError("the change leaves a part of the skin without conductance; change it less") from None
-    symmetric: Floats = (drop + drop.T) / 2
-    return symmetric
+    return np.asarray((drop + drop.T) / 2)
 
 
 class FloatingPatches:
     """A skin with a layer of floating conductors that are pressed on it and short it where they touch.
 
-    Each patch is a conductor of one potential and no net current, joined to the skin at its points by conductances that the
-    pressure makes. Any press is exact on the mesh of the model: electrodes and patches are the same thing to the skin, but
-    electrodes stay and are factorised in, and patches come and go as an update of low rank.
+    Each patch is a conductor of one potential and no net current, joined to the skin at its points by conductances
+    that the pressure makes. Any press is exact on the mesh of the model: electrodes and patches are the same thing to
+    the skin, but electrodes stay and are factorised in, and patches come and go as an update of low rank.
 
     Args:
         model: The untouched skin.
@@ -133,7 +131,7 @@ class FloatingPatches:
         patches: (n_points,) number of the patch that each point belongs to.
 
     Attributes:
-        kept: (n_points,) which of the given points lie on the mesh; in space, within a quarter of an edge of its surface.
+        kept: (n_points,) which of the points lie on the mesh; in space, within a quarter of an edge of its surface.
         points, patches: Those points and their patches.
         update: The local update it makes.
 
@@ -144,9 +142,8 @@ class FloatingPatches:
     def __init__(self, model: TransferModel, points: ArrayLike, patches: ArrayLike) -> None:
         where, owner = np.asarray(points, float), np.asarray(patches)
         if owner.shape != (len(where),) or owner.dtype.kind not in "iu":
-            raise ModelError(
-                f"patches have shape {owner.shape} and type {owner.dtype}; need integers ({len(where)},), one per point"
-            )
+            given = f"patches have shape {owner.shape} and type {owner.dtype}"
+            raise ModelError(f"{given}; need integers ({len(where)},), one per point")
         if where.ndim != 2 or where.shape[1] != model.mesh.nodes.shape[1]:
             raise ModelError(f"patch points have shape {where.shape}; this mesh needs (n, {model.mesh.nodes.shape[1]})")
         corners, weights, self.kept = _on_skin(model.mesh, where)
@@ -174,16 +171,15 @@ class FloatingPatches:
         """
         joint = np.asarray(conductance, float)
         if joint.shape != (len(self.points),):
-            raise ModelError(f"conductances have shape {joint.shape}; give ({len(self.points)},), one for each point on the mesh")
+            raise ModelError(f"conductances have shape {joint.shape}; give ({len(self.points)},), one per point")
         if not (joint.min() >= 0 and joint.max() < np.inf):
             raise ModelError("a patch conductance is negative or not finite; give 0 where a patch does not touch")
         touching = np.flatnonzero(joint)
         if not len(touching):
             return self.model.transfer_resistance
-        rows, change = patch_change(
-            self._corners[touching], self._weights[touching], joint[touching], self.patches[touching], len(self.update.nodes)
-        )
-        green = gathered(self.update.green, rows)
+        corners, weights = self._corners[touching], self._weights[touching]
+        rows, change = patch_change(corners, weights, joint[touching], self.patches[touching])
+        green = self.update.green[np.ix_(rows, rows)]
         return self.model.transfer_resistance - low_rank_change(green, self.update.caused[rows], change)
 
 
@@ -200,8 +196,7 @@ def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, NDArray[np.bool_
     return nodes, weights, distance <= edge / 4
 
 
-@njit(cache=True, nogil=True)
-def patch_change(corners: Ints, weights: Floats, joint: Floats, patches: Ints, n_nodes: int) -> tuple[Ints, Floats]:
+def patch_change(corners: Ints, weights: Floats, joint: Floats, patches: Ints) -> tuple[Ints, Floats]:
     """What floating patches add to the conductance matrix: the nodes (m,) concerned and M (m, m) in siemens.
 
     M = sum over patches of A^T (diag(g) - g g^T / sum(g)) A, with A the interpolation to the points of the patch.
@@ -210,56 +205,11 @@ def patch_change(corners: Ints, weights: Floats, joint: Floats, patches: Ints, n
         corners, weights: (n, k) nodes and barycentric coordinates of each touching point.
         joint: (n,) conductance of each (siemens).
         patches: (n,) the patch of each.
-        n_nodes: Number of nodes there are.
     """
-    place = np.full(n_nodes, -1, np.int64)
-    nodes = np.empty(corners.size, np.int64)
-    count = 0
-    for p in range(corners.shape[0]):
-        for k in range(corners.shape[1]):
-            node = corners[p, k]
-            if place[node] < 0:
-                place[node] = count
-                nodes[count] = node
-                count += 1
-    change = np.zeros((count, count))
-    order = np.argsort(patches)
-    drawn = np.zeros(count)
-    start = 0
-    while start < len(order):
-        stop = start
-        total = 0.0
-        while stop < len(order) and patches[order[stop]] == patches[order[start]]:
-            p = order[stop]
-            total += joint[p]
-            for k in range(corners.shape[1]):
-                a = place[corners[p, k]]
-                drawn[a] += joint[p] * weights[p, k]
-                for other in range(corners.shape[1]):
-                    change[a, place[corners[p, other]]] += joint[p] * weights[p, k] * weights[p, other]
-            stop += 1
-        own = np.empty((stop - start) * corners.shape[1], np.int64)
-        n_own = 0
-        for q in range(start, stop):
-            for k in range(corners.shape[1]):
-                a = place[corners[order[q], k]]
-                if drawn[a] != 0.0 and not (own[:n_own] == a).any():
-                    own[n_own] = a
-                    n_own += 1
-        for x in range(n_own):
-            for y in range(n_own):
-                change[own[x], own[y]] -= drawn[own[x]] * drawn[own[y]] / total
-        for x in range(n_own):
-            drawn[own[x]] = 0.0
-        start = stop
-    return nodes[:count], change
-
-
-@njit(cache=True, nogil=True)
-def gathered(matrix: Floats, rows: Ints) -> Floats:
-    """matrix[rows][:, rows]."""
-    part = np.empty((len(rows), len(rows)))
-    for a in range(len(rows)):
-        for b in range(len(rows)):
-            part[a, b] = matrix[rows[a], rows[b]]
-    return part
+    nodes, at = np.unique(corners, return_inverse=True)
+    (numbers, owner), m = np.unique(patches, return_inverse=True), len(nodes)
+    at, drawn = at.reshape(corners.shape), joint[:, None] * weights
+    where, products = at[:, :, None] * m + at[:, None, :], drawn[:, :, None] * weights[:, None, :]
+    alone = np.bincount(where.ravel(), products.ravel(), m * m).reshape(m, m)
+    by_patch = np.bincount((owner[:, None] * m + at).ravel(), drawn.ravel(), len(numbers) * m).reshape(-1, m)
+    return nodes, alone - by_patch.T @ (by_patch / np.bincount(owner, joint)[:, None])

@@ -4,8 +4,7 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
+from ohmskin.arrays import Floats, Ints
 
 
 class Cells(Protocol):

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
-
-Floats = NDArray[np.float64]
 
 
 class Domain(Protocol):
@@ -17,39 +16,31 @@ class Domain(Protocol):
     @property
     def area(self) -> float:
         """Area (m2)."""
-        ...
 
     @property
     def perimeter(self) -> float:
         """Length of the rim (m)."""
-        ...
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """(x_min, y_min, x_max, y_max) in metres."""
-        ...
 
     @property
     def corners(self) -> Floats:
         """Arc lengths (n_corners,) of rim points that a mesh must keep (m)."""
-        ...
 
     @property
     def holes(self) -> "tuple[Domain, ...]":
         """What is cut out of it."""
-        ...
 
     def depth(self, points: ArrayLike) -> Floats:
         """Distance (n,) of points (n, 2) from the rim, positive inside (m)."""
-        ...
 
     def rim(self, arc: ArrayLike) -> Floats:
         """Points (n, 2) on the rim at arc lengths (n,), counterclockwise (m)."""
-        ...
 
     def arc(self, points: ArrayLike) -> Floats:
         """Arc lengths (n,) of points (n, 2) that lie on the rim (m)."""
-        ...
 
 
 def _positive(name: str, value: float) -> None:
@@ -68,6 +59,7 @@ class Rectangle:
 
     width: float
     height: float
+    holes = ()
 
     def __post_init__(self) -> None:
         _positive("rectangle width", self.width)
@@ -89,10 +81,6 @@ class Rectangle:
     def corners(self) -> Floats:
         w, h = self.width, self.height
         return np.array([0.0, w, w + h, 2 * w + h])
-
-    @property
-    def holes(self) -> tuple[Domain, ...]:
-        return ()
 
     def depth(self, points: ArrayLike) -> Floats:
         x, y = np.asarray(points, float).T
@@ -124,6 +112,7 @@ class Disc:
     """
 
     radius: float
+    holes = ()
 
     def __post_init__(self) -> None:
         _positive("disc radius", self.radius)
@@ -143,10 +132,6 @@ class Disc:
     @property
     def corners(self) -> Floats:
         return np.empty(0)
-
-    @property
-    def holes(self) -> tuple[Domain, ...]:
-        return ()
 
     def depth(self, points: ArrayLike) -> Floats:
         depth: Floats = self.radius - np.linalg.norm(np.asarray(points, float), axis=-1)

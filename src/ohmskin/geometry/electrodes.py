@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.domain import Domain, Floats, Rectangle
-
-Ints = NDArray[np.int64]
+from ohmskin.geometry.domain import Domain, Rectangle
 
 
 class ElectrodeKind(StrEnum):
@@ -23,7 +23,7 @@ class ElectrodeKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Electrodes:
-    """Electrode centres, numbered ring by ring from the rim inwards, each ring counterclockwise; points unless said otherwise.
+    """Electrodes, numbered ring by ring from the rim inwards, each ring counterclockwise; points unless said otherwise.
 
     Kinds mix freely: `with_discs`, `with_rim_segments` and `with_points` return a changed copy.
 
@@ -35,8 +35,8 @@ class Electrodes:
         contact_impedances: (n_elec,) of a disc in ohm m2, of a rim segment in ohm m, 0 for a point.
 
     Raises:
-        GeometryError: If positions are not finite, not distinct, fewer than four, or not all named once by `rings`; if a kind is
-            unknown; if an extent or contact impedance is not positive or given for a point; if discs overlap.
+        GeometryError: If positions are not finite, not distinct, fewer than four, or not all named once by `rings`; if
+            a kind is unknown; if an extent or contact impedance is not positive or given for a point; if discs overlap.
     """
 
     positions: Floats
@@ -48,9 +48,9 @@ class Electrodes:
     def __post_init__(self) -> None:
         positions = np.array(self.positions, float)
         if positions.ndim != 2 or positions.shape[1] not in (2, 3) or len(positions) < 4:
-            raise GeometryError(f"electrode positions have shape {positions.shape}; need (n, 2), or (n, 3) in space, with n >= 4")
+            raise GeometryError(f"electrode positions have shape {positions.shape}; need (n, 2) or (n, 3), n >= 4")
         if not np.isfinite(positions).all():
-            raise GeometryError(f"electrode {int(np.argmin(np.isfinite(positions).all(1)))} has a position that is not finite")
+            raise GeometryError(f"electrode {int(np.argmin(np.isfinite(positions).all(1)))} has a position not finite")
         gaps = np.linalg.norm(positions[:, None] - positions[None], axis=-1) + np.diag(np.full(len(positions), np.inf))
         if gaps.min() < 1e-6:
             a, b = np.unravel_index(np.argmin(gaps), gaps.shape)
@@ -87,17 +87,16 @@ class Electrodes:
         radius = np.where([kind == ElectrodeKind.DISC for kind in kinds], self.extents, 0.0)
         if (gaps < radius[:, None] + radius).any():
             a, b = np.argwhere(gaps < radius[:, None] + radius)[0]
-            raise GeometryError(
-                f"electrodes {a} and {b} overlap: {gaps[a, b]:.3g} m apart with radii {radius[a]:.3g} and {radius[b]:.3g} m; "
-                "make them smaller or move one"
-            )
+            radii = f"radii {radius[a]:.3g} and {radius[b]:.3g} m"
+            apart = f"{gaps[a, b]:.3g} m apart with {radii}"
+            raise GeometryError(f"electrodes {a} and {b} overlap: {apart}; make them smaller or move one")
 
     @property
     def are_areas(self) -> NDArray[np.bool_]:
         """Which electrodes (n_elec,) have an extent and a contact impedance."""
         return np.array([kind != ElectrodeKind.POINT for kind in self.kinds])
 
-    def with_discs(self, radius: ArrayLike, contact_impedance: ArrayLike, which: Iterable[int] | None = None) -> "Electrodes":
+    def with_discs(self, radius: ArrayLike, contact_impedance: ArrayLike, which: Iterable[int] | None = None) -> Self:
         """A copy in which the electrodes `which` (all, if None) are discs.
 
         Args:
@@ -109,7 +108,7 @@ class Electrodes:
 
     def with_rim_segments(
         self, length: ArrayLike, contact_impedance: ArrayLike, which: Iterable[int] | None = None
-    ) -> "Electrodes":
+    ) -> Self:
         """A copy in which the electrodes `which` (all, if None) are stretches of the rim, centred at their positions.
 
         Args:
@@ -119,20 +118,20 @@ class Electrodes:
         """
         return self._with(ElectrodeKind.RIM, length, contact_impedance, which)
 
-    def with_points(self, which: Iterable[int] | None = None) -> "Electrodes":
+    def with_points(self, which: Iterable[int] | None = None) -> Self:
         """A copy in which the electrodes `which` (all, if None) are points."""
         return self._with(ElectrodeKind.POINT, 0.0, 0.0, which)
 
-    def with_contact_impedances(self, values: ArrayLike) -> "Electrodes":
+    def with_contact_impedances(self, values: ArrayLike) -> Self:
         """A copy with other contact impedances, one value for all area electrodes or (n_elec,), 0 for points."""
         given = np.asarray(values, float)
         return replace(self, contact_impedances=np.where(self.are_areas, given, 0.0) if given.ndim == 0 else given)
 
-    def mapped(self, move: Callable[[Floats], ArrayLike]) -> "Electrodes":
+    def mapped(self, move: Callable[[Floats], ArrayLike]) -> Self:
         """The same electrodes with positions moved by `move`, as by `Mesh.mapped`."""
         return replace(self, positions=np.asarray(move(self.positions), float))
 
-    def _with(self, kind: ElectrodeKind, extent: ArrayLike, impedance: ArrayLike, which: Iterable[int] | None) -> "Electrodes":
+    def _with(self, kind: ElectrodeKind, extent: ArrayLike, impedance: ArrayLike, which: Iterable[int] | None) -> Self:
         numbers = np.arange(len(self)) if which is None else np.fromiter(which, np.int64)
         if len(numbers) and not (numbers.min() >= 0 and numbers.max() < len(self)):
             raise GeometryError(f"electrodes {numbers.tolist()} to change; there are {len(self)} (0..{len(self) - 1})")
@@ -142,27 +141,28 @@ class Electrodes:
         try:
             extents[numbers], impedances[numbers] = extent, impedance
         except ValueError:
-            raise GeometryError(f"give one size and contact impedance, or one for each of {len(numbers)} electrodes") from None
+            count = len(numbers)
+            raise GeometryError(f"give one size and contact impedance, or one for each of {count} electrodes") from None
         return replace(self, kinds=tuple(kinds), extents=extents, contact_impedances=impedances)
 
     def __len__(self) -> int:
         return len(self.positions)
 
     @classmethod
-    def at(cls, positions: ArrayLike, rings: tuple[tuple[int, ...], ...] | None = None) -> "Electrodes":
-        """Electrodes at given positions (n_elec, 2) in metres; one ring in the given order unless `rings` says otherwise."""
+    def at(cls, positions: ArrayLike, rings: tuple[tuple[int, ...], ...] | None = None) -> Self:
+        """Electrodes at given positions (n_elec, 2) (m); one ring in the given order unless `rings` is given."""
         points = np.asarray(positions, float)
         return cls(points, rings or (tuple(range(len(points))),))
 
     @classmethod
-    def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> "Electrodes":
+    def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> Self:
         """`count` electrodes evenly spaced along the rim of `domain`.
 
         Args:
             domain: The sheet.
             count: How many.
-            start: Place of the first, as a share of the rim's length counterclockwise from where the rim starts (0 to 1). On a
-                disc, 0.25 is 12 o'clock.
+            start: Place of the first, as a share of the rim's length counterclockwise from where the rim starts (0 to
+                1). On a disc, 0.25 is 12 o'clock.
             clockwise: Number them clockwise.
         """
         if count < 4:
@@ -173,7 +173,7 @@ class Electrodes:
         return cls.at(domain.rim(np.mod(shares, 1.0) * domain.perimeter))
 
     @classmethod
-    def grid(cls, sheet: Rectangle, columns: int = 4, rows: int = 4, inset: float = 0.0) -> "Electrodes":
+    def grid(cls, sheet: Rectangle, columns: int = 4, rows: int = 4, inset: float = 0.0) -> Self:
         """A regular grid that spans the sheet, `inset` metres away from its rim (paper, section IV-A).
 
         The default 4 x 4 grid has 12 electrodes on the outer ring (0-11) and 4 inside (12-15).
@@ -187,9 +187,8 @@ class Electrodes:
         positions: list[tuple[float, float]] = []
         rings: list[tuple[int, ...]] = []
         while len(x) and len(y):
-            ring = list(dict.fromkeys(
-                [(a, y[0]) for a in x] + [(x[-1], b) for b in y] + [(a, y[-1]) for a in x[::-1]] + [(x[0], b) for b in y[::-1]]
-            ))  # fmt: skip
+            there, back = [(a, y[0]) for a in x] + [(x[-1], b) for b in y], [(a, y[-1]) for a in x[::-1]]
+            ring = list(dict.fromkeys(there + back + [(x[0], b) for b in y[::-1]]))
             rings.append(tuple(range(len(positions), len(positions) + len(ring))))
             positions += ring
             x, y = x[1:-1], y[1:-1]

@@ -7,12 +7,8 @@ from ohmskin.errors import GeometryError
 
 
 def optional(package: str) -> Any:
-    """The package of the extra ``mesh``.
-
-    Raises:
-        GeometryError: If it cannot be imported, with the line that installs it.
-    """
+    """The package of the extra ``mesh``; raises GeometryError with the line that installs it."""
     try:
         return import_module(package)
     except (ImportError, OSError) as error:  # gmsh raises OSError where the system lacks its graphics libraries
-        raise GeometryError(f"cannot import {package} ({error}); install it with: pip install 'ohmskin[mesh]'") from error
+        raise GeometryError(f"cannot import {package} ({error}); use: pip install 'ohmskin[mesh]'") from error

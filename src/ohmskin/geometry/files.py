@@ -12,7 +12,7 @@ from ohmskin.geometry.mesh import Mesh
 
 
 def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
-    """A mesh of tetrahedra if the file has any, of triangles otherwise. Nodes at one place are joined, unused ones dropped.
+    """A mesh of tetrahedra if there are any, else of triangles. Nodes at one place are joined, unused ones dropped.
 
     Args:
         path: Any format that meshio reads, told by its ending.
@@ -30,16 +30,15 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
         with np.errstate(over="ignore"):  # its STL reader tells binary files by a product that may overflow
             data = meshio.read(path)
     except (Exception, SystemExit) as error:  # its readers raise anything, and exit on unknown endings
-        raise GeometryError(f"cannot read mesh file {path}: {error or 'unknown format'}; use one that meshio reads") from error
+        raise GeometryError(f"cannot read mesh file {path}: {error or 'unknown format'}; see meshio") from error
     cells = data.cells_dict
     kind = next((kind for kind in ("tetra", "triangle") if kind in cells), None)
     if kind is None:
-        raise GeometryError(
-            f"mesh file {path} has {', '.join(cells) or 'no cells'}; need triangles or tetrahedra of straight edges"
-        )
+        raise GeometryError(f"mesh file {path} has {', '.join(cells) or 'no cells'}; need triangles or tetrahedra")
     nodes, elements = scale * np.asarray(data.points, float), np.asarray(cells[kind], np.int64)
     step = 1e-9 * max(float(np.ptp(nodes, axis=0).max()), 1e-300)
-    _, first, same = np.unique(np.round((nodes - nodes.min(axis=0)) / step), axis=0, return_index=True, return_inverse=True)
+    cells = np.round((nodes - nodes.min(axis=0)) / step)
+    _, first, same = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     used, elements = np.unique(first[same.ravel()][elements], return_inverse=True)
     nodes, elements = nodes[used], elements.reshape(-1, 4 if kind == "tetra" else 3)
     if kind == "triangle" and nodes.shape[1] == 3 and np.ptp(nodes[:, 2]) == 0:
@@ -69,8 +68,9 @@ def write_mesh(path: str | Path, mesh: Mesh, fields: Mapping[str, ArrayLike] | N
         elif values.ndim and len(values) == mesh.n_nodes:
             by_node[name] = values
         else:
-            raise GeometryError(f"field {name!r} has shape {values.shape}; need ({mesh.n_elem}, ...) or ({mesh.n_nodes}, ...)")
+            allowed = f"({mesh.n_elem}, ...) or ({mesh.n_nodes}, ...)"
+            raise GeometryError(f"field {name!r} has shape {values.shape}; need {allowed}")
     try:
         meshio.Mesh(nodes, [(kind, mesh.elements.astype(np.int32))], point_data=by_node, cell_data=by_cell).write(path)
     except (Exception, SystemExit) as error:  # its writers raise anything
-        raise GeometryError(f"cannot write mesh file {path}: {error or 'unknown format'}; try .vtu, .msh or .stl") from error
+        raise GeometryError(f"cannot write mesh file {path}: {error or 'unknown format'}; try .vtu or .stl") from error

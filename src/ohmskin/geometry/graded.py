@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.domain import Domain, Floats
+from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.extra import optional
 from ohmskin.geometry.mesh import Mesh
@@ -21,22 +22,23 @@ _FEWEST = 8  # edges along an electrode
 _CREASE = np.pi / 4  # angle between triangles from which an edge of a surface is kept
 
 
-def mesh_graded(domain: Domain, size: float, electrodes: Electrodes, fine: float | None = None, growth: float = 0.25) -> Mesh:
+def mesh_graded(
+    domain: Domain, size: float, electrodes: Electrodes, fine: float | None = None, growth: float = 0.25
+) -> Mesh:
     """A triangle mesh of a flat domain that is finer at the electrodes.
 
-    Points and centres of discs are nodes, so are the ends of rim segments; discs that do not reach the rim are followed by edges.
+    Points and centres of discs are nodes, so are ends of rim segments; edges follow discs that do not reach the rim.
 
     Args:
         domain: What to mesh.
         size: Edge length far from electrodes (m).
         electrodes: Where to refine.
-        fine: Edge length at electrodes (m); for each an eighth of its extent unless given, at most `size`; for points an eighth
-            of `size`.
+        fine: Edge at electrodes (m); an eighth of the extent unless given, at most `size`; of `size` for points.
         growth: By how much edges lengthen per length away from electrodes.
 
     Raises:
-        GeometryError: If gmsh is not installed, a size is not positive or above half of the domain, `growth` is not within 0.01 to
-            1, or an electrode lies outside the domain.
+        GeometryError: If gmsh is not installed, a size is not positive or above half of the domain, `growth` is not
+            within 0.01 to 1, or an electrode lies outside the domain.
     """
     sizes = _Sizes(domain, size, electrodes, fine, growth)
     keys = key_points(domain, electrodes)
@@ -66,18 +68,20 @@ def mesh_graded(domain: Domain, size: float, electrodes: Electrodes, fine: float
     return Mesh(nodes[:, :2], elements)
 
 
-def mesh_surface(surface: Mesh, size: float, electrodes: Electrodes, fine: float | None = None, growth: float = 0.25) -> Mesh:
+def mesh_surface(
+    surface: Mesh, size: float, electrodes: Electrodes, fine: float | None = None, growth: float = 0.25
+) -> Mesh:
     """A surface in space meshed anew, finer at the electrodes, which are exactly at nodes.
 
     Args:
         surface: Triangles in space, such as a robot's link read from STL (`read_mesh`).
         size: Edge length far from electrodes (m).
         electrodes: Where to refine; within a thousandth of the surface's extent of it.
-        fine: Edge length at electrodes (m); an eighth of an area electrode's extent, and of `size` for points, unless given.
+        fine: Edge at electrodes (m); an eighth of an area electrode's extent, or of `size` for points, unless given.
         growth: By how much edges lengthen per length away from electrodes.
 
     Raises:
-        GeometryError: If gmsh is not installed or cannot mesh the surface, a size is out of range, or an electrode is off it.
+        GeometryError: If gmsh is missing or cannot mesh the surface, a size is out of range, or an electrode is off it.
     """
     if surface.nodes.shape[1] != 3 or surface.dim != 2:
         raise GeometryError("mesh_surface() meshes triangles in space anew; for a flat domain use mesh_graded()")
@@ -96,7 +100,7 @@ def mesh_surface(surface: Mesh, size: float, electrodes: Electrodes, fine: float
             for k, position in enumerate(electrodes.positions):
                 away = [np.linalg.norm(gmsh.model.getClosestPoint(2, face, position)[0] - position) for face in faces]
                 if min(away) > 1e-3 * sizes.extent:
-                    raise GeometryError(f"electrode {k} at {position} is {min(away):.2g} m off the surface; move it there")
+                    raise GeometryError(f"electrode {k} at {position} is {min(away):.2g} m off the surface; move it")
                 point = gmsh.model.geo.addPoint(*position)
                 gmsh.model.geo.synchronize()
                 gmsh.model.mesh.embed(0, [point], 2, faces[int(np.argmin(away))])
@@ -105,7 +109,8 @@ def mesh_surface(surface: Mesh, size: float, electrodes: Electrodes, fine: float
         except GeometryError:
             raise
         except Exception as error:  # gmsh raises Exception itself
-            raise GeometryError(f"gmsh cannot mesh this surface: {error}; repair it, or move electrodes off its creases") from error
+            advice = "repair it, or move electrodes off its creases"
+            raise GeometryError(f"gmsh cannot mesh this surface: {error}; {advice}") from error
         nodes, elements = _triangles(gmsh)
     return Mesh(nodes, elements)
 
@@ -114,7 +119,13 @@ class _Sizes:
     """Edge lengths that grow from the electrodes outwards."""
 
     def __init__(
-        self, domain: Domain | None, size: float, electrodes: Electrodes, fine: float | None, growth: float, extent: float = 0.0
+        self,
+        domain: Domain | None,
+        size: float,
+        electrodes: Electrodes,
+        fine: float | None,
+        growth: float,
+        extent: float = 0.0,
     ) -> None:
         if domain is not None:
             x0, y0, x1, y1 = domain.bounds
@@ -138,8 +149,7 @@ class _Sizes:
         count = min(4, len(self.centres))
         distance, nearest = self._tree.query(points, k=count)
         beyond = np.maximum(0.0, distance - self.reach[nearest])
-        sizes: Floats = np.minimum(self.size, (self.fine[nearest] + self.growth * beyond).min(axis=1))
-        return sizes
+        return np.asarray(np.minimum(self.size, (self.fine[nearest] + self.growth * beyond).min(axis=1)))
 
     def set(self, gmsh: Any) -> None:
         """Tell gmsh."""

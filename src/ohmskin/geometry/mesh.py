@@ -1,4 +1,4 @@
-"""Meshes of triangles or tetrahedra, checked at the door."""
+"""Meshes of triangles or tetrahedra, checked when they are made."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,17 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.domain import Floats
-
-Ints = NDArray[np.int64]
 
 _NOUNS = {2: ("triangle", "triangles", "edge", "area"), 3: ("tetrahedron", "tetrahedra", "face", "volume")}
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A connected mesh of simplices: triangles of a flat sheet or of a curved surface in space, or tetrahedra of a thick skin.
+    """A connected mesh: triangles of a flat sheet or of a curved surface in space, or tetrahedra of a thick skin.
 
     Clockwise triangles of a flat mesh and inverted tetrahedra are turned round and counted in `flipped`.
 
@@ -31,8 +29,8 @@ class Mesh:
         elements: Node numbers (n_elem, 3) of triangles or (n_elem, 4) of tetrahedra.
 
     Raises:
-        GeometryError: If shapes, numbers or coordinates are invalid, an element has no area or volume, a node is unused, or the
-            mesh falls into several parts.
+        GeometryError: If shapes, numbers or coordinates are invalid, an element has no area or volume, a node is
+            unused, or the mesh falls into several parts.
     """
 
     nodes: Floats
@@ -45,12 +43,10 @@ class Mesh:
             raise GeometryError(f"mesh nodes have shape {nodes.shape}; need (n, 2) or (n, 3)")
         corners = elements.shape[1] if elements.ndim == 2 else 0
         if corners not in (3, 4) or len(elements) == 0 or elements.dtype.kind not in "iu":
-            raise GeometryError(
-                f"elements have shape {elements.shape} and type {elements.dtype}; need integers (n, 3) for triangles or (n, 4) "
-                "for tetrahedra"
-            )
+            given = f"elements have shape {elements.shape} and type {elements.dtype}"
+            raise GeometryError(f"{given}; need integers (n, 3) for triangles or (n, 4) for tetrahedra")
         if corners == 4 and nodes.shape[1] == 2:
-            raise GeometryError("elements of four nodes are tetrahedra and need nodes (n, 3); split quadrilaterals into triangles")
+            raise GeometryError("four nodes make tetrahedra and need nodes (n, 3); split quadrilaterals into triangles")
         noun, nouns, facet, measure = _NOUNS[corners - 1]
         if not np.isfinite(nodes).all():
             raise GeometryError(f"mesh node {int(np.argmin(np.isfinite(nodes).all(1)))} is not finite")
@@ -69,7 +65,8 @@ class Mesh:
         object.__setattr__(self, "elements", elements)
         longest = np.linalg.norm(nodes[elements] - nodes[np.roll(elements, 1, axis=1)], axis=2).max(axis=1)
         if len(bad := np.flatnonzero(self.measures <= 1e-10 * longest**self.dim)):
-            raise GeometryError(f"{noun} {bad[0]} has no {measure} (nodes {elements[bad[0]].tolist()}); remove degenerate {nouns}")
+            where = f"{noun} {bad[0]} has no {measure} (nodes {elements[bad[0]].tolist()})"
+            raise GeometryError(f"{where}; remove degenerate {nouns}")
         parts, _ = connected_components(self.adjacency, directed=False)
         if parts > 1:
             raise GeometryError(f"the mesh falls into {parts} parts that share no {facet}; join them or keep one")
@@ -94,7 +91,7 @@ class Mesh:
 
     @cached_property
     def gradients(self) -> Floats:
-        """Gradients (n_elem, dim + 1, dim of space) of the linear shape functions in each element, tangential to it (1/m)."""
+        """Gradients (n_elem, dim + 1, dim of space) of each element's linear shape functions, tangential (1/m)."""
         edges = _edges(self.nodes, self.elements)
         gram = np.einsum("eid,ejd->eij", edges, edges)
         if self.dim == 3:
@@ -117,8 +114,7 @@ class Mesh:
     @cached_property
     def centroids(self) -> Floats:
         """Centroids (n_elem, dim of space) in metres."""
-        centroids: Floats = self.nodes[self.elements].mean(axis=1)
-        return centroids
+        return np.asarray(self.nodes[self.elements].mean(axis=1))
 
     @cached_property
     def _facets(self) -> Ints:
@@ -128,7 +124,7 @@ class Mesh:
 
     @cached_property
     def neighbours(self) -> Ints:
-        """The element (n_elem, dim + 1) beyond each facet, -1 on the rim. Facet k joins corners k, k + 1, ..., all but k - 1."""
+        """The element (n_elem, dim + 1) beyond each facet, numbered as in `_facets`; -1 on the rim."""
         facets = np.sort(self._facets.reshape(-1, self.dim), axis=1)
         facet = facets @ (self.n_nodes ** np.arange(self.dim, dtype=np.int64))  # one number for each: quick to sort
         order = np.argsort(facet, kind="stable")
@@ -172,7 +168,7 @@ class Mesh:
         return cKDTree(self.centroids)
 
     def mapped(self, move: Callable[[Floats], ArrayLike]) -> "Mesh":
-        """The same elements with nodes moved by `move`, from (n_nodes, dim) to (n_nodes, 2 or 3): a sheet laid round a link."""
+        """The same elements with nodes (n_nodes, dim) moved by `move` to (n_nodes, 2 or 3): a sheet round a link."""
         return Mesh(np.asarray(move(self.nodes), float), self.elements)
 
     def nodes_at(self, points: ArrayLike, tolerance: float = 1e-7) -> Ints:
@@ -184,10 +180,8 @@ class Mesh:
         points = self._points(points)
         distance, node = self._node_tree.query(points)
         if len(far := np.flatnonzero(distance > tolerance)):
-            raise GeometryError(
-                f"point {far[0]} at {points[far[0]]} is {distance[far[0]]:.3g} m away from the nearest mesh node; "
-                "make the mesh with these points (mesh_domain(..., points=...))"
-            )
+            where = f"point {far[0]} at {points[far[0]]} is {distance[far[0]]:.3g} m away from the nearest mesh node"
+            raise GeometryError(f"{where}; make the mesh with these points (mesh_domain(..., points=...))")
         return np.asarray(node, np.int64)
 
     def closest_elements(self, points: ArrayLike, count: int = 3) -> Ints:
@@ -195,7 +189,7 @@ class Mesh:
         return np.asarray(self._centroid_tree.query(self._points(points), k=count)[1], np.int64)
 
     def locate(self, points: ArrayLike) -> tuple[Ints, Floats]:
-        """The element (n,) that holds each of `points` (n, dim), -1 outside, and the barycentric coordinates (n, dim + 1) there.
+        """The element (n,) of each of `points` (n, dim), -1 outside, and its barycentric coordinates (n, dim + 1).
 
         Raises:
             GeometryError: If the mesh is a surface in space.
@@ -221,7 +215,7 @@ class Mesh:
         return element, barycentric
 
     def interpolation(self, points: ArrayLike) -> tuple[sp.csr_array, NDArray[np.bool_]]:
-        """Rows (n_inside, n_nodes) from nodal values to those of `points` (n, dim) that lie on the mesh, and which (n,) do.
+        """Rows (n_inside, n_nodes) from nodal values to those of `points` (n, dim) on the mesh, and which (n,) are.
 
         Raises:
             GeometryError: If the mesh is a surface in space.
@@ -297,13 +291,11 @@ def _stencil(elements: Ints, n_nodes: int) -> tuple[Ints, Ints, NDArray[np.int32
 def _determinants(edges: Floats) -> Floats:
     """Determinants (n_elem,) of (n_elem, dim, dim); in the plane written out, which is several times as quick."""
     if edges.shape[1] == 2:
-        planar: Floats = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-        return planar
+        return np.asarray(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
     return np.asarray(np.linalg.det(edges))
 
 
 def _edges(nodes: Floats, elements: Ints) -> Floats:
     """Vectors (n_elem, dim, dim of space) from the first corner to the others."""
     corners = nodes[elements]
-    edges: Floats = corners[:, 1:] - corners[:, :1]
-    return edges
+    return np.asarray(corners[:, 1:] - corners[:, :1])

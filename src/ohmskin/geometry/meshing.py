@@ -4,10 +4,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, cKDTree
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.domain import Domain, Floats
+from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
-from ohmskin.geometry.mesh import Ints, Mesh
+from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.polygon import Polygon
 
 
@@ -19,13 +20,13 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
     Args:
         domain: What to mesh.
         size: Edge length aimed at (m).
-        points: Points (n, 2) in metres that become nodes exactly, on the rim or inside; or electrodes, whose centres become nodes,
-            of rim segments the ends.
+        points: Points (n, 2) in metres that become nodes exactly, on the rim or inside; or electrodes, whose centres
+            become nodes, of rim segments the ends.
         smoothing: Rounds of moving free nodes to the mean of their neighbours.
 
     Raises:
-        GeometryError: If `size` is not positive, too fine or too coarse for the shape, or a point lies outside the domain or closer
-            than a tenth of `size` to another or to the rim.
+        GeometryError: If `size` is not positive, too fine or too coarse for the shape, or a point lies outside the
+            domain or closer than a tenth of `size` to another or to the rim.
     """
     if isinstance(points, Electrodes):
         points = key_points(domain, points)
@@ -37,7 +38,7 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
     depth = domain.depth(fixed)
     tolerance = 1e-9 * domain.perimeter
     if len(outside := np.flatnonzero(~(depth >= -tolerance))):
-        raise GeometryError(f"point {outside[0]} at {fixed[outside[0]]} lies outside the domain {domain}; move it inside")
+        raise GeometryError(f"point {outside[0]} at {fixed[outside[0]]} lies outside {domain}; move it inside")
     on_rim = depth < tolerance
     rim = _rim_points(domain, size, fixed, tolerance)
     inner = fixed[~on_rim]
@@ -45,10 +46,10 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
     gap = cKDTree(kept).query(kept, k=2)[0][:, 1]
     if (to_rim := depth[~on_rim].min(initial=np.inf)) < 0.1 * size:
         near = inner[depth[~on_rim].argmin()]
-        raise GeometryError(f"point {near} is {to_rim:.2g} m away from the rim, too close for mesh size {size:.2g} m; refine it")
+        raise GeometryError(f"point {near} is {to_rim:.2g} m away from the rim, too close for size {size:.2g}; refine")
     if gap.min() < 0.1 * size:
         near = kept[gap.argmin()]
-        raise GeometryError(f"points about {near} are {gap.min():.2g} m apart, too close for mesh size {size:.2g} m; refine it")
+        raise GeometryError(f"points at {near} are {gap.min():.2g} m apart, too close for size {size:.2g} m; refine it")
 
     lattice = _hexagonal(domain.bounds, size)
     lattice = lattice[domain.depth(lattice) > 0.5 * size]
@@ -60,7 +61,8 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
         edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
         ends = np.concatenate([edges, edges[:, ::-1]])
         degree = np.bincount(ends[:, 0], minlength=len(nodes))
-        mean = np.stack([np.bincount(ends[:, 0], nodes[ends[:, 1], k], len(nodes)) for k in range(2)], axis=1) / degree[:, None]
+        sums = [np.bincount(ends[:, 0], nodes[ends[:, 1], k], len(nodes)) for k in range(2)]
+        mean = np.stack(sums, axis=1) / degree[:, None]
         nodes[len(kept) :] = mean[len(kept) :]
         triangles = _triangulate(nodes, size, domain)
     return _checked(nodes, triangles, domain, size) if isinstance(domain, Polygon) else Mesh(nodes, triangles)
@@ -73,17 +75,19 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
         GeometryError: If the electrodes are not in the plane, or the centre of a rim segment is not on the rim.
     """
     if electrodes.positions.shape[1] != 2:
-        raise GeometryError("electrodes in space do not fit a flat domain; mesh the flat sheet and move both with mapped()")
+        raise GeometryError("electrodes in space do not fit a flat domain; mesh it flat and move both with mapped()")
     found: list[Floats] = []
     for k, (kind, centre) in enumerate(zip(electrodes.kinds, electrodes.positions, strict=True)):
         if kind != ElectrodeKind.RIM:
             found.append(centre[None])
             continue
-        on_loops = [(float(np.linalg.norm(loop.rim(loop.arc(centre[None]))[0] - centre)), loop) for loop in (domain, *domain.holes)]
+        loops = (domain, *domain.holes)
+        on_loops = [(float(np.linalg.norm(loop.rim(loop.arc(centre[None]))[0] - centre)), loop) for loop in loops]
         off, loop = min(on_loops, key=lambda pair: pair[0])
         arc = float(loop.arc(centre[None])[0])
         if off > 1e-6 * domain.perimeter:
-            raise GeometryError(f"rim electrode {k} at {centre} is {off:.2g} m away from the rim; move it or use with_discs()")
+            there = f"rim electrode {k} at {centre} is {off:.2g} m away from the rim"
+            raise GeometryError(f"{there}; move it or use with_discs()")
         half = float(electrodes.extents[k]) / 2
         found.append(loop.rim([arc - half, arc + half]))
     # neighbours that touch share an end
@@ -95,7 +99,7 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
 
 
 def _checked(nodes: Floats, triangles: Ints, domain: Polygon, size: float) -> Mesh:
-    """The mesh, if its area and rim are the polygon's: Delaunay keeps an edge of the rim only if no node is close to it."""
+    """The mesh, if its area and rim are the polygon's: Delaunay keeps a rim edge only if no node is close."""
     try:
         mesh = Mesh(nodes, triangles)
         off_rim = np.abs(domain.depth(nodes[mesh.boundary].mean(axis=1))).max()
@@ -103,13 +107,12 @@ def _checked(nodes: Floats, triangles: Ints, domain: Polygon, size: float) -> Me
             return mesh
     except GeometryError:
         pass
-    raise GeometryError(
-        f"a mesh of size {size:.2g} m does not follow the outline of {domain}; choose a finer one, or mesh_graded() (gmsh)"
-    )
+    unlike = f"a mesh of size {size:.2g} m does not follow the outline of {domain}"
+    raise GeometryError(f"{unlike}; choose a finer one, or mesh_graded() (gmsh)")
 
 
 def _rim_points(domain: Domain, size: float, fixed: Floats, tolerance: float) -> Floats:
-    """Points along rim and holes: those of the fixed ones that lie there exactly, equal steps of about `size` between them."""
+    """Points along rim and holes: the fixed ones that lie there exactly, steps of about `size` between them."""
     loops = []
     for loop in (domain, *domain.holes):
         own = fixed[np.linalg.norm(loop.rim(loop.arc(fixed)) - fixed, axis=1) < tolerance] if len(fixed) else fixed

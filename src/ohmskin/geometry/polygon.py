@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.domain import Floats
 
 
 class Polygon:
-    """A polygon, perhaps with polygonal holes. The rim is the outer outline, counterclockwise from the first corner given.
+    """A polygon, perhaps with polygonal holes. The rim is the outline, counterclockwise from the first corner given.
 
     Args:
         outline: Corners (n, 2) in metres, in order, the first not repeated. Turned round if they run clockwise.
@@ -22,8 +22,8 @@ class Polygon:
         holes: The holes, as polygons.
 
     Raises:
-        GeometryError: If an outline has less than three corners, repeats one or crosses itself, or a hole is not inside, crosses
-            the outline or overlaps another hole.
+        GeometryError: If an outline has less than three corners, repeats one or crosses itself, or a hole is not
+            inside, crosses the outline or overlaps another hole.
     """
 
     def __init__(self, outline: ArrayLike, holes: Sequence[ArrayLike] = ()) -> None:
@@ -42,10 +42,11 @@ class Polygon:
         vertices.setflags(write=False)
         self.vertices: Floats = vertices
         if (crossing := _first_crossing(self._sides, self._sides)) is not None:
-            raise GeometryError(f"polygon sides {crossing[0]} and {crossing[1]} cross; order the corners along the outline")
+            raise GeometryError(f"polygon sides {crossing[0]} and {crossing[1]} cross; order corners along the outline")
         self.holes: tuple[Polygon, ...] = tuple(Polygon(hole) for hole in holes)
         for k, hole in enumerate(self.holes):
-            if (Polygon.depth(_without_holes(self), hole.vertices) <= 0).any() or _first_crossing(self._sides, hole._sides):
+            outside = (Polygon.depth(_without_holes(self), hole.vertices) <= 0).any()
+            if outside or _first_crossing(self._sides, hole._sides):
                 raise GeometryError(f"hole {k} is not inside the outline; move it")
             for j, other in enumerate(self.holes[:k]):
                 apart = not _first_crossing(other._sides, hole._sides)

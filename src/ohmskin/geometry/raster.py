@@ -4,8 +4,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.domain import Floats
 from ohmskin.geometry.mesh import Mesh
 
 

@@ -11,16 +11,16 @@ from ohmskin.geometry.mesh import Mesh
 def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) -> Mesh:
     """A thick skin below a sheet: prisms, each cut into three tetrahedra that fit their neighbours'.
 
-    A flat sheet becomes the top, z = 0, of a body down to z = -`thickness`. A surface in space grows against the normals of its
-    triangles (right-hand rule), which must be ordered alike.
+    A flat sheet becomes the top, z = 0, of a body down to z = -`thickness`. A surface in space grows against the
+    normals of its triangles (right-hand rule), which must be ordered alike.
 
     Args:
         sheet: Triangles, flat or in space. Its nodes are the first of the body's, in their order.
         thickness: In metres.
-        layers: Number of equal layers, or the shares (n,) of the thickness that the layers take from the top, summing to one.
+        layers: Number of equal layers, or their shares (n,) of the thickness from the top, summing to one.
 
     Raises:
-        GeometryError: If thickness or layers are out of range, the triangles are not ordered alike, or the body would fold.
+        GeometryError: If thickness or layers are out of range, triangles not ordered alike, or the body would fold.
     """
     if sheet.dim != 2:
         raise GeometryError("thicken() takes a sheet of triangles; this mesh is of tetrahedra already")
@@ -40,18 +40,18 @@ def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) ->
     depths = np.concatenate([[0.0], np.cumsum(shares)]) * thickness
     nodes = (top - depths[:, None, None] * normals).reshape(-1, 3)
 
-    a, b, c = np.sort(sheet.elements, axis=1).T  # each side of a prism is cut from its lower number on top: neighbours agree
+    # each side of a prism is cut from its lower number on top: neighbours agree
+    a, b, c = np.sort(sheet.elements, axis=1).T
     n = sheet.n_nodes
-    tetrahedra = np.concatenate(
-        [np.stack([a, b, c, c + n], 1), np.stack([a, b, b + n, c + n], 1), np.stack([a, a + n, b + n, c + n], 1)]
-    )
+    corners = ([a, b, c, c + n], [a, b, b + n, c + n], [a, a + n, b + n, c + n])
+    tetrahedra = np.concatenate([np.stack(four, axis=1) for four in corners])
     elements = np.concatenate([tetrahedra + k * n for k in range(len(shares))])
     # whichever way its three nodes are numbered, a tetrahedron lies below its triangle unless the prism folds
     turn = np.linalg.det(nodes[elements[:, 1:]] - nodes[elements[:, :1]])
     ordered = np.column_stack([a, b, c])
     facing = np.sign(np.einsum("ed,ed->e", _normals(top, ordered), normals[a]))
     if (np.sign(turn) != np.tile(np.concatenate([-facing, facing, -facing]), len(shares))).any():
-        raise GeometryError(f"a body {thickness:.3g} m thick folds where the surface bends more tightly; make it thinner")
+        raise GeometryError(f"a body {thickness:.3g} m thick folds where the surface bends tightly; make it thinner")
     elements[turn < 0, 2:] = elements[turn < 0, 2:][:, ::-1]
     return Mesh(nodes, elements)
 

@@ -12,7 +12,7 @@ from ohmskin.inverse.choice import (
     noise_figure,
     physical,
 )
-from ohmskin.inverse.contacts import ContactFit, DiscContact, DiscFit
+from ohmskin.inverse.estimators import ESTIMATORS, Estimate, Estimator, FrameWise, Settings, image_of
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
 from ohmskin.inverse.image import Image
@@ -35,14 +35,15 @@ from ohmskin.inverse.sparse import SparseBayes
 from ohmskin.inverse.variation import TotalVariation
 
 __all__ = [
+    "ESTIMATORS",
     "PRIORS",
     "RULES",
     "AbsoluteGaussNewton",
     "Belief",
     "Choice",
-    "ContactFit",
-    "DiscContact",
-    "DiscFit",
+    "Estimate",
+    "Estimator",
+    "FrameWise",
     "GaussNewton",
     "Greit",
     "Image",
@@ -53,6 +54,7 @@ __all__ = [
     "Penalty",
     "Pixels",
     "Prior",
+    "Settings",
     "SparseBayes",
     "TotalVariation",
     "choose",
@@ -60,6 +62,7 @@ __all__ = [
     "discrepancy",
     "evidence",
     "graph_laplacian",
+    "image_of",
     "l_curve",
     "match_model",
     "matern",

@@ -1,4 +1,4 @@
-"""Iterated Gauss-Newton: images that explain the voltages themselves, with the forward model solved anew in each round."""
+"""Iterated Gauss-Newton: images that explain the voltages, with the forward model solved anew in each round."""
 
 from dataclasses import dataclass, field
 
@@ -6,16 +6,16 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import factorise
-from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.inverse.positivity import penalised
 from ohmskin.inverse.priors import Penalty, Prior, paper_laplacian, penalty_of, triangle_means
 from ohmskin.inverse.variation import Variation
-from ohmskin.scan import Baseline, Frame
+from ohmskin.scan import Baseline, Difference, Frame
 
 
 class _Quadratic:
@@ -59,19 +59,19 @@ class Iterations:
 
 
 class AbsoluteGaussNewton:
-    """Iterated Gauss-Newton on absolute voltages, in log conductivity, so that conductivity stays positive whatever the step.
+    """Iterated Gauss-Newton on absolute voltages, in log conductivity, so that conductivity stays positive.
 
-    Each round linearises the forward model where it stands (a new factorisation), takes the regularised step in the space of
-    the data, and shortens it until the cost falls.
+    Each round linearises the forward model where it stands (a new factorisation), takes the regularised step in the
+    space of the data, and shortens it until the cost falls.
 
     Args:
         model: The untouched sheet, from which it starts and by whose conductivity images are relative.
         noise: Standard deviation of a voltage (V).
         prior: Function from a mesh to the penalty of the log conductivity, or the name of one of `PRIORS`.
         amplitude: Relative conductivity change expected (1).
-        outline: Penalise the total variation of the log conductivity instead, as `TotalVariation` does with this outline (m).
+        outline: Penalise total variation instead, as `TotalVariation` does with this outline (m).
         model_error: Error of the model as a share of the root mean square of the data's change; added to the noise (1).
-        baseline: Quiet reference, if there is one: what the model gets wrong of the untouched skin is taken off the data.
+        baseline: Quiet reference: what the model gets wrong of the untouched skin is taken off the data.
         rounds: Most rounds.
         tolerance: Share by which a round must lower the cost to go on.
 
@@ -106,15 +106,18 @@ class AbsoluteGaussNewton:
             check_positive(outline=outline)
             self._to_image, self._penalty = triangle_means(model.mesh), Variation(model.mesh, amplitude, outline)
 
-    def reconstruct(self, *frames: Frame) -> Image:
+    def reconstruct(self, *frames: Frame | Difference) -> Image:
         """The image of one frame, or of several fused. Channels that are not finite are left out.
+
+        A change against the untouched skin stands for the voltages that the model would have with it: what the model
+        gets wrong of the untouched skin cancels.
 
         Raises:
             DataError: If no finite datum is left.
         """
         return self.iterate(*frames).image
 
-    def iterate(self, *frames: Frame) -> Iterations:
+    def iterate(self, *frames: Frame | Difference) -> Iterations:
         """The image of one frame, or of several fused, with how it was reached.
 
         Raises:
@@ -141,16 +144,19 @@ class AbsoluteGaussNewton:
         residual = float(np.sqrt(np.mean(point.left**2))) / noise
         return Iterations(self._image(point, rows, noise), tuple(costs), residual, converged)
 
-    def _equations(self, frames: tuple[Frame, ...]) -> tuple[Floats, Floats]:
+    def _equations(self, frames: tuple[Frame | Difference, ...]) -> tuple[Floats, Floats]:
         """Rows (n_meas, n_pairs) in amperes that make voltages of pair resistances, and voltages (n_meas,)."""
         if not frames:
             raise DataError("no frame to make an image of; give at least one")
         rows, volts = [], []
         for frame in frames:
-            currents = frame.currents[frame.pattern.measurements[:, 0]]
-            measured = frame.voltages
-            if self.baseline is not None:
-                measured = measured - currents * (self.baseline.reference(frame.pattern) - self.model.voltages(frame.pattern))
+            modelled = self.model.voltages(frame.pattern)
+            if isinstance(frame, Difference):
+                currents, measured = frame.currents, frame.volts + frame.currents * modelled
+            else:
+                currents = frame.currents[frame.pattern.measurements[:, 0]]
+                offset = 0.0 if self.baseline is None else self.baseline.reference(frame.pattern) - modelled
+                measured = frame.voltages - currents * offset
             rows.append(frame.pattern.combination(len(self.model.electrodes)).toarray() * currents[:, None])
             volts.append(measured)
         stacked, data = np.vstack(rows), np.concatenate(volts)
@@ -168,7 +174,8 @@ class AbsoluteGaussNewton:
         return w if self._to_image is None else np.asarray(self._to_image @ w)
 
     def _at(self, w: Floats, rows: Floats, volts: Floats, noise: float) -> _Point:
-        model = self.model.with_conductivity(self.model.conductivity * np.exp(self._change(w))) if w.any() else self.model
+        changed = self.model.conductivity * np.exp(self._change(w))
+        model = self.model.with_conductivity(changed) if w.any() else self.model
         left = volts - rows @ pair_resistances(model)
         return _Point(w, model, left, float(left @ left) / noise**2 + self._penalty.cost(w))
 
@@ -178,7 +185,7 @@ class AbsoluteGaussNewton:
         return np.asarray(rows @ (by_log if self._to_image is None else by_log @ self._to_image))
 
     def _search(self, point: _Point, wanted: Floats, rows: Floats, volts: Floats, noise: float) -> _Point | None:
-        """The first point on the way to those wanted, the step halved each time, where the cost falls; None if nowhere."""
+        """The first point on the way to `wanted`, each step half the last, where the cost falls; None if nowhere."""
         way = wanted - point.w
         step = min(1.0, 3.0 / max(float(np.abs(way).max()), 1e-300))  # a factor of twenty in conductivity at most
         for _ in range(8):
@@ -201,12 +208,11 @@ class AbsoluteGaussNewton:
             response = np.linalg.solve(normal, self._change(smoothed)[chosen].T)
             return np.asarray(self.noise * np.linalg.norm(response, axis=0) * ratio[chosen])
 
-        return Image(ratio - 1, noise_std)
+        return Image(ratio - 1, noise_std, logarithmic=True)
 
 
 def pair_resistances(model: TransferModel) -> Floats:
     """Two-terminal resistances (n_pairs,) of all electrode pairs (ohm)."""
     s = model.transfer_resistance
     i, j = np.triu_indices(len(s), k=1)
-    resistances: Floats = s[i, i] + s[j, j] - s[i, j] - s[j, i]
-    return resistances
+    return np.asarray(s[i, i] + s[j, j] - s[i, j] - s[j, i])

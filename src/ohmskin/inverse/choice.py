@@ -1,7 +1,7 @@
 """How strongly to regularise: rules that choose the prior amplitude of a `GaussNewton` estimator, each with its curve.
 
-One singular value decomposition of the data's rows in image modes makes every image of every amplitude a matter of filter
-factors, so that a whole curve costs as much as one image.
+One singular value decomposition of the data's rows in image modes makes every image of every amplitude a matter of
+filter factors, so that a whole curve costs as much as one image.
 """
 
 from collections.abc import Callable
@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.modes import ImageModes, check_positive
 from ohmskin.scan import Difference
@@ -45,8 +45,8 @@ class Choice:
 class _Spectrum:
     """Data in the singular vectors of their rows: all amplitudes at once."""
 
-    def __init__(self, estimator: GaussNewton, differences: tuple[Difference, ...], amplitudes: ArrayLike | None) -> None:
-        system = estimator.modes.system(*differences)
+    def __init__(self, estimator: GaussNewton, scans: tuple[Difference, ...], amplitudes: ArrayLike | None) -> None:
+        system = estimator.modes.system(*scans)
         self.left, self.singular, self.right = np.linalg.svd(system.rows, full_matrices=False)
         self.noise = float(np.hypot(estimator.noise, estimator.model_error * system.root_mean_square))
         self.data = self.left.T @ system.volts
@@ -68,7 +68,7 @@ class _Spectrum:
         return self.choice(rule, float(self.amplitudes[np.nanargmin(curve)]), curve, meaning)
 
     def crossing(self, curve: Floats, level: float) -> float:
-        """The amplitude at which a curve that falls (or rises) crosses a level first, coming from strong regularisation."""
+        """The amplitude at which a curve first crosses a level, coming from strong regularisation."""
         above = curve > level
         k = int(np.argmax(above != above[0]))
         x, y = np.log(self.amplitudes[k - 1 : k + 1]), np.log(curve[k - 1 : k + 1])
@@ -81,33 +81,32 @@ class _Spectrum:
 def physical(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
     """The estimator's own amplitude: the change that a touch is known to make.
 
-    The curve is the mean squared error to be expected of the modes, which is smallest there if noise and amplitude are right.
+    The curve is the mean squared error to be expected of the modes, smallest there if noise and amplitude are right.
     """
     at = _Spectrum(estimator, differences, amplitudes)
     s, w = at.singular[None, :], at.weights[:, None]
     unseen = (len(estimator.modes.modes) - len(at.singular)) * estimator.amplitude**2
     error = ((1 - at.filters) ** 2 * estimator.amplitude**2 + (at.noise * s / (s**2 + w**2)) ** 2).sum(axis=1) + unseen
-    return at.choice("physical", estimator.amplitude, error, "expected squared error of the modes; smallest at the known amplitude")
+    return at.choice("physical", estimator.amplitude, error, "expected squared error of the modes; smallest")
 
 
 def cross_validation(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data left out are foretold. Knows no noise."""
+    """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data are foretold. Knows no noise."""
     at = _Spectrum(estimator, differences, amplitudes)
     curve = at.n_data * at.residuals**2 / (at.n_data - at.filters.sum(axis=1)) ** 2
     return at.lowest("cross-validation", curve, "squared error of foretelling data left out (V2); smallest")
 
 
 def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """The corner of the L-curve (Hansen 1992): largest curvature of log image norm over log residual. Knows no noise."""
+    """The corner of the L-curve (Hansen 1992), log image norm over log residual. Knows no noise."""
     at = _Spectrum(estimator, differences, amplitudes)
     t = np.log(at.weights)
     x, y = np.log(at.residuals), np.log(at.norms)
     dx, dy = np.gradient(x, t), np.gradient(y, t)
     bend = (dx * np.gradient(dy, t) - np.gradient(dx, t) * dy) / np.maximum((dx**2 + dy**2) ** 1.5, 1e-300)
     bend[:2], bend[-2:] = -np.inf, -np.inf  # differences at the ends are one-sided
-    return at.choice(
-        "l-curve", float(at.amplitudes[np.argmax(bend)]), bend, "curvature of log image norm over log residual; largest"
-    )
+    best = float(at.amplitudes[np.argmax(bend)])
+    return at.choice("l-curve", best, bend, "curvature of log image norm over log residual; largest")
 
 
 def discrepancy(
@@ -122,7 +121,7 @@ def discrepancy(
         amplitudes: Amplitudes to try (n,).
 
     Raises:
-        ModelError: If no amplitude fits the data so well: the noise or the model error is set too low for these data.
+        ModelError: If no amplitude fits the data so well: noise or model error is set too low.
     """
     check_positive(safety=safety)
     at = _Spectrum(estimator, differences, amplitudes)
@@ -130,9 +129,8 @@ def discrepancy(
     curve = at.residuals / np.sqrt(at.n_data)
     meaning = f"root mean square of the residual (V); falls to {level:.3g}"
     if curve[-1] > level:
-        raise ModelError(
-            f"the data cannot be fitted to {level:.3g} V: {curve[-1]:.3g} V are left at best; raise noise, model_error or safety"
-        )
+        best = f"the data cannot be fitted to {level:.3g} V: {curve[-1]:.3g} V are left at best"
+        raise ModelError(f"{best}; raise noise, model_error or safety")
     if curve[0] <= level:  # there is nothing in the data but noise
         return at.choice("discrepancy", float(at.amplitudes[0]), curve, meaning)
     return at.choice("discrepancy", at.crossing(curve, level), curve, meaning)
@@ -181,8 +179,8 @@ def noise_figures(
 ) -> Floats:
     """Noise figures (n,) of images with regularisation `weights` (n,), from the decomposition of the data's rows.
 
-    SNR of the data: mean magnitude of `signal` (n_meas,) over the noise. SNR of the image: mean magnitude of its image over
-    the mean standard deviation that noise gives it, both weighted by area.
+    SNR of the data: mean magnitude of `signal` (n_meas,) over the noise. SNR of the image: mean magnitude of its image
+    over the mean standard deviation that noise gives it, both weighted by area.
     """
     basis, data = right @ modes.modes, left.T @ signal
     share = areas / areas.sum()
@@ -202,7 +200,7 @@ def signal_of(model: TransferModel, change: Floats, differences: tuple[Differenc
 
 
 def small_target(mesh: Mesh, position: ArrayLike | None = None) -> Floats:
-    """A relative change of one (n_elem,) about a point: within 5 % of half the sheet's longest side, three triangles at least."""
+    """A change of one (n_elem,) about a point, within 5 % of half the longest side; three triangles at least."""
     centre = mesh.measures @ mesh.centroids / mesh.measures.sum() if position is None else np.asarray(position, float)
     change = np.zeros(mesh.n_elem)
     change[mesh.closest_elements(centre[None], 3)[0]] = 1.0

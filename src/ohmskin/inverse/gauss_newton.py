@@ -1,10 +1,10 @@
 """One-step Gauss-Newton images, in the coordinates of electrode pairs.
 
-The textbook data-space form (n_meas, n_meas), with relative conductivity change x, prior covariance Gamma and noise sigma,
+The data-space form (n_meas, n_meas), with relative conductivity change x, prior covariance Gamma and noise sigma,
 
     x = Gamma J^T (J Gamma J^T + sigma^2 I)^-1 dv,        J = diag(I) A G,
 
-needs a new Gamma J^T whenever the drive pattern changes. In the image modes B, C of `ImageModes` what is left for each frame is
+needs a new Gamma J^T whenever the pattern changes. In the image modes B, C of `ImageModes` what is left is
 
     x = B^T u,      (H^T H + (sigma / s)^2 I) u = H^T dv,      H = diag(I) A C,
 
@@ -12,24 +12,21 @@ which is the same image (push-through identity) from a system of at most L (L - 
 """
 
 import copy
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
-from ohmskin.errors import DataError, ModelError
+from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Cells
-from ohmskin.geometry.domain import Floats
-from ohmskin.inverse.image import Image
+from ohmskin.inverse.image import Image, NoiseStd
 from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.positivity import nonnegative
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
-from ohmskin.scan import Difference, DrivePattern
-
-_FRAMES = 4096  # images made at once: enough for products at full speed, little memory
+from ohmskin.scan import Difference
 
 
 class GaussNewton:
@@ -44,10 +41,10 @@ class GaussNewton:
         prior: Function from a mesh to the penalty, or the name of one of `PRIORS`.
         amplitude: Relative conductivity change expected (1).
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
-        pixels: Pixels to make the image of, with their own prior (eq. 5 read for pixels), instead of one value per triangle:
-            then neither the image nor its cost depends on the mesh. `prior` does not count.
-        positive: Whether the image may be nowhere negative: pressing only raises conductivity. Costs some ten factorisations
-            a frame instead of none.
+        pixels: Pixels to make the image of, with their own prior (eq. 5 read for pixels), instead of one value per
+            triangle: then neither the image nor its cost depends on the mesh. `prior` does not count.
+        positive: Whether the image may be nowhere negative: pressing only raises conductivity. Costs some ten
+            factorisations a frame instead of none.
 
     Attributes:
         modes: The modes it works in.
@@ -89,7 +86,7 @@ class GaussNewton:
             DataError: If no finite datum is left.
         """
         system = self.modes.system(*differences)
-        u, noise_std = self._solve(system)
+        u, noise_std = solve_modes(self.modes, system, self._weight(system), self.noise)
         if not self.positive:
             return Image(u @ self.modes.modes, noise_std)
         pairs = pair_system(len(self.model.electrodes), *differences)
@@ -97,74 +94,18 @@ class GaussNewton:
         w = nonnegative(self._penalty.normalised, rows, pairs.volts, self._weight(system))
         return Image(self._penalty.to_image(w), noise_std)
 
-    def reconstruct_many(self, pattern: DrivePattern, currents: ArrayLike, volts: ArrayLike, out: NDArray | None = None) -> NDArray:
-        """Images (n_frames, n_image) of many scans of one pattern, such as a whole recording; equal to `reconstruct` one by one.
-
-        Frames driven with the same currents share one factorisation, whatever their noise; the images are one product of matrices.
-
-        Args:
-            pattern: The pattern that all of them drove.
-            currents: Behind each measurement (A): one value, (n_meas,) or (n_frames, n_meas).
-            volts: (n_frames, n_meas) changes of voltage (V), see `Difference`. Channels that are not finite are left out.
-            out: Where to put the images, (n_frames, n_image) of float32 or float64; float32 unless given.
-
-        Raises:
-            DataError: If a shape is wrong, or a frame has no finite datum.
-        """
-        if self.positive:
-            raise ModelError("images nowhere negative have no bulk form; reconstruct() them one by one")
-        data = np.asarray(volts, float)
-        if data.ndim != 2 or data.shape[1] != pattern.n_meas:
-            raise DataError(f"volts have shape {data.shape}; the pattern needs (n_frames, {pattern.n_meas})")
-        try:
-            amperes = np.broadcast_to(np.asarray(currents, float), data.shape)
-        except ValueError:
-            raise DataError(f"currents have shape {np.shape(currents)}; they must fit volts {data.shape}") from None
-        n_image = self.modes.modes.shape[1]
-        images = np.empty((len(data), n_image), np.float32) if out is None else out
-        if images.shape != (len(data), n_image):
-            raise DataError(f"out has shape {images.shape}; the images need ({len(data)}, {n_image})")
-        known = np.isfinite(data) & np.isfinite(amperes)
-        alike: dict[bytes, list[int]] = {}
-        for k in range(len(data)):
-            alike.setdefault(amperes[k].tobytes() + known[k].tobytes(), []).append(k)
-        basis = self.modes.modes.astype(images.dtype, copy=False)
-        u = np.empty((len(data), len(basis)))
-        for frames in alike.values():
-            kept = known[frames[0]]
-            if not kept.any():
-                raise DataError(f"no finite measurement in frame {frames[0]}; leave it out")
-            rows = (self.modes.rows(pattern) * amperes[frames[0]][:, None])[kept]
-            volts_kept = data[np.ix_(frames, kept)]
-            if len(frames) > 1:
-                u[frames] = self._solve_many(rows, volts_kept)
-            else:
-                u[frames[0]] = self._solve(System(rows, volts_kept[0]))[0]
-        for start in range(0, len(data), _FRAMES):
-            block = slice(start, start + _FRAMES)
-            np.matmul(u[block].astype(images.dtype, copy=False), basis, out=images[block])
-        return images
-
     def _weight(self, system: System) -> float:
         return float(np.hypot(self.noise, self.model_error * system.root_mean_square)) / self.amplitude
 
-    def _solve(self, system: System) -> tuple[Floats, Callable[[ArrayLike], Floats]]:
-        return solve_modes(self.modes, system, self._weight(system), self.noise)
-
-    def _solve_many(self, rows: Floats, volts: Floats) -> Floats:
-        """u (n_frames, n_modes) of frames with the same rows but, because of the model error, each its own noise."""
-        left, s, right = np.linalg.svd(rows, full_matrices=False)
-        noise2 = self.noise**2 + self.model_error**2 * np.mean(volts**2, axis=1)
-        weight2 = np.maximum(noise2 / self.amplitude**2, 1e-14 * float(s @ s))
-        return np.asarray((volts @ left * (s / (s**2 + weight2[:, None]))) @ right)
-
     def _relative(self) -> Floats:
         """Change of two-terminal resistances with the relative change of each value of the image (ohm)."""
-        return self.model.pair_sensitivity * self.model.conductivity if self.pixels is None else self.pixels.sensitivity(self.model)
+        if self.pixels is not None:
+            return self.pixels.sensitivity(self.model)
+        return self.model.pair_sensitivity * self.model.conductivity
 
 
-def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, Callable[[ArrayLike], Floats]]:
-    """The u that minimises |volts - rows u|^2 + weight^2 |u|^2, and the standard deviation that noise (V) gives the image."""
+def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, NoiseStd]:
+    """The u of least |volts - rows u|^2 + weight^2 |u|^2, and the image's standard deviation from noise (V)."""
     rows, few = system.rows, len(system.rows) < len(modes.modes)
     # the smaller of two systems with the same solution (push-through identity)
     normal = rows @ rows.T if few else rows.T @ rows
@@ -179,8 +120,8 @@ def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) 
 
     def noise_std(elements: ArrayLike) -> Floats:
         some = modes.modes[:, np.atleast_1d(elements)]
-        response = cho_solve(factor, rows @ some, check_finite=False) if few else rows @ cho_solve(factor, some, check_finite=False)
-        std: Floats = noise * np.linalg.norm(response, axis=0)
-        return std
+        solve = partial(cho_solve, factor, check_finite=False)
+        response = solve(rows @ some) if few else rows @ solve(some)
+        return np.asarray(noise * np.linalg.norm(response, axis=0))
 
     return u, noise_std

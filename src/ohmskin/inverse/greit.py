@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.geometry.domain import Floats
+from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.inverse.choice import noise_figures, signal_of, small_target
-from ohmskin.inverse.discs import DiscResponse
 from ohmskin.inverse.gauss_newton import solve_modes
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import ImageModes, check_positive
@@ -34,15 +34,15 @@ class Training:
 class Greit:
     """GREIT images on the triangles of any domain; put them on a `Raster` for pixels.
 
-    The matrix that brings the training targets closest to their desired images, noise considered, is Y D^T (D D^T + w^2 I)^-1.
-    D and Y are trained once in pair coordinates, whatever the pattern; w is set for each pattern for the noise figure wanted.
+    The matrix that brings the training targets closest to their desired images, noise considered, is Y D^T (D D^T +
+    w^2 I)^-1. D and Y are trained once in pair coordinates; w is set for each pattern for the noise figure wanted.
 
     Args:
         model: The untouched sheet.
         noise: Standard deviation of a voltage (V); only for the image's ``noise_std``.
         noise_figure: Signal-to-noise ratio of the data over that of the image, for a small target in the middle.
         target_radius: Radius of the targets (m); 5 % of the sheet's longest side unless given.
-        blur: Radius of the desired round blob over that of the target. The integral of the image stays that of the target.
+        blur: Radius of the desired round blob over that of the target. The integral stays the target's.
         spacing: Distance between targets (m); half a target's radius unless given.
 
     Raises:
@@ -66,11 +66,8 @@ class Greit:
             raise ModelError(f"blur is {blur}; no image is sharper than its target, so it must be at least 1")
         self.model, self.noise, self.noise_figure = model, noise, noise_figure
         self.training = train(model, target_radius, blur, spacing)
-        self.modes = ImageModes.of_products(
-            self.training.responses @ self.training.desired.T,
-            self.training.responses @ self.training.responses.T,
-            len(model.electrodes),
-        )
+        seen, desired = self.training.responses, self.training.desired
+        self.modes = ImageModes.of_products(seen @ desired.T, seen @ seen.T, len(model.electrodes))
         self._weights: dict[object, float] = {}
 
     def reconstruct(self, *differences: Difference) -> Image:
@@ -85,9 +82,10 @@ class Greit:
         return Image(u @ self.modes.modes, noise_std)
 
     def _weight(self, differences: tuple[Difference, ...]) -> float:
-        """The regularisation with the noise figure wanted, remembered for each pattern, currents and set of channels."""
+        """The regularisation with the wanted noise figure, remembered by pattern, currents and channels."""
         known = tuple((np.isfinite(d.volts) & np.isfinite(d.currents)).tobytes() for d in differences)
-        key = (tuple(d.pattern for d in differences), known, tuple(np.round(d.currents, 12).tobytes() for d in differences))
+        currents = tuple(np.round(d.currents, 12).tobytes() for d in differences)
+        key = (tuple(d.pattern for d in differences), known, currents)
         if key not in self._weights:
             if len(self._weights) >= 64:
                 self._weights.clear()
@@ -101,15 +99,15 @@ class Greit:
         signal = signal_of(self.model, small_target(self.model.mesh), differences)
 
         def figure(weight: ArrayLike) -> Floats:
-            return noise_figures(self.modes, left, singular, right, signal, self.model.mesh.measures, np.atleast_1d(weight))
+            areas = self.model.mesh.measures
+            return noise_figures(self.modes, left, singular, right, signal, areas, np.atleast_1d(weight))
 
         weights = singular[0] * np.geomspace(1e2, 1e-6, 33)
         figures = figure(weights)
         above = figures > self.noise_figure
         if above[0] or not above.any():
-            raise ModelError(
-                f"noise figure {self.noise_figure:g} cannot be had with this scan; choose {figures[0]:.3g} to {figures.max():.3g}"
-            )
+            choices = f"{figures[0]:.3g} to {figures.max():.3g}"
+            raise ModelError(f"noise figure {self.noise_figure:g} cannot be had with this scan; choose {choices}")
         k = int(np.argmax(above))
         high, low = np.log(weights[k - 1]), np.log(weights[k])
         for _ in range(40):
@@ -123,18 +121,17 @@ class Greit:
 
 def train(model: TransferModel, radius: float, blur: float, spacing: float) -> Training:
     """Targets on a grid over the sheet, what they do to the data, and how they should look: smooth, all alike."""
-    response = DiscResponse(model)
     mesh = model.mesh
     steps = np.round((mesh.centroids - mesh.nodes.min(axis=0)) / spacing).astype(int)
-    _, chosen = np.unique(steps, axis=0, return_index=True)  # one place for each cell of the grid that the sheet reaches
+    _, chosen = np.unique(steps, axis=0, return_index=True)  # one place for each cell of the grid on the sheet
     places = mesh.centroids[chosen]
-    responses, desired = np.empty((len(model.pair_sensitivity), len(places))), np.empty((mesh.n_elem, len(places)))
-    wide = blur * radius
+    cover = disc_overlap(mesh, places, radius)
+    responses = (cover @ (model.pair_sensitivity * (model.conductivity / mesh.measures)).T).T
+    desired, wide = np.empty((mesh.n_elem, len(places))), blur * radius
     for k, place in enumerate(places):
-        elements, cover = response.discs.cover(place, radius)
-        responses[:, k] = response.integral(elements, cover[0])
+        elements = cover.indices[cover.indptr[k] : cover.indptr[k + 1]]
         distance = np.linalg.norm(mesh.centroids - place, axis=1) / wide
         blob = np.where(distance < 1, 0.5 * (1 + np.cos(np.pi * np.minimum(distance, 1.0))), 0.0)
         blob[elements] = np.maximum(blob[elements], 1e-12)  # a mesh coarser than the blob still has something to show
-        desired[:, k] = blob * cover[0].sum() / (blob @ mesh.measures)
+        desired[:, k] = blob * cover.data[cover.indptr[k] : cover.indptr[k + 1]].sum() / (blob @ mesh.measures)
     return Training(places, responses, desired)

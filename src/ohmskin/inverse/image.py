@@ -3,9 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.geometry.domain import Floats
+from ohmskin.arrays import Floats
+
+NoiseStd = Callable[[ArrayLike], Floats]
 
 
 @dataclass(frozen=True)
@@ -14,8 +17,23 @@ class Image:
 
     Args:
         values: (n_elem,) relative change of conductivity (1).
-        noise_std: Function from element numbers (n,) to the standard deviation (n,) that measurement noise gives the values.
+        noise_std: Function from element numbers (n,) to the standard deviation (n,) of their noise.
+        logarithmic: Whether it was solved for in the logarithm of the conductivity.
     """
 
     values: Floats
-    noise_std: Callable[[ArrayLike], Floats] = field(repr=False)
+    noise_std: NoiseStd = field(repr=False)
+    logarithmic: bool = False
+
+    @property
+    def contrast(self) -> Floats:
+        """(n_elem,) in which contacts are sought: the values, or the log conductivity ratio of a logarithmic image.
+
+        A ratio is bounded below but not above, so that noise would look like contacts that conduct better.
+        """
+        return np.log1p(self.values) if self.logarithmic else self.values
+
+    def contrast_std(self, elements: ArrayLike) -> Floats:
+        """Standard deviations (n,) that measurement noise gives the contrast of some elements (n,)."""
+        std = self.noise_std(elements)
+        return std / (1 + self.values[np.atleast_1d(elements)]) if self.logarithmic else std

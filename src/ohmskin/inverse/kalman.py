@@ -1,7 +1,7 @@
 """Images that follow each other: the Kalman filter, exact, in the coordinates of image modes.
 
-What is outside the modes (`ImageModes`) is never seen by any datum and never correlates with what is, so the filter on the
-full image (n_elem unknowns) and the one on at most L (L - 1) / 2 modes give the same image. Each scan may have another pattern.
+What is outside the modes (`ImageModes`) is never seen by any datum and never correlates with what is, so the filter on
+the full image and the one on at most L (L - 1) / 2 modes give the same. Each scan may have another pattern.
 """
 
 from dataclasses import dataclass, field
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import ImageModes, check_positive, check_share
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
@@ -41,7 +41,8 @@ class Belief:
 
         def noise_std(elements: ArrayLike) -> Floats:
             columns = self.modes.modes[:, np.atleast_1d(elements)]
-            return np.asarray(np.sqrt(np.maximum(np.einsum("me,mn,ne->e", columns, self.noise, columns, optimize=True), 0.0)))
+            variance = np.einsum("me,mn,ne->e", columns, self.noise, columns, optimize=True)
+            return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
         return Image(self.mean @ self.modes.modes, noise_std)
 
@@ -49,7 +50,7 @@ class Belief:
 class Kalman:
     """Kalman filter on images of relative conductivity change.
 
-    Between scans the image forgets at a rate (``time_constant``: it keeps its prior variance), or wanders (``walk``), or both.
+    Between scans it forgets at a rate (``time_constant``, keeping its prior variance), wanders (``walk``), or both.
 
     Args:
         model: The untouched sheet.
@@ -125,12 +126,8 @@ class Kalman:
         root = solve_triangular(factor[0], cross, lower=True)
         rest = np.eye(len(before.mean)) - gain @ rows
         covariance = before.covariance - root.T @ root
-        return Belief(
-            before.mean + gain @ (volts - rows @ before.mean),
-            (covariance + covariance.T) / 2,
-            rest @ before.noise @ rest.T + self.noise**2 * gain @ gain.T,
-            self.modes,
-        )
+        mean, noise = before.mean + gain @ (volts - rows @ before.mean), rest @ before.noise @ rest.T
+        return Belief(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
 
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one frame with nothing known before: that of `GaussNewton`."""

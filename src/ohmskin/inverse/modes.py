@@ -1,8 +1,8 @@
 """Image modes: all images that electrode data can call for under a prior, in coordinates that are independent a priori.
 
-Every sensitivity is a combination of the L (L - 1) / 2 pair sensitivities G (relative conductivity). With prior covariance Gamma,
-G Gamma G^T = C C^T is factored once, and Gamma G^T = B^T C^T. An image is B^T u with u white a priori, and data are
-I A C u: whatever the pattern A and the mesh, an inverse problem has at most L (L - 1) / 2 unknowns.
+Every sensitivity is a combination of the L (L - 1) / 2 pair sensitivities G (relative conductivity). With prior
+covariance Gamma, G Gamma G^T = C C^T is factored once, and Gamma G^T = B^T C^T. An image is B^T u with u white a
+priori, and data are I A C u: whatever the pattern A and the mesh, a problem has at most L (L - 1) / 2 unknowns.
 """
 
 from dataclasses import dataclass, field
@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.priors import Penalty
 from ohmskin.scan import Difference, DrivePattern
-from ohmskin.scan.pairs import Ints
 
 _KEPT_ROWS = 64  # adaptive patterns come and go; the fixed ones are cheap to make again
 
@@ -63,7 +62,7 @@ class ImageModes:
         """The modes under a prior, of average variance one over the sheet, of any image.
 
         Args:
-            relative: (n_pairs, n_image) change of the two-terminal resistances with the relative change of each value (ohm).
+            relative: (n_pairs, n_image) change of two-terminal resistances with each value's relative change (ohm).
             penalty: Of the image.
             n_elec: Number of electrodes.
         """
@@ -75,9 +74,9 @@ class ImageModes:
 
     @classmethod
     def of_products(cls, smoothed: Floats, covariance: Floats, n_elec: int) -> "ImageModes":
-        """The modes for which Gamma G^T is the transpose of `smoothed` (n_pairs, n_elem), and G Gamma G^T is `covariance`."""
+        """The modes with Gamma G^T the transpose of `smoothed` (n_pairs, n_elem), and G Gamma G^T `covariance`."""
         variance, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-        # variances span more decades than rounding leaves intact; a floor, unlike a cut, keeps B^T C^T = Gamma G^T exact
+        # variances span more decades than rounding leaves intact; a floor, unlike a cut, keeps B^T C^T = Gamma G^T
         deviation = np.sqrt(np.maximum(variance, 1e-15 * variance[-1]))
         return cls((vectors.T @ smoothed) / deviation[:, None], vectors * deviation, n_elec)
 
@@ -100,7 +99,10 @@ class ImageModes:
         Raises:
             DataError: If no finite datum is left.
         """
-        rows = [self.rows(d.pattern) if d.sag is None else d.combination(self.n_elec) @ self.mixing for d in differences]
+        rows = [
+            self.rows(d.pattern) if d.source_loading is None else d.combination(self.n_elec) @ self.mixing
+            for d in differences
+        ]
         return finite_system([row * d.currents[:, None] for row, d in zip(rows, differences, strict=True)], differences)
 
 
@@ -138,7 +140,7 @@ def finite_system(rows: list[Floats], differences: tuple[Difference, ...]) -> Sy
 
 
 def pair_system(n_elec: int, *differences: Difference) -> System:
-    """The equations of scans in the two-terminal resistances (n_pairs,) of all electrode pairs, no more of them than pairs.
+    """The equations of scans in the two-terminal resistances (n_pairs,) of all pairs, no more of them than pairs.
 
     Raises:
         DataError: If no finite datum is left.

@@ -1,8 +1,8 @@
 """Images of square pixels: unknowns that stay the same whatever the mesh.
 
-Eq. (5) of the paper on the triangles of a mesh believes other things on another mesh: its smallest eigenvalue falls ninety-fold
-from 2,000 triangles to 200,000. On pixels the prior belongs to the skin, the mesh is only as fine as the physics needs, and what
-an image costs does not depend on it.
+Eq. (5) of the paper on the triangles of a mesh believes other things on another mesh: its smallest eigenvalue falls
+ninety-fold from 2,000 triangles to 200,000. On pixels the prior belongs to the skin, the mesh is only as fine as the
+physics needs, and what an image costs does not depend on it.
 """
 
 from dataclasses import dataclass
@@ -14,11 +14,10 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 from ohmskin.inverse.priors import Penalty
 
 _SAMPLES = 4  # points along the side of a pixel that decide which pixels an element lies in
@@ -26,7 +25,7 @@ _SAMPLES = 4  # points along the side of a pixel that decide which pixels an ele
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """The pixels that cover a flat mesh, row by row from the lowest y. Those that no part of the mesh lies in are left out.
+    """The pixels that cover a flat mesh, row by row from the lowest y. Those off the mesh are left out.
 
     Args:
         x, y: Pixel centres (nx,), (ny,) in metres, of the whole grid.
@@ -100,7 +99,7 @@ class Pixels:
 
     @cached_property
     def penalty(self) -> Penalty:
-        """Eq. (5) of the paper read for pixels: 4 on the diagonal, -1 for neighbours; pulled to zero at the rim as there."""
+        """The paper's eq. (5) for pixels: 4 on the diagonal, -1 for neighbours; pulled to zero at the rim."""
         n = len(self)
         row, column = np.repeat(np.arange(n), 4), self.neighbours.ravel()
         inside = column >= 0
@@ -109,12 +108,13 @@ class Pixels:
         if n < len(self.x) * len(self.y):
             return Penalty(matrix, places=self.centroids)
         # of a whole rectangle the eigenvalues are known, and the mean of their inverses is the average variance
-        across, along = (4 * np.sin(np.pi * np.arange(1, len(axis) + 1) / (2 * len(axis) + 2)) ** 2 for axis in (self.x, self.y))
+        shares = (np.pi * np.arange(1, len(axis) + 1) / (2 * len(axis) + 2) for axis in (self.x, self.y))
+        across, along = (4 * np.sin(share) ** 2 for share in shares)
         variance = float(np.mean(1 / (across[:, None] + along)))
         return Penalty(matrix, mean_variance=variance, places=self.centroids)
 
     def sensitivity(self, model: TransferModel) -> Floats:
-        """Change (n_pairs, n_pixels) of two-terminal resistances with the relative conductivity change of each pixel (ohm)."""
+        """Change (n_pairs, n_pixels) of two-terminal resistances with each pixel's relative change (ohm)."""
         return model.grouped_sensitivity(sp.csc_array(sp.diags_array(model.conductivity) @ self.shares))
 
     def picture(self, values: Floats) -> Floats:

@@ -3,11 +3,11 @@
 import numpy as np
 import scipy.sparse as sp
 
+from ohmskin.arrays import Bools, Floats
 from ohmskin.forward.assembly import factorise
-from ohmskin.geometry.domain import Floats
 
 
-def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, free: np.ndarray | None = None) -> Floats:
+def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, free: Bools | None = None) -> Floats:
     """The unknowns w (n,) that minimise |volts - rows w|^2 / noise^2 + w^T matrix w, in the space of the data.
 
     Args:
@@ -31,8 +31,8 @@ def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, f
 def nonnegative(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, rounds: int = 40) -> Floats:
     """The same with w >= 0, by the primal-dual active set method (Hintermueller, Ito and Kunisch 2002).
 
-    Unknowns are held at zero where their gradient says so, and solved for elsewhere, until the set repeats. For the penalties
-    of this package that takes some five to ten rounds and is then exact.
+    Unknowns are held at zero where their gradient says so, and solved for elsewhere, until the set repeats. For the
+    penalties of this package that takes some five to ten rounds and is then exact.
     """
     w = penalised(matrix, rows, volts, noise)
     held = w < 0

@@ -1,8 +1,8 @@
 """Priors: what is believed about an image before anything is measured.
 
-A prior is a function from a mesh to the penalty of an image. The simplest penalty is a sparse symmetric positive definite
-matrix R (n_elem, n_elem), the penalty of an image x being x^T R x. `Penalty` also takes images that hang on other unknowns
-than one per triangle. Priors with settings are made by functions that return a prior, such as ``matern(0.03)``.
+A prior is a function from a mesh to the penalty of an image. The simplest penalty is a sparse symmetric positive
+definite matrix R (n_elem, n_elem), the penalty of an image x being x^T R x. `Penalty` also takes images that hang on
+other unknowns than one per triangle. Functions such as ``matern(0.03)`` return a prior with settings.
 
 =============  =================================================================================================
 name           what it believes
@@ -24,12 +24,13 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import factorise, stiffness
 from ohmskin.forward.cholesky import Elimination
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
+from ohmskin.registry import Registry
 from ohmskin.scan import DrivePattern, adjacent
 
 
@@ -40,10 +41,10 @@ class Penalty:
     Args:
         matrix: (n_unknowns, n_unknowns) sparse, symmetric positive definite.
         image: (n_elem, n_unknowns) sparse, from the unknowns to the image; None where they are the same.
-        mean_variance: Variance of the image, averaged over the sheet, for which the penalty is meant; None: as it comes,
-            to be scaled to one by who uses it.
+        mean_variance: Variance of the image, averaged over the sheet, for which the penalty is meant; None: as it
+            comes, to be scaled to one by who uses it.
         free_mean: Whether the mean of the image is to be left free, so that it does not count in the average variance.
-        places: (n_unknowns, dim) where each unknown is (m); not needed, but the matrix is factorised much more quickly with it.
+        places: (n_unknowns, dim) where each unknown is (m); makes factorising the matrix much quicker.
     """
 
     matrix: sp.csc_array
@@ -118,8 +119,7 @@ Prior = Callable[[Mesh], "sp.csc_array | Penalty"]
 def paper_laplacian(mesh: Mesh) -> sp.csc_array:
     """Eq. (5) of the paper: d + 1 = 3 on the diagonal, -1 for triangles that share an edge.
 
-    Triangles at the rim have fewer neighbours but the same diagonal, so the matrix is positive definite and the image is
-    pulled to zero at the rim.
+    Triangles at the rim have fewer neighbours but the same diagonal: definite, and the image is pulled to zero there.
     """
     return sp.csc_array((mesh.dim + 1) * sp.eye_array(mesh.n_elem) - mesh.adjacency)
 
@@ -127,19 +127,20 @@ def paper_laplacian(mesh: Mesh) -> sp.csc_array:
 def graph_laplacian(mesh: Mesh) -> Penalty:
     """Twice (degree - adjacency): what EIDORS calls ``prior_laplace``. Constant images cost nothing.
 
-    To make the matrix definite, a thousandth of its mean diagonal, over the number of triangles, is added: a prior standard
-    deviation of the mean some fifteen times that of the rest, so that the mean goes where the data want it.
+    To make the matrix definite, a thousandth of its mean diagonal, over the number of triangles, is added: a prior
+    standard deviation of the mean some fifteen times that of the rest, so that the mean goes where the data want it.
     """
     degree = np.asarray(mesh.adjacency.sum(axis=1)).ravel()
     ridge = 1e-3 * degree.mean() / mesh.n_elem
-    return Penalty(sp.csc_array(2 * (sp.diags_array(degree + ridge) - mesh.adjacency)), free_mean=True, places=mesh.centroids)
+    laplacian = sp.csc_array(2 * (sp.diags_array(degree + ridge) - mesh.adjacency))
+    return Penalty(laplacian, free_mean=True, places=mesh.centroids)
 
 
 def tikhonov(mesh: Mesh, patch: float = 0.01) -> Penalty:
     """The integral of the squared image: triangles count by their area and are independent of each other.
 
-    The variance of a single triangle has no limit as the mesh is refined, so that the mean over a patch is what has variance
-    one: then the same image comes out on every mesh.
+    The variance of a single triangle has no limit as the mesh is refined, so that the mean over a patch is what has
+    variance one: then the same image comes out on every mesh.
 
     Args:
         mesh: The mesh.
@@ -154,7 +155,7 @@ def tikhonov(mesh: Mesh, patch: float = 0.01) -> Penalty:
 
 
 def noser(model: TransferModel, pattern: DrivePattern | None = None, exponent: float = 0.5) -> Prior:
-    """NOSER (Cheney et al. 1990; EIDORS' ``prior_noser``): the diagonal of J^T J to a power, so that all triangles are seen alike.
+    """NOSER (Cheney et al. 1990; EIDORS' ``prior_noser``): a power of J^T J's diagonal, all triangles seen alike.
 
     Args:
         model: The untouched sheet.
@@ -179,11 +180,11 @@ def noser(model: TransferModel, pattern: DrivePattern | None = None, exponent: f
 
 
 def matern(length: float) -> Prior:
-    """A smooth Gaussian random field with a correlation length, the same on every mesh (Lindgren, Rue and Lindstroem 2011).
+    """A Gaussian random field with a correlation length, the same on every mesh (Lindgren, Rue and Lindstroem 2011).
 
-    The field solves (kappa^2 - Laplace) w = white noise in linear finite elements, which has Matern covariance of smoothness 1
-    in the plane (1/2 in space), variance one. A Robin condition at the rim (Roininen, Huttunen and Lasanen 2014) keeps the
-    variance there from doubling. Where the mesh is coarse for the length, means over triangles vary less.
+    The field solves (kappa^2 - Laplace) w = white noise in linear finite elements, which has Matern covariance of
+    smoothness 1 in the plane (1/2 in space), variance one. A Robin condition at the rim (Roininen, Huttunen and
+    Lasanen 2014) keeps the variance there from doubling. On meshes coarse for the length, triangles vary less.
 
     Args:
         length: Distance at which the correlation has fallen to about 0.14 (m); sqrt(8 nu) / kappa.
@@ -198,7 +199,8 @@ def matern(length: float) -> Prior:
         cells, dim = mesh.elements, mesh.dim
         edge = float(np.median(np.linalg.norm(mesh.nodes[cells[:, 0]] - mesh.nodes[cells[:, 1]], axis=1)))
         if length < edge:
-            raise ModelError(f"correlation length {length:.3g} m is below the mesh's edges of {edge:.3g} m; refine the mesh")
+            below = f"correlation length {length:.3g} m is below the mesh's edges of {edge:.3g} m"
+            raise ModelError(f"{below}; refine the mesh")
         smoothness = 2 - dim / 2
         kappa = np.sqrt(8 * smoothness) / length
         mass = np.bincount(cells.ravel(), np.repeat(mesh.measures / (dim + 1), dim + 1), mesh.n_nodes)
@@ -228,13 +230,25 @@ def _rim_sizes(mesh: Mesh) -> Floats:
     return np.asarray(np.linalg.norm(np.cross(side, corners[:, 2] - corners[:, 0]), axis=1) / 2)
 
 
-PRIORS: dict[str, Callable[[TransferModel], Prior]] = {
-    "paper": lambda model: paper_laplacian,
-    "laplacian": lambda model: graph_laplacian,
-    "tikhonov": lambda model: tikhonov,
-    "noser": noser,
-    "matern": lambda model: matern(0.15 * float(np.ptp(model.mesh.nodes, axis=0).max())),
-}
+def _matern(model: TransferModel) -> Prior:
+    """Smooth, correlated over 15 % of the sheet's longest side."""
+    return matern(0.15 * float(np.ptp(model.mesh.nodes, axis=0).max()))
+
+
+PRIORS: Registry[Callable[[TransferModel], Prior]] = Registry(
+    "prior",
+    "ohmskin.priors",
+    {
+        "paper": lambda model: paper_laplacian,
+        "laplacian": lambda model: graph_laplacian,
+        "tikhonov": lambda model: tikhonov,
+        "noser": noser,
+        "matern": _matern,
+    },
+    ModelError,
+    " (TotalVariation and SparseBayes are estimators)",
+)
+"""Priors by name; other packages add theirs with an entry point of the group ``ohmskin.priors``."""
 
 
 def named_prior(name: str, model: TransferModel) -> Prior:
@@ -243,8 +257,6 @@ def named_prior(name: str, model: TransferModel) -> Prior:
     Raises:
         ModelError: If there is no such prior; the message lists those there are.
     """
-    if name not in PRIORS:
-        raise ModelError(f"no prior {name!r}; choose from {', '.join(PRIORS)} (TotalVariation and SparseBayes are estimators)")
     return PRIORS[name](model)
 
 

@@ -1,7 +1,7 @@
 """How well a quiet frame fits the model of the untouched sheet: its conductivity, a constant error, and what is left.
 
-Reciprocity (`ohmskin.scan.assess`) cannot see an error that all measurements share, such as the converter's offset: a sheet could
-be like that. The model can.
+Reciprocity (`ohmskin.scan.assess`) cannot see an error that all measurements share, such as the converter's offset: a
+sheet could be like that. The model can.
 """
 
 from dataclasses import dataclass
@@ -39,15 +39,13 @@ class ModelMatch:
         warnings = []
         if abs(self.offset) > _OFFSET * self.signal and self.misfit < 0.5 * self.plain_misfit:
             share = 100 * abs(self.offset) / self.signal
-            warnings.append(
-                f"a constant {1e3 * self.offset:.3g} mV seems to be added to every voltage ({share:.0f} % of the signal): "
-                "differences to a reference cancel it, absolute images would not"
-            )
+            added = f"a constant {1e3 * self.offset:.3g} mV seems to be added to every voltage"
+            advice = "differences to a reference cancel it, absolute images would not"
+            warnings.append(f"{added} ({share:.0f} % of the signal): {advice}")
         if self.misfit > _UNLIKE:
-            warnings.append(
-                f"{100 * self.misfit:.0f} % of the quiet voltages do not fit the skin's description at any conductivity; "
-                "check the electrodes' order, their start and direction, and the shape"
-            )
+            poor = f"{100 * self.misfit:.0f} % of quiet voltages do not fit the skin's description at any conductivity"
+            advice = "check the electrodes' order, their start and direction, and the shape"
+            warnings.append(f"{poor}; {advice}")
         return warnings
 
 

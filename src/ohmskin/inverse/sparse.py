@@ -1,35 +1,25 @@
 """Sparse Bayesian images: as few compact contacts as explain the data."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import check_positive, check_share, pair_system
 from ohmskin.scan import Difference
 
 
-@dataclass(frozen=True)
-class _Atoms:
-    """What images are made of: a round blob about each triangle, and what it does to the pairs (n_pairs, n_elem)."""
-
-    image: sp.csr_array = field(repr=False)
-    response: Floats = field(repr=False)
-
-
 class SparseBayes:
-    """Sparse Bayesian learning (automatic relevance determination, Tipping 2001; as Wipf and Nagarajan 2008 make it converge).
+    """Sparse Bayesian learning (relevance determination, Tipping 2001; made to converge as in Wipf and Nagarajan 2008).
 
-    An image is a sum of round blobs, one about each triangle, each with a prior variance of its own. The variances are learned from
-    the data, which drives all but a few to zero.
+    An image is a sum of round blobs, one about each triangle, each with a prior variance of its own. The variances are
+    learned from the data, which drives all but a few to zero.
 
     Args:
         model: The untouched sheet.
@@ -61,8 +51,8 @@ class SparseBayes:
             raise ModelError(f"rounds is {rounds}; it must be at least 1")
         self.model, self.noise, self.amplitude, self.radius = model, noise, amplitude, radius
         self.model_error, self.positive, self.rounds = model_error, positive, rounds
-        image = blobs(model.mesh, radius)
-        self._atoms = _Atoms(image, (model.pair_sensitivity * model.conductivity) @ image)
+        self._blobs = blobs(model.mesh, radius)
+        self._response: Floats = (model.pair_sensitivity * model.conductivity) @ self._blobs  # (n_pairs, n_elem)
 
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one scan, or of several fused. Channels that are not finite are left out.
@@ -72,7 +62,7 @@ class SparseBayes:
         """
         pairs = pair_system(len(self.model.electrodes), *differences)
         noise = float(np.hypot(self.noise, self.model_error * pairs.root_mean_square))
-        rows = pairs.rows @ self._atoms.response
+        rows = pairs.rows @ self._response
         kept = np.arange(rows.shape[1])
         variance = np.full(len(kept), self.amplitude**2)
         for _ in range(self.rounds):
@@ -90,7 +80,7 @@ class SparseBayes:
         return self._image(rows[:, kept], kept, variance, noise, pairs.volts)
 
     def _image(self, some: Floats, kept: np.ndarray, variance: Floats, noise: float, volts: Floats) -> Image:
-        image = self._atoms.image[:, kept]
+        image = self._blobs[:, kept]
         if not len(kept):
             return Image(np.zeros(image.shape[0]), lambda elements: np.zeros(np.size(elements)))
         response = variance[:, None] * cho_solve(_factor(some, variance, noise), some).T  # (n_kept, n_meas)
@@ -105,7 +95,7 @@ class SparseBayes:
 
 
 def blobs(mesh: Mesh, radius: float) -> sp.csr_array:
-    """Round blobs (n_elem, n_elem), one a column about each triangle: 1 - (distance / radius)^2, one triangle at least."""
+    """Round blobs (n_elem, n_elem), one about each triangle: 1 - (distance / radius)^2, one triangle at least."""
     tree = cKDTree(mesh.centroids)
     near = tree.sparse_distance_matrix(tree, radius, output_type="coo_matrix")
     height = np.maximum(1 - (near.data / radius) ** 2, 0.0)
@@ -118,5 +108,4 @@ def blobs(mesh: Mesh, radius: float) -> sp.csr_array:
 def _factor(rows: Floats, variance: Floats, noise: float) -> tuple[Floats, bool]:
     covariance = (rows * variance) @ rows.T
     covariance[np.diag_indices_from(covariance)] += max(noise**2, 1e-14 * covariance.trace())
-    factor: tuple[Floats, bool] = cho_factor(covariance, lower=True, overwrite_a=True, check_finite=False)
-    return factor
+    return tuple(cho_factor(covariance, lower=True, overwrite_a=True, check_finite=False))

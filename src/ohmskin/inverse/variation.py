@@ -1,18 +1,17 @@
 """Total variation: images of few, sharp edges."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import factorise, stiffness
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.domain import Floats
-from ohmskin.inverse.image import Image
+from ohmskin.inverse.image import Image, NoiseStd
 from ohmskin.inverse.modes import System, check_positive, check_share, pair_system
 from ohmskin.inverse.positivity import penalised
 from ohmskin.inverse.priors import triangle_means
@@ -53,7 +52,7 @@ class Variation:
         return float(2 * self.mesh.measures @ self._slopes(w) / (self.amplitude * self.outline) + self._ridge @ w**2)
 
     def matrix(self, w: Floats) -> sp.csc_array:
-        """The sparse matrix (n_nodes, n_nodes) of the quadratic penalty with the gradient that `cost` has at a nodal field."""
+        """The matrix (n_nodes, n_nodes) of the quadratic penalty with the gradient of `cost` at a nodal field."""
         flat = stiffness(self.mesh, 1 / (self.amplitude * self.outline * self._slopes(w)))
         return sp.csc_array(flat + sp.diags_array(self._ridge))
 
@@ -61,23 +60,24 @@ class Variation:
     def _ridge(self) -> Floats:
         """A sheet that is all at the amplitude costs one: variation alone leaves the mean free."""
         corners = self.mesh.elements.shape[1]
-        shares = np.bincount(self.mesh.elements.ravel(), np.repeat(self.mesh.measures / corners, corners), self.mesh.n_nodes)
+        each = np.repeat(self.mesh.measures / corners, corners)
+        shares = np.bincount(self.mesh.elements.ravel(), each, self.mesh.n_nodes)
         return np.asarray(shares / (shares.sum() * self.amplitude**2))
 
 
 class TotalVariation:
     """Total-variation images: the x of least |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
 
-    Solved by lagged diffusivity (Vogel and Oman 1996): each round is a quadratic problem in the space of the data, the gradient of
-    each triangle weighed by its last length.
+    Solved by lagged diffusivity (Vogel and Oman 1996): each round is a quadratic problem in the space of the data, the
+    gradient of each triangle weighed by its last length.
 
     Args:
         model: The untouched sheet.
         noise: Standard deviation of a voltage (V).
         amplitude: Relative conductivity change expected (1).
         outline: Length of the outline of a contact of that amplitude that is worth as much as one standard deviation of
-            all data is worth squared (m); larger gives more detail. Unless given, it is found for each frame by the discrepancy
-            principle: the least variation that fits the data as well as their noise allows.
+            all data is worth squared (m); larger gives more detail. Unless given, it is found for each frame by the
+            discrepancy principle: the least variation that fits the data as well as their noise allows.
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         positive: Whether the image may be nowhere negative: pressing only raises conductivity.
         rounds: Most rounds for one weight.
@@ -152,7 +152,7 @@ class TotalVariation:
                 break
         return w
 
-    def _noise_std(self, matrix: sp.csc_array, system: System, weight: float) -> Callable[[ArrayLike], Floats]:
+    def _noise_std(self, matrix: sp.csc_array, system: System, weight: float) -> NoiseStd:
         """How noise moves the image, its edges held as they are."""
 
         def noise_std(elements: ArrayLike) -> Floats:

@@ -1,4 +1,4 @@
-"""Pictures for files and papers: images of a skin with electrodes and contacts, maps of how well contacts can be located."""
+"""Pictures for files and papers: images with electrodes and contacts, maps of how well contacts are located."""
 
 from ohmskin.plot.errors import ErrorMap, draw_error_map, save_error_maps
 from ohmskin.plot.picture import draw_image, save_picture

@@ -31,12 +31,13 @@ def save_calibration(path: Path, samples: Sequence[PressSample], curve: ForceCur
         own = [sample for sample in samples if sample.loading == loading and sample.strength > 0]
         strengths, forces = np.array([s.strength for s in own]), np.array([s.force for s in own])
         left.plot(1e6 * strengths, forces, marker, color=colour, markersize=5, alpha=0.7, label=label)
-        right.plot(forces, calibration.force(strengths) - forces, marker, color=colour, markersize=5, alpha=0.7, label=label)
+        left_over = calibration.force(strengths) - forces
+        right.plot(forces, left_over, marker, color=colour, markersize=5, alpha=0.7, label=label)
     left.set(xlabel="strength / mm2", ylabel="force / N", xlim=(0, None), ylim=(0, None))
     left.set_title(f"hysteresis {100 * curve.hysteresis:.2g} % of full strength", fontsize=9)
     right.axhline(0, color="0.6", linewidth=0.8)
     right.set(xlabel="force / N", ylabel="calibrated less true force / N", xlim=(0, None))
-    right.set_title(f"error {curve.error:.2g} N rms; strength scatters by {100 * curve.scatter:.2g} % between places", fontsize=9)
+    right.set_title(f"error {curve.error:.2g} N rms; {100 * curve.scatter:.2g} % scatter between places", fontsize=9)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, fontsize=8)

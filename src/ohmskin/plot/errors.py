@@ -11,9 +11,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.tri import TriContourSet
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.geometry import Electrodes
-from ohmskin.geometry.domain import Domain, Floats
+from ohmskin.geometry.domain import Domain
 
 _LEVELS = 24
 
@@ -52,7 +53,8 @@ def draw_error_map(axes: Axes, shown: ErrorMap, limits: tuple[float, float] | No
     levels = 1e3 * np.geomspace(low * (1 - 1e-3), high * (1 + 1e-3), _LEVELS)
     x, y = 1e3 * shown.places.T
     colours: TriContourSet = axes.tricontourf(x, y, 1e3 * shown.errors, levels=levels, cmap="viridis", norm=LogNorm())
-    rim = 1e3 * shown.domain.rim(np.unique(np.append(np.linspace(0, shown.domain.perimeter, 400), shown.domain.corners)))
+    arcs = np.append(np.linspace(0, shown.domain.perimeter, 400), shown.domain.corners)
+    rim = 1e3 * shown.domain.rim(np.unique(arcs))
     axes.plot(*rim.T, color="0.15", linewidth=1)
     axes.plot(*1e3 * shown.electrodes.positions.T, "o", color="0.15", markersize=5, clip_on=False)
     worst = int(np.argmax(shown.errors))

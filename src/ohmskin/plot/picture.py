@@ -11,11 +11,11 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 
+from ohmskin.contacts import Contact
 from ohmskin.errors import DataError
 from ohmskin.geometry import Electrodes, Mesh, Raster
-from ohmskin.touch import Contact
 
-_COLOURS = "RdBu_r"  # red conducts better, blue worse, white is unchanged
+_SHADES = "RdBu_r"  # red conducts better, blue worse, white is unchanged
 _PIXELS = 256
 
 
@@ -44,8 +44,9 @@ def draw_image(
     pixels = raster(values)
     full = limit or float(np.nanmax(np.abs(pixels))) or 1.0
     half = raster.pitch / 2
-    extent = tuple(1e3 * edge for edge in (raster.x[0] - half, raster.x[-1] + half, raster.y[0] - half, raster.y[-1] + half))
-    shown = axes.imshow(pixels, origin="lower", extent=extent, cmap=_COLOURS, vmin=-full, vmax=full, interpolation="none")
+    x, y = raster.x, raster.y
+    edges = tuple(1e3 * edge for edge in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
+    shown = axes.imshow(pixels, origin="lower", extent=edges, cmap=_SHADES, vmin=-full, vmax=full, interpolation="none")
     x, y = 1e3 * electrodes.positions.T
     axes.plot(x, y, "o", color="0.15", markersize=4, clip_on=False)
     middle = 0.5e3 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
@@ -53,21 +54,28 @@ def draw_image(
     for number, (px, py) in enumerate(zip(x, y, strict=True)):
         away = np.array([px, py]) - middle
         outward = away / max(float(np.linalg.norm(away)), 1e-9) * 0.045 * size
-        axes.annotate(str(number), (px + outward[0], py + outward[1]), ha="center", va="center", fontsize=7, annotation_clip=False)
+        place = (px + outward[0], py + outward[1])
+        axes.annotate(str(number), place, ha="center", va="center", fontsize=7, annotation_clip=False)
     for contact in contacts:
         centre = (1e3 * contact.position[0], 1e3 * contact.position[1])
         axes.add_patch(Circle(centre, 1e3 * np.sqrt(contact.extent / np.pi), fill=False, color="black", linewidth=1.2))
         axes.plot(*centre, "+", color="black", markersize=6)
     margin = 0.08 * size
     low, high = 1e3 * mesh.nodes.min(axis=0), 1e3 * mesh.nodes.max(axis=0)
-    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), xlabel="x / mm", ylabel="y / mm")
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+    axes.set(xlabel="x / mm", ylabel="y / mm")
     axes.set_aspect("equal")
     axes.spines[["top", "right"]].set_visible(False)
     return shown
 
 
 def save_picture(
-    path: str | Path, mesh: Mesh, values: ArrayLike, electrodes: Electrodes, contacts: Sequence[Contact] = (), title: str = ""
+    path: str | Path,
+    mesh: Mesh,
+    values: ArrayLike,
+    electrodes: Electrodes,
+    contacts: Sequence[Contact] = (),
+    title: str = "",
 ) -> None:
     """Save an image of relative conductivity change (n_elem,) as a picture; the file's ending chooses the format.
 

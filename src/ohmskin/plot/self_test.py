@@ -34,12 +34,13 @@ def save_self_test(path: Path, result: SelfTest, skin: Skin) -> None:
         if len(finding.electrodes) == 2:
             two = list(finding.electrodes)
             sheet.plot(x[two], y[two], color=_BAD, linestyle="--", linewidth=1.4, zorder=1)
-    for number in range(len(x)):
+    for number, at in enumerate(zip(x, y, strict=True)):
         kinds = ", ".join(finding.kind for finding in result.findings if number in finding.electrodes)
-        sheet.plot(x[number], y[number], "o", markersize=15, color=_BAD if number in bad else _GOOD, clip_on=False, zorder=2)
-        sheet.text(x[number], y[number], str(number), color="white", ha="center", va="center", fontsize=8, zorder=3)
+        colour = _BAD if number in bad else _GOOD
+        sheet.plot(*at, "o", markersize=15, color=colour, clip_on=False, zorder=2)
+        sheet.text(*at, str(number), color="white", ha="center", va="center", fontsize=8, zorder=3)
         if kinds:
-            sheet.annotate(kinds, (x[number], y[number]), (0, -17), textcoords="offset points", ha="center", fontsize=8, color=_BAD)
+            sheet.annotate(kinds, at, (0, -17), textcoords="offset points", ha="center", fontsize=8, color=_BAD)
     margin = 90 * (x1 - x0)
     sheet.set(xlim=(1e3 * x0 - margin, 1e3 * x1 + margin), ylim=(1e3 * y0 - margin, 1e3 * y1 + margin))
     sheet.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")

@@ -1,29 +1,19 @@
 """The arm: three joints, a forearm that carries the skin, and a hand that pokes it. MuJoCo does the mechanics."""
 
-import os
-import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ohmskin.errors import ModelError
-from ohmskin.geometry.domain import Floats
-
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "osmesa")  # draws without a display; MuJoCo reads it when it is imported
-
-try:
-    import mujoco
-except ImportError as error:
-    raise ModelError("the robot demonstration needs MuJoCo; install it: pip install 'ohmskin[robot]'") from error
+from ohmskin.arrays import Floats
+from ohmskin.robot.display import mujoco
 
 FINGER = 12e-3  # radius of the hand's fingertip (m)
 _REST = np.array([0.0, 0.5, -0.55])  # rad: yaw, shoulder, elbow
 _ABOVE = 0.05  # m: where a poke starts, above the skin
 _STEP = 1e-3  # s
 
-# The skin is as stiff as a thin foam: 8 N push the fingertip about 2 mm in (solref, solimp). Joints are position servos.
+# The skin is as stiff as thin foam: 8 N push the fingertip about 2 mm in (solref, solimp). Joints are position servos.
 _XML = """
 <mujoco model="arm with a skin">
   <compiler angle="radian"/>
@@ -34,8 +24,8 @@ _XML = """
     <quality shadowsize="1024"/>
   </visual>
   <asset>
-    <texture name="sky" type="skybox" builtin="gradient" rgb1="0.93 0.95 0.98" rgb2="0.75 0.80 0.87" width="64" height="256"/>
-    <texture name="floor" type="2d" builtin="checker" rgb1="0.86 0.88 0.91" rgb2="0.82 0.84 0.88" width="256" height="256"/>
+    <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".75 .8 .87" width="64" height="256"/>
+    <texture name="floor" type="2d" builtin="checker" rgb1=".86 .88 .91" rgb2=".82 .84 .88" width="256" height="256"/>
     <material name="floor" texture="floor" texrepeat="8 8" reflectance="0.05"/>
     <material name="shell" rgba="0.93 0.94 0.96 1" specular="0.4" shininess="0.5"/>
     <material name="joint" rgba="0.22 0.26 0.33 1" specular="0.3" shininess="0.4"/>
@@ -64,7 +54,7 @@ _XML = """
       </body>
     </body>
     <body name="hand" mocap="true" pos="0 0 2">
-      <geom name="fingertip" type="sphere" size="{finger}" material="hand" solref="0.02 1" solimp="0.1 0.9 0.006 0.5 2"/>
+      <geom name="fingertip" type="sphere" size="{finger}" material="hand" solref=".02 1" solimp=".1 .9 .006 .5 2"/>
       <geom type="capsule" fromto="0 0 0 0 0 0.09" size="0.0115" material="hand" contype="0" conaffinity="0"/>
       <geom type="box" pos="0 0.012 0.12" size="0.028 0.04 0.045" material="hand" contype="0" conaffinity="0"/>
     </body>
@@ -105,9 +95,8 @@ class Arm:
     """
 
     def __init__(self, width: float, height: float) -> None:
-        xml = _XML.format(
-            step=_STEP, half_x=width / 2, half_y=height / 2, corner_x=0.17 - width / 2, corner_y=-height / 2, finger=FINGER
-        )
+        corner = {"corner_x": 0.17 - width / 2, "corner_y": -height / 2}
+        xml = _XML.format(step=_STEP, half_x=width / 2, half_y=height / 2, finger=FINGER, **corner)
         self.model: Any = mujoco.MjModel.from_xml_string(xml)
         self.data: Any = mujoco.MjData(self.model)
         self._skin, self._finger = self.model.geom("skin").id, self.model.geom("fingertip").id

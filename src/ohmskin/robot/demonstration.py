@@ -1,13 +1,13 @@
-"""Pokes an arm that feels: MuJoCo's contacts press the physics twin, ohmskin senses them through its real loop, the arm yields."""
+"""Pokes an arm that feels: MuJoCo's contacts press the physics twin, the real loop senses them, the arm yields."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from ohmskin.arrays import Floats, as_plain
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
-from ohmskin.geometry.domain import Floats
 from ohmskin.robot.arm import Arm, Poke, above
 
 _APPROACH = 0.08  # m/s
@@ -58,8 +58,8 @@ class Moment:
 class Demonstration:
     """An arm with a skin, and an engine that senses for it.
 
-    Time is the simulation's. Each cycle lasts as long as the device says that its scans take, and `computing` on top, so that the
-    result does not depend on how fast this machine is.
+    Time is the simulation's. Each cycle lasts as long as the device says that its scans take, and `computing` on top,
+    so that the result does not depend on how fast this machine is.
 
     Args:
         engine: The loop on a virtual skin, calibrated.
@@ -73,7 +73,7 @@ class Demonstration:
 
     def __init__(self, engine: Engine, seed: int = 0, yielding: bool = True, computing: float = 2e-3) -> None:
         if not engine.device.capabilities.virtual or engine.skin.sheet.shape != "rectangle":
-            raise ModelError("the demonstration presses a virtual, rectangular skin; choose device virtual: and such a skin")
+            raise ModelError("the demonstration needs a rectangular skin on the device virtual:")
         self.engine, self.yielding, self.computing = engine, yielding, computing
         self.arm = Arm(engine.skin.sheet.width, engine.skin.sheet.height)
         self._random = np.random.default_rng(seed)
@@ -107,7 +107,8 @@ class Demonstration:
                 if direction is None:
                     direction, touched_at = -self.arm.normal, moment.time
                     where = (float(moment.poke.position[0]), float(moment.poke.position[1]))
-                errors += [float(np.hypot(*(np.array(c.position) - moment.poke.position))) for c in moment.touch.contacts[:1]]
+                for contact in moment.touch.contacts[:1]:
+                    errors.append(float(np.hypot(*(np.array(contact.position) - moment.poke.position))))
                 if np.isnan(reacted_at) and moment.touch.contacts:
                     # what was touched at the beginning of a cycle is known at its end
                     reacted_at, force_then = moment.time + elapsed, moment.poke.force
@@ -118,7 +119,7 @@ class Demonstration:
         return Encounter(where, reacted_at - touched_at, force_then, peak, tuple(errors))
 
     def _cycle(self, finger: Floats, seconds: float) -> tuple[Moment, float]:
-        """Move for the time the last cycle took, press what MuJoCo presses, sense, command. Also how long this cycle takes."""
+        """Move for the time of the last cycle, press what MuJoCo presses, sense, command; how long this one takes."""
         if seconds:
             self.arm.advance(seconds, finger)
         poke = self.arm.poke()
@@ -133,7 +134,7 @@ class Demonstration:
         if touch is None:
             raise ModelError(f"the skin was lost: {self.engine.message}; start again")
         scan_time = self.engine.device.capabilities.scan_time
-        took = self.computing + sum(scan_time(frame.pattern) for frame in touch.sight.frames)
+        took = self.computing + sum(scan_time(frame.pattern) for frame in touch.percept.frames)
         self._command(touch, took)
         return Moment(self.arm.time, touch, poke, self.arm), took
 
@@ -167,12 +168,5 @@ def summary(encounters: list[Encounter]) -> dict[str, object]:
         "position_error": spread(errors),
         "reaction_time": spread(reactions[felt]),
         "peak_force": spread(np.array([e.peak_force for e in encounters])),
-        "encounters": [{name: _told(value) for name, value in asdict(e).items()} for e in encounters],
+        "encounters": [as_plain(asdict(encounter)) for encounter in encounters],
     }
-
-
-def _told(value: float | tuple[float, ...]) -> float | list[float] | None:
-    """A figure as JSON has it, which knows no NaN."""
-    if isinstance(value, tuple):
-        return list(value)
-    return value if np.isfinite(value) else None

@@ -3,10 +3,8 @@
 import shutil
 import subprocess
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
-import mujoco
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -16,6 +14,7 @@ from ohmskin.errors import ModelError
 from ohmskin.geometry import Raster
 from ohmskin.robot.arm import Arm
 from ohmskin.robot.demonstration import Moment
+from ohmskin.robot.display import mujoco, renderer
 from ohmskin.skin import Skin
 
 _SIDE = 480  # pixels of each half
@@ -34,23 +33,18 @@ class Film:
     """
 
     def __init__(self, skin: Skin, arm: Arm) -> None:
-        try:
-            self._renderer = mujoco.Renderer(arm.model, _SIDE, _SIDE)
-        except Exception as error:
-            raise ModelError(
-                f"MuJoCo cannot draw here ({error}); without a display install libosmesa6 and set MUJOCO_GL=osmesa"
-            ) from error
+        self._renderer = renderer(arm.model, _SIDE, _SIDE)
         self._raster = Raster(skin.mesh(), 64)
         figure = Figure(figsize=(_SIDE / 100, _SIDE / 100), dpi=100)
         self._canvas = FigureCanvasAgg(figure)
         axes = figure.add_axes((0.09, 0.09, 0.86, 0.82))
         x, y, half = self._raster.x, self._raster.y, self._raster.pitch / 2
         extent = (1e3 * (x[0] - half), 1e3 * (x[-1] + half), 1e3 * (y[0] - half), 1e3 * (y[-1] + half))
-        self._picture = axes.imshow(np.zeros(self._raster.inside.shape), origin="lower", extent=extent, cmap="magma", vmin=0)
+        empty = np.zeros(self._raster.inside.shape)
+        self._picture = axes.imshow(empty, origin="lower", extent=extent, cmap="magma", vmin=0)
         axes.plot(*(1e3 * skin.electrodes.positions.T), ".", color="#9aa5b5", markersize=7)
-        (self._truth,) = axes.plot(
-            [], [], "o", color="#6fd3ff", markersize=26, fillstyle="none", markeredgewidth=2, label="true contact"
-        )
+        (self._truth,) = axes.plot([], [], "o", color="#6fd3ff", markersize=26, fillstyle="none", label="true contact")
+        self._truth.set_markeredgewidth(2)
         (self._felt,) = axes.plot([], [], "+", color="white", markersize=22, markeredgewidth=3, label="sensed contact")
         axes.set_xlabel("mm")
         axes.legend(loc="lower right", framealpha=0.3, labelcolor="white", facecolor="black", markerscale=0.4)
@@ -62,7 +56,7 @@ class Film:
         self._renderer.update_scene(arm.data, "view")
         for contact in moment.touch.contacts[:1]:
             self._mark(arm.to_world(np.array(contact.position)))
-        pixels = np.nan_to_num(self._raster(moment.touch.sight.image.values))
+        pixels = np.nan_to_num(self._raster(moment.touch.percept.image.values))
         self._picture.set_data(pixels)
         self._picture.set_clim(0, max(scale, float(pixels.max())))
         self._truth.set_data(*(1e3 * moment.poke.position[:, None] if moment.poke else ([], [])))
@@ -81,12 +75,13 @@ class Film:
     def _mark(self, place: np.ndarray) -> None:
         scene = self._renderer.scene
         size, colour = np.full(3, 0.012), np.array([0.1, 0.85, 0.45, 1.0], np.float32)
-        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3).ravel(), colour)
+        sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], sphere, size, place, np.eye(3).ravel(), colour)
         scene.ngeom += 1
 
 
 class Snapshot:
-    """A PNG file of the moment with the largest force among those in which a contact is sensed; none if there is no such moment.
+    """A PNG file of the moment of largest force among those with a sensed contact; none if there is none.
 
     Raises:
         ModelError: At the end, if the file cannot be written.
@@ -121,7 +116,8 @@ class Video:
     def __init__(self, path: Path, film: Film) -> None:
         if (ffmpeg := shutil.which("ffmpeg")) is None:
             raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
-        command = [ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{2 * _SIDE}x{_SIDE}"]
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{2 * _SIDE}x{_SIDE}"]
+        command = [ffmpeg, "-y", "-loglevel", "error", *raw]
         command += ["-r", str(_RATE), "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", str(path)]
         self._film, self._due = film, 0.0
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -141,8 +137,8 @@ class Video:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if (said := self._end()) and error is None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if (said := self._end()) and kind is None:
             raise ModelError(f"ffmpeg failed: {said}")
 
     def _end(self) -> str:

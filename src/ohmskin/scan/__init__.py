@@ -5,7 +5,7 @@ from ohmskin.scan.baseline import Baseline, Difference
 from ohmskin.scan.cost import Cost
 from ohmskin.scan.frame import Frame, FrameFlag
 from ohmskin.scan.network import NetworkFit, reciprocity_residuals
-from ohmskin.scan.pairs import all_pairs, n_pairs, pair_index
+from ohmskin.scan.pairs import all_pairs, n_pairs, pair_index, two_terminal
 from ohmskin.scan.pattern import DrivePattern, adjacent, measure_others, opposite, skip
 from ohmskin.scan.quality import Quality, Verdict, left_out
 
@@ -29,4 +29,5 @@ __all__ = [
     "pair_index",
     "reciprocity_residuals",
     "skip",
+    "two_terminal",
 ]

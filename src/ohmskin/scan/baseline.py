@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError, PatternError
-from ohmskin.scan.frame import Floats, Frame
-from ohmskin.scan.pairs import Ints, pair_index
+from ohmskin.scan.frame import Frame
+from ohmskin.scan.pairs import pair_index
 from ohmskin.scan.pattern import DrivePattern
 
 _SHIFT = np.int64(1) << np.arange(48, -1, -16, dtype=np.int64)  # electrode numbers fit 15 bits
@@ -22,28 +23,29 @@ class Difference:
         pattern: The pattern driven.
         currents: (n_meas,) current behind each measurement (A).
         volts: (n_meas,) change of voltage at that current (V); NaN where it is not known.
-        sag: (n_meas,) by how much more a voltage would rise with the two-terminal resistance of its injection if that did not take
-            current away (ohm per ohm): of a voltage source whose current is not measured, see `VoltageSource.unmeasured`.
-            None where the currents are measured or given.
+        source_loading: (n_meas,) by how much more a voltage would rise with the two-terminal resistance of its
+            injection if that did not take current away (ohm per ohm): of a voltage source whose current is not
+            measured, see `VoltageSource.unmeasured`. None where the currents are measured or given.
     """
 
     pattern: DrivePattern
     currents: Floats
     volts: Floats
-    sag: Floats | None = None
+    source_loading: Floats | None = None
+    reference: Floats | None = None
 
     def combination(self, n_elec: int) -> sp.csr_array:
-        """The sparse matrix (n_meas, n_pairs) that makes these volts, per ampere, of changes of the two-terminal resistances.
+        """The sparse matrix (n_meas, n_pairs) from changes of two-terminal resistances to these volts, per ampere.
 
         Raises:
             PatternError: If the pattern names an electrode that is not there.
         """
         rows = self.pattern.combination(n_elec)
-        if self.sag is None:
+        if self.source_loading is None:
             return rows
         source, sink = self.pattern.injections[self.pattern.measurements[:, 0]].T
         at = (np.arange(self.pattern.n_meas), pair_index(source, sink, n_elec))
-        return sp.csr_array(rows - sp.csr_array((self.sag, at), shape=rows.shape))
+        return sp.csr_array(rows - sp.csr_array((self.source_loading, at), shape=rows.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,7 @@ class Baseline:
         signed = [(frame, *_codes(frame.pattern.quadruples)) for frame in frames]
         keys, which = np.unique(np.concatenate([codes for _, codes, _ in signed]), return_inverse=True)
         volts = np.concatenate([signs * frame.voltages for frame, _, signs in signed])
-        currents = np.concatenate([frame.currents[frame.pattern.measurements[:, 0]] for frame in frames])
+        currents = np.concatenate([frame.measurement_currents for frame in frames])
         known = np.isfinite(volts) & np.isfinite(currents)
         which, volts, currents = which[known], volts[known], currents[known]
         repeats = np.bincount(which, minlength=len(keys))
@@ -93,7 +95,8 @@ class Baseline:
             noise = float(np.sqrt(scatter / freedom))
         else:
             blank = cls(keys, resistances, 0.0, 1)
-            noise = float(np.mean([blank.reciprocity_error(frame) for frame in {f.pattern: f for f in frames}.values()]))
+            one_each = {frame.pattern: frame for frame in frames}.values()
+            noise = float(np.mean([blank.reciprocity_error(frame) for frame in one_each]))
         return cls(keys, resistances, noise, int(max(1, repeats.min())))
 
     @property
@@ -122,9 +125,10 @@ class Baseline:
 
     def difference(self, frame: Frame) -> Difference:
         """The change of a frame's voltages against the untouched skin at the same currents."""
-        currents = frame.currents[frame.pattern.measurements[:, 0]]
-        volts = frame.voltages - currents * self.reference(frame.pattern)
-        return Difference(frame.pattern, currents, np.where(np.isfinite(volts), volts, np.nan))
+        currents = frame.measurement_currents
+        reference = currents * self.reference(frame.pattern)
+        volts = frame.voltages - reference
+        return Difference(frame.pattern, currents, np.where(np.isfinite(volts), volts, np.nan), reference=reference)
 
     def reciprocity_error(self, frame: Frame) -> float:
         """Noise (V) told from one frame: R(ab, cd) and R(cd, ab) must be equal, their difference is noise.
@@ -133,7 +137,7 @@ class Baseline:
             DataError: If no measurement of the frame has its reciprocal in it.
         """
         quadruples = frame.pattern.quadruples
-        current = frame.currents[frame.pattern.measurements[:, 0]]
+        current = frame.measurement_currents
         codes, signs = _codes(quadruples)
         mirrored, mirrored_signs = _codes(quadruples[:, [2, 3, 0, 1]])
         order = np.argsort(codes)
@@ -145,12 +149,13 @@ class Baseline:
         errors = ((signs * ohms)[partner] - mirrored_signs * ohms)[paired] * current[paired]
         finite = errors[np.isfinite(errors)]
         if len(finite) < 4:
-            raise DataError("the noise cannot be told from one quiet frame without reciprocal measurements; record at least two")
+            why = "the noise cannot be told from one quiet frame without reciprocal measurements"
+            raise DataError(f"{why}; record at least two")
         return float(np.sqrt(np.mean(finite**2) / 2))
 
 
 def _codes(quadruples: Ints) -> tuple[Ints, Ints]:
-    """One number for each measurement whatever the direction of its two pairs, and the sign that the direction gives it."""
+    """One number for each measurement whatever the direction of its two pairs, and the sign of the direction."""
     a, b, c, d = quadruples.T
     forward = np.column_stack([np.minimum(a, b), np.maximum(a, b), np.minimum(c, d), np.maximum(c, d)])
     return forward @ _SHIFT, np.where((a < b) == (c < d), 1, -1)

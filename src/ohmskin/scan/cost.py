@@ -16,7 +16,7 @@ class Cost:
     Args:
         settle: Waiting time after each change of injection (s).
         conversion: Time of one conversion (s).
-        channels: Voltages converted at once; 1 if they are multiplexed one by one, 0 if all of an injection are parallel.
+        channels: Voltages converted at once; 1 if multiplexed one by one, 0 if all of an injection are parallel.
         overhead: Of each scan, such as the link's (s).
 
     Raises:
@@ -37,7 +37,8 @@ class Cost:
         """How long a scan of `pattern` takes (s)."""
         measured = np.bincount(pattern.measurements[:, 0], minlength=pattern.n_inj)
         counts, repeats = np.unique(measured, return_counts=True)
-        return self.overhead + float(sum(n * self._injection(c) for c, n in zip(counts.tolist(), repeats.tolist(), strict=True)))
+        each = [self._injection(count) for count in counts.tolist()]
+        return self.overhead + float(repeats @ each)
 
     def injections(self, pattern: DrivePattern, seconds: float) -> int:
         """How many injections out of `pattern`, whichever they are, fit into a scan of so many seconds.
@@ -48,8 +49,9 @@ class Cost:
         one = self._injection(int(np.bincount(pattern.measurements[:, 0]).max()))
         left = seconds - self.overhead
         if not left >= one * (1 - 1e-9):  # false for nan, too
-            raise PatternError(f"{seconds!r} s a frame; one injection takes {self.overhead + one:.3g} s, so give at least that")
+            raise PatternError(f"{seconds!r} s a frame; one injection takes {self.overhead + one:.3g} s, the least")
         return pattern.n_inj if one == 0 else min(int(left / one * (1 + 1e-9)), pattern.n_inj)
 
     def _injection(self, measured: int) -> float:
-        return self.settle + self.conversion * (math.ceil(measured / self.channels) if self.channels else min(measured, 1))
+        conversions = math.ceil(measured / self.channels) if self.channels else min(measured, 1)
+        return self.settle + self.conversion * conversions

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.scan.pattern import DrivePattern
-
-Floats = NDArray[np.float64]
 
 
 class FrameFlag(IntFlag):
@@ -27,12 +25,12 @@ class Frame:
 
     Args:
         pattern: The pattern that was really driven.
-        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where the converter clipped.
+        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where clipped.
         currents: (n_inj,) measured injected currents in amperes.
         time: Time of the last sample on the device's clock (s).
         sequence: Number of the frame, counted by the device.
         flags: What the device reports beside the data.
-        recorded: Of a replayed frame, its time when it was measured (s), however quickly it is replayed; None of one measured now.
+        recorded: Of a replayed frame, when it was measured (s), however quickly it is replayed; None if measured now.
 
     Raises:
         DataError: If the shapes do not fit the pattern.
@@ -52,3 +50,8 @@ class Frame:
             if given.shape != (count,):
                 raise DataError(f"frame {name} have shape {given.shape}; the pattern driven needs ({count},)")
             object.__setattr__(self, name, given)
+
+    @property
+    def measurement_currents(self) -> Floats:
+        """The current (n_meas,) behind each measurement (A)."""
+        return self.currents[self.pattern.measurements[:, 0]]

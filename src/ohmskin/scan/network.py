@@ -1,16 +1,17 @@
-"""What any sheet must obey: a resistive network with one terminal per electrode, whatever its shape and wherever it is pressed.
+"""What any sheet must obey: a resistive network with one terminal per electrode, whatever its shape.
 
 Every measurement of such a network is a combination of the two-terminal resistances of its electrode pairs
-(`DrivePattern.combination`). A pattern with more measurements than these combinations span measures something twice: reciprocal
-pairs R(ab, cd) = R(cd, ab), loops of voltages that must add up to nothing, currents that add up to another injection. What is
-left of the data after the best such network is a reciprocity error in this wide sense; it needs no model of the sheet.
+(`DrivePattern.combination`). A pattern with more measurements than these combinations span measures something twice:
+reciprocal pairs R(ab, cd) = R(cd, ab), loops of voltages that must add up to nothing, currents that add up to another
+injection. What is left of the data after the best such network is a reciprocity error in this wide sense; it needs no
+model of the sheet.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ohmskin.scan.frame import Floats
+from ohmskin.arrays import Floats
 from ohmskin.scan.pattern import DrivePattern
 
 
@@ -20,8 +21,8 @@ class Misfit:
 
     Args:
         squares: Sum of the squared residuals (V2).
-        freedom: Number of measurements less the number of combinations they span, over all columns of data; 0 where nothing
-            was measured twice.
+        freedom: Number of measurements less the number of combinations they span, over all columns of data; 0 where
+            nothing was measured twice.
     """
 
     squares: float
@@ -65,7 +66,7 @@ class NetworkFit:
         return kept
 
     def residuals(self, kept: np.ndarray) -> Floats:
-        """Data less the network that fits the `kept` measurements best, (n_meas, n_frames) in volts; NaN for the others."""
+        """Data less the network that fits the `kept` measurements best, (n_meas, n_frames) in volts; else NaN."""
         rows = self._rows[kept]
         left = np.full(self._volts.shape, np.nan)
         left[kept] = self._volts[kept] - rows @ np.linalg.lstsq(rows, self._volts[kept], rcond=1e-10)[0]

@@ -7,9 +7,9 @@ two-terminal ones F_ij by polarisation, which is what makes drive patterns cheap
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Ints = NDArray[np.int64]
+from ohmskin.arrays import Floats, Ints
 
 
 def n_pairs(n_elec: int) -> int:
@@ -28,3 +28,11 @@ def pair_index(a: ArrayLike, b: ArrayLike, n_elec: int) -> Ints:
     i, j = np.minimum(a, b), np.maximum(a, b)
     index: Ints = i * n_elec - i * (i + 1) // 2 + j - i - 1
     return index
+
+
+def two_terminal(form: Floats) -> Floats:
+    """F_ij = s_ii + s_jj - s_ij - s_ji (n_pairs,) of a bilinear form s (n_elec, n_elec), as transfer resistances."""
+    i, j = np.triu_indices(len(form), k=1)
+    own = np.diag(form)
+    pairs: Floats = own[i] + own[j] - form[i, j] - form[j, i]
+    return pairs

@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from ohmskin.arrays import Ints
 from ohmskin.errors import PatternError
-from ohmskin.scan.pairs import Ints, n_pairs, pair_index
+from ohmskin.scan.pairs import n_pairs, pair_index
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,7 @@ class DrivePattern:
 
     Args:
         injections: (n_inj, 2) source and sink electrode; current enters the sheet at the source.
-        measurements: (n_meas, 3) injection number, plus and minus electrode; the voltage is V(plus) - V(minus). Sorted by
-            injection number.
+        measurements: (n_meas, 3) injection number, plus and minus electrode of V(plus) - V(minus); sorted by injection.
 
     Raises:
         PatternError: If shapes or numbers are invalid, an injection has the same source and sink, a measurement has the
@@ -34,17 +34,19 @@ class DrivePattern:
         for name, width in (("injections", 2), ("measurements", 3)):
             given = np.asarray(getattr(self, name))
             if given.ndim != 2 or given.shape[1] != width or len(given) == 0 or given.dtype.kind not in "iu":
-                raise PatternError(f"{name} have shape {given.shape} and type {given.dtype}; need integers (n, {width}), n >= 1")
+                told = f"{name} have shape {given.shape} and type {given.dtype}"
+                raise PatternError(f"{told}; need integers (n, {width}), n >= 1")
             array = given.astype(np.int64)
             if array.min() < 0:
                 raise PatternError(f"{name} name electrode or injection {array.min()}; numbers start at 0")
             if len(same := np.flatnonzero(array[:, -2] == array[:, -1])):
-                raise PatternError(f"{name}[{same[0]}] uses electrode {array[same[0], -1]} twice; it needs two different ones")
+                raise PatternError(f"{name}[{same[0]}] uses electrode {array[same[0], -1]} twice; it needs two")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         which = self.measurements[:, 0]
         if which.max() >= len(self.injections) or (np.diff(which) < 0).any():
-            raise PatternError(f"measurements must be sorted by injection number and name injections 0..{len(self.injections) - 1}")
+            last = len(self.injections) - 1
+            raise PatternError(f"measurements must be sorted by injection number and name injections 0..{last}")
 
     @property
     def n_inj(self) -> int:
@@ -58,6 +60,10 @@ class DrivePattern:
     def quadruples(self) -> Ints:
         """Source, sink, plus, minus (n_meas, 4) of each measurement."""
         return np.hstack([self.injections[self.measurements[:, 0]], self.measurements[:, 1:]])
+
+    def uses(self, electrodes: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each measurement (n_meas,) involves any of `electrodes`, one or several, driven or measured."""
+        return np.asarray(np.isin(self.quadruples, electrodes).any(axis=1))
 
     @cached_property
     def digest(self) -> int:
@@ -98,7 +104,7 @@ class DrivePattern:
         """
         most = int(np.bincount(self.measurements[:, 0]).max())
         if most > max_measurements or max_injections < 1:
-            raise PatternError(f"an injection with {most} measurements does not fit into {max_measurements} measurements a scan")
+            raise PatternError(f"an injection with {most} measurements does not fit into {max_measurements} a scan")
         max_injections = min(max_injections, max_measurements // most)
         for start in range(0, self.n_inj, max_injections):
             stop = min(start + max_injections, self.n_inj)
@@ -119,8 +125,8 @@ class DrivePattern:
 def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePattern:
     """Drive `injections` (n_inj, 2) and measure between neighbours among all other `electrodes`, in their cyclic order.
 
-    The walk starts behind the sink, so that adjacent drive gives the classical adjacent voltages. The n - 3 voltages of an
-    injection span all that can be measured without touching a driven electrode, whose contact resistance would enter.
+    The walk starts behind the sink, so that adjacent drive gives the classical adjacent voltages. The n - 3 voltages
+    of an injection span all that can be measured without a driven electrode, whose contact would enter.
     """
     pairs = np.asarray(injections)
     order = np.asarray(electrodes)

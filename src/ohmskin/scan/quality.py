@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.scan.baseline import Difference
-from ohmskin.scan.frame import Floats, Frame
+from ohmskin.scan.frame import Frame
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class Verdict:
     Args:
         electrode: Its number, from 0.
         kind: ``open``, ``shorted``, ``missing``, ``clipped``, ``noisy`` or ``drifting``.
-        weight: What its measurements count in an image: 0 not at all, otherwise their error is 1 / weight times the others'.
+        weight: What its measurements count in an image: 0 not at all, else their error is 1 / weight times the others'.
         words: The finding in plain words.
     """
 
@@ -36,7 +37,7 @@ class Quality:
         reciprocity: Standard deviation of one voltage about the best network, usable electrodes only (V); NaN where the
             pattern measures nothing twice.
         signal: Root mean square of the quiet voltages (V).
-        errors: (n_elec,) reciprocity error of the measurements each electrode takes part in (V); NaN where it is not known.
+        errors: (n_elec,) reciprocity error of the measurements each electrode takes part in (V); NaN: not known.
         values: How many values there are in all.
         missing: How many of them are NaN.
         clipped: How many are infinite: the converter was at the end of its range.
@@ -67,14 +68,14 @@ class Quality:
 
     def clean(self, frame: Frame) -> Frame:
         """The frame with every value that a bad electrode took part in left out (NaN)."""
-        used = np.isin(frame.pattern.quadruples, self.bad).any(axis=1)
+        used = frame.pattern.uses(self.bad)
         return replace(frame, voltages=np.where(used, np.nan, frame.voltages)) if used.any() else frame
 
     def weigh(self, difference: Difference) -> Difference:
         """The difference with bad electrodes left out and doubtful ones counted less.
 
-        A measurement with twice the error weighs as one at half the current: current and voltage are scaled together, so that
-        all have the same noise again and every estimator takes them as they are.
+        A measurement with twice the error weighs as one at half the current: current and voltage are scaled together,
+        so that all have the same noise again and every estimator takes them as they are.
         """
         weight = self.weights[difference.pattern.quadruples].min(axis=1)
         volts = np.where(weight > 0, difference.volts * weight, np.nan)
@@ -83,7 +84,8 @@ class Quality:
     def report(self) -> list[str]:
         """The findings in plain words, a line each; the first is a summary."""
         used = [v.electrode for v in self.verdicts]
-        state = f"{len(used)} of {self.n_elec} electrodes not in order" if used else f"all {self.n_elec} electrodes in order"
+        all_well = f"all {self.n_elec} electrodes in order"
+        state = f"{len(used)} of {self.n_elec} electrodes not in order" if used else all_well
         noise = [f"noise {volts_in_words(self.noise)} from repeats"] if np.isfinite(self.noise) else []
         if np.isfinite(self.reciprocity):
             share = f" ({100 * self.reciprocity / self.signal:.2g} % of the signal)" if self.signal > 0 else ""
@@ -93,7 +95,8 @@ class Quality:
         lines = ["data quality: " + "; ".join([state, *noise])]
         if self.missing or self.clipped:
             part = 100 * (self.missing + self.clipped) / self.values
-            lines.append(f"{self.missing} values missing and {self.clipped} clipped of {self.values} ({part:.2g} %), left out")
+            count = f"{self.missing} values missing and {self.clipped} clipped"
+            lines.append(f"{count} of {self.values} ({part:.2g} %), left out")
         lines += [f"electrode {v.electrode}: {v.words}" for v in self.verdicts]
         return lines
 
@@ -103,12 +106,11 @@ def left_out(difference: Difference) -> str:
     unknown = ~(np.isfinite(difference.volts) & np.isfinite(difference.currents))
     if not unknown.any():
         return ""
-    quadruples = difference.pattern.quadruples
-    used = np.unique(quadruples)
-    share = np.array([unknown[(quadruples == e).any(axis=1)].mean() for e in used])
+    used = np.unique(difference.pattern.quadruples)
+    share = np.array([unknown[difference.pattern.uses(e)].mean() for e in used])
     hit = [int(e) for e in used[share >= 0.999]] or [int(e) for e in used[share >= 0.9 * share.max()]]
-    which = ", ".join(str(e) for e in hit)
-    return f"{int(unknown.sum())} of {len(unknown)} measurements left out, most at electrode{'s' if len(hit) > 1 else ''} {which}"
+    which = f"electrode{'s' if len(hit) > 1 else ''} {', '.join(str(e) for e in hit)}"
+    return f"{int(unknown.sum())} of {len(unknown)} measurements left out, most at {which}"
 
 
 def volts_in_words(value: float) -> str:

@@ -1,21 +1,13 @@
 """What was measured of one particular skin, kept in its description: the table ``[calibration]``."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import SkinError
-
-
-def _number(high: float, unit: str) -> Any:
-    return field(default=0.0, metadata={"low": 0.0, "high": high, "unit": unit})
-
-
-def _numbers(high: float, unit: str) -> Any:
-    return field(default=(), metadata={"low": 0.0, "high": high, "unit": unit})
+from ohmskin.skin.checks import number, numbers
 
 
 @dataclass(frozen=True)
@@ -28,10 +20,10 @@ class Calibration:
         made_for: `Skin.digest` of what it was made for.
         mode: Drive mode that the strengths were measured in.
         conductivity: Fitted sheet conductivity (S per square).
-        contact_resistance: Median series resistance at an electrode beyond the described one (ohm); 0 if too small to tell.
+        contact_resistance: Median series resistance at an electrode beyond the described (ohm); 0 if too small to tell.
         misfit: Root mean square of measured less modelled pair resistances, as a share of the resistance.
         noise: Standard deviation of a voltage (V).
-        drift: Standard deviation by which a quiet voltage wanders in a second, growing with the root of time (V / s^0.5).
+        drift: Standard deviation of a quiet voltage after a second, growing with the root of time (V / s^0.5).
         pair_resistances: (n_pairs,) two-terminal resistances of the quiet skin (ohm).
         strengths: Rising `Contact.strength` (m2) at which `forces` are known.
         forces: Rising forces (N).
@@ -43,25 +35,24 @@ class Calibration:
     version: str = ""
     made_for: str = ""
     mode: str = ""
-    conductivity: float = _number(1e6, "S per square")
-    contact_resistance: float = _number(1e9, "ohm")
-    misfit: float = _number(1e3, "")
-    noise: float = _number(1e3, "V")
-    drift: float = _number(1e3, "V / s^0.5")
-    pair_resistances: tuple[float, ...] = _numbers(1e12, "ohm")
-    strengths: tuple[float, ...] = _numbers(1e3, "m2")
-    forces: tuple[float, ...] = _numbers(1e6, "N")
-    force_error: float = _number(1e6, "N")
-    hysteresis: float = _number(1e3, "")
+    conductivity: float = number(0.0, 0, 1e6, "S per square")
+    contact_resistance: float = number(0.0, 0, 1e9, "ohm")
+    misfit: float = number(0.0, 0, 1e3, "")
+    noise: float = number(0.0, 0, 1e3, "V")
+    drift: float = number(0.0, 0, 1e3, "V / s^0.5")
+    pair_resistances: tuple[float, ...] = numbers(1e12, "ohm")
+    strengths: tuple[float, ...] = numbers(1e3, "m2")
+    forces: tuple[float, ...] = numbers(1e6, "N")
+    force_error: float = number(0.0, 0, 1e6, "N")
+    hysteresis: float = number(0.0, 0, 1e3, "")
 
     def __post_init__(self) -> None:
         both = (self.strengths, self.forces)
         if not all(isinstance(v, tuple) and all(isinstance(x, int | float) for x in v) for v in both):
             return  # `Skin` says what is wrong with the type
         if len(self.strengths) != len(self.forces) or len(self.strengths) == 1:
-            raise SkinError(
-                f"calibration has {len(self.strengths)} strengths and {len(self.forces)} forces; as many of both, two or more"
-            )
+            counts = f"{len(self.strengths)} strengths and {len(self.forces)} forces"
+            raise SkinError(f"calibration has {counts}; as many of both, two or more")
         for name, values in (("strengths", self.strengths), ("forces", self.forces)):
             if any(b <= a for a, b in pairwise(values)):
                 raise SkinError(f"calibration.{name} must rise from each to the next; they are {list(values)}")
@@ -69,14 +60,14 @@ class Calibration:
     def force(self, strength: ArrayLike) -> NDArray[np.float64]:
         """The force (N) of contacts of some `strength` (m2), any shape: a monotone curve through what was measured.
 
-        No strength is no force. Beyond the strongest press of the calibration it is that press's force: the least it can be.
+        No strength is no force. Beyond the strongest press of the calibration it is that press's, the least it can be.
 
         Raises:
             SkinError: If no force was calibrated.
         """
         if not self.forces:
-            raise SkinError("this skin is not calibrated to newtons; run `ohmskin calibrate`, and load the file it writes")
-        from scipy.interpolate import PchipInterpolator  # a third of a second that a skin without a calibration need not wait
+            raise SkinError("this skin is not calibrated to newtons; run `ohmskin calibrate` and load its file")
+        from scipy.interpolate import PchipInterpolator  # takes a third of a second, which few skins need to wait
 
         known = np.concatenate([[0.0], self.strengths]) if self.strengths[0] > 0 else np.array(self.strengths)
         newtons = np.concatenate([[0.0], self.forces]) if self.strengths[0] > 0 else np.array(self.forces)

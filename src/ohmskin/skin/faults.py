@@ -1,15 +1,16 @@
-"""What goes wrong between a skin and its instrument: wires that come off, touch each other or are plugged in wrongly."""
+"""What goes wrong between a skin and its instrument: wires come off, touch or are plugged in wrongly."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import SkinError
-from ohmskin.geometry.domain import Floats
 
 PICKUP = 0.05  # V rms that an unconnected wire picks up
-_KINDS = {"open": (1, ""), "short": (2, "ohms"), "swap": (2, ""), "high": (1, "factor")}  # electrodes, what the number is
+# electrodes, what the number is
+_KINDS = {"open": (1, ""), "short": (2, "ohms"), "swap": (2, ""), "high": (1, "factor")}
 _RANGES = {"ohms": (0.0, 1e6), "factor": (1.0, 1e9)}
 _USAGE = '"open 3", "short 7 8", "short 7 8 50" (ohms), "swap 1 2" or "high 5 20" (factor on the contact impedance)'
 
@@ -36,10 +37,12 @@ class Fault:
             raise SkinError(f"fault {self.kind!r}; choose from {', '.join(_KINDS)}: {_USAGE}")
         count, number = _KINDS[self.kind]
         if len(self.electrodes) != count or len(set(self.electrodes)) != count or min(self.electrodes) < 0:
-            raise SkinError(f"fault {self.kind!r} names electrodes {list(self.electrodes)}; it takes {count}, such as {_USAGE}")
+            named = f"fault {self.kind!r} names electrodes {list(self.electrodes)}"
+            raise SkinError(f"{named}; it takes {count}, such as {_USAGE}")
         low, high = _RANGES.get(number, (0.0, 0.0))
         if not low <= self.value <= high:
-            raise SkinError(f"fault {self.kind!r} has {number or 'a number'} {self.value:g}; it must be {low:g} to {high:g}")
+            told = f"fault {self.kind!r} has {number or 'a number'} {self.value:g}"
+            raise SkinError(f"{told}; it must be {low:g} to {high:g}")
 
     @classmethod
     def parse(cls, text: str) -> "Fault":
@@ -100,7 +103,7 @@ class Wiring:
                     self._shorts.append((fault.electrodes[0], fault.electrodes[1], fault.value))
 
     def seen_from_terminals(self, resistance: Floats) -> Floats:
-        """Transfer resistances (n_elec, n_elec) between the instrument's terminals, from those between electrodes (ohm)."""
+        """Transfer resistances (n_elec, n_elec) between terminals, from those between electrodes (ohm)."""
         if not self.faults:
             return resistance
         seen: Floats = resistance[np.ix_(self._order, self._order)]

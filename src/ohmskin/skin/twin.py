@@ -1,4 +1,4 @@
-"""The physics of a pressed sheet: area electrodes, and floating patches that short the sheet where they are pressed on it."""
+"""The physics of a pressed sheet: area electrodes, and floating patches that short the sheet where they are pressed."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
 from ohmskin.geometry import mesh_domain
-from ohmskin.geometry.domain import Floats
-from ohmskin.geometry.mesh import Ints
 from ohmskin.skin.description import Skin
 
 _SAMPLES = 4  # points along each side of a patch at which it touches the sheet
@@ -46,13 +45,14 @@ class Press:
         """The force (N) with which it presses, if all of it is on the sheet: the integral of the pressure.
 
         Args:
-            foam_spread: Width of the ring round the press in which the pressure falls to nothing (m), `ContactLayer.foam_spread`.
+            foam_spread: Width of the ring round the press in which the pressure falls to nothing (m),
+                `ContactLayer.foam_spread`.
         """
         inner, outer = self.radius, self.radius + foam_spread
         return self.pressure * float(np.pi) * (inner**2 + inner * outer + outer**2) / 3  # a frustum of a cone
 
     def pressure_at(self, points: Floats, spread: float) -> Floats:
-        """Pressure (...) at points (..., 2) in metres; foam lets it fall to nothing over `spread` beyond the edge (m, Pa)."""
+        """Pressure (...) at points (..., 2) in metres; foam lets it fall to 0 over `spread` beyond the edge (m, Pa)."""
         distance = np.linalg.norm(points - np.array(self.position), axis=-1)
         return np.asarray(self.pressure * np.clip((self.radius + spread - distance) / max(spread, 1e-12), 0.0, 1.0))
 
@@ -67,21 +67,23 @@ class PressedSheet:
         contact_factors: Factor on each electrode's contact impedance (n_elec,), for poor contacts.
 
     Attributes:
-        untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included; the last
-            electrode is the reference.
+        untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included;
+            the last electrode is the reference.
     """
 
     def __init__(self, skin: Skin, contact_factors: ArrayLike = 1.0) -> None:
         self.skin = skin
         self.mesh = mesh_domain(skin.domain, 0.66 * skin.imaging.mesh_size)
-        resistivity = skin.electrode.contact_resistivity * np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
+        factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
+        resistivity = skin.electrode.contact_resistivity * factors
         electrodes = skin.electrodes.with_discs(skin.electrode.radius, resistivity)
         model = TransferModel(self.mesh, electrodes, skin.sheet.conductivity)
         self._patches = FloatingPatches(model, *self._patch_points())
         self._tree = cKDTree(self._patches.points)
         self.untouched: Floats = _against_last(model.transfer_resistance)
         middle = self._patches.points[len(self._patches.points) // 2]
-        self.transfer_resistance([Press((float(middle[0]), float(middle[1])), 1e-2, 1.0)])  # compile now, not at the first touch
+        # compile now, not at the first touch
+        self.transfer_resistance([Press((float(middle[0]), float(middle[1])), 1e-2, 1.0)])
 
     def _patch_points(self) -> tuple[Floats, Ints]:
         """Where (n_points, 2) the patches can touch the sheet, and the patch (n_points,) of each point."""
@@ -99,7 +101,7 @@ class PressedSheet:
         return self._patches.points
 
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
-        """(n_elec, n_elec) transfer resistances in ohms under any number of presses; the last electrode is the reference."""
+        """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
         spread = self.skin.contact_layer.foam_spread
         pressure = np.zeros(len(self.contact_points))
         for press in presses:
@@ -108,7 +110,7 @@ class PressedSheet:
         return self.under_pressure(pressure)
 
     def under_pressure(self, pressure: Floats) -> Floats:
-        """(n_elec, n_elec) transfer resistances in ohms under a pressure (n_points,) in pascals at the `contact_points`."""
+        """(n_elec, n_elec) transfer resistances in ohms under a pressure (n_points,) (Pa) at `contact_points`."""
         layer = self.skin.contact_layer
         touching = np.flatnonzero(pressure > 0)
         if not len(touching):

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import SkinError
-from ohmskin.geometry.domain import Floats
 from ohmskin.scan import DrivePattern, Frame, FrameFlag
 from ohmskin.skin.description import Skin
 from ohmskin.skin.faults import PICKUP, Fault, Wiring
@@ -46,7 +46,7 @@ class VirtualSkin:
             self._check_on_sheet(press)
         self._random = np.random.default_rng(seed)
         self._presses: dict[int, Press] = pressing
-        self._resistance = self._felt()
+        self._resistance = self._pressed_resistance()
         self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._time = 0.0
         self._sequence = 0
@@ -68,7 +68,7 @@ class VirtualSkin:
             self._presses[number] = press
         else:
             self._presses.pop(number, None)
-        self._resistance = self._felt()
+        self._resistance = self._pressed_resistance()
 
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
@@ -79,33 +79,34 @@ class VirtualSkin:
         pattern.check(len(self.skin.electrodes))
         currents, limited = self._drive(pattern)
         volts = self._settle(pattern, currents)
-        volts, clipped = self._convert(volts + self._random.normal(0, self.skin.converter.noise, volts.shape))
-        shunt = self.skin.converter.shunt
-        over_shunt, too_much = self._convert(currents * shunt + self._random.normal(0, self.skin.converter.noise, currents.shape))
+        noise, shunt = self.skin.converter.noise, self.skin.converter.shunt
+        volts, clipped = self._convert(volts + self._random.normal(0, noise, volts.shape))
+        over_shunt, too_much = self._convert(currents * shunt + self._random.normal(0, noise, currents.shape))
         self._time += self.duration(pattern)
         self._sequence += 1
-        flags = FrameFlag.CLIPPED if clipped or too_much else FrameFlag(0)
-        flags |= FrameFlag.CURRENT_LIMIT if limited else FrameFlag(0)
+        flags = FrameFlag(FrameFlag.CLIPPED * (clipped or too_much) | FrameFlag.CURRENT_LIMIT * limited)
         return Frame(pattern, volts, over_shunt / shunt, self._time, self._sequence, flags)
 
-    def _felt(self) -> Floats:
+    def _pressed_resistance(self) -> Floats:
         return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(self._presses.values()))
 
     def _check_on_sheet(self, press: Press) -> None:
         if self.skin.domain.depth([press.position])[0] < 0:
             x, y = press.position
-            raise SkinError(f"press at ({x:.4g}, {y:.4g}) m is off the sheet; its bounds are {self.skin.domain.bounds} m")
+            bounds = self.skin.domain.bounds
+            raise SkinError(f"press at ({x:.4g}, {y:.4g}) m is off the sheet; its bounds are {bounds} m")
 
     def _drive(self, pattern: DrivePattern) -> tuple[Floats, bool]:
-        """The current (n_inj,) of each injection; a voltage source drives it through the pair and all that is in series."""
+        """The current (n_inj,) of each injection; a voltage source drives it through all in series."""
         (source, sink), r, supply = pattern.injections.T, self._resistance, self.skin.source
         pair = r[source, source] + r[sink, sink] - 2 * r[source, sink]
         wanted = self.skin.excitation.amplitude if supply is None else supply.amplitude / (pair + supply.resistance)
-        currents, limit = np.where(self._unconnected(pattern).any(axis=1), 0.0, wanted), self.skin.excitation.current_limit
+        currents = np.where(self._unconnected(pattern).any(axis=1), 0.0, wanted)
+        limit = self.skin.excitation.current_limit
         return np.minimum(currents, limit), bool((currents > limit).any())
 
     def _settle(self, pattern: DrivePattern, currents: Floats) -> Floats:
-        """Voltages (n_meas,) when they are sampled: each injection starts from where the one before it left the channels."""
+        """Voltages (n_meas,) when they are sampled: each injection starts where the one before left the channels."""
         source, sink = pattern.injections.T
         settled = (self._resistance[source] - self._resistance[sink]) * currents[:, None]
         if self.wiring.open:
@@ -124,13 +125,14 @@ class VirtualSkin:
         return np.isin(pattern.injections, self.wiring.open)
 
     def _with_open_wires(self, pattern: DrivePattern, settled: Floats) -> Floats:
-        """The potentials (n_inj, n_elec) of all terminals against the sink, to which the instrument's ground is connected."""
+        """The potentials (n_inj, n_elec) of all terminals against the sink, which is the instrument's ground."""
         rows = np.arange(pattern.n_inj)
         source, sink = pattern.injections.T
         open_source, open_sink = self._unconnected(pattern).T
         settled = settled - settled[rows, sink][:, None]
-        # without a way back the whole sheet takes the potential of the source; a current source goes to the end of its range
-        drive = self.skin.excitation.amplitude if self.skin.excitation.source == "voltage" else 2 * self.skin.converter.full_scale
+        # without a way back the whole sheet takes the source's potential; a current source goes to the end of its range
+        source_volts, excitation = 2 * self.skin.converter.full_scale, self.skin.excitation
+        drive = excitation.amplitude if excitation.source == "voltage" else source_volts
         settled[open_sink & ~open_source] = drive
         settled[:, list(self.wiring.open)] = self._random.normal(0, PICKUP, (pattern.n_inj, len(self.wiring.open)))
         settled[rows, sink] = 0.0

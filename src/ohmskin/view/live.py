@@ -1,21 +1,21 @@
 """The loop's side of the live page: newest frame out, commands in, never a wait."""
 
-import ipaddress
 import json
 import logging
-import os
 import queue
 import subprocess
-import sys
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from types import TracebackType
-from typing import IO, Any, Self
+from io import BufferedReader, BufferedWriter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ohmskin.child import Child
+from ohmskin.client.remote import is_loopback
+from ohmskin.closing import Closing
 from ohmskin.errors import ViewError
 from ohmskin.view.wire import check_setup, pack_frame, to_json, write_message
 
@@ -26,11 +26,11 @@ _STOP_TIMEOUT = 3.0
 _MOST_PENDING = 1000
 
 
-class LiveView:
+class LiveView(Closing):
     """A page in the browser that shows the newest frame and lets its reader press a virtual skin.
 
-    A process of its own serves the page, so that no browser can slow the loop. That process asks for one frame at a time
-    (a credit) when a browser is ready to draw; frames published without a credit are dropped.
+    A process of its own serves the page, so that no browser can slow the loop. That process asks for one frame at a
+    time (a credit) when a browser is ready to draw; frames published without a credit are dropped.
 
     Args:
         setup: What there is to show: skin, raster, modes, device (docs/live-page.md).
@@ -48,7 +48,9 @@ class LiveView:
         ViewError: If the setup is malformed, no port is free, or the host is not loopback and there is no token.
     """
 
-    def __init__(self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None) -> None:
+    def __init__(
+        self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
+    ) -> None:
         check_address(host, port, token)
         setup = check_setup(setup)
         self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
@@ -56,36 +58,24 @@ class LiveView:
         self._pending: list[dict[str, Any]] = []
         self._lock = threading.Lock()  # guards _credits and _pending, held for microseconds only
         self._outbox: queue.SimpleQueue[tuple[bytes, bytes] | None] = queue.SimpleQueue()
-        self._started = threading.Event()
-        self._greeting: dict[str, Any] = {}
         self._closing = False
-        # A plain subprocess, unlike a spawned multiprocessing one, does not import the caller's script again, and in a
-        # session of its own it does not see the terminal's Ctrl-C.
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "ohmskin.view.server"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-            start_new_session=True,
-        )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
+        settings = json.loads(to_json({"host": host, "port": port, "token": token, "setup": setup}))
+        self._child = Child.module("ohmskin.view.server", "its process", settings)
+        answer = self._child.ready(_START_TIMEOUT, lambda why: ViewError(f"the live page cannot start: {why}"))
         self._threads = [
-            threading.Thread(target=self._write, args=(self._process.stdin,), name="ohmskin-view-out", daemon=True),
-            threading.Thread(target=self._read, args=(self._process.stdout,), name="ohmskin-view-in", daemon=True),
+            threading.Thread(target=self._write, name="ohmskin-view-out", daemon=True),
+            threading.Thread(target=self._read, name="ohmskin-view-in", daemon=True),
         ]
         for thread in self._threads:
             thread.start()
-        self._outbox.put((b"C", to_json({"host": host, "port": port, "token": token, "setup": setup}).encode()))
-        self._started.wait(_START_TIMEOUT)
-        if "port" not in self._greeting:
-            self.close()
-            why = self._greeting.get("failed", f"its process ended or gave no answer (exit code {self._process.returncode})")
-            raise ViewError(f"the live page cannot start: {why}")
-        self.port: int = self._greeting["port"]
+        self.port: int = answer["port"]
         self.port_was_taken = port not in (0, self.port)
-        shown = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-        self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/" + (f"?token={token}" if token else "")
+        self.url = page_url(host, self.port, token)
+
+    @property
+    def pid(self) -> int:
+        """Number of the page's process."""
+        return self._child.process.pid
 
     def wants_frame(self) -> bool:
         """Whether a browser waits for a frame."""
@@ -106,7 +96,8 @@ class LiveView:
             return
         base, image = np.asarray(base), np.asarray(image)
         if base.shape != self._shape or image.shape != self._shape:
-            raise ViewError(f"images of shapes {base.shape} and {image.shape}; the setup's raster has (ny, nx) = {self._shape}")
+            shapes = f"images of shapes {base.shape} and {image.shape}"
+            raise ViewError(f"{shapes}; the setup's raster has (ny, nx) = {self._shape}")
         with self._lock:
             self._credits = 0
         self._outbox.put((b"F", pack_frame(header, base, image)))
@@ -137,47 +128,41 @@ class LiveView:
                 return
             self._closing = True
             self._credits = 0
-        self._outbox.put((b"Q", b""))  # said, not only meant by closing the pipe, of which a forked process may hold a copy
+        self._outbox.put((b"Q", b""))  # said, not only meant by closing the pipe, which a forked process may hold too
         self._outbox.put(None)
-        try:
-            self._process.wait(_STOP_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        with suppress(subprocess.TimeoutExpired):
+            self._child.process.wait(_STOP_TIMEOUT)
+        self._child.process.kill()
         for thread in self._threads:
             thread.join()
+        self._child.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
-    def _write(self, stream: IO[bytes]) -> None:
-        with suppress(OSError), stream:  # OSError: the page's process has gone, which the reading thread reports
-            while message := self._outbox.get():
+    def _write(self) -> None:
+        with suppress(OSError), BufferedWriter(self._child.stdin) as stream:
+            while message := self._outbox.get():  # an OSError: the process has gone, which the other thread reports
                 write_message(stream, *message)
 
-    def _read(self, stream: IO[bytes]) -> None:
-        with stream:
-            for line in stream:
-                self._take(json.loads(line))
+    def _read(self) -> None:
+        with BufferedReader(self._child.stdout) as lines:  # type: ignore[type-var]
+            for line in lines:
+                message = json.loads(line)
+                with self._lock:
+                    if "credit" in message:
+                        self._credits = 1
+                    else:
+                        _enqueue(self._pending, message["command"])
         with self._lock:
             self._credits = 0
-        if "port" in self._greeting and not self._closing:
-            log.error("the process of the live page has ended (exit code %s); the loop goes on without it", self._process.wait())
-        self._started.set()
+        if not self._closing:
+            status = self._child.process.wait()
+            log.error("the process of the live page has ended (exit code %s); the loop goes on without it", status)
         self._outbox.put(None)
 
-    def _take(self, message: dict[str, Any]) -> None:
-        with self._lock:
-            if "credit" in message:
-                self._credits = 1
-            elif "command" in message:
-                _enqueue(self._pending, message["command"])
-            else:
-                self._greeting = message
-                self._started.set()
+
+def page_url(host: str, port: int, token: str | None) -> str:
+    """The address of a page for a browser on this machine."""
+    shown = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    return f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/" + (f"?token={token}" if token else "")
 
 
 def check_address(host: str, port: int, token: str | None) -> None:
@@ -190,22 +175,15 @@ def check_address(host: str, port: int, token: str | None) -> None:
         raise ViewError(f"port {port}; choose 1 to 65535, or 0 for any free port")
     if token is not None and not (token.isascii() and token.isprintable() and 8 <= len(token) <= 256):
         raise ViewError("the token must be 8 to 256 printable ASCII characters, such as secrets.token_urlsafe() gives")
-    if token is None and not _is_loopback(host):
+    if token is None and not is_loopback(host):
         raise ViewError(
             f"host {host!r} can be reached from other machines, which could then press and switch this skin; "
             "give a token, or stay with 127.0.0.1 and forward the port (ssh -L 8000:127.0.0.1:8000 robot)"
         )
 
 
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 def _enqueue(pending: list[dict[str, Any]], command: dict[str, Any]) -> None:
-    """Append a command; a press that only moved takes the place of where it was, so that a busy loop finds a short list."""
+    """Append a command; a press that only moved replaces where it was, so that a busy loop finds a short list."""
     if command["type"] == "press":
         for place in range(len(pending) - 1, -1, -1):
             if pending[place]["type"] == "lift_all" or pending[place].get("id") == command["id"]:

@@ -12,13 +12,11 @@ import json
 import mimetypes
 import os
 import re
-import signal
 import socket
-import sys
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Awaitable, Callable, Coroutine, Generator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from urllib.parse import parse_qs
 
 import uvicorn
@@ -31,6 +29,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from ohmskin.child import begin
 from ohmskin.view.wire import LARGEST_COMMAND, CommandError, read_command, read_message, to_json
 
 _STATIC = Path(__file__).parent / "static"
@@ -66,7 +65,7 @@ class Browser:
 class Page:
     """Passes the newest frame to each browser that is ready for one, and their commands to `tell`."""
 
-    def __init__(self, setup: dict[str, Any], tell: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(self, setup: dict[str, Any], tell: Callable[..., None]) -> None:
         self._setup = setup
         self._tell = tell
         self._browsers: list[Browser] = []
@@ -111,7 +110,7 @@ class Page:
             feeding.cancel()
             self._browsers.remove(browser)
             for press in sorted(browser.held):
-                self._tell({"command": {"type": "lift", "id": press}})
+                self._tell(command={"type": "lift", "id": press})
 
     async def _feed(self, browser: Browser) -> None:
         # The only place that sends: a browser that does not read holds up nothing but this task.
@@ -133,7 +132,7 @@ class Page:
         waiting = any(b.awaited is None and (b.seen == self._arrived or not self._frame) for b in self._browsers)
         if waiting and not self._asked:
             self._asked = True
-            self._tell({"credit": 1})
+            self._tell(credit=1)
 
     def _hear(self, browser: Browser, text: str | None) -> None:
         try:
@@ -151,7 +150,7 @@ class Page:
                 browser.refusals.append(str(refusal))
             browser.wake.set()
             return
-        self._tell({"command": command})
+        self._tell(command=command)
 
     def _note_press(self, browser: Browser, command: dict[str, Any]) -> None:
         if command["type"] == "lift_all":
@@ -171,14 +170,14 @@ class Page:
 class Guard:
     """Lets in only who may see the page: the right Host, the same Origin, the token if there is one.
 
-    A page of another site can make the reader's browser send requests here, also by pointing its own name at 127.0.0.1 (DNS
-    rebinding), but it cannot choose the Host and Origin that the browser writes.
+    A page of another site can make the reader's browser send requests here, also by pointing its own name at 127.0.0.1
+    (DNS rebinding), but it cannot choose the Host and Origin that the browser writes.
     """
 
     def __init__(self, app: ASGIApp, host: str, token: str | None) -> None:
         self._app = app
         self._token = token
-        # Behind a wildcard address the machine has names that nobody here knows; there the token, always required, guards.
+        # Behind a wildcard address the machine may have any name; there the token, always required, guards.
         self._names = None if host in ("", "0.0.0.0", "::") else {"127.0.0.1", "localhost", "::1", host.lower()}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -202,7 +201,8 @@ class Guard:
         if not name or (self._names is not None and (name[1] or name[2]) not in self._names):
             return "This page is served under other names. Use the address that was printed when it started."
         origin = headers.get("origin")
-        if scope["type"] == "websocket" and origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}"):
+        ours = origin is None or origin.lower() in (f"http://{host}", f"https://{host}")
+        if scope["type"] == "websocket" and not ours:
             return "Only the page itself may open this socket."
         if self._token is not None and scope["path"] in ("/", "/socket"):
             given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
@@ -255,28 +255,22 @@ def listen(host: str, port: int) -> socket.socket:
     raise OSError(f"cannot listen on {host} port {port} or the {_PORTS - 1} after it: {reason.strerror}")
 
 
-def build_app(page: Page, host: str, token: str | None) -> ASGIApp:
-    """The page, its files and its socket behind the guard."""
+def build_app(page: str, converse: Callable[[WebSocket], Awaitable[None]], host: str, token: str | None) -> ASGIApp:
+    """A page of the static files, these files, and a socket that `converse` serves, behind the guard."""
 
     async def index(request: Request) -> FileResponse:
-        return FileResponse(_STATIC / "index.html")
+        return FileResponse(_STATIC / page)
 
     mimetypes.add_type("text/javascript", ".js")  # some systems' tables say otherwise, and browsers insist
-    routes = [
-        Route("/", index),
-        WebSocketRoute("/socket", page.converse),
-        Mount("/static", StaticFiles(directory=_STATIC)),
-    ]
+    routes = [Route("/", index), WebSocketRoute("/socket", converse), Mount("/static", StaticFiles(directory=_STATIC))]
     return Guard(Starlette(routes=routes), host, token)
 
 
-async def serve(settings: dict[str, Any], inbox: IO[bytes], tell: Callable[[dict[str, Any]], None]) -> None:
-    """Serve until the inbox ends."""
-    listener = listen(settings["host"], settings["port"])
-    page = Page(settings["setup"], tell)
-    server = Server(
+def make_server(app: ASGIApp, largest: int) -> Server:
+    """A server without logs of its own that takes messages of at most so many bytes from browsers."""
+    return Server(
         uvicorn.Config(
-            build_app(page, settings["host"], settings["token"]),
+            app,
             log_level="warning",
             access_log=False,
             lifespan="off",
@@ -284,45 +278,40 @@ async def serve(settings: dict[str, Any], inbox: IO[bytes], tell: Callable[[dict
             http="h11",
             proxy_headers=False,
             server_header=False,
-            ws_max_size=LARGEST_COMMAND,
+            ws_max_size=largest,
             ws_per_message_deflate=False,  # costs more time than it saves on images of floats
             timeout_graceful_shutdown=1,
         )
     )
+
+
+async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
+    """Serve until the loop says so or standard input ends."""
+    listener = listen(settings["host"], settings["port"])
+    page = Page(settings["setup"], tell)
+    server = make_server(build_app("index.html", page.converse, settings["host"], settings["token"]), LARGEST_COMMAND)
     loop = asyncio.get_running_loop()
 
     def listen_to_loop() -> None:
+        inbox = os.fdopen(os.dup(0), "rb")
         with contextlib.suppress(RuntimeError):  # the event loop has ended first
             while (message := read_message(inbox)) and message[0] != b"Q":
                 loop.call_soon_threadsafe(page.take, *message)
             loop.call_soon_threadsafe(setattr, server, "should_exit", True)
 
     threading.Thread(target=listen_to_loop, daemon=True).start()
-    tell({"port": listener.getsockname()[1]})
+    tell(port=listener.getsockname()[1])
     await server.serve(sockets=[listener])
 
 
-def main() -> None:
-    """Run the page's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Standard output carries messages, so that whatever a library prints must go elsewhere.
-    outbox = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-
-    def tell(message: dict[str, Any]) -> None:
-        with contextlib.suppress(OSError):  # the loop has gone; standard input ends next
-            outbox.write(to_json(message).encode() + b"\n")
-            outbox.flush()
-
-    inbox = os.fdopen(os.dup(sys.stdin.fileno()), "rb")
-    first = read_message(inbox)
-    if first is None:
-        return
+def run(serve: Callable[[dict[str, Any], Callable[..., None]], Coroutine[Any, Any, None]]) -> None:
+    """Be the process of a page: `serve` it as the settings say, with a function that tells the parent."""
+    settings, tell = begin()
     try:
-        asyncio.run(serve(json.loads(first[1]), inbox, tell))
+        asyncio.run(serve(settings, tell))
     except OSError as error:
-        tell({"failed": str(error)})
+        tell(failed=str(error))
 
 
 if __name__ == "__main__":
-    main()
+    run(serve)

@@ -6,25 +6,27 @@ from typing import Any
 
 import numpy as np
 
-import ohmskin
+from ohmskin.client.fields import as_json
+from ohmskin.closing import Closing
+from ohmskin.contacts import Contact
+from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
+from ohmskin.drive import Drive
 from ohmskin.engine import Engine, State, Touch
-from ohmskin.errors import DeviceError, PatternError
-from ohmskin.geometry import Disc, Raster
-from ohmskin.skin import Skin
-from ohmskin.touch import Contact
-from ohmskin.view.demo import demo_finger
+from ohmskin.engine.health import Health
+from ohmskin.errors import DeviceError, ModelError, PatternError
+from ohmskin.geometry import Raster
+from ohmskin.skin import Mode
 from ohmskin.view.live import LiveView
+from ohmskin.view.setup import setup_of
 
 _PIXELS = 64
 _NOTE_SECONDS = 5.0
-_RADIUS = [3e-3, 20e-3, 8e-3]  # m: least, largest and usual radius of a press on the page
-_PRESSURE = [1e3, 60e3, 20e3]  # Pa, likewise
 _LEAD = 8  # cycles seen unshown before a place that was sought; a contact is reported when it has come three times
-_PAPER_SKINS = {"12B": "paper", "16B": "paper-rim16", "16I": "paper", "16O": "paper"}  # the skin for each of the paper's modes
+_PATIENCE = 0.3  # s to wait for a browser that is to hear that the loop stands still for a while
 
 
-class Session:
+class Session(Closing):
     """An engine and the page that shows it.
 
     Args:
@@ -35,7 +37,7 @@ class Session:
     """
 
     def __init__(self, engine: Engine, url: str, host: str, port: int, token: str | None, demo: bool) -> None:
-        self._engine, self._url = engine, url
+        self._engine = engine
         self._raster = Raster(engine.skin.mesh(), _PIXELS)
         self._demo = demo and engine.device.capabilities.virtual
         self._demo_from = time.monotonic()
@@ -43,12 +45,12 @@ class Session:
         self._numbers: dict[str, int] = {}  # press number of each press id of the page; 0 is the demonstration's
         self._presses: dict[str, dict[str, Any]] = {}
         self._last: Touch | None = None
-        device = getattr(engine.device, "inner", engine.device)  # a recorder may listen in
-        self._recording = device if isinstance(device, ReplayDevice) else None
+        self._recording = engine.device if isinstance(engine.device, ReplayDevice) else None
         self._place = self._recording.position if self._recording else 0.0  # s, of the cycle that is shown
         self._sought, self._alone = False, False  # whether a place is not shown yet, and whether the loop pauses there
         self._note, self._note_until = "", 0.0
-        self.view = LiveView(self._setup(), host, port, token)
+        self._preparing = ""
+        self.view = LiveView(setup_of(engine, url, self._raster, self._recording), host, port, token)
 
     def calibrate(self) -> None:
         """Learn the quiet skin, everything lifted, and say so on the page."""
@@ -59,15 +61,16 @@ class Session:
     def step(self) -> Touch | None:
         """Do what the page asks, move the demonstration finger, run one cycle of the loop, show it.
 
-        None also where a place in a recording was asked for: whoever leads the loop prepares for it before the next call.
+        None also where a place in a recording was asked for: whoever leads the loop prepares for it first.
         """
-        on_the_way = self._sought and self._engine.state is State.RUNNING  # first arrive, or a drag would never show anything
+        # first arrive, or a drag would never show anything
+        on_the_way = self._sought and self._engine.state is State.RUNNING
         commands = [] if on_the_way else self.view.commands()
         for command in commands:
             try:
                 self._obey(command)
-            except (DeviceError, PatternError) as error:
-                self._note, self._note_until = str(error), time.monotonic() + _NOTE_SECONDS
+            except (DeviceError, PatternError, ModelError) as error:
+                self._tell(str(error))
         if self._sought and any(command["type"] in ("seek", "step") for command in commands):
             return None
         if self._demo and self._engine.state is State.RUNNING:
@@ -83,7 +86,7 @@ class Session:
                 self._arrive(at)
         else:
             touch = self._engine.step()
-        if was_lost and self._engine.state is State.RUNNING:  # a virtual skin that was started anew has forgotten its presses
+        if was_lost and self._engine.state is State.RUNNING:  # a virtual skin started anew has forgotten its presses
             for name, press in self._presses.items():
                 self._engine.press(self._numbers[name], (press["x"], press["y"]), press["radius"], press["pressure"])
         self._last = touch or self._last
@@ -93,12 +96,6 @@ class Session:
     def close(self) -> None:
         """Close the page. Safe twice."""
         self.view.close()
-
-    def __enter__(self) -> "Session":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _obey(self, command: dict[str, Any]) -> None:
         match command["type"]:
@@ -112,7 +109,12 @@ class Session:
             case "lift_all":
                 self._lift_all()
             case "mode":
+                self._prepare(self._engine.modes[command["mode"]])
                 self._engine.set_mode(command["mode"])
+            case "estimator":
+                chosen = {name: command[name] for name in ("estimator", "prior", "rule")}
+                self._prepare(self._engine.mode.using(**chosen))
+                self._engine.set_estimator(**chosen)
             case "injections":
                 self._engine.set_injections(command["count"])
             case "calibrate":
@@ -125,6 +127,21 @@ class Session:
                 self._transport(self._recording, command)
             case "demo":
                 self._set_demo(command["on"] and self._engine.device.capabilities.virtual)
+
+    def _tell(self, note: str) -> None:
+        self._note, self._note_until = note, time.monotonic() + _NOTE_SECONDS
+
+    def _prepare(self, mode: Mode) -> None:
+        """Say that a mode is being prepared, before the loop stands still for that."""
+        self._note_until = 0.0
+        if self._engine.ready(mode):
+            return
+        until = time.monotonic() + _PATIENCE
+        while not self.view.wants_frame() and time.monotonic() < until:
+            time.sleep(0.005)
+        self._preparing = f"{mode.label}: estimator {mode.estimator}, prior {mode.prior}, rule {mode.rule}"
+        self._publish()
+        self._preparing = ""
 
     def _transport(self, recording: ReplayDevice, command: dict[str, Any]) -> None:
         match command["type"]:
@@ -182,61 +199,52 @@ class Session:
     def _publish(self) -> None:
         if not self.view.wants_frame():
             return
-        scale = 1e3 * self._conductivity()  # relative change to millisiemens
         touch = self._last
-        if touch is None:
-            blank = np.full(self._raster.inside.shape, np.nan)
-            self.view.publish(self._header(None, 0.0), blank, blank)
-            return
-        base = self._raster(touch.sight.base.values) * scale
-        image = base if touch.sight.image is touch.sight.base else self._raster(touch.sight.image.values) * scale
+        base = image = np.full(self._raster.inside.shape, np.nan)
+        scale = 1e3 * self._conductivity()  # relative change to millisiemens
+        if touch is not None:
+            try:
+                base = image = self._raster(touch.percept.base_image.values) * scale
+                if touch.percept.image is not touch.percept.base_image:
+                    image = self._raster(touch.percept.image.values) * scale
+            except ModelError as error:  # such as a rule that finds no parameter for these data
+                self._tell(str(error))
         self.view.publish(self._header(touch, scale), base, image)
 
     def _conductivity(self) -> float:
-        perception = self._engine.perception
-        return float(perception.model.conductivity.mean()) if perception else self._engine.skin.sheet.conductivity
+        known = self._engine.known
+        return float(known.model.conductivity.mean()) if known else self._engine.skin.sheet.conductivity
 
     def _header(self, touch: Touch | None, scale: float) -> dict[str, Any]:
-        engine = self._engine
+        engine, fresh = self._engine, time.monotonic() < self._note_until
         header: dict[str, Any] = {
             "sequence": touch.sequence if touch else 0,
             "time": touch.time if touch else time.monotonic(),
             "mode": engine.mode.name,
+            "estimator": engine.mode.estimator,
+            "prior": engine.mode.prior,
+            "rule": engine.mode.rule,
+            "preparing": self._preparing,
             "contacts": [],
             "base_injections": [],
             "injections": [],
             "n_injections": engine.injections,
             "presses": self._shown_presses(),
             "threshold": 0.0,
-            "health": {"rate": 0.0, "latency_p50": 0.0, "latency_p99": 0.0, "dropped": 0, "noise": 0.0, "waiting": 0.0},
+            "health": Health().figures,
             "state": engine.state.value,
-            "message": engine.message or (self._note if time.monotonic() < self._note_until else ""),
+            "message": self._note if fresh and engine.state is not State.LOST else engine.message,
             "demo": self._demo,
             "recording": self._playing(),
         }
-        if touch and engine.perception:
-            frames = touch.sight.frames
+        if touch and engine.sensor:
+            frames = touch.percept.frames
             header |= {
-                "contacts": [
-                    {
-                        "id": contact.id,
-                        "x": contact.position[0],
-                        "y": contact.position[1],
-                        "extent": contact.extent,
-                        "strength": contact.strength,
-                        "confidence": contact.confidence,
-                        "peak": contact.peak * scale,
-                        "covariance": _ellipse(contact),
-                    }
-                    for contact in touch.contacts
-                ],
+                "contacts": [_shown(contact, scale) for contact in touch.contacts],
                 "base_injections": frames[0].pattern.injections.tolist(),
-                "injections": frames[-1].pattern.injections.tolist() if touch.mode.optimal or touch.mode.policy else [],
-                "threshold": engine.perception.thresholds[touch.mode.name].final * scale,
-                "health": {
-                    name: getattr(touch.health, name)
-                    for name in ("rate", "latency_p50", "latency_p99", "dropped", "noise", "waiting")
-                },
+                "injections": frames[-1].pattern.injections.tolist() if _adapts(engine.drive(touch.mode)) else [],
+                "threshold": engine.sensor.thresholds.final * scale,
+                "health": touch.health.figures,
             }
         return header
 
@@ -248,65 +256,21 @@ class Session:
         return {"position": self._place, "length": recording.duration, "speed": speed, "loop": recording.loop}
 
     def _shown_presses(self) -> list[dict[str, Any]]:
-        shown = [{name: press[name] for name in ("id", "x", "y", "radius", "pressure", "demo")} for press in self._presses.values()]
+        names = ("id", "x", "y", "radius", "pressure", "demo")
+        shown = [{name: press[name] for name in names} for press in self._presses.values()]
         if self._demo_pressing:
             (x, y), radius, pressure = demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from)
             shown.append({"id": "demo", "x": x, "y": y, "radius": radius, "pressure": pressure, "demo": True})
         return shown
 
-    def _setup(self) -> dict[str, Any]:
-        engine, skin, raster = self._engine, self._engine.skin, self._raster
-        virtual = engine.device.capabilities.virtual
-        return {
-            "version": ohmskin.__version__,
-            "skin": {
-                "name": skin.name,
-                "domain": _domain(skin),
-                "electrodes": [{"x": x, "y": y} for x, y in skin.electrodes.positions.tolist()],
-            },
-            "raster": {
-                "x0": float(raster.x[0]),
-                "y0": float(raster.y[0]),
-                "pitch": raster.pitch,
-                "nx": len(raster.x),
-                "ny": len(raster.y),
-            },
-            "modes": self._modes(),
-            "device": {"url": self._url, "virtual": virtual},
-            "unit": "mS",
-            "press": {"radius": _RADIUS, "pressure": _PRESSURE} if virtual else None,
-            "recording": {"length": self._recording.duration} if self._recording else None,
-        }
 
-    def _modes(self) -> list[dict[str, Any]]:
-        possible = self._engine.modes
-        shown: list[dict[str, Any]] = [
-            {
-                "name": m.name,
-                "title": m.title,
-                "available": True,
-                "why_not": "",
-                "injections": self._engine.injection_limits(m) if m.policy else None,
-            }
-            for m in possible.values()
-        ]
-        if not self._engine.device.reference:
-            for name, fits in _PAPER_SKINS.items():
-                if name not in possible:
-                    why = f"needs other electrodes: ohmskin live --skin {fits}"
-                    shown.append({"name": name, "title": f"the paper's mode {name}", "available": False, "why_not": why})
-        return sorted(shown, key=lambda mode: (mode["name"][:2], "BIOPT".find(mode["name"][-1])))
+def _adapts(drive: Drive) -> bool:
+    """Whether what it drives depends on what is touched."""
+    return drive.scans > 1 or drive.adjustable
 
 
-def _ellipse(contact: Contact) -> tuple[float, float, float] | None:
-    """Covariance xx, xy, yy (m2) of a contact's place, where it is known."""
-    if contact.covariance is None:
-        return None
-    (xx, xy), (_, yy) = contact.covariance
-    return xx, xy, yy
-
-
-def _domain(skin: Skin) -> dict[str, Any]:
-    if isinstance(skin.domain, Disc):
-        return {"kind": "disc", "radius": skin.sheet.radius}
-    return {"kind": "rectangle", "width": skin.sheet.width, "height": skin.sheet.height}
+def _shown(contact: Contact, scale: float) -> dict[str, Any]:
+    """A contact as the page wants it: its peak in the unit of the image."""
+    found = as_json(contact)
+    x, y = found.pop("position")
+    return {**found, "x": x, "y": y, "peak": contact.peak * scale}

@@ -10,6 +10,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ohmskin.arrays import as_plain
 from ohmskin.errors import ViewError
 
 LARGEST_COMMAND = 4096
@@ -25,7 +26,7 @@ class CommandError(ValueError):
     """A browser sent something that is not a command of this page."""
 
 
-# --- the pipe between the loop and the page's process -------------------------------------------------------------------
+# --- the pipe between the loop and the page's process -----------------------------------------------------------------
 
 
 def write_message(stream: IO[bytes], kind: bytes, payload: bytes) -> None:
@@ -44,7 +45,7 @@ def read_message(stream: IO[bytes]) -> tuple[bytes, bytes] | None:
     return (kind, payload) if len(payload) == length else None
 
 
-# --- to the browser -----------------------------------------------------------------------------------------------------
+# --- to the browser ---------------------------------------------------------------------------------------------------
 
 
 def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
@@ -61,6 +62,9 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
         _require(setup["raster"], "x0", "y0", "pitch", "nx", "ny")
         for mode in setup["modes"]:
             _require(mode, "name", "title", "available")
+        for choices in (setup.get("choices") or {}).values():
+            for choice in choices:
+                _require(choice, "name", "title")
         for electrode in setup["skin"]["electrodes"]:
             _require(electrode, "x", "y")
         if setup["press"] is not None:
@@ -72,7 +76,8 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
             raise ViewError(f"setup recording is {setup['recording']}; need a length of 0 s or more")
         plain = json.loads(to_json({"type": "setup", "unit": "mS", **setup}))
     except (KeyError, TypeError, ValueError) as wrong:
-        raise ViewError(f"the setup of the live page is incomplete or malformed ({wrong!r}); docs/live-page.md lists it") from wrong
+        what = f"the setup of the live page is incomplete or malformed ({wrong!r})"
+        raise ViewError(f"{what}; docs/live-page.md lists it") from wrong
     if kind not in ("rectangle", "disc"):
         raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle' and 'disc'")
     return dict(plain)
@@ -84,7 +89,7 @@ def _require(part: Mapping[str, Any], *names: str) -> None:
 
 
 def pack_frame(header: Mapping[str, Any], base: NDArray, image: NDArray) -> bytes:
-    """One frame as the browser gets it: header length, JSON header, base and image (ny, nx) as float32, little-endian."""
+    """One frame as the browser gets it: header length, JSON header, base and image (ny, nx) as `<f4`."""
     text = to_json(header).encode()
     text += b" " * (-len(text) % 4)  # the browser maps the arrays in place, which needs multiples of 4
     return b"".join([_LENGTH.pack(len(text)), text, base.astype("<f4").tobytes(), image.astype("<f4").tobytes()])
@@ -95,7 +100,7 @@ def to_json(value: object) -> str:
     try:
         return json.dumps(value, separators=(",", ":"), allow_nan=False, default=_plain)
     except ValueError:  # rare (a latency before the first frame), so that finite messages are not walked through
-        return json.dumps(_finite(value), separators=(",", ":"), allow_nan=False)
+        return json.dumps(as_plain(value), separators=(",", ":"), allow_nan=False)
 
 
 def _plain(value: object) -> object:
@@ -104,17 +109,7 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
-def _finite(value: object) -> object:
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-# --- from the browser ---------------------------------------------------------------------------------------------------
+# --- from the browser -------------------------------------------------------------------------------------------------
 
 
 def read_command(text: str, setup: Mapping[str, Any]) -> dict[str, Any]:
@@ -151,9 +146,7 @@ def _flag(name: str, value: object, setup: Mapping[str, Any]) -> bool:
 
 
 def _count(name: str, value: object, setup: Mapping[str, Any]) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**53:
-        raise CommandError(f"{name} must be an integer from 0 to 2^53 - 1")
-    return value
+    return _whole(name, value, 0, 2**53 - 1)
 
 
 def _budget(name: str, value: object, setup: Mapping[str, Any]) -> int:
@@ -161,14 +154,21 @@ def _budget(name: str, value: object, setup: Mapping[str, Any]) -> int:
     if not limits:
         raise CommandError("no mode of this skin has a choice of injections")
     low, high = min(limit[0] for limit in limits), max(limit[1] for limit in limits)
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise CommandError(f"{name} must be an integer from {low} to {high}")
-    return value
+    return _whole(name, value, low, high)
 
 
 def _mode(name: str, value: object, setup: Mapping[str, Any]) -> str:
     choices = [str(mode["name"]) for mode in setup["modes"] if mode["available"]]
     if not isinstance(value, str) or value not in choices:
+        raise CommandError(f"{name} must be one of {', '.join(choices)}")
+    return value
+
+
+def _choice(name: str, value: object, setup: Mapping[str, Any]) -> str:
+    choices = [str(entry["name"]) for entry in (setup.get("choices") or {}).get(name, [])]
+    if not isinstance(value, str) or value not in choices:
+        if not choices:
+            raise CommandError(f"there is no choice of {name}")
         raise CommandError(f"{name} must be one of {', '.join(choices)}")
     return value
 
@@ -218,6 +218,12 @@ def _loop(name: str, value: object, setup: Mapping[str, Any]) -> bool:
     return _flag(name, _recorded(name, value, setup), setup)
 
 
+def _whole(name: str, value: object, low: int, high: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise CommandError(f"{name} must be an integer from {low} to {high}")
+    return value
+
+
 def _within(name: str, value: object, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise CommandError(f"{name} must be a number")
@@ -239,6 +245,7 @@ _COMMANDS: dict[str, dict[str, Callable[[str, object, Mapping[str, Any]], object
     "lift": {"id": _identifier},
     "lift_all": {},
     "mode": {"mode": _mode},
+    "estimator": {"estimator": _choice, "prior": _choice, "rule": _choice},
     "injections": {"count": _budget},
     "calibrate": {},
     "pause": {"paused": _flag},

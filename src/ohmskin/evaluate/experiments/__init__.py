@@ -5,9 +5,6 @@ Equal parameters give equal arrays, on any machine and in any order, so that a r
 
 from ohmskin.evaluate.experiments.discrimination import Discrimination
 from ohmskin.evaluate.experiments.localisation import Localisation, MatchedLocalisation
-from ohmskin.evaluate.experiments.merits import Merits
-from ohmskin.evaluate.experiments.sections import Sections
-from ohmskin.evaluate.experiments.shapes import PressedShapes
-from ohmskin.evaluate.experiments.touches import Touches
+from ohmskin.evaluate.experiments.touches import Merits, PressedShapes, Sections, Touches
 
 __all__ = ["Discrimination", "Localisation", "MatchedLocalisation", "Merits", "PressedShapes", "Sections", "Touches"]

@@ -1,19 +1,14 @@
 """Figure 8: how close two contacts may be and still be told from one."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ohmskin.evaluate.discs import DiscModel, DiscTest
-from ohmskin.evaluate.methods import bench, method, scaled_model
+from ohmskin.evaluate.methods import bench
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.shapes import Shape, disc
-from ohmskin.evaluate.worlds import LAYOUTS, Contacts
-from ohmskin.forward import TransferModel
-from ohmskin.geometry import mesh_domain
-from ohmskin.skin import Skin
+from ohmskin.evaluate.two_points import one_or_two, told
+from ohmskin.evaluate.worlds import Contacts
 
 RADIUS = 5e-3  # metres; two weights 12 mm apart, as in the paper, cannot be much larger
 STRENGTH = {"discs": 2.0, "pressed": 12.5e3}  # relative change: 10 mm and +50 % together | pascals: 100 g on this area
@@ -58,14 +53,15 @@ class Discrimination:
     seeds: int
     area: Area
     distances: tuple[float, ...]
-    methods: tuple[str, ...] = ("16I", "16O", "16O+")
+    methods: tuple[str, ...] = ("16I", "16O", "16O fused")
 
     def run(self) -> Result:
         """Results, for pairs (n_methods, n_distances, n_seeds) and, with prefix ``single_``, for the four `singles`
-        (n_methods, 4, n_seeds): ``dip``, whether the image has two contacts, parted by a dip, each closer to its own true
-        contact than half their distance (for singles: whether there is more than one contact at all); ``statistic``, the
-        fall of chi-square from one disc to two; ``near``, whether the two discs are each closer to its own true contact
-        than half their distance; ``chi_square``, that of the fitted truth over its degrees of freedom.
+        (n_methods, 4, n_seeds): ``dip``, whether the image has two contacts, parted by a dip, each closer to its own
+        true contact than half their distance (for singles: whether there is more than one contact at all);
+        ``statistic``, how much better two fitted contacts explain the data than one (`one_or_two`); ``near``, whether
+        the two are each closer to its own true contact than half their distance; ``chi_square``, what the fit with as
+        many contacts as there are leaves, over its degrees of freedom.
         """
         pairs = self._rates([tuple(self._press(at) for at in self.area.pair(d)) for d in self.distances])
         return pairs | {f"single_{name}": array for name, array in self._rates(self._singles()).items()}
@@ -83,34 +79,14 @@ class Discrimination:
         shape = (len(self.methods), len(cases), self.seeds)
         dip, near = np.zeros(shape, bool), np.zeros(shape, bool)
         statistic, chi_square = np.zeros(shape), np.zeros(shape)
-        for m, key in enumerate(self.methods):
-            responses = _responses(self.world, method(key).layout)
-            for c, contacts in enumerate(cases):
-                for seed in range(self.seeds):
-                    view = table.see(key, contacts, seed)
-                    found = view.contacts
-                    dip[m, c, seed] = len(found) > 1 if len(contacts) == 1 else _told([f.position for f in found], contacts)
-                    test = DiscTest(responses, table.noise, view.differences)
-                    one = test.one()
-                    two = test.two(one)
-                    statistic[m, c, seed] = one.chi_square - two.chi_square
-                    freedom = sum(len(d.volts) for d in view.differences) - 3 * len(contacts)
-                    chi_square[m, c, seed] = (one if len(contacts) == 1 else two).chi_square / freedom
-                    near[m, c, seed] = len(contacts) == 2 and _told(two.positions, contacts)
+        for c, contacts in enumerate(cases):
+            truth = [contact.position for contact in contacts]
+            for m, seed, seen in table.see_all(self.methods, contacts, self.seeds):
+                places = [found.position for found in seen.contacts]
+                dip[m, c, seed] = len(places) > 1 if len(truth) == 1 else told(places, truth)
+                statistic[m, c, seed], one, two = one_or_two(seen.setup.trusting_fitter, *seen.differences)
+                near[m, c, seed] = len(truth) == 2 and told(two.params[:, :2], truth)
+                volts = np.concatenate([d.volts for d in seen.differences])
+                left = (volts - (one if len(truth) == 1 else two).caused) / table.noise
+                chi_square[m, c, seed] = left @ left / (len(left) - 4 * len(truth))
         return {"dip": dip, "statistic": statistic, "near": near, "chi_square": chi_square}
-
-
-def _told(found: ArrayLike, contacts: Contacts) -> bool:
-    """Whether two of the places found (n, 2) lie closer to one true contact each than half the distance between these."""
-    found = np.asarray(found, float).reshape(-1, 2)
-    truth = np.array([contact.position for contact in contacts])
-    half = np.linalg.norm(truth[0] - truth[1]) / 2
-    return bool((np.linalg.norm(found[:, None] - truth, axis=2) < half).any(axis=0).all())
-
-
-@lru_cache(maxsize=4)
-def _responses(world: str, layout: str) -> DiscModel:
-    """Disc responses of a model scaled as the estimator's, on a mesh of its own between the estimator's and the world's."""
-    skin = Skin.load(LAYOUTS[layout])
-    mesh = mesh_domain(skin.domain, 0.7 * skin.imaging.mesh_size, skin.electrodes.positions)
-    return DiscModel(TransferModel(mesh, skin.electrodes, scaled_model(world, layout).conductivity[0]), RADIUS)

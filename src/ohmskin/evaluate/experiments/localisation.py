@@ -4,10 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.evaluate.methods import METHODS, bench
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.worlds import contact
-from ohmskin.geometry.domain import Floats
+
+CENTRE = 0.1  # metres; the middle of the sheet, the best guess for a place when nothing is found
 
 
 @dataclass(frozen=True)
@@ -22,15 +24,14 @@ class Localisation:
     methods: tuple[str, ...] = METHODS
 
     def run(self) -> Result:
-        """Results: ``truth`` (n_places, 2) and ``estimate`` (n_methods, n_seeds, n_places, 2) in metres (`View.place`)."""
+        """Results: ``truth`` (n_places, 2) and ``estimate`` (n_methods, n_seeds, n_places, 2) in metres
+        (`View.place`)."""
         table = bench(self.world, self.decibels, self.amplitude)
         truth = places(self.side)
         estimate = np.empty((len(self.methods), self.seeds, len(truth), 2))
         for p, (x, y) in enumerate(truth):
-            contacts = (contact(self.world, x, y),)
-            for m, key in enumerate(self.methods):
-                for seed in range(self.seeds):
-                    estimate[m, seed, p] = table.see(key, contacts, seed).place
+            for m, seed, seen in table.see_all(self.methods, (contact(self.world, x, y),), self.seeds):
+                estimate[m, seed, p] = seen.place
         return {"truth": truth, "estimate": estimate}
 
 
@@ -75,11 +76,11 @@ def places(side: int, width: float = 0.2) -> Floats:
     return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
 
 
-def errors(result: Result) -> Floats:
-    """Distances (n_methods, n_seeds, n_places) between estimate and truth in metres.
+def errors(result: Result, name: str = "estimate") -> Floats:
+    """Distances (..., n_places) between an estimate (..., n_places, 2) and the truth in metres.
 
-    An image without anything positive has no estimate; the sheet's centre is taken, the best guess without data.
+    Where nothing was found there is no estimate; the sheet's centre is taken, the best guess without data.
     """
-    estimate = np.where(np.isfinite(result["estimate"]), result["estimate"], 0.1)
+    estimate = np.where(np.isfinite(result[name]), result[name], CENTRE)
     distance: Floats = np.linalg.norm(estimate - result["truth"], axis=-1)
     return distance

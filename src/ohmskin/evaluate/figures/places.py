@@ -1,26 +1,24 @@
 """Figure 7: true and estimated places."""
 
-from typing import cast
-
 import numpy as np
 from matplotlib.figure import Figure
 
-from ohmskin.evaluate.experiments import MatchedLocalisation
+from ohmskin.evaluate.claims import Done
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.figures.style import COLOURS, NAMES, WORLD_NAMES, draw_sheet
-from ohmskin.evaluate.reproduction import Reproduction
+from ohmskin.evaluate.figures.drawing import Drawn, draw_sheet
+from ohmskin.evaluate.figures.style import COLOURS, NAMES
+from ohmskin.evaluate.worlds import WORLD_NAMES
 
 _MAPPED = (("16I", "*", "#1f4fd8"), ("16O", "x", "#d62728"))  # with the marks and colours of the paper
 
 
-def localisation(done: Reproduction) -> list[tuple[str, Figure, str]]:
+def localisation(done: Done) -> list[Drawn]:
     """Maps and distributions of the error."""
     results = done.results["fig7"]
     canvas = Figure(figsize=(7.4, 4.05 * len(results)), layout="constrained")
     grid = canvas.subplots(len(results), 2, squeeze=False, width_ratios=[1.4, 1])
-    for (world, result), (chart, share) in zip(results.items(), grid, strict=True):
-        task = cast(MatchedLocalisation, done.experiments["fig7"][world])
-        draw_sheet(chart, "16I", size=6, colour="#2ca02c")
+    for (world, task, result), (chart, share) in zip(done.of("fig7"), grid, strict=True):
+        draw_sheet(chart, size=6, colour="#2ca02c")
         truth = 1e3 * result["truth"]
         for key, marker, colour in _MAPPED:
             seen = 1e3 * result["estimate"][task.methods.index(key), 0]
@@ -37,24 +35,17 @@ def localisation(done: Reproduction) -> list[tuple[str, Figure, str]]:
             every = np.sort(1e3 * errors(result)[m].ravel())
             label = f"{NAMES[key]}: {every.mean():.1f}, {np.median(every):.1f}, {np.quantile(every, 0.95):.1f}"
             share.plot(every, np.arange(1, len(every) + 1) / len(every), color=COLOURS[key], label=label, linewidth=1.3)
-        share.set(xlabel="localisation error / mm", ylabel="share of touches with a smaller error", xlim=(0, 60), ylim=(0, 1))
+        share.set(xlabel="localisation error / mm", ylabel="share of touches with a smaller error")
+        share.set(xlim=(0, 60), ylim=(0, 1))
         share.grid()
-        share.legend(
-            frameon=False,
-            ncols=2,
-            loc="upper center",
-            bbox_to_anchor=(0.5, -0.13),
-            title="error / mm: mean, median, 95th percentile",
-            columnspacing=1.0,
-            handlelength=1.2,
-        )
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.13), "ncols": 2, "frameon": False}
+        title = "error / mm: mean, median, 95th percentile"
+        share.legend(title=title, columnspacing=1.0, handlelength=1.2, **below)
     caption = (
         f"{len(truth)} single touches. Left: true places and where adjacent (16I) and adaptive drive (16O) see them, "
-        f"first noise seed. Right: "
-        f"distribution of the error over all places and {task.seeds} noise seeds, six methods; the axis ends at 60 "
-        f"mm. The noise level is the "
-        f"one (in steps of {task.step:g} dB) at which the mean error of adjacent drive comes closest to the paper's "
-        f"{1e3 * task.error:.2f} mm; "
-        f"prior amplitude s = {task.amplitude:g}."
+        f"first noise seed. Right: distribution of the error over all places and {task.seeds} noise seeds, six "
+        f"methods; the axis ends at 60 mm. The noise level is the one (in steps of {task.step:g} dB) at which the mean "
+        f"error of adjacent drive comes closest to the paper's {1e3 * task.error:.2f} mm; prior amplitude s = "
+        f"{task.amplitude:g}."
     )
     return [("fig7", canvas, caption)]

@@ -1,4 +1,4 @@
-"""What all pictures have in common."""
+"""What the pictures of the reproduction have in common."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,67 +9,29 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 
-from ohmskin.evaluate.methods import METHODS, all_methods
-from ohmskin.evaluate.reproduction import Reproduction
+from ohmskin.arrays import Floats
+from ohmskin.evaluate.figures.drawing import SIDE
+from ohmskin.evaluate.methods import METHODS
+from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.evaluate.statistics import median
-from ohmskin.evaluate.worlds import LAYOUTS
-from ohmskin.geometry.domain import Floats
-from ohmskin.skin import Skin
 
-WORLD_NAMES = {"discs": "discs of raised conductivity", "pressed": "contact-layer twin"}
-COLOURS = {"12B": "#8c8c8c", "16B": "#e69f00", "16I": "#0072b2", "local": "#009e73", "16O": "#d55e00", "16O+": "#a6267a"}
-MARKERS = {"12B": "v", "16B": "^", "16I": "s", "local": "D", "16O": "o", "16O+": "P"}
+COLOURS = dict(zip(METHODS, ("#8c8c8c", "#e69f00", "#0072b2", "#009e73", "#d55e00", "#a6267a"), strict=True))
+MARKERS = dict(zip(METHODS, "v^sDoP", strict=True))
 NAMES = {key: "local [14]" if key == "local" else key for key in METHODS}
-SIDE = 200.0  # millimetres, of the paper's sheet
 _MAP = "RdBu_r"  # as in ohmskin.plot: red conducts better, white is unchanged
 
-RC: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "grid.linewidth": 0.3,
-    "grid.color": "0.85",
-    "axes.axisbelow": True,
-    "figure.facecolor": "white",
-}
 
-
-def noise_text(done: Reproduction) -> str:
+def noise_text(settings: Settings) -> str:
     """The noise level and prior amplitude of the figures, for captions."""
-    level, amplitude = done.settings.noise[0], done.settings.amplitude[0]
+    level, amplitude = settings.noise[0], settings.amplitude[0]
     return f"noise {level:g} dB below the largest 12B voltage, prior amplitude s = {amplitude:g}"
-
-
-def electrodes(key: str) -> Floats:
-    """Electrode positions (2, n_elec) of a method in millimetres."""
-    return np.asarray(1e3 * Skin.load(LAYOUTS[all_methods()[key].layout]).electrodes.positions.T)
-
-
-def draw_sheet(axes: Axes, key: str, left: bool = True, bottom: bool = True, size: float = 1.8, colour: str = "0.2") -> None:
-    """Axes of a sheet in millimetres, with the electrodes of a method."""
-    axes.plot(*electrodes(key), "o", color=colour, markersize=size, clip_on=False, zorder=3)
-    axes.set(xlim=(0, SIDE), ylim=(0, SIDE), xticks=[0, 100, 200], yticks=[0, 100, 200], aspect="equal")
-    axes.spines[["top", "right"]].set_visible(True)
-    axes.tick_params(length=2, labelleft=left, labelbottom=bottom)
-    if left:
-        axes.set_ylabel("y / mm", labelpad=1)
-    if bottom:
-        axes.set_xlabel("x / mm", labelpad=1)
 
 
 def draw_pixels(axes: Axes, pixels: Floats, limit: float) -> AxesImage:
     """An image (ny, nx) whose full colour is `limit`; returns what a colour bar can be made of."""
-    norm = TwoSlopeNorm(0, -limit, limit)
-    return axes.imshow(pixels, origin="lower", extent=(0, SIDE, 0, SIDE), cmap=_MAP, norm=norm, interpolation="bilinear")
+    norm, extent = TwoSlopeNorm(0, -limit, limit), (0, SIDE, 0, SIDE)
+    return axes.imshow(pixels, origin="lower", extent=extent, cmap=_MAP, norm=norm, interpolation="bilinear")
 
 
 def draw_outline(axes: Axes, contact: Shape) -> None:
@@ -99,10 +61,8 @@ def draw_band(axes: Axes, x: Floats, values: Floats, key: str, **more: Any) -> N
 def draw_medians(axes: Axes, values: Floats, keys: Sequence[str], scale: float = 1.0) -> None:
     """Medians of values (n_methods, n_seeds) with 95 % intervals, one method per line."""
     for row, key in enumerate(keys):
-        m = median(values[row])
-        spread = [[scale * (m.value - m.low)], [scale * (m.high - m.value)]]
-        axes.errorbar(
-            scale * m.value, row, xerr=spread, fmt=MARKERS[key], color=COLOURS[key], markersize=4, capsize=2.5, linewidth=1
-        )
+        m = median(scale * values[row])
+        style: Any = {"color": COLOURS[key], "markersize": 4, "capsize": 2.5, "linewidth": 1}
+        axes.errorbar(m.value, row, xerr=[[m.value - m.low], [m.high - m.value]], fmt=MARKERS[key], **style)
     axes.set(yticks=range(len(keys)), yticklabels=[NAMES[k] for k in keys], ylim=(len(keys) - 0.5, -0.5))
     axes.grid(axis="x")

@@ -6,26 +6,26 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
+from ohmskin.arrays import Floats
 from ohmskin.evaluate import paper
-from ohmskin.evaluate.claims import ADAPTIVE, FIGURES_OF_MERIT, LADDERS, orders
+from ohmskin.evaluate.claims import ADAPTIVE, FIGURES_OF_MERIT, LADDERS, Done, orders
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.figures.style import COLOURS, MARKERS, WORLD_NAMES, draw_band
+from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates
+from ohmskin.evaluate.figures.style import COLOURS, MARKERS, draw_band
 from ohmskin.evaluate.methods import METHODS
-from ohmskin.evaluate.reproduction import Reproduction
 from ohmskin.evaluate.statistics import ratio_of_means
-from ohmskin.evaluate.worlds import WORLDS
-from ohmskin.geometry.domain import Floats
+from ohmskin.evaluate.worlds import WORLD_NAMES, WORLDS
 
 _LINES = ("-", "--", ":", "-.")
 _NOISE = "noise / dB below the largest 12B voltage"
 
 
-def sweep(done: Reproduction) -> list[tuple[str, Figure, str]]:
+def sweep(done: Done) -> list[Drawn]:
     """Localisation over noise and prior amplitude, and where the orders of Table I hold."""
     return [_errors(done), _orders(done)]
 
 
-def _errors(done: Reproduction) -> tuple[str, Figure, str]:
+def _errors(done: Done) -> Drawn:
     settings = done.settings
     noise = sorted(settings.noise)
     canvas = Figure(figsize=(7.4, 2.7 * len(WORLDS)), layout="constrained")
@@ -45,10 +45,8 @@ def _errors(done: Reproduction) -> tuple[str, Figure, str]:
         for s, line in zip(settings.amplitude, _LINES * len(settings.amplitude), strict=False):
             for key in ADAPTIVE:
                 ratios = [ratio_of_means(mean[METHODS.index("16I")], mean[METHODS.index(key)]) for mean in means[s]]
-                values = np.array([r.value for r in ratios])
-                spread = np.abs(np.array([[r.low, r.high] for r in ratios]).T - values)
-                style = {"linestyle": line, "color": COLOURS[key], "linewidth": 1, "capsize": 2, "label": f"{key}, s = {s:g}"}
-                gain.errorbar(noise, values, yerr=spread, **style)
+                style = {"linestyle": line, "color": COLOURS[key], "label": f"{key}, s = {s:g}"}
+                draw_estimates(gain, noise, ratios, "", **style)
         gain.axhline(paper.RATIO, color="0.4", linewidth=0.8, linestyle="--")
         gain.axhline(1, color="0.6", linewidth=0.5)
         gain.text(noise[-1], paper.RATIO, f"paper {paper.RATIO:.2f}", ha="right", va="bottom", fontsize=6.5)
@@ -58,21 +56,20 @@ def _errors(done: Reproduction) -> tuple[str, Figure, str]:
     for axes in grid[0]:
         axes.legend(frameon=False, ncols=2)
     caption = (
-        f"Localisation of single touches at {settings.side**2} places over noise and prior amplitude s. Left: mean error of six "
-        "methods; lines and bands "
-        f"are the median and the middle half over {settings.seeds} noise seeds. Right: how many times smaller the "
-        f"error of adaptive drive is "
-        "than that of adjacent drive, ratio of means with 95 % bootstrap intervals."
+        f"Localisation of single touches at {settings.side**2} places over noise and prior amplitude s. Left: mean "
+        f"error of six methods; lines and bands are the median and the middle half over {settings.seeds} noise seeds. "
+        "Right: how many times smaller the error of adaptive drive is than that of adjacent drive, ratio of means with "
+        "95 % bootstrap intervals."
     )
     return "sweep", canvas, caption
 
 
-def _means(done: Reproduction, world: str, decibels: float, amplitude: float) -> Floats:
+def _means(done: Done, world: str, decibels: float, amplitude: float) -> Floats:
     means: Floats = errors(done.results["sweep"][f"localisation/{world}/{decibels:g}/{amplitude:g}"]).mean(axis=2)
     return means
 
 
-def _orders(done: Reproduction) -> tuple[str, Figure, str]:
+def _orders(done: Done) -> Drawn:
     noise, amplitude = sorted(done.settings.noise), sorted(done.settings.amplitude)
     rows = [(world, keys) for world in WORLDS for keys in LADDERS]
     canvas = Figure(figsize=(7.4, (0.5 + 0.15 * len(amplitude)) * len(rows) + 0.6), layout="constrained")
@@ -96,13 +93,15 @@ def _orders(done: Reproduction) -> tuple[str, Figure, str]:
         text.set_in_layout(False)  # it may reach over the next panels
     for axes in grid[-1]:
         axes.set_xlabel("noise / dB")
-    handles = [Patch(color="#2f7d5b", label="medians in the claimed order"), Patch(color="#e9e4e1", label="not in that order")]
+    handles = [
+        Patch(color="#2f7d5b", label="medians in the claimed order"),
+        Patch(color="#e9e4e1", label="not in that order"),
+    ]
     canvas.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
     caption = (
         "Where the orders of Table I hold (upper left touch, modern definition): for each figure of merit (columns) "
-        "and each chain of methods "
-        "(rows), whether every method's median is better than the one before, at each noise level and prior amplitude s; "
-        f"{10 * done.settings.seeds} noise seeds. A claim that fills its panel does not depend on these choices; one "
-        f"that does not, does."
+        "and each chain of methods (rows), whether every method's median is better than the one before, at each noise "
+        f"level and prior amplitude s; {10 * done.settings.seeds} noise seeds. A claim that fills its panel does not "
+        "depend on these choices; one that does not, does."
     )
     return "sweep-orders", canvas, caption

@@ -2,37 +2,39 @@
 
 from ohmskin.evaluate import policies
 
-task = policies.Static("discs", decibels=40, seeds=20, schemes=("16O", "16P"))
-print(policies.static_errors(task.run()).mean(axis=-1))  # (n_schemes, n_estimators), metres
+task = policies.Static("discs", decibels=40, seeds=20, schemes=("best", "16P"))
+print(policies.static_errors(task.run()).mean(axis=-1))  # (n_schemes, n_readers), metres
 """
 
-from ohmskin.evaluate.policies.comparison import Comparison, compare
+from ohmskin.evaluate.flaws import Flaw
+from ohmskin.evaluate.policies.comparison import compare
 from ohmskin.evaluate.policies.detection import Detection, Quiet
-from ohmskin.evaluate.policies.goals import Goal
-from ohmskin.evaluate.policies.judge import judge, moving_errors, static_errors
-from ohmskin.evaluate.policies.lab import Flaw, Lab, lab
+from ohmskin.evaluate.policies.goals import assess, moving_errors, static_errors
 from ohmskin.evaluate.policies.moving import Moving
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
 from ohmskin.evaluate.policies.plan import SECTIONS, Settings, plan
 from ohmskin.evaluate.policies.static import Static
+from ohmskin.evaluate.result import Outcome
+from ohmskin.evaluate.setup import Setup, setup
+from ohmskin.evaluate.verdict import Goal
 
 __all__ = [
     "SECTIONS",
-    "Comparison",
     "Detection",
     "Flaw",
     "Goal",
-    "Lab",
     "Moving",
+    "Outcome",
     "PairLimits",
     "Pairs",
     "Quiet",
     "Settings",
+    "Setup",
     "Static",
+    "assess",
     "compare",
-    "judge",
-    "lab",
     "moving_errors",
     "plan",
+    "setup",
     "static_errors",
 ]

@@ -1,68 +1,215 @@
-"""Goals: what was asked for, held against what was measured. Every verdict is computed; none is written down here."""
+"""The goals of the comparison, put into numbers: which data each one takes, and what it asks of them."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from itertools import product
 
-from ohmskin.evaluate.statistics import Estimate
+import numpy as np
 
-MET, MISSED, OPEN = "met", "missed", "undecided"
+from ohmskin.arrays import Floats
+from ohmskin.evaluate.experiments.localisation import errors
+from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power, threshold
+from ohmskin.evaluate.policies.plan import Settings
+from ohmskin.evaluate.policies.schemes import scheme
+from ohmskin.evaluate.policies.static import Static
+from ohmskin.evaluate.result import Outcome, Result
+from ohmskin.evaluate.statistics import Estimate, mean, ratio_of_means, share
+from ohmskin.evaluate.verdict import Goal
+
+SETTLE = 10  # frames of a moving contact that do not count: it is found in them
+QUIET = 100_000  # frames in which no contact is to be invented
+MISS = 30e-3  # metres; a contact placed further away counts as missed
+WITHIN = 3  # frames in which a new contact is to be found
+NAMES = {"discs": "discs", "pressed": "contact-layer twin"}
+ASKED_PAIRS = {(50.0, 0.02), (60.0, 0.012)}  # dB, distance (m)
+OTHERS = ("nothing else is touched", "one other is tracked", "two others are tracked")
+Done = Outcome[Settings]
 
 
-@dataclass(frozen=True)
-class Goal:
-    """A bound that was set beforehand, and the measured value with its 95 % interval.
+def assess(done: Done) -> list[Goal]:
+    """The goals that the results at hand can decide."""
+    goals = {"static": _static, "time": _time, "moving": _moving, "pairs": _pairs, "detection": _detection}
+    goals |= {"quiet": _quiet, "cost": _cost}
+    return [goal for section, find in goals.items() if section in done.results for goal in find(done)]
 
-    Args:
-        section: Of `plan.SECTIONS`.
-        text: What is asked.
-        limit: The bound.
-        at_most: Whether the value may not exceed it; otherwise it may not fall below it.
-        measured: What was found.
-        unit: ``ratio``, ``%`` or empty for a count.
-        data: How much data the interval comes from, with the number of seeds or trials.
-        note: What else one should know.
-        key: Whether it is one that was asked for; others are the same questions in other circumstances.
-    """
 
-    section: str
-    text: str
-    limit: float
-    at_most: bool
-    measured: Estimate
-    unit: str
-    data: str
-    note: str = ""
-    key: bool = True
+def static_errors(result: Result) -> Floats:
+    """Mean error over the places (n_schemes, n_readers, n_seeds) in metres."""
+    return np.asarray(errors(result).mean(axis=-1))
 
-    @property
-    def verdict(self) -> str:
-        """`MET` or `MISSED` if the whole interval says so, otherwise `OPEN`."""
-        sign = 1 if self.at_most else -1
-        inside = [sign * value <= sign * self.limit for value in (self.measured.low, self.measured.value, self.measured.high)]
-        return MET if all(inside) else OPEN if any(inside) else MISSED
 
-    @property
-    def bound(self) -> str:
-        """The bound, as text."""
-        return f"{'≤' if self.at_most else '≥'} {self._number(self.limit)}"
+def moving_errors(result: Result) -> tuple[Floats, Floats]:
+    """Mean errors over a path but its start (m): by frames (n_schemes, n_readers, n_seeds), tracked (n_trackers,
+    n_seeds)."""
+    framewise, tracked = (errors(result, name)[..., SETTLE:].mean(axis=-1) for name in ("framewise", "tracked"))
+    return framewise, tracked
 
-    @property
-    def found(self) -> str:
-        """The value with its interval, as text."""
-        m = self.measured
-        if m.low == m.value == m.high:
-            return self._number(m.value)
-        return f"{self._number(m.value)} ({self._number(m.low)} to {self._number(m.high)})"
 
-    @property
-    def margin(self) -> str:
-        """By how much the bound is kept or missed: the value over the bound of a ratio, the difference otherwise."""
-        if self.unit == "ratio":
-            return f"{100 * (self.measured.value / self.limit - 1):+.0f} %"
-        if self.unit == "%":
-            return f"{100 * (self.measured.value - self.limit):+.1f} points"
-        return f"{self.measured.value - self.limit:+.3g}"
+def pair_rates(result: Result) -> tuple[Floats, Floats]:
+    """Pairs told apart (n_schemes, n_distances, n_where, n_seeds) and single contacts taken for two (n_schemes,
+    n_check)."""
+    cut = threshold(result["learn"])
+    right = (result["statistic"] > cut[:, None, None, None]) & result["near"]
+    return right.astype(float), (result["check"] > cut[:, None]).astype(float)
 
-    def _number(self, value: float) -> str:
-        if self.unit == "%":
-            return f"{100 * value:.3g} %"
-        return f"{value:.2f}" if self.unit == "ratio" else f"{value:.3g}"
+
+def robust_errors(done: Done) -> dict[str, dict[tuple[str, str], Floats]]:
+    """Errors in metres by flaw, and by scheme and reader: (n_seeds, n_places), or means of paths (n_seeds,)."""
+    table: dict[str, dict[tuple[str, str], list[Floats]]] = {}
+    for path, task, result in done.of("robust"):
+        cells = table.setdefault(path.split("/")[1], {})
+        if isinstance(task, Static):
+            for (s, key), (e, reader) in product(enumerate(task.schemes), enumerate(task.readers)):
+                cells.setdefault((key, reader), []).append(errors(result)[s, e])
+        else:
+            for key, means in zip(task.trackers, moving_errors(result)[1], strict=True):
+                cells.setdefault((key, "moving"), []).append(means)
+    return {name: {way: np.concatenate(values) for way, values in cells.items()} for name, cells in table.items()}
+
+
+def pair_groups(done: Done) -> Iterator[tuple[str, Pairs, Result, Result, Floats]]:
+    """Name, experiment, results and limits of each experiment with pairs, and the power of an ideal test (n_schemes,
+    n_distances, n_where) with its injections."""
+    for name, task, result in done.of("pairs", "told/"):
+        ((_, bounds, limits),) = done.of("pairs", name.replace("told/", "limit/"))
+        rows = [bounds.schemes.index(key) for key in task.schemes]
+        yield name.removeprefix("told/"), task, result, limits, ideal_power(limits["distance"][rows])
+
+
+def _ratio(
+    section: str, text: str, limit: float, ours: Floats, theirs: Floats, data: str, note: str, key: bool
+) -> Goal:
+    """The goal that one mean, over seeds or over seeds and places, is at most so many times another."""
+    against = f"{1e3 * ours.mean():.2f} mm against {1e3 * theirs.mean():.2f} mm"
+    ratio = ratio_of_means(ours, theirs)
+    return Goal(section, text, limit, True, ratio, "ratio", data, note.replace("RATIO", against), key)
+
+
+def _static(done: Done) -> list[Goal]:
+    found = []
+    for name, task, result in done.of("static"):
+        world, decibels = name.split("/")
+        away, row, read = errors(result), task.schemes.index, task.readers.index
+        where, data = f"({NAMES[world]}, {decibels} dB)", f"{task.seeds} seeds, {len(result['truth'])} places"
+        main = world == "discs" and task.decibels == done.settings.levels[0]
+        for reader, (ours, theirs) in product(task.readers, (("16P", "best"), ("16P/16", "best/16"))):
+            text = (
+                f"Static contact, {scheme(ours).injections} injections chosen by position information, {reader}: mean"
+            )
+            text = f"{text} error over that of the best fixed set {where}"
+            each = away[row(ours), read(reader)], away[row(theirs), read(reader)]
+            found.append(_ratio("static", text, 1.0, *each, data, _spread(*each), main and reader == "fit"))
+        paper = away[row("16O fused")]
+        text = f"Static contact, 28 injections, fit: mean error of 16P over that of the paper's scheme {where}"
+        each = away[row("16P"), read("fit")], paper[read("fit")]
+        found.append(_ratio("static", text, 0.65, *each, data, _spread(*each), main))
+        text = f"Static contact, the paper's 28 injections: mean error of a fit over that of centroids {where}"
+        each = paper[read("fit")], paper[read("centroid")]
+        found.append(_ratio("static", text, 1.0, *each, data, _spread(*each), False))
+        if world == "discs":
+            for other, limit, what in (("best", 1.0, "best fixed set"), ("16O fused", 0.6, "paper's scheme")):
+                text = f"Position bound at 28 injections of 16P over that of the {what} ({decibels} dB)"
+                note = "RATIO, mean over the places, of the patterns really driven"
+                bounds = result["bound"][row("16P")], result["bound"][row(other)]
+                found.append(_ratio("static", text, limit, *bounds, data, note, main))
+    return found
+
+
+def _spread(ours: Floats, theirs: Floats) -> str:
+    """What the mean error does not tell: medians, 95 % quantiles and misses of both."""
+    both = [
+        f"median {1e3 * np.median(away):.2f} mm, 95 % below {1e3 * np.quantile(away, 0.95):.1f} mm, "
+        f"{100 * np.mean(away > MISS):.1f} % off by over {1e3 * MISS:.0f} mm"
+        for away in (ours, theirs)
+    ]
+    return f"RATIO; {both[0]}, against {both[1]}"
+
+
+def _time(done: Done) -> list[Goal]:
+    found = []
+    for instrument, task, result in done.of("time"):
+        away, row, fit = errors(result), task.schemes.index, task.readers.index("fit")
+        for other, limit, what in (("best", 1.0, "best fixed set"), ("16O fused", 0.65, "paper's scheme")):
+            text = f"Static contact in the time of the paper's scheme on a {instrument} instrument, fit"
+            text = f"{text}: mean error of 16P over that of the {what}"
+            data = f"{task.seeds} seeds, {len(result['truth'])} places"
+            each = away[row("16P"), fit], away[row(other), fit]
+            note = f"{int(result['injections'][row('16P')])} injections; {_spread(*each)}"
+            found.append(_ratio("time", text, limit, *each, data, note, False))
+    return found
+
+
+def _moving(done: Done) -> list[Goal]:
+    found = []
+    for world, task, result in done.of("moving"):
+        framewise, tracked = moving_errors(result)
+        ours, fixed = (tracked[task.trackers.index(key)] for key in ("16T/4", "rotating/4"))
+        where = f"({NAMES[world]}, {task.decibels:g} dB)"
+        data = f"{task.seeds} seeds, each a path of {task.frames} frames"
+        text = "Moving contact, tracked with 4 injections a frame: mean error of 16T over that of a fixed round"
+        found.append(_ratio("moving", f"{text} {where}", 1.0, ours, fixed, data, "RATIO", world == "discs"))
+        for e, reader in enumerate(task.readers):
+            text = "Moving contact, 4 injections of a fixed round a frame, tracked: mean error over that of 16I with 16"
+            theirs = framewise[task.schemes.index("16I"), e]
+            found.append(_ratio("moving", f"{text}, {reader} {where}", 1.0, fixed, theirs, data, "RATIO", False))
+    return found
+
+
+def _pairs(done: Done) -> list[Goal]:
+    found = []
+    for _, task, result, limits, power in pair_groups(done):
+        right, false = pair_rates(result)
+        row, any_choice = task.schemes.index("16P"), ideal_power(limits["any"])
+        where, key = f"+{100 * task.strength:g} %, {task.decibels:g} dB", task.strength == 0.5
+        for d, distance in enumerate(task.distances):
+            if (task.decibels, distance) in ASKED_PAIRS:
+                text = f"Two contacts of 6 mm radius {1e3 * distance:g} mm apart told from one ({where})"
+                data = f"{right.shape[3]} seeds at {right.shape[2]} places"
+                note = f"an ideal test would reach {100 * power[row, d].mean():.0f} % with these injections"
+                note = f"{note}, at most {100 * any_choice[d].mean():.0f} % with any 28"
+                rate = mean(right[row, d].T)
+                found.append(Goal("pairs", text, 0.75, False, rate, "%", data, note, key))
+        text = f"One contact taken for two by the same test ({where})"
+        data = f"{false.shape[1]} single contacts; the threshold is set on {result['learn'].shape[1]} others"
+        rate = share(int(false[row].sum()), false.shape[1])
+        found.append(Goal("pairs", text, ALPHA, True, rate, "%", data, "", key))
+    return found
+
+
+def _detection(done: Done) -> list[Goal]:
+    found = []
+    for _, task, result in done.of("detection"):
+        frames, away = result["frames"], result["error"]
+        text = f"New contact found within {WITHIN} frames of {task.injections} injections while {OTHERS[task.others]}"
+        text = f"{text} ({NAMES[task.world]}, {task.decibels:g} dB)"
+        note = f"within 5 frames {100 * np.mean(frames <= 5):.1f} %, 10 frames {100 * np.mean(frames <= 10):.1f} %"
+        note += f"; mean error then {1e3 * np.nanmean(away):.1f} mm" if np.isfinite(away).any() else ""
+        rate = share(int(np.sum(frames <= WITHIN)), len(frames))
+        found.append(Goal("detection", text, 0.99, False, rate, "%", f"{len(frames)} trials", note))
+    return found
+
+
+def _quiet(done: Done) -> list[Goal]:
+    runs = list(done.of("quiet"))
+    births, frames = sum(int(result["births"]) for _, _, result in runs), sum(task.frames for _, task, _ in runs)
+    rate = share(births, frames)
+    # once all frames were run there is nothing to infer
+    low, high = (rate.low, rate.high) if frames < QUIET else (rate.value, rate.value)
+    text = f"Contacts invented in {QUIET} quiet frames ({runs[0][1].decibels:g} dB)"
+    note = f"a rate below {rate.high:.1e} a frame, with 97.5 % confidence"
+    estimate = Estimate(QUIET * rate.value, QUIET * low, QUIET * high)
+    return [Goal("quiet", text, 0.0, True, estimate, "", f"{frames} frames, {len(runs)} seeds", note)]
+
+
+def _cost(done: Done) -> list[Goal]:
+    ((_, _, result),) = done.of("cost")
+    choose, update = (np.median(result[name], axis=1) for name in ("choose", "update"))
+    each = result["choose"] / (result["choose"] + result["update"])  # (n_contacts + 1, n_frames)
+    worst = each[int(np.argmax(choose / (choose + update)))]
+    times = enumerate(zip(choose, update, strict=True))
+    note = "; ".join(f"{n} contacts: {1e6 * c:.0f} of {1e6 * (c + u):.0f} µs" for n, (c, u) in times)
+    drawn = np.random.default_rng(0).integers(0, len(worst), (2000, len(worst)))
+    low, high = np.quantile(np.median(worst[drawn], axis=1), [0.025, 0.975])
+    estimate = Estimate(float(np.median(worst)), float(low), float(high))
+    text = "Choosing the next pattern, as a share of the tracker's computing in a frame"
+    data = f"median of {len(worst)} frames, the worst number of contacts"
+    return [Goal("cost", text, 0.2, True, estimate, "%", data, note)]

@@ -1,15 +1,16 @@
 """Contacts that move: few injections per frame and a memory, against whole scans without one."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from ohmskin.evaluate.policies.follow import Follower
-from ohmskin.evaluate.policies.lab import SOUND, Flaw, lab
-from ohmskin.evaluate.policies.schemes import ESTIMATORS, scheme
+from ohmskin.arrays import Floats
+from ohmskin.evaluate.flaws import SOUND, Flaw
+from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
+from ohmskin.evaluate.setup import PERIOD, setup
 from ohmskin.evaluate.worlds import contact
-from ohmskin.geometry.domain import Floats
 
 FASTEST = 3e-3  # metres per frame
 _MARGIN = 15e-3  # metres between a path and the rim
@@ -19,7 +20,8 @@ _TURN = 0.15  # radians per frame by which a path may well turn
 
 @dataclass(frozen=True)
 class Moving:
-    """One contact on a winding path, its speed going up and down between 0 and `FASTEST`; each seed has a path of its own.
+    """One contact on a winding path, its speed going up and down between 0 and `FASTEST`; each seed has a path of its
+    own.
 
     Within a frame the contact is at rest.
 
@@ -28,9 +30,9 @@ class Moving:
         decibels: Noise level (dB).
         seeds: Paths, each with noise of its own.
         frames: Length of a path.
-        schemes: What is driven frame by frame; keys of `schemes.SCHEMES`.
-        estimators: Of `schemes.ESTIMATORS`, for these.
-        followers: Injections per frame of trackers.
+        schemes: What is driven frame by frame; keys, see `schemes.scheme`.
+        readers: Of `ohmskin.sensing.READERS`, for these.
+        trackers: What is driven for the reader that tracks contacts from frame to frame; keys likewise.
         flaw: What is wrong with the model or the skin.
         first: Number of the first seed.
     """
@@ -40,36 +42,36 @@ class Moving:
     seeds: int
     frames: int
     schemes: tuple[str, ...] = ("16I", "16P/16")
-    estimators: tuple[str, ...] = ("centroid", "fit")
-    followers: tuple[int, ...] = (2, 4, 8)
+    readers: tuple[str, ...] = ("centroid", "fit")
+    trackers: tuple[str, ...] = ("16T/2", "16T/4", "16T/8", "rotating/4")
     flaw: Flaw = SOUND
     first: int = 0
 
     def run(self) -> Result:
-        """Results: ``truth`` (n_seeds, n_frames, 2); ``framewise`` (n_schemes, n_estimators, n_seeds, n_frames, 2) and ``tracked``
-        (n_followers, n_seeds, n_frames, 2), where the strongest contact is reported, NaN where none is; ``std`` (n_followers,
-        n_seeds, n_frames), the root of the variance of x and y that the tracker claims; ``count`` (same), contacts reported.
-        All in metres.
+        """Results: ``truth`` (n_seeds, n_frames, 2); ``framewise`` (n_schemes, n_readers, n_seeds, n_frames, 2) and
+        ``tracked`` (n_trackers, n_seeds, n_frames, 2), where the strongest contact is reported, NaN where none is;
+        ``std`` (n_trackers, n_seeds, n_frames), the root of the variance of x and y that the tracker claims;
+        ``count`` (same), contacts reported. All in metres.
         """
-        room = lab(self.world, self.decibels, self.flaw)
+        where = setup(self.world, self.decibels, flaw=self.flaw)
         shape = (self.seeds, self.frames)
         truth = np.stack([path(self.first + seed, self.frames) for seed in range(self.seeds)])
-        framewise = np.full((len(self.schemes), len(self.estimators), *shape, 2), np.nan)
-        tracked = np.full((len(self.followers), *shape, 2), np.nan)
-        std, count = np.full((len(self.followers), *shape), np.nan), np.zeros((len(self.followers), *shape), int)
+        framewise = np.full((len(self.schemes), len(self.readers), *shape, 2), np.nan)
+        tracked = np.full((len(self.trackers), *shape, 2), np.nan)
+        std, count = np.full((len(self.trackers), *shape), np.nan), np.zeros((len(self.trackers), *shape), int)
         for seed in range(self.seeds):
-            trackers = [Follower(room, injections) for injections in self.followers]
+            tracking = [where.sensor(scheme(key, "tracked")) for key in self.trackers]
+            states = [sensor.start() for sensor in tracking]
             for k, place in enumerate(truth[seed]):
                 contacts = (contact(self.world, *place),)
-                for s, key in enumerate(self.schemes):
-                    image, data = scheme(key).gather(room, room.scan(contacts, self.first + seed, k))
-                    for e, name in enumerate(self.estimators):
-                        framewise[s, e, seed, k] = ESTIMATORS[name](room, image, data)
-                for t, tracker in enumerate(trackers):
-                    found = tracker.step(room.scan(contacts, self.first + seed, k))
-                    count[t, seed, k] = len(found)
-                    if found:
-                        strongest = max(found, key=lambda c: c.strength)
+                for (s, key), (e, reader) in product(enumerate(self.schemes), enumerate(self.readers)):
+                    framewise[s, e, seed, k] = where.see(scheme(key, reader), contacts, self.first + seed, k).strongest
+                for t, sensor in enumerate(tracking):
+                    scan = where.scan(contacts, self.first + seed, k, time=PERIOD * k)
+                    states[t], percept = sensor.step(states[t], scan)
+                    count[t, seed, k] = len(percept.contacts)
+                    if percept.contacts:
+                        strongest = max(percept.contacts, key=lambda c: c.strength)
                         tracked[t, seed, k] = strongest.position
                         std[t, seed, k] = np.sqrt(np.trace(np.asarray(strongest.covariance, float)))
         return {"truth": truth, "framewise": framewise, "tracked": tracked, "std": std, "count": count}

@@ -1,29 +1,32 @@
 """Two contacts or one: how often they are told apart, how often one is taken for two, and what no method could do."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
+from ohmskin.arrays import Floats
+from ohmskin.contacts import ContactFitter
+from ohmskin.contacts.likelihood import Data
 from ohmskin.drive import complete_pattern
-from ohmskin.evaluate.policies.lab import Lab, lab
-from ohmskin.evaluate.policies.likeness import Likeness
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
+from ohmskin.evaluate.setup import Setup, View, setup
 from ohmskin.evaluate.shapes import disc
-from ohmskin.evaluate.worlds import CURRENT
-from ohmskin.forward import ContactTable
-from ohmskin.geometry.domain import Floats
-from ohmskin.inverse.discs import effective_change
+from ohmskin.evaluate.two_points import one_or_two, told
+from ohmskin.evaluate.worlds import CURRENT, Contacts
+from ohmskin.forward.response import effective_change
 from ohmskin.scan import Difference, DrivePattern
 
 RADIUS = 6e-3  # metres
 ALPHA = 0.01  # rate of false twos
-# A disc over a point electrode, where the field is singular, looks like nothing else: two of a hundred single contacts that
-# happened to lie there had statistics of thousands, and would have set the threshold for all. They are left out, and it is said.
+# A disc over a point electrode, where the field is singular, looks like nothing else: two of a hundred single contacts
+# that happened to lie there had statistics of thousands, and would have set the threshold for all. They are left out,
+# and it is said.
 _CLEAR = 11e-3  # metres from a contact's centre to an electrode
 _MARGIN = 15e-3  # metres from a contact's centre to the rim
+_EXACT = 1e-2  # share of the noise to which an oracle's disc is fitted
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Pairs:
         distances: Between the centres (m).
         where: Places, and directions, of the pairs, drawn once.
         strength: Relative conductivity change of each disc (1).
-        schemes: Which injections; keys of `schemes.SCHEMES`.
+        schemes: Which injections; keys, see `schemes.scheme`.
     """
 
     decibels: float
@@ -48,48 +51,43 @@ class Pairs:
     distances: tuple[float, ...]
     where: int = 12
     strength: float = 0.5
-    schemes: tuple[str, ...] = ("16O", "16P")
+    schemes: tuple[str, ...] = ("16O fused", "16P")
 
     def run(self) -> Result:
-        """Results: ``statistic`` (n_schemes, n_distances, n_where, n_seeds), see `one_or_two`; ``near`` (same), whether each of its
-        two discs is closer to its own true contact than half their distance; ``counted`` (same), contacts that
-        `Explainer.fit` finds by itself. ``learn`` (n_schemes, n_singles) and ``check`` (n_schemes, 2 n_singles), the
-        statistic of single contacts; ``counted_single`` (as ``check``), contacts counted in those.
+        """Results: ``statistic`` (n_schemes, n_distances, n_where, n_seeds), see `one_or_two`; ``near`` (same),
+        whether each of its two discs is closer to its own true contact than half their distance; ``counted`` (same),
+        contacts that reader ``fit`` finds by itself. ``learn`` (n_schemes, n_singles) and ``check`` (n_schemes, 2
+        n_singles), the statistic of single contacts; ``counted_single`` (as ``check``), contacts counted in those.
         """
-        room = lab("discs", self.decibels)
-        spots = list(pair_places(self.where, max(self.distances), room.skin.electrodes.positions))
+        where = setup("discs", self.decibels)
+        spots = list(pair_places(self.where, max(self.distances), where.electrodes.positions))
         shape = (len(self.schemes), len(self.distances), len(spots), self.seeds)
         statistic, near, counted = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, int)
         for d, distance in enumerate(self.distances):
             for w, spot in enumerate(spots):
                 truth = apart(spot, distance)
-                contacts = tuple(disc(place[0], place[1], RADIUS, self.strength) for place in truth)
+                contacts = tuple(disc(x, y, RADIUS, self.strength) for x, y in truth)
                 for seed in range(self.seeds):
-                    for s, key in enumerate(self.schemes):
-                        data = scheme(key).gather(room, room.scan(contacts, seed))[1]
-                        statistic[s, d, w, seed], found = one_or_two(room, data)
-                        near[s, d, w, seed] = told(found, truth)
-                        counted[s, d, w, seed] = len(room.explainer.fit(*data).params)
-        single = []
-        for part, count in enumerate((self.singles, 2 * self.singles)):
-            places = single_places(count, part, room.skin.electrodes.positions)
-            radii = np.where(np.arange(count) % 2, RADIUS, np.sqrt(2) * RADIUS)
-            single.append(np.empty((len(self.schemes), count)))
-            taken = np.empty((len(self.schemes), count), int)
-            for k, (place, radius) in enumerate(zip(places, radii, strict=True)):
-                contacts = (disc(place[0], place[1], radius, self.strength),)
-                for s, key in enumerate(self.schemes):
-                    data = scheme(key).gather(room, room.scan(contacts, k))[1]
-                    single[part][s, k] = one_or_two(room, data)[0]
-                    taken[s, k] = len(room.explainer.fit(*data).params)
-        return {
-            "statistic": statistic,
-            "near": near,
-            "counted": counted,
-            "learn": single[0],
-            "check": single[1],
-            "counted_single": taken,
-        }
+                    for s, seen in enumerate(self._views(where, contacts, seed)):
+                        at = (s, d, w, seed)
+                        statistic[at], _, two = one_or_two(where.trusting_fitter, *seen.differences)
+                        near[at], counted[at] = told(two.params[:, :2], truth), len(seen.contacts)
+        single = [np.empty((len(self.schemes), count)) for count in (self.singles, 2 * self.singles)]
+        counted_single = np.empty(single[1].shape, int)
+        for part, statistics in enumerate(single):
+            places = single_places(statistics.shape[1], part, where.electrodes.positions)
+            for k, (x, y) in enumerate(places):
+                contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
+                for s, seen in enumerate(self._views(where, contacts, k)):
+                    statistics[s, k] = one_or_two(where.trusting_fitter, *seen.differences)[0]
+                    if part:
+                        counted_single[s, k] = len(seen.contacts)
+        found = {"statistic": statistic, "near": near, "counted": counted}
+        return found | {"learn": single[0], "check": single[1], "counted_single": counted_single}
+
+    def _views(self, where: Setup, contacts: Contacts, seed: int) -> Iterator[View]:
+        for key in self.schemes:
+            yield where.see(scheme(key, "fit"), contacts, seed)
 
 
 def threshold(learn: Floats) -> Floats:
@@ -100,20 +98,12 @@ def threshold(learn: Floats) -> Floats:
     return np.asarray(np.quantile(learn, 1 - ALPHA / 2, axis=1, method="higher"))
 
 
-def one_or_two(room: Lab, data: tuple[Difference, ...]) -> tuple[float, Floats]:
-    """The fall of the cost from the best disc to the best two, and where these are (2, 2) in metres."""
-    likeness = Likeness.of(room.table, room.noise, data)
-    one = likeness.one()
-    two = likeness.two(one)
-    return one.cost - two.cost, two.positions
-
-
 @dataclass(frozen=True)
 class PairLimits:
     """How far two discs are, in units of the noise, from the single disc that looks most like them.
 
-    If both hypotheses were known in every number, no test could do better than Neyman and Pearson's, whose power at a rate
-    `ALPHA` of false twos follows from that distance. Contacts act linearly here, as in `ContactTable`.
+    If both hypotheses were known in every number, no test could do better than Neyman and Pearson's, whose power at a
+    rate `ALPHA` of false twos follows from that distance. Contacts act linearly here, as in `ContactTable`.
 
     Args:
         decibels, distances, where, strength: As for `Pairs`.
@@ -124,34 +114,31 @@ class PairLimits:
     distances: tuple[float, ...]
     where: int = 12
     strength: float = 0.5
-    schemes: tuple[str, ...] = ("16O", "16P")
+    schemes: tuple[str, ...] = ("16O fused", "16P")
     count: int = 28
 
     def run(self) -> Result:
-        """Results: ``distance`` (n_schemes, n_distances, n_where) in noise units; ``any`` (n_distances, n_where), an upper bound
-        on it over all ways to choose `count` different injections; ``all`` (same), with every injection there is.
+        """Results: ``distance`` (n_schemes, n_distances, n_where) in noise units; ``any`` (n_distances, n_where), an
+        upper bound on it over all ways to choose `count` different injections; ``all`` (same), with every injection
+        there is.
         """
-        room = lab("discs", self.decibels)
-        quiet = lab("discs", 200.0)
-        spots = list(pair_places(self.where, max(self.distances), room.skin.electrodes.positions))
+        where, quiet = setup("discs", self.decibels), setup("discs", 200.0)
+        spots = list(pair_places(self.where, max(self.distances), where.electrodes.positions))
         shape = (len(self.distances), len(spots))
         found = {"distance": np.empty((len(self.schemes), *shape)), "any": np.empty(shape), "all": np.empty(shape)}
         effect = float(effective_change(np.log1p(self.strength))[0]) * np.pi * RADIUS**2
-        complete = complete_pattern(room.electrodes)
+        complete = complete_pattern(where.electrodes)
         for d, distance in enumerate(self.distances):
             for w, spot in enumerate(spots):
                 truth = apart(spot, distance)
-                change = effect * room.table(truth, RADIUS).values.sum(axis=0)
-                contacts = tuple(disc(place[0], place[1], RADIUS, self.strength) for place in truth)
+                contacts = tuple(disc(x, y, RADIUS, self.strength) for x, y in truth)
                 for s, key in enumerate(self.schemes):
-                    data = scheme(key).gather(quiet, quiet.scan(contacts, 0))[1]
-                    rows = (
-                        np.vstack([each.pattern.combination(room.table.n_elec).toarray() for each in data]) * CURRENT / room.noise
-                    )
-                    found["distance"][s, d, w] = np.sqrt((unlike_one(room.table, rows, change, truth, effect) ** 2).sum())
-                rows = complete.combination(room.table.n_elec).toarray() * CURRENT / room.noise
-                left = unlike_one(room.table, rows, change, truth, effect)
-                found["all"][d, w] = np.sqrt((left**2).sum())
+                    sensor = where.sensor(scheme(key))
+                    _, seen = sensor.step(sensor.start(), quiet.scan(contacts, 0))
+                    left = unlike_one(where, [frame.pattern for frame in seen.frames], truth, effect)
+                    found["distance"][s, d, w] = np.linalg.norm(left)
+                left = unlike_one(where, [complete], truth, effect)
+                found["all"][d, w] = np.linalg.norm(left)
                 found["any"][d, w] = np.sqrt(best_of(complete, left, self.count))
         return found
 
@@ -165,21 +152,25 @@ def best_of(pattern: DrivePattern, left: Floats, count: int) -> float:
     return float(np.sort(each)[-count:].sum())
 
 
-def unlike_one(table: ContactTable, rows: Floats, change: Floats, truth: Floats, effect: float) -> Floats:
-    """What the best single disc, of any size, leaves (n_data,) of data that two cause, in noise units.
+def unlike_one(where: Setup, patterns: Sequence[DrivePattern], truth: Floats, effect: float) -> Floats:
+    """What the best single disc, of any size, leaves (n_meas,) of scans of two discs without noise, in noise units.
 
     Args:
-        table: Responses.
-        rows: (n_data, n_pairs) what two-terminal resistances do to the data, in noise units per ohm.
-        change: (n_pairs,) that two discs cause (ohm).
-        truth: (2, 2) where they are (m).
+        where: Responses, and the noise.
+        patterns: The scans.
+        truth: (2, 2) where the discs are (m).
         effect: That of each (m2).
     """
-    likeness = Likeness(table, rows, rows @ change, informed=False)
+    change = effect * where.table(truth, RADIUS).values.sum(axis=0)
+    volts = [CURRENT * pattern.combination(where.table.n_elec) @ change for pattern in patterns]
+    scans = [Difference(p, np.full(p.n_meas, CURRENT), v) for p, v in zip(patterns, volts, strict=True)]
+    data = Data.of(where.table.n_elec, *scans)
+    fitter = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0)
+    noise, unknown = fitter.noise_model(data), np.zeros(4)
     between = np.linspace(truth[0], truth[1], 5)  # the best one may be in the middle, or close to one of the two
-    starts = [np.array([[*at, np.log(2 * effect), np.log(radius)]]) for at in between for radius in (RADIUS, 2 * RADIUS)]
-    one = min((likeness.refine(start) for start in starts), key=lambda discs: discs.cost).params
-    return np.asarray(rows @ (change - np.exp(one[0, 2]) * table(one[:, :2], np.exp(one[0, 3])).values[0]))
+    starts = [np.array([[*at, 2 * effect, radius**2]]) for at in between for radius in (RADIUS, 2 * RADIUS)]
+    found = [fitter.refine(data, start, noise, unknown, np.diag(unknown), rounds=40) for start in starts]
+    return np.asarray((data.volts - min(found, key=lambda one: one.cost).caused) / where.noise)
 
 
 def ideal_power(distance: Floats, alpha: float = ALPHA) -> Floats:
@@ -199,7 +190,8 @@ def single_places(count: int, seed: int, electrodes: Floats) -> Floats:
 
 
 def pair_places(count: int, widest: float, electrodes: Floats, seed: int = 2) -> Iterator[Floats]:
-    """Middles and directions (x, y, angle) at random; contacts up to `widest` metres apart stay off the rim and the electrodes."""
+    """Middles and directions (x, y, angle) at random; contacts up to `widest` metres apart stay off the rim and the
+    electrodes."""
     random, found = np.random.default_rng(seed), 0
     while found < count:
         spot = np.array([*random.uniform(_MARGIN, 0.2 - _MARGIN, 2), random.uniform(0, np.pi)])
@@ -215,9 +207,3 @@ def apart(spot: Floats, distance: float) -> Floats:
     """The two places (2, 2) so far apart (m)."""
     half = distance / 2 * np.array([np.cos(spot[2]), np.sin(spot[2])])
     return np.array([spot[:2] - half, spot[:2] + half])
-
-
-def told(found: Floats, truth: Floats) -> bool:
-    """Whether each true place (2, 2) has one of those found (n, 2) closer than half their distance."""
-    half = np.linalg.norm(truth[0] - truth[1]) / 2
-    return bool((np.linalg.norm(found[:, None] - truth, axis=2) < half).any(axis=0).all())

@@ -4,21 +4,22 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.flaws import SOUND, Flaw
 from ohmskin.evaluate.policies.cost import Cost
 from ohmskin.evaluate.policies.detection import Detection, Quiet
-from ohmskin.evaluate.policies.lab import SOUND, Flaw
 from ohmskin.evaluate.policies.moving import Moving
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS
 from ohmskin.evaluate.policies.static import Static
-from ohmskin.evaluate.result import Experiment
+from ohmskin.evaluate.result import Groups
 from ohmskin.evaluate.worlds import WORLDS
 
 SECTIONS = ("static", "time", "moving", "pairs", "detection", "quiet", "robust", "cost")
 
 DISTANCES = tuple(d / 1000 for d in (12, 15, 17, 20, 25, 30))
 STRENGTHS = (0.5, 1.4)  # of 6 mm discs: the usual contact's change; about the usual contact's whole effect
-SCHEMES = ("12B", "16I", "16O", "16P/16", "16P")
+READ = ("centroid", "fit")  # readers
+SCHEMES = ("12B", "16I", "best/16", "16P/16", "best", "16O fused", "16P")
 FLAWS = {
     "none": SOUND,
     "contact impedance x 3": Flaw(wear=3.0),
@@ -37,7 +38,8 @@ class Settings:
         seeds: Noise seeds.
         side: Places along a side of the lattice of static contacts.
         random: Random places beside it.
-        levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts and of detection.
+        levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts and of
+            detection.
         frames: Length of a moving contact's path.
         fine: Noise levels of pairs (dB).
         where: Places of pairs.
@@ -75,7 +77,7 @@ class Settings:
         return cls(5, 5, 15, (40.0,), 40, (50.0, 60.0), 4, 100, 60, 5_000, 2, 100)
 
 
-def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, Experiment]]:
+def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     """The experiments of each section by name.
 
     Args:
@@ -88,10 +90,10 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, 
     if unknown := [name for name in only if name not in SECTIONS]:
         raise OhmskinError(f"no section {unknown[0]!r}; choose from {', '.join(SECTIONS)}")
     s, level = settings, settings.levels[0]
-    found: dict[str, dict[str, Experiment]] = {name: {} for name in SECTIONS}
+    found: Groups = {name: {} for name in SECTIONS}
     for world in WORLDS:
         for decibels in s.levels:
-            task = Static(world, decibels, s.seeds, SCHEMES, ("centroid", "fit"), s.side, s.random)
+            task = Static(world, decibels, s.seeds, SCHEMES, READ, s.side, s.random)
             found["static"][f"{world}/{decibels:g}"] = task
         found["moving"][world] = Moving(world, level, s.seeds, s.frames)
         for others in (0, 1, 2):
@@ -100,24 +102,22 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> dict[str, dict[str, 
     for block in range(blocks):  # a quiet skin is noise alone: one world is as good as the other
         found["quiet"][f"discs/{block}"] = Quiet("discs", level, s.quiet // blocks, seed=block)
     for instrument in INSTRUMENTS:
-        usual = Static("discs", level, s.seeds, ("12B", "16I", "16O", "16P"), ("centroid", "fit"), s.side, s.random)
+        usual = Static("discs", level, s.seeds, ("12B", "16I", "best", "16O fused", "16P"), READ, s.side, s.random)
         found["time"][instrument] = replace(usual, instrument=instrument)
     for decibels in s.fine:
         for strength in STRENGTHS:
             where = f"{decibels:g}/{strength:g}"
-            keys = ("16O", "16P") if strength == STRENGTHS[0] else ("16P",)
+            keys = ("best", "16O fused", "16P") if strength == STRENGTHS[0] else ("best", "16P")
             found["pairs"][f"told/{where}"] = Pairs(decibels, s.seeds, s.singles, DISTANCES, s.where, strength, keys)
             found["pairs"][f"limit/{where}"] = PairLimits(decibels, DISTANCES, s.where, strength, keys)
     for name, flaw in FLAWS.items():
         drawn = flaw.misplaced or flaw.uneven
         for draw in range(s.draws if drawn else 1):
             seeds = -(-s.seeds // s.draws) if drawn else s.seeds
-            random, worn = replace(flaw, draw=draw), ("16I", "16O", "16P")
-            found["robust"][f"static/{name}/{draw}"] = Static(
-                "pressed", s.levels[-1], seeds, worn, ("centroid", "fit"), min(s.side, 5), 0, flaw=random, first=draw * seeds
-            )
-            found["robust"][f"moving/{name}/{draw}"] = Moving(
-                "pressed", s.levels[-1], seeds, s.frames, (), (), (4,), random, draw * seeds
-            )
+            drawn_flaw, first, side = replace(flaw, draw=draw), draw * seeds, min(s.side, 5)
+            frames, trackers = ("16I", "best", "16O fused", "16P"), ("16T/4", "rotating/4")
+            static = Static("pressed", s.levels[-1], seeds, frames, READ, side, 0, "", drawn_flaw, first)
+            moving = Moving("pressed", s.levels[-1], seeds, s.frames, (), (), trackers, drawn_flaw, first)
+            found["robust"][f"static/{name}/{draw}"], found["robust"][f"moving/{name}/{draw}"] = static, moving
     found["cost"]["tracker"] = Cost(level, frames=s.timed)
     return {name: found[name] for name in SECTIONS if not only or name in only}

@@ -4,8 +4,9 @@ import { Range, number } from "./colour.js";
 import { Controls } from "./controls.js";
 import { Field } from "./field.js";
 import { Spark, showContacts, showFigures } from "./figures.js";
+import { Frame, bounds, clampTo, heightFor } from "./frame.js";
 import { Link } from "./link.js";
-import { Frame, bounds, clampTo, drawMap, drawScale, heightFor } from "./map.js";
+import { drawMap, drawScale } from "./map.js";
 import { noticeFor } from "./notice.js";
 import { compose, download } from "./picture.js";
 import { drawSection } from "./section.js";
@@ -62,6 +63,7 @@ const controls = new Controls({
   header: () => frame?.header,
   save,
   changed: requestDraw,
+  refuse,
 });
 
 const transport = new Transport((command) => link.send(command));
@@ -98,11 +100,13 @@ const link = new Link({
     spark.add(frameTime / 1000, message.header.health?.rate);
     requestDraw();
   },
-  onRefused(text) {
-    refusal = { text: `Not done: ${text}.`, until: performance.now() + 4000 };
-    requestDraw();
-  },
+  onRefused: refuse,
 });
+
+function refuse(text) {
+  refusal = { text: `Not done: ${text}.`, until: performance.now() + 4000 };
+  requestDraw();
+}
 
 function requestDraw() {
   if (asked) return;
@@ -141,7 +145,14 @@ function drawPicture(now) {
   if (!frame) return;
   for (const axis of ["x", "y"]) {
     surfaces[axis].draw((c, w, h) =>
-      drawSection(c, w, h, { ...scene.scale, skin: setup.skin, felt: fields.map, base: fields.base, at: section, axis }),
+      drawSection(c, w, h, {
+        ...scene.scale,
+        skin: setup.skin,
+        felt: fields.map,
+        base: fields.base,
+        at: section,
+        axis,
+      }),
     );
   }
   surfaces.spark.draw((c, w, h) => spark.draw(c, w, h, theme));
@@ -153,11 +164,17 @@ function scenes(theme) {
   const common = { skin: setup.skin, theme, limit: range.limit, presses, section: frame && section };
   return {
     felt: {
-      ...common, field: fields.map, pairs: header.injections ?? [], contacts: header.contacts ?? [],
+      ...common,
+      field: fields.map,
+      pairs: header.injections ?? [],
+      contacts: header.contacts ?? [],
       cursor: touch.cursors.get(byId("map")),
     },
     base: {
-      ...common, field: fields.base, pairs: header.base_injections ?? [], contacts: [],
+      ...common,
+      field: fields.base,
+      pairs: header.base_injections ?? [],
+      contacts: [],
       cursor: touch.cursors.get(byId("base")),
     },
     scale: { theme, range, unit: setup.unit, threshold: header.threshold ?? 0 },
@@ -173,7 +190,10 @@ function shownPresses(header) {
 
 function strongest() {
   const contacts = frame.header.contacts ?? [];
-  return contacts.reduce((best, next) => (best && Math.abs(best.strength) >= Math.abs(next.strength) ? best : next), null);
+  return contacts.reduce(
+    (best, next) => (best && Math.abs(best.strength) >= Math.abs(next.strength) ? best : next),
+    null,
+  );
 }
 
 function placeSection() {
@@ -219,7 +239,8 @@ function showReadouts() {
     const value = place && fields[name].values ? fields[name].at(...place) : NaN;
     const text = Number.isNaN(value)
       ? ""
-      : `${number(1e3 * place[0], 0)}, ${number(1e3 * place[1], 0)} mm: ${number(value, digitsFor(range.limit))} ${setup.unit}`;
+      : `${number(1e3 * place[0], 0)}, ${number(1e3 * place[1], 0)} mm: ` +
+        `${number(value, digitsFor(range.limit))} ${setup.unit}`;
     setText(`${name}-readout`, text);
   }
 }
@@ -252,9 +273,15 @@ function save() {
     scale: scene.scale,
     theme,
     title: `${setup.skin.name}: change of sheet conductivity (${setup.unit})`,
-    caption: `${stamp.replace("T", "  ")}    ${header.mode}, ${controls.title(header.mode)}    frame ${header.sequence}    ohmskin ${setup.version}`,
+    caption:
+      `${stamp.replace("T", "  ")}    ${header.mode}, ${controls.title(header.mode)}    ` +
+      `${madeWith(header)}frame ${header.sequence}    ohmskin ${setup.version}`,
   });
   download(canvas, `ohmskin-${header.mode}-${stamp.replaceAll(/[-:]/g, "").replace("T", "-")}.png`);
+}
+
+function madeWith({ estimator, prior, rule }) {
+  return estimator ? `${estimator}, prior ${prior}, rule ${rule}    ` : "";
 }
 
 setInterval(() => {

@@ -1,17 +1,45 @@
-// Colours for signed values: zero is the quietest colour, lightness leads away from it in equal steps (OKLab), hue tells
-// the sign. One table for dark pages, where zero is near black, and one for light pages, where it is near white.
+// Colours for signed values: zero is the quietest colour, lightness leads away from it in equal steps (OKLab), hue
+// tells the sign. One table for dark pages, where zero is near black, and one for light pages, where it is near white.
 
 const STEPS = 256; // per sign
 
 // Each stop: OKLCH lightness, chroma, hue (degrees), at equal distances from zero to full scale.
 const STOPS = {
   dark: {
-    positive: [[0.19, 0.015, 285], [0.35, 0.12, 305], [0.51, 0.19, 350], [0.66, 0.19, 388], [0.81, 0.15, 427], [0.96, 0.09, 462]],
-    negative: [[0.19, 0.015, 285], [0.35, 0.08, 262], [0.51, 0.12, 245], [0.66, 0.115, 225], [0.81, 0.09, 205], [0.96, 0.04, 190]],
+    positive: [
+      [0.19, 0.015, 285],
+      [0.35, 0.12, 305],
+      [0.51, 0.19, 350],
+      [0.66, 0.19, 388],
+      [0.81, 0.15, 427],
+      [0.96, 0.09, 462],
+    ],
+    negative: [
+      [0.19, 0.015, 285],
+      [0.35, 0.08, 262],
+      [0.51, 0.12, 245],
+      [0.66, 0.115, 225],
+      [0.81, 0.09, 205],
+      [0.96, 0.04, 190],
+    ],
   },
   light: {
-    positive: [[0.975, 0.006, 95], [0.85, 0.11, 82], [0.72, 0.17, 56], [0.59, 0.2, 32], [0.46, 0.17, 8], [0.33, 0.13, -20]],
-    negative: [[0.975, 0.006, 95], [0.85, 0.055, 200], [0.72, 0.1, 222], [0.59, 0.13, 243], [0.46, 0.14, 262], [0.33, 0.12, 275]],
+    positive: [
+      [0.975, 0.006, 95],
+      [0.85, 0.11, 82],
+      [0.72, 0.17, 56],
+      [0.59, 0.2, 32],
+      [0.46, 0.17, 8],
+      [0.33, 0.13, -20],
+    ],
+    negative: [
+      [0.975, 0.006, 95],
+      [0.85, 0.055, 200],
+      [0.72, 0.1, 222],
+      [0.59, 0.13, 243],
+      [0.46, 0.14, 262],
+      [0.33, 0.12, 275],
+    ],
   },
 };
 
@@ -105,7 +133,8 @@ export class Range {
     if (signed === this.signed) this._otherwiseSince = null;
     else this._otherwiseSince ??= now;
     // An image undershoots for a moment when a press begins or ends; that is no reason to change the scale.
-    if (this._fresh || (this._otherwiseSince !== null && now - this._otherwiseSince > (signed ? 700 : 6000))) this.signed = signed;
+    if (this._fresh || (this._otherwiseSince !== null && now - this._otherwiseSince > (signed ? 700 : 6000)))
+      this.signed = signed;
     if (!this.auto) return;
     const largest = Math.max(Math.abs(low), Math.abs(high), 2 * threshold);
     if (!(largest > 0)) return;

@@ -1,5 +1,7 @@
 // The page's buttons and sliders: what they say, what they send.
 
+import { Expert } from "./expert.js";
+
 const byId = (id) => document.getElementById(id);
 
 /** A range slider from `least` to `largest`, in equal ratios where the span is wide. */
@@ -45,10 +47,17 @@ class Slider {
   }
 }
 
+function element(kind, text) {
+  const made = document.createElement(kind);
+  made.textContent = text;
+  return made;
+}
+
 export class Controls {
-  /** page: { send(command), touch, range, header(), save(), changed(), themeChanged() } */
+  /** page: { send(command), touch, range, header(), save(), changed(), refuse(text) } */
   constructor(page) {
     this._page = page;
+    this._expert = new Expert(page.send);
     this._pressure = new Slider("pressure", "kPa", 1e-3, () => page.touch.applySettings());
     this._radius = new Slider("radius", "mm", 1e3, () => page.touch.applySettings());
     byId("calibrate").onclick = () => page.send({ type: "calibrate" });
@@ -95,9 +104,13 @@ export class Controls {
       this._radius.setLimits(setup.press.radius);
     }
     byId("modes").replaceChildren(...setup.modes.map((mode) => this._modeButton(mode)));
+    // All sentences lie on each other and all but one are unseen: room for the longest, and nothing moves.
+    byId("mode-summary").replaceChildren(...setup.modes.map((mode) => element("span", mode.summary ?? "")));
     this._titles = new Map(setup.modes.map((mode) => [mode.name, mode.title]));
     this._budgets = new Map(setup.modes.map((mode) => [mode.name, mode.injections]));
+    delete document.documentElement.dataset.budget;
     this._shownMode = null;
+    this._expert.showSetup(setup.choices);
   }
 
   title(mode) {
@@ -107,14 +120,16 @@ export class Controls {
   showHeader(header) {
     if (header.mode !== this._shownMode) {
       this._shownMode = header.mode;
-      for (const button of byId("modes").children) {
-        button.setAttribute("aria-pressed", button.dataset.mode === header.mode);
+      for (const [place, button] of [...byId("modes").children].entries()) {
+        const shown = button.dataset.mode === header.mode;
+        button.setAttribute("aria-pressed", shown);
         delete button.dataset.wanted;
+        byId("mode-summary").children[place].toggleAttribute("data-shown", shown);
       }
-      byId("mode-title").textContent = this.title(header.mode);
     }
+    this._expert.showHeader(header);
     const budget = this._budgets.get(header.mode);
-    document.documentElement.dataset.budget = Boolean(budget);
+    if ([...this._budgets.values()].some(Boolean)) document.documentElement.dataset.budget = Boolean(budget);
     // for a moment after a change the slider stays where the finger put it
     if (budget && !(performance.now() - this._budgetSent < 500)) {
       [byId("injections").min, byId("injections").max] = budget;
@@ -139,14 +154,16 @@ export class Controls {
     const button = document.createElement("button");
     button.type = "button";
     button.dataset.mode = mode.name;
-    button.textContent = mode.name;
+    button.append(element("span", mode.title), " ", ...(mode.title === mode.name ? [] : [element("small", mode.name)]));
     button.setAttribute("aria-pressed", "false");
-    button.title = mode.title;
+    button.title = mode.summary ?? "";
     if (!mode.available) {
       // Not `disabled`: the reason must be reachable by keyboard and screen reader too.
       button.setAttribute("aria-disabled", "true");
-      button.setAttribute("aria-description", mode.why_not || "not available");
-      button.title = `${mode.title}: ${mode.why_not || "not available"}`;
+      const why = mode.why_not || "not available";
+      button.setAttribute("aria-description", why);
+      button.title = why;
+      button.onclick = () => this._page.refuse(`${mode.title} (${mode.name}) ${why}`); // for fingers
       return button;
     }
     button.onclick = () => {

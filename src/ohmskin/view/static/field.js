@@ -50,7 +50,12 @@ export class Field {
     const t = Math.max(0, Math.min(1, v - j));
     let sum = 0;
     let weight = 0;
-    for (const [column, row, w] of [[i, j, (1 - s) * (1 - t)], [i + 1, j, s * (1 - t)], [i, j + 1, (1 - s) * t], [i + 1, j + 1, s * t]]) {
+    for (const [column, row, w] of [
+      [i, j, (1 - s) * (1 - t)],
+      [i + 1, j, s * (1 - t)],
+      [i, j + 1, (1 - s) * t],
+      [i + 1, j + 1, s * t],
+    ]) {
       const value = this.values[row * nx + column];
       if (column < nx && row < ny && !Number.isNaN(value)) {
         sum += w * value;
@@ -60,8 +65,8 @@ export class Field {
     return weight > 0.25 ? sum / weight : NaN;
   }
 
-  // For each pixel of the bitmap, which value it shows: its own, or off the skin the nearest on it, so that smoothing has
-  // something to blend with up to the rim. The map cuts the rest off.
+  // For each pixel of the bitmap, which value it shows: its own, or off the skin the nearest on it, so that smoothing
+  // has something to blend with up to the rim. The map cuts the rest off.
   _sources() {
     const { nx, ny } = this.raster;
     let outside = 0;
@@ -73,7 +78,12 @@ export class Field {
       const next = [];
       for (const i of edge) {
         const x = i % nx;
-        for (const [ok, j] of [[x > 0, i - 1], [x < nx - 1, i + 1], [i >= nx, i - nx], [i < nx * (ny - 1), i + nx]]) {
+        for (const [ok, j] of [
+          [x > 0, i - 1],
+          [x < nx - 1, i + 1],
+          [i >= nx, i - nx],
+          [i < nx * (ny - 1), i + nx],
+        ]) {
           if (ok && source[j] < 0) {
             source[j] = source[i];
             next.push(j);

@@ -1,7 +1,7 @@
 // Numbers, table and sparkline: everything of the page that is text.
 
 import { number } from "./colour.js";
-import { INK } from "./map.js";
+import { INK } from "./ink.js";
 
 const byId = (id) => document.getElementById(id);
 
@@ -31,8 +31,11 @@ export function showContacts(contacts) {
     const cells = body.rows[i].cells;
     const share = Math.min(1, Math.max(0, contact.confidence));
     const texts = [
-      String(contact.id), number(1e3 * contact.x, 1), number(1e3 * contact.y, 1),
-      number(1e4 * contact.extent, 2), number(1e4 * contact.strength, 2),
+      String(contact.id),
+      number(1e3 * contact.x, 1),
+      number(1e3 * contact.y, 1),
+      number(1e4 * contact.extent, 2),
+      number(1e4 * contact.strength, 2),
     ];
     texts.forEach((text, k) => {
       if (cells[k].textContent !== text) cells[k].textContent = text;

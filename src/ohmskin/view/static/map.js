@@ -1,73 +1,9 @@
 // A map of the skin: the image, and on it electrodes, driven pairs, presses and contacts. y points up.
 
 import { colourOf, number, ticks } from "./colour.js";
-
-const MARGIN = 30; // px around the skin, room for electrode numbers
-const FOOT = 16; // px more below, room for the scale bar
-
-export const INK = {
-  dark: {
-    paper: "#0e1116", text: "#e9edf3", quiet: "#9aa5b5", rim: "#55606f", halo: "rgb(6 8 12 / .85)", pill: "rgb(14 17 22 / .8)",
-    pair: "rgb(110 231 214 / .5)", contact: "#ffffff", press: "#6fd3ff", other: "#c6b4ff", electrode: "#dbe3ee", hair: "rgb(255 255 255 / .16)",
-    felt: "#ffa25c", base: "#7f9bc4", threshold: "#9aa5b5", grid: "#242b36", accent: "#6fd3ff",
-  },
-  light: {
-    paper: "#ffffff", text: "#151a21", quiet: "#586474", rim: "#8c97a6", halo: "rgb(255 255 255 / .9)", pill: "rgb(255 255 255 / .86)",
-    pair: "rgb(0 116 122 / .45)", contact: "#10151c", press: "#0057c2", other: "#6a35c9", electrode: "#2b3441", hair: "rgb(0 0 0 / .15)",
-    felt: "#c2410c", base: "#5876a6", threshold: "#586474", grid: "#e6eaef", accent: "#0057c2",
-  },
-};
-
-export const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif';
-
-/** Smallest box around a domain, [x_min, y_min, x_max, y_max] in metres. */
-export function bounds(domain) {
-  return domain.kind === "disc"
-    ? [-domain.radius, -domain.radius, domain.radius, domain.radius]
-    : [0, 0, domain.width, domain.height];
-}
-
-/** The point of the domain closest to (x, y). */
-export function clampTo(domain, x, y) {
-  if (domain.kind === "disc") {
-    const shrink = Math.min(1, domain.radius / Math.max(1e-12, Math.hypot(x, y)));
-    return [x * shrink, y * shrink];
-  }
-  return [Math.min(domain.width, Math.max(0, x)), Math.min(domain.height, Math.max(0, y))];
-}
-
-export function contains(domain, x, y) {
-  const [u, v] = clampTo(domain, x, y);
-  return Math.hypot(u - x, v - y) < 1e-9;
-}
-
-/** Metres to pixels of a canvas of this size, and back. */
-export class Frame {
-  constructor(domain, width, height) {
-    const [left, bottom, right, top] = bounds(domain);
-    this.scale = Math.max(1, Math.min((width - 2 * MARGIN) / (right - left), (height - 2 * MARGIN - FOOT) / (top - bottom)));
-    this._x = width / 2 - (this.scale * (left + right)) / 2;
-    this._y = (height - FOOT) / 2 + (this.scale * (bottom + top)) / 2;
-  }
-
-  x(metres) {
-    return this._x + this.scale * metres;
-  }
-
-  y(metres) {
-    return this._y - this.scale * metres;
-  }
-
-  back(x, y) {
-    return [(x - this._x) / this.scale, (this._y - y) / this.scale];
-  }
-}
-
-/** Height of a map that is `width` pixels wide. */
-export function heightFor(domain, width) {
-  const [left, bottom, right, top] = bounds(domain);
-  return Math.round(((width - 2 * MARGIN) * (top - bottom)) / (right - left) + 2 * MARGIN + FOOT);
-}
+import { drawContacts } from "./contacts.js";
+import { FOOT, Frame, MARGIN, bounds } from "./frame.js";
+import { FONT, INK } from "./ink.js";
 
 /**
  * Draw one map.
@@ -110,7 +46,10 @@ function drawImage(c, f, scene) {
   c.imageSmoothingQuality = "high";
   c.drawImage(
     scene.field.bitmap(scene.theme, scene.limit),
-    f.x(x0 - pitch / 2), f.y(y0 + (ny - 0.5) * pitch), nx * pitch * f.scale, ny * pitch * f.scale,
+    f.x(x0 - pitch / 2),
+    f.y(y0 + (ny - 0.5) * pitch),
+    nx * pitch * f.scale,
+    ny * pitch * f.scale,
   );
 }
 
@@ -213,95 +152,20 @@ function drawPress(c, f, press, ink) {
   c.restore();
 }
 
-function drawContacts(c, f, width, height, scene, ink) {
-  const taken = [];
-  c.textBaseline = "alphabetic";
-  c.textAlign = "left";
-  for (const contact of scene.contacts) {
-    const radius = f.scale * Math.sqrt(contact.extent / Math.PI);
-    c.beginPath();
-    c.arc(f.x(contact.x), f.y(contact.y), radius, 0, 2 * Math.PI);
-    c.lineWidth = 4;
-    c.strokeStyle = ink.halo;
-    c.stroke();
-    c.lineWidth = 2;
-    c.strokeStyle = ink.contact;
-    c.stroke();
-    if (contact.covariance) drawUncertainty(c, f, contact, ink);
-    taken.push([f.x(contact.x) - radius, f.y(contact.y) - radius, 2 * radius, 2 * radius]);
-  }
-  scene.contacts.forEach((contact, i) => drawLabel(c, contact, taken[i], taken, width, height, ink));
-}
-
-// The ellipse that holds the true place 95 times in 100; with a cross, so that a very sure one is seen too.
-function drawUncertainty(c, f, contact, ink) {
-  const { major, minor, angle } = ellipse(contact.covariance);
-  const [x, y] = [f.x(contact.x), f.y(contact.y)];
-  c.beginPath();
-  c.ellipse(x, y, Math.max(1, f.scale * major), Math.max(1, f.scale * minor), -angle, 0, 2 * Math.PI);
-  for (const [dx, dy] of [[4, 0], [0, 4]]) {
-    c.moveTo(x - dx, y - dy);
-    c.lineTo(x + dx, y + dy);
-  }
-  for (const [colour, weight] of [[ink.halo, 3.5], [ink.accent, 1.6]]) {
-    c.lineWidth = weight;
-    c.strokeStyle = colour;
-    c.stroke();
-  }
-}
-
-/** Half axes (m) and direction (rad) of the 95 % ellipse of a covariance [xx, xy, yy] (m2). */
-export function ellipse([xx, xy, yy]) {
-  const middle = (xx + yy) / 2;
-  const spread = Math.hypot((xx - yy) / 2, xy);
-  const axis = (variance) => 2.4477 * Math.sqrt(Math.max(0, variance));
-  return { major: axis(middle + spread), minor: axis(middle - spread), angle: Math.atan2(2 * xy, xx - yy) / 2 };
-}
-
-function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
-  const id = `#${contact.id}`;
-  const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
-  const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
-  const strength = `${number(1e4 * contact.strength, 2)} cm²`;
-  c.font = `600 11px ${FONT}`;
-  const lead = c.measureText(id).width + 6;
-  c.font = `11px ${FONT}`;
-  const w = lead + Math.max(c.measureText(where).width, c.measureText(strength).width) + 12;
-  const h = 34;
-  const middle = y + size / 2 - h / 2;
-  const centre = x + size / 2 - w / 2;
-  const places = [[x + size + 6, middle], [x - w - 6, middle], [centre, y - h - 6], [centre, y + size + 6]];
-  const cost = ([px, py]) => {
-    const off = Math.max(0, 2 - px) + Math.max(0, px + w + 2 - width) + Math.max(0, 2 - py) + Math.max(0, py + h + 2 - height);
-    return 50 * off + taken.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
-  };
-  const [px, py] = places.reduce((best, place) => (cost(place) < cost(best) ? place : best));
-  taken.push([px, py, w, h]);
-  c.fillStyle = ink.pill;
-  c.beginPath();
-  c.roundRect(px, py, w, h, 5);
-  c.fill();
-  c.fillStyle = ink.text;
-  c.font = `600 11px ${FONT}`;
-  c.fillText(id, px + 6, py + 14);
-  c.font = `11px ${FONT}`;
-  c.fillText(where, px + 6 + lead, py + 14);
-  c.fillStyle = ink.quiet;
-  c.fillText(strength, px + 6 + lead, py + 28);
-}
-
-function overlap([ax, ay, aw, ah], [bx, by, bw, bh]) {
-  const w = Math.min(ax + aw, bx + bw) - Math.max(ax, bx);
-  const h = Math.min(ay + ah, by + bh) - Math.max(ay, by);
-  return w > 0 && h > 0 ? w * h : 0;
-}
-
 function drawCursor(c, f, [x, y], ink) {
-  for (const [colour, weight] of [[ink.halo, 4], [ink.press, 1.6]]) {
+  for (const [colour, weight] of [
+    [ink.halo, 4],
+    [ink.press, 1.6],
+  ]) {
     c.strokeStyle = colour;
     c.lineWidth = weight;
     c.beginPath();
-    for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+    for (const [dx, dy] of [
+      [1, 0],
+      [-1, 0],
+      [0, 1],
+      [0, -1],
+    ]) {
       c.moveTo(f.x(x) + 4 * dx, f.y(y) + 4 * dy);
       c.lineTo(f.x(x) + 12 * dx, f.y(y) + 12 * dy);
     }

@@ -20,12 +20,21 @@ export function noticeFor({ connected, everConnected, setup, header, silence, re
   if (!header || !setup) return { kind: "wait", text: "Waiting for the first frame…" };
   if (header.state === "lost") return { kind: "lost", text: header.message || "The device is lost. Reconnecting…" };
   if (refusal) return { kind: "warn", text: refusal };
-  if (silence > 3) return { kind: "warn", text: `No new frame for ${Math.floor(silence)} s: the loop is busy or has stopped.` };
-  if (header.state === "calibrating") return { kind: "warn", text: header.message || "Calibrating: keep the skin untouched." };
-  if (header.state === "paused") {
-    return { kind: "wait", text: setup.recording ? "Paused. The maps show this place." : "Paused. The maps show the last frame." };
+  if (header.preparing) {
+    const waited = silence > 3 ? ` (${Math.floor(silence)} s)` : "";
+    return { kind: "wait", text: `Preparing ${header.preparing}${waited}` };
   }
-  if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
+  if (silence > 3)
+    return { kind: "warn", text: `No new frame for ${Math.floor(silence)} s: the loop is busy or has stopped.` };
+  if (header.state === "calibrating")
+    return { kind: "warn", text: header.message || "Calibrating: keep the skin untouched." };
+  if (header.state === "paused" && !header.message) {
+    return {
+      kind: "wait",
+      text: setup.recording ? "Paused. The maps show this place." : "Paused. The maps show the last frame.",
+    };
+  }
   if (header.message) return { kind: "warn", text: header.message };
+  if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
   return { kind: "hint", text: HINTS[setup.recording ? "recording" : setup.press ? finger : "real"] };
 }

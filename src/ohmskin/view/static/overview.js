@@ -1,7 +1,8 @@
 // All patches of a robot: a small map of each, its contacts, and how fresh they are.
 
 import { number, paint } from "./colour.js";
-import { INK, bounds } from "./map.js";
+import { bounds } from "./frame.js";
+import { INK } from "./ink.js";
 
 const STALE = 0.5; // seconds after which a patch counts as silent
 const MARGIN = 8; // px around a skin
@@ -39,7 +40,13 @@ function cardOf(patch) {
     const canvas = element("canvas", "", card);
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `Image of ${patch.name}`);
-    cards.set(patch.name, { card, where, canvas, told: element("p", "told", card), small: document.createElement("canvas") });
+    cards.set(patch.name, {
+      card,
+      where,
+      canvas,
+      told: element("p", "told", card),
+      small: document.createElement("canvas"),
+    });
   }
   return cards.get(patch.name);
 }
@@ -74,7 +81,13 @@ function drawSkin(canvas, small, patch, theme) {
   pen.stroke(outline);
   for (const contact of patch.contacts) {
     pen.beginPath();
-    pen.arc(x(contact.at[0]), y(contact.at[1]), Math.max(4 * devicePixelRatio, scale * Math.sqrt(contact.extent / Math.PI)), 0, 2 * Math.PI);
+    pen.arc(
+      x(contact.at[0]),
+      y(contact.at[1]),
+      Math.max(4 * devicePixelRatio, scale * Math.sqrt(contact.extent / Math.PI)),
+      0,
+      2 * Math.PI,
+    );
     pen.strokeStyle = INK[theme].halo;
     pen.lineWidth = 4 * devicePixelRatio;
     pen.stroke();
@@ -92,7 +105,8 @@ function show(frame) {
   const touched = frame.patches.reduce((sum, patch) => sum + patch.contacts.length, 0);
   const silent = frame.patches.filter((patch) => patch.age === null || patch.age > STALE).length;
   document.getElementById("summary").textContent =
-    `${frame.patches.length} patches, ${touched} contact${touched === 1 ? "" : "s"}` + (silent ? `, ${silent} silent` : "");
+    `${frame.patches.length} patches, ${touched} contact${touched === 1 ? "" : "s"}` +
+    (silent ? `, ${silent} silent` : "");
   for (const patch of frame.patches) {
     const { card, where, canvas, told, small } = cardOf(patch);
     const fresh = patch.age !== null && patch.age <= STALE;
@@ -103,7 +117,9 @@ function show(frame) {
       patch.age === null ? "not heard of" : fresh ? "live" : `silent for ${number(patch.age, 1)} s`;
     const lines = patch.contacts
       .slice(0, 3)
-      .map((c) => `${c.id}: (${c.in.map((v) => number(1000 * v, 0)).join(", ")}) mm · ${number(1e4 * c.extent, 1)} cm²`);
+      .map(
+        (c) => `${c.id}: (${c.in.map((v) => number(1000 * v, 0)).join(", ")}) mm · ${number(1e4 * c.extent, 1)} cm²`,
+      );
     if (patch.contacts.length > 3) lines[2] = `and ${patch.contacts.length - 2} more`;
     told.textContent = lines.join("\n") || "–";
     drawSkin(canvas, small, patch, theme);

@@ -1,6 +1,8 @@
 // "Save PNG": both maps, the colour bar and a caption, composed for a report.
 
-import { FONT, INK, drawMap, drawScale, heightFor } from "./map.js";
+import { heightFor } from "./frame.js";
+import { FONT, INK } from "./ink.js";
+import { drawMap, drawScale } from "./map.js";
 
 const RESOLUTION = 2; // pixels of the picture per pixel of its layout
 const [LARGE, SMALL, EDGE, HEAD, BAR] = [620, 420, 24, 84, 76];

@@ -1,7 +1,8 @@
 // Line plots of both images along one straight line, with axes.
 
 import { number, ticks } from "./colour.js";
-import { FONT, INK, bounds } from "./map.js";
+import { bounds } from "./frame.js";
+import { FONT, INK } from "./ink.js";
 
 const SAMPLES = 160;
 const [LEFT, RIGHT, TOP, BOTTOM] = [44, 12, 20, 30];
@@ -13,7 +14,8 @@ export function drawSection(c, width, height, scene) {
   const along = scene.axis === "x";
   const [from, to] = along ? [left, right] : [bottom, top];
   const px = (s) => LEFT + ((s - from) / (to - from)) * (width - LEFT - RIGHT);
-  const py = (v) => height - BOTTOM - ((v - scene.range.low) / (scene.range.limit - scene.range.low)) * (height - TOP - BOTTOM);
+  const py = (v) =>
+    height - BOTTOM - ((v - scene.range.low) / (scene.range.limit - scene.range.low)) * (height - TOP - BOTTOM);
   c.clearRect(0, 0, width, height);
   c.font = `11px ${FONT}`;
   drawAxes(c, width, height, scene, { px, py, from, to }, ink);
@@ -21,7 +23,10 @@ export function drawSection(c, width, height, scene) {
     c.strokeStyle = ink.threshold;
     c.setLineDash([4, 3]);
     c.lineWidth = 1;
-    line(c, [[LEFT, py(scene.threshold)], [width - RIGHT, py(scene.threshold)]]);
+    line(c, [
+      [LEFT, py(scene.threshold)],
+      [width - RIGHT, py(scene.threshold)],
+    ]);
     c.setLineDash([]);
   }
   c.save();
@@ -29,7 +34,10 @@ export function drawSection(c, width, height, scene) {
   c.rect(LEFT, TOP - 6, width - LEFT - RIGHT, height - TOP - BOTTOM + 12);
   c.clip();
   const [x, y] = scene.at;
-  for (const [field, colour, weight] of [[scene.base, ink.base, 1.4], [scene.felt, ink.felt, 2]]) {
+  for (const [field, colour, weight] of [
+    [scene.base, ink.base, 1.4],
+    [scene.felt, ink.felt, 2],
+  ]) {
     const points = [];
     for (let k = 0; k <= SAMPLES; k++) {
       const s = from + (k / SAMPLES) * (to - from);
@@ -59,7 +67,10 @@ function drawAxes(c, width, height, scene, { px, py, from, to }, ink) {
   const value = ticks(scene.range.low, scene.range.limit, Math.max(2, Math.round(height / 45)));
   value.values.forEach((v, i) => {
     c.strokeStyle = Math.abs(v) < 1e-12 ? ink.rim : ink.grid;
-    line(c, [[LEFT, Math.round(py(v)) + 0.5], [width - RIGHT, Math.round(py(v)) + 0.5]]);
+    line(c, [
+      [LEFT, Math.round(py(v)) + 0.5],
+      [width - RIGHT, Math.round(py(v)) + 0.5],
+    ]);
     c.fillStyle = ink.quiet;
     c.fillText(value.text[i], LEFT - 6, py(v));
   });
@@ -67,7 +78,10 @@ function drawAxes(c, width, height, scene, { px, py, from, to }, ink) {
   const place = ticks(1000 * from, 1000 * to, Math.max(3, Math.round(width / 80)));
   place.values.forEach((mm, i) => {
     c.strokeStyle = ink.grid;
-    line(c, [[px(mm / 1000), height - BOTTOM], [px(mm / 1000), height - BOTTOM + 4]]);
+    line(c, [
+      [px(mm / 1000), height - BOTTOM],
+      [px(mm / 1000), height - BOTTOM + 4],
+    ]);
     c.fillStyle = ink.quiet;
     const last = i === place.values.length - 1;
     c.textAlign = last ? "right" : "center";

@@ -1,6 +1,6 @@
 // Fingers on the maps: mouse, touch and keyboard become presses. Owns the presses of this page and says what to send.
 
-import { clampTo, contains } from "./map.js";
+import { clampTo, contains } from "./frame.js";
 
 const REACH = 16; // px, how near a held press must be to be grabbed
 const DOUBLE = 350; // ms
@@ -146,7 +146,8 @@ export class Touch {
     let least = Infinity;
     for (const [id, press] of this.presses) {
       const distance = Math.hypot(press.x - x, press.y - y);
-      if (press.held && !dragged.has(id) && distance < Math.max(reach, press.radius) && distance < least) [best, least] = [id, distance];
+      if (press.held && !dragged.has(id) && distance < Math.max(reach, press.radius) && distance < least)
+        [best, least] = [id, distance];
     }
     return best;
   }

@@ -81,7 +81,8 @@ export class Transport {
     const value = JSON.stringify(speed);
     const choices = byId("speed");
     if (choices.value === value) return;
-    if (![...choices.options].some((choice) => choice.value === value)) choices.prepend(option(speed)); // set on the command line
+    const known = [...choices.options].some((choice) => choice.value === value);
+    if (!known) choices.prepend(option(speed)); // set on the command line
     choices.value = value;
   }
 }

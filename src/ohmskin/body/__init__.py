@@ -1,0 +1,6 @@
+"""A body: several skins of one robot, each in a process of its own, and one stream of their contacts."""
+
+from ohmskin.body.body import Body, PlacedSkin
+from ohmskin.body.patches import Patches
+
+__all__ = ["Body", "Patches", "PlacedSkin"]

@@ -1,0 +1,187 @@
+"""A body: several patches of skin on one robot, as a short TOML file says (docs/guide/several-skins.md)."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import cos, pi, sin
+from pathlib import Path
+from typing import Any
+
+from ohmskin.client.felt import MOST_PATCHES, Patch
+from ohmskin.errors import OhmskinError, SkinError
+from ohmskin.sensing import mode_named
+from ohmskin.skin import Skin, shipped_skins
+from ohmskin.skin.checks import check_names, is_number, read_text, read_toml
+
+_LARGEST_FILE, _LARGEST_URDF = 2**20, 16 * 2**20
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+_LINK = re.compile(r"[^\s\x00-\x1f]{1,128}")
+_FARTHEST = 100.0  # m
+
+
+@dataclass(frozen=True)
+class PlacedSkin:
+    """One patch: its place, what it is made of, and how it is reached.
+
+    Args:
+        patch: Name, link and pose.
+        skin: Its description.
+        device: Address of its device.
+        mode: Drive mode; the skin's best unless given.
+    """
+
+    patch: Patch
+    skin: Skin
+    device: str
+    mode: str
+
+
+@dataclass(frozen=True)
+class Body:
+    """All patches of a robot.
+
+    Args:
+        name: What clients call it.
+        patches: Its patches.
+        scale: Newtons per m2 of contact strength, if that was calibrated.
+    """
+
+    name: str
+    patches: tuple[PlacedSkin, ...]
+    scale: float | None = None
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Body":
+        """Read a body from its file. Skins and the URDF file are sought in its folder, and nowhere else.
+
+        Raises:
+            SkinError: If it cannot be read, an entry is unknown, missing or out of range, or a link not in the URDF.
+        """
+        path = Path(path)
+        text = read_text(path, _LARGEST_FILE, "body file")
+        data = read_toml(text, str(path))
+        try:
+            return _body(data, path.parent)
+        except SkinError as error:
+            raise SkinError(f"{path}: {error}") from None
+
+
+def axes(roll: float, pitch: float, yaw: float) -> tuple[tuple[float, float, float], ...]:
+    """A sheet's x, y and normal after turns about the fixed axes x, y and z (rad), in this order, as URDF has them."""
+    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
+    return (
+        (cy * cp, sy * cp, -sp),
+        (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr),
+        (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr),
+    )
+
+
+def read_links(path: Path) -> tuple[str, ...]:
+    """Names of the links of a URDF file.
+
+    Raises:
+        SkinError: If it cannot be read or is no URDF file.
+    """
+    text = read_text(path, _LARGEST_URDF, "URDF file")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can grow without bound and fetch other files
+        raise SkinError(f"{path} declares XML entities, which a URDF file does not need; remove them")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise SkinError(f"{path} is not valid XML: {error}") from error
+    links = tuple(link.get("name", "") for link in root.findall("link"))
+    if root.tag != "robot" or not links:
+        raise SkinError(f"{path} is no URDF file: it must have a <robot> with <link>s (expand xacro first)")
+    return links
+
+
+def _body(data: Mapping[str, Any], folder: Path) -> Body:
+    check_names(data, ("name", "urdf", "newtons", "patch"))
+    name, entries = _text(data, "name", "body", _NAME), data.get("patch", [])
+    tables = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
+    if not tables or not 1 <= len(entries) <= MOST_PATCHES:
+        raise SkinError(f"there must be 1 to {MOST_PATCHES} tables [[patch]]")
+    scale = data.get("newtons")
+    if scale is not None:
+        (scale,) = _numbers({"newtons": [scale]}, "newtons", 1, 1e12)
+        if scale <= 0:
+            raise SkinError(f"newtons is {scale:g}; it must be positive")
+    links = read_links(_inside(folder, data["urdf"], "urdf")) if "urdf" in data else None
+    skins: dict[str, Skin] = {}
+    patches = tuple(_placed(entry, number, folder, links, skins) for number, entry in enumerate(entries, start=1))
+    names = [placed.patch.name for placed in patches]
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise SkinError(f"two patches are called {twice!r}; give each its own name")
+    return Body(name, patches, scale)
+
+
+def _placed(
+    entry: Mapping[str, Any], number: int, folder: Path, links: tuple[str, ...] | None, skins: dict[str, Skin]
+) -> PlacedSkin:
+    where = f"patch {entry.get('name', number)!r}: "
+    try:
+        check_names(entry, ("name", "link", "device", "skin", "mode", "position", "rotation"))
+        name, link = _text(entry, "name", None, _NAME), _text(entry, "link", None, _LINK)
+        if links is not None and link not in links:
+            raise SkinError(f"link {link!r} is not in the URDF file; it has {', '.join(links[:20])}")
+        x, y, z = _numbers(entry, "position", 3, _FARTHEST)
+        turns = _numbers(entry, "rotation", 3, 2 * pi)
+        source = _text(entry, "skin", "paper", _LINK)
+        if source not in skins:
+            skins[source] = _skin(folder, source)
+        device = _device(folder, _text(entry, "device", "virtual:", _LINK))
+        mode = _text(entry, "mode", "", re.compile(r"\w{0,32}"))
+        mode_named(skins[source], mode)
+        return PlacedSkin(Patch(name, link, (x, y, z), axes(*turns)), skins[source], device, mode)
+    except OhmskinError as error:
+        raise SkinError(f"{where}{error}") from None
+
+
+def _skin(folder: Path, source: str) -> Skin:
+    if source.endswith(".toml"):
+        return Skin.load(_inside(folder, source, "skin"))
+    if source not in shipped_skins():  # not even if there is such a file somewhere
+        raise SkinError(f"no skin named {source!r}; give a .toml file beside it or one of {', '.join(shipped_skins())}")
+    return Skin.load(source)
+
+
+def _device(folder: Path, address: str) -> str:
+    """The address; a recording is a file that the body file names."""
+    kind, _, rest = address.partition(":")
+    if kind == "virtual" and rest:
+        raise SkinError(f"device is {address!r}; a virtual one is 'virtual:', and `skin` says which")
+    if kind == "virtual":
+        return "virtual:"
+    if kind == "replay":
+        name, mark, settings = rest.partition("?")
+        return f"replay:{_inside(folder, name, 'device')}{mark}{settings}"
+    return address
+
+
+def _inside(folder: Path, name: Any, what: str) -> Path:
+    """A file that another file names: it must lie in that one's folder."""
+    if not isinstance(name, str):
+        raise SkinError(f"{what} is {name!r}; it must be the name of a file")
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise SkinError(f"{what} {name!r} lies outside the folder of the body file; put it beside that")
+    return path
+
+
+def _text(data: Mapping[str, Any], name: str, default: str | None, allowed: re.Pattern[str]) -> str:
+    value = data.get(name, default)
+    if value is None:
+        raise SkinError(f"{name} is missing")
+    if not isinstance(value, str) or not allowed.fullmatch(value):
+        rule = "letters, digits and '_', a letter first, 32 at most" if allowed is _NAME else "text without blanks"
+        raise SkinError(f"{name} is {value!r}; it must be {rule}")
+    return value
+
+
+def _numbers(data: Mapping[str, Any], name: str, count: int, most: float) -> list[float]:
+    values = data.get(name, [0.0] * count)
+    good = isinstance(values, list) and len(values) == count and all(is_number(value) for value in values)
+    if not good or not all(abs(value) <= most for value in values):  # false for nan, too
+        raise SkinError(f"{name} is {values!r}; it must be {count} numbers from {-most:g} to {most:g}")
+    return [float(value) for value in values]

@@ -1,0 +1,213 @@
+"""All patches of a robot: a process for each, and one stream of contacts in the robot's frames."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from io import BufferedReader
+from typing import IO, Any
+
+from ohmskin.body.body import Body, PlacedSkin
+from ohmskin.child import Child
+from ohmskin.client.board import Board, BoardReader
+from ohmskin.client.felt import LARGEST, Contact, Felt, Patch, Sighting, felt, pack, patches_from, unpack
+from ohmskin.closing import Closing
+from ohmskin.outlets.publisher import check_settings
+from ohmskin.outlets.relay import RelayProcess
+
+_RESTART_AFTER = 1.0
+_STOP_TIMEOUT = 5.0
+_NAP = 0.0005
+
+
+class PatchProcess:
+    """One patch in a process of its own, started anew when it ends by itself.
+
+    Args:
+        placed: The patch.
+        name: Its boards.
+        demo: Whether a demonstration finger presses a virtual one.
+        images: Most images per second.
+        report: Called with a sentence whenever something worth telling happens.
+
+    Attributes:
+        status: What it told last: state, rate (1/s), p50 and p99 of the latency (s), message, address to press.
+    """
+
+    def __init__(self, placed: PlacedSkin, name: str, demo: bool, images: float, report: Callable[[str], None]) -> None:
+        self._settings = {
+            "patch": asdict(placed.patch),
+            "skin": placed.skin.dump(),
+            "device": placed.device,
+            "mode": placed.mode,
+            "name": name,
+            "demo": demo and placed.device == "virtual:",
+            "images": images,
+        }
+        self._patch, self._report = placed.patch.name, report
+        self.status: dict[str, Any] = {}
+        self._again = 0.0  # when to start anew; 0 while it runs
+        self._start()
+
+    def look(self) -> None:
+        """Start it anew if it has ended."""
+        if (status := self._child.process.poll()) is None:
+            return
+        if self._again == 0:
+            self._again = time.monotonic() + _RESTART_AFTER
+            why = self.status.get("failed", f"exit status {status}")
+            self.status = {"state": "lost", "message": str(why)}
+            self._report(f"patch {self._patch} has ended ({why}); starting it anew")
+        elif time.monotonic() > self._again:
+            self._end(0.0)
+            self._start()
+
+    def stop(self) -> None:
+        """Ask it to end."""
+        self._child.stop()
+
+    def close(self) -> None:
+        """End it. Safe twice."""
+        self._end(_STOP_TIMEOUT)
+
+    def _start(self) -> None:
+        self._again = 0.0
+        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        self._child = Child.module("ohmskin.body.patch", "the patch", self._settings, **threads)
+        self._thread = threading.Thread(target=self._listen, args=(self._child.stdout,), daemon=True)
+        self._thread.start()
+
+    def _listen(self, stdout: IO[bytes]) -> None:
+        with BufferedReader(stdout) as lines:  # type: ignore[type-var]
+            for line in lines:
+                with suppress(ValueError):
+                    told = json.loads(line)
+                    if told.get("message") and told["message"] != self.status.get("message"):
+                        self._report(f"patch {self._patch}: {told['message']}")
+                    self.status = self.status | told
+
+    def _end(self, patience: float) -> None:
+        self._child.end(patience)
+        self._thread.join()
+        self._child.close()
+
+
+class Patches(Closing):
+    """All patches of a body and their one stream.
+
+    Args:
+        body: What there is.
+        outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
+        token: What listeners on other machines must give, where the protocol knows such a thing.
+        demo: Whether a demonstration finger presses each virtual patch.
+        images: Most images per second of each patch.
+        report: Called with a sentence whenever something worth telling happens.
+
+    Attributes:
+        addresses: Where outlets are.
+        boards: Names of the boards of each patch.
+
+    Raises:
+        PublishError: If the body's name is taken, or an outlet cannot be opened.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        outlets: Sequence[str] = (),
+        token: str | None = None,
+        demo: bool = False,
+        images: float = 10.0,
+        report: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        check_settings(body.scale, token, images)
+        self.body = body
+        self.boards = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
+        self._merger = Merger(body.name, [placed.patch for placed in body.patches], self.boards)
+        self._relay: RelayProcess | None = None
+        self._processes: list[PatchProcess] = []
+        try:
+            pictures = [f"{board}.image" for board in self.boards]
+            self._relay = RelayProcess(body.name, pictures, body.scale, outlets, token, images)
+            for placed, board in zip(body.patches, self.boards, strict=True):
+                self._processes.append(PatchProcess(placed, board, demo, images, report))
+        except BaseException:
+            self.close()
+            raise
+        self.addresses = [f"shm:{body.name}", *self._relay.addresses]
+
+    @property
+    def status(self) -> dict[str, dict[str, Any]]:
+        """What each patch told last; see `PatchProcess`."""
+        names = [placed.patch.name for placed in self.body.patches]
+        return {name: process.status for name, process in zip(names, self._processes, strict=True)}
+
+    def step(self) -> Felt | None:
+        """Pass on what is new; None, after a nap of half a millisecond, if nothing is."""
+        for process in self._processes:
+            process.look()
+        if (merged := self._merger.step()) is None:
+            time.sleep(_NAP)
+        elif self._relay is not None:
+            self._relay.wake()
+        return merged
+
+    def close(self) -> None:
+        """End all processes and take the boards away. Safe twice."""
+        for process in self._processes:
+            process.stop()
+        for process in self._processes:
+            process.close()
+        if self._relay is not None:
+            self._relay.close()
+        self._merger.close()
+
+
+class Merger:
+    """Makes one stream of several boards.
+
+    Args:
+        name: The board that is written.
+        patches: All patches.
+        boards: Their boards.
+
+    Raises:
+        PublishError: If the name is taken.
+    """
+
+    def __init__(self, name: str, patches: Sequence[Patch], boards: Sequence[str]) -> None:
+        self._patches = tuple(patches)
+        self._readers = [BoardReader(board) for board in boards]
+        self._seen = [Sighting(patch.name, patch.frame) for patch in patches]
+        self._contacts: list[tuple[Contact, ...]] = [()] * len(patches)
+        self._sequence = 0
+        self._board = Board(name, {"patches": [asdict(patch) for patch in patches], "boards": list(boards)}, LARGEST)
+
+    def step(self) -> Felt | None:
+        """Write what all patches feel, if one of them felt anew.
+
+        The contacts of a patch that has fallen silent stay as they were; how long it has been silent is told with them.
+        """
+        news = False
+        for number, reader in enumerate(self._readers):
+            # the name may have been another program's, or have been left by one that had the patch elsewhere
+            own = (self._patches[number],)
+            if (record := reader.newest()) is not None and (told := patches_from(reader.setup)) == own:
+                news = True
+                found = unpack(record, told, reader.boot)
+                self._seen[number], self._contacts[number] = found.patches[0], found.contacts
+        if not news:
+            return None
+        self._sequence += 1
+        contacts = [contact for own in self._contacts for contact in own]
+        merged = felt(self._sequence, self._seen, contacts, self._board.boot)
+        self._board.write(pack(merged, self._patches))
+        return merged
+
+    def close(self) -> None:
+        """Let go of all boards. Safe twice."""
+        for reader in self._readers:
+            reader.close()
+        self._board.close()

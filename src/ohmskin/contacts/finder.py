@@ -1,0 +1,93 @@
+"""Contacts: what an image says about who presses where."""
+
+from dataclasses import dataclass
+from math import erf, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.contacts.regions import find_regions
+from ohmskin.geometry import Cells
+from ohmskin.inverse import Image
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One place where the skin is touched.
+
+    Args:
+        position: (x, y) in metres.
+        extent: Area where the image exceeds half its peak (m2).
+        strength: Integral of the relative conductivity change over that area (m2); negative where conductivity fell.
+        confidence: Probability that the peak exceeds the detection threshold, given the noise (0 to 1).
+        peak: Largest relative conductivity change (1).
+        id: Stays the same from frame to frame while the contact lasts; -1 before tracking.
+        covariance: ((xx, xy), (xy, yy)) of the position (m2); None where it is not known, as of an image's contacts.
+        velocity: (x, y) in metres per second; None where contacts are not followed by `ContactFilter`.
+        radius: Of the disc that explains the data best (m); None likewise.
+    """
+
+    position: tuple[float, float]
+    extent: float
+    strength: float
+    confidence: float
+    peak: float
+    id: int = -1
+    covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
+    velocity: tuple[float, float] | None = None
+    radius: float | None = None
+
+
+@dataclass(frozen=True)
+class ContactFinder:
+    """Finds contacts in images.
+
+    Args:
+        threshold: Smallest peak of a contact, relative conductivity change (gamma_0).
+        fraction: Smallest peak of a contact as a share of the strongest; keeps the side lobes of a strong one out.
+        dip: Depth of the saddle, as a share of the lower peak, beyond which two peaks are two contacts.
+        bipolar: Whether places where conductivity falls count as contacts, too.
+    """
+
+    threshold: float
+    fraction: float = 0.3
+    dip: float = 0.2
+    bipolar: bool = False
+
+    def find(self, image: Image, cells: Cells) -> list[Contact]:
+        """The contacts of an image made of `cells`, strongest peak first."""
+        cut = self.cut(image)
+        contacts = []
+        for sign in (1, -1) if self.bipolar else (1,):
+            contrast, values = sign * image.contrast, sign * image.values
+            # flooded from half the cut, so that the extent at half the peak is not cut short
+            for region in find_regions(contrast, cells, cut / 2, self.dip):
+                if region.peak <= cut:
+                    continue
+                core = region.elements[contrast[region.elements] > region.peak / 2]
+                mass = values[core] * cells.measures[core]
+                std = max(float(image.contrast_std(region.peak_element)[0]), 1e-300)
+                contacts.append(
+                    Contact(
+                        position=tuple((mass @ cells.centroids[core] / mass.sum())[:2].tolist()),
+                        extent=float(cells.measures[core].sum()),
+                        strength=sign * float(mass.sum()),
+                        confidence=0.5 * (1 + erf((region.peak - self.threshold) / (sqrt(2) * std))),
+                        peak=sign * float(values[region.peak_element]),
+                    )
+                )
+        return sorted(contacts, key=lambda contact: -abs(contact.peak))
+
+    def cut(self, image: Image) -> float:
+        """The least peak of a contact in an image."""
+        return max(self.threshold, self.fraction * self.highest(image))
+
+    def highest(self, image: Image) -> float:
+        """The highest contrast that could be a contact's."""
+        return float(np.abs(image.contrast).max() if self.bipolar else image.contrast.max())
+
+
+def learn_threshold(peaks: ArrayLike, margin: float = 6.0) -> float:
+    """gamma_0 of eq. (6) from the highest value of each quiet image: their mean and `margin` standard deviations."""
+    peaks = np.asarray(peaks, float)
+    return float(peaks.mean() + margin * peaks.std())

@@ -1,0 +1,66 @@
+"""Solutions: contacts that explain data, how well, and how surely they are known."""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts.likelihood import PER_CONTACT, Data, no_directions
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Contacts that explain some data.
+
+    Args:
+        params: (n, 4) x, y (m), effect (m2), squared radius (m2) of each.
+        cost: Squared misfit in units of its noise, what is believed beforehand included.
+        normal: (4 n, 4 n) curvature: the inverse of their covariance.
+        caused: (n_meas,) what they cause (V).
+        slopes: (n_meas, 4 n) its derivatives by their parameters.
+    """
+
+    params: Floats
+    cost: float
+    normal: Floats
+    caused: Floats
+    slopes: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """Of all contacts together (4 n, 4 n)."""
+        return inverse(self.normal)
+
+    @property
+    def covariances(self) -> list[Floats]:
+        """Of each contact (4, 4)."""
+        starts = range(0, self.params.size, PER_CONTACT)
+        whole = self.covariance if starts else np.empty((0, 0))
+        return [whole[at : at + PER_CONTACT, at : at + PER_CONTACT] for at in starts]
+
+
+def nothing(data: Data) -> Solution:
+    """Data explained by no contact. Its cost is not told."""
+    return Solution(np.empty((0, PER_CONTACT)), 0.0, np.empty((0, 0)), np.zeros(len(data.volts)), no_directions(data))
+
+
+def unknown(slopes: Floats, residual: Floats) -> Floats:
+    """Directions (n_meas, k) in which data say nothing: parameters that are fitted to them, with next to no prior."""
+    size = 1e3 * np.linalg.norm(residual)
+    return np.asarray(slopes * (size / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)))
+
+
+def inverse(normal: Floats) -> Floats:
+    """Inverse of a normal matrix whose parameters have unlike units."""
+    scale = 1 / np.sqrt(np.diag(normal))
+    unit = np.linalg.inv(normal * np.outer(scale, scale))
+    return np.asarray((unit + unit.T) / 2 * np.outer(scale, scale))
+
+
+def effect_std(covariance: Floats) -> float:
+    """How surely there is a contact: deviation of its effect (m2), its place and size taken as given.
+
+    From their covariance (4, 4). Without knowing the place less is told of the effect, but not of whether it is zero.
+    """
+    return float(1 / sqrt(inverse(covariance)[2, 2]))

@@ -1,0 +1,146 @@
+"""Frames of a recording in order, what the recorded device could do, and the quiet frames of its calibrations."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.device.capabilities import Capabilities, Feature
+from ohmskin.errors import DataError, PatternError, ProtocolError
+from ohmskin.importers import Recording
+from ohmskin.mcap import Role, Tape
+from ohmskin.scan import DrivePattern, Frame
+
+_SHIFT = np.int64(1) << np.arange(45, -1, -15, dtype=np.int64)
+
+
+class RecordedFrames(Protocol):
+    """Frames in order, with what is known of each."""
+
+    @property
+    def times(self) -> Floats: ...
+    @property
+    def roles(self) -> Ints: ...
+    @property
+    def mode_of(self) -> Ints: ...
+    @property
+    def modes(self) -> list[str]: ...
+    @property
+    def pattern_numbers(self) -> Ints: ...
+    def frame(self, index: int) -> Frame: ...
+    def pattern(self, index: int) -> DrivePattern: ...
+
+
+class SteadyFrames:
+    """Frames of others, one after the other at a steady rate."""
+
+    def __init__(self, frames: Sequence[Frame], rate: float) -> None:
+        self._frames = frames
+        self.times: Floats = np.arange(len(frames)) / rate
+        self.roles = np.full(len(frames), Role.BASE, np.int64)
+        self.mode_of = self.pattern_numbers = np.zeros(len(frames), np.int64)
+        self.modes = ["recorded"]
+
+    def frame(self, index: int) -> Frame:
+        return self._frames[index]
+
+    def pattern(self, index: int) -> DrivePattern:
+        return self._frames[index].pattern
+
+
+class QuietFrames:
+    """The quiet frames of a recording's calibrations, given round and round in the order they were scanned.
+
+    Args:
+        frames: All frames of the recording.
+    """
+
+    def __init__(self, frames: RecordedFrames) -> None:
+        self._frames = frames
+        quiet = np.flatnonzero(frames.roles == Role.QUIET)
+        self.calibrations = np.split(quiet, np.flatnonzero(np.diff(quiet) > 1) + 1)
+        self._at = 0
+        self._sorted: dict[int, tuple[Ints, Ints]] = {}
+
+    def restart(self) -> None:
+        """Begin with the first frame of a calibration again."""
+        self._at = 0
+
+    def next(self, pattern: DrivePattern, calibration: int) -> Frame:
+        """The next quiet frame of a calibration with a pattern, or one made of several that hold its measurements.
+
+        Raises:
+            PatternError: If they do not hold all of them.
+        """
+        segment = self.calibrations[calibration]
+        order = np.roll(segment, -self._at)
+        for k, index in enumerate(order.tolist()):
+            if self._frames.pattern(index) == pattern:
+                self._at = (self._at + k + 1) % len(segment)
+                return self._frames.frame(index)
+        voltages, currents = np.full(pattern.n_meas, np.nan), np.full(pattern.n_inj, np.nan)
+        missing, wanted = np.ones(pattern.n_meas, bool), pattern.quadruples @ _SHIFT
+        for k, index in enumerate(order.tolist()):
+            codes, rows = self._codes(index)
+            place = np.minimum(np.searchsorted(codes, wanted), len(codes) - 1)
+            found = missing & (codes[place] == wanted)
+            if not found.any():
+                continue
+            frame = self._frames.frame(index)
+            voltages[found] = frame.voltages[rows[place[found]]]
+            currents[pattern.measurements[found, 0]] = frame.measurement_currents[rows[place[found]]]
+            missing &= ~found
+            if not missing.any():
+                self._at = (self._at + k + 1) % len(segment)
+                return Frame(pattern, voltages, currents, 0.0, frame.sequence, frame.flags)
+        raise PatternError(
+            f"the recording has no quiet reference for {int(missing.sum())} of {pattern.n_meas} measurements; "
+            "replay it with the skin it was made with"
+        )
+
+    def _codes(self, index: int) -> tuple[Ints, Ints]:
+        """One number (n_meas,) for each measurement of a frame, rising, and which measurement it is."""
+        number = int(self._frames.pattern_numbers[index])
+        if number not in self._sorted:
+            codes = self._frames.pattern(index).quadruples @ _SHIFT
+            order = np.argsort(codes)
+            self._sorted[number] = codes[order], order
+        return self._sorted[number]
+
+
+def whole_cycles(frames: RecordedFrames, run: Ints) -> Ints:
+    """Frames without first scans that lost their second one, as device or recording ended between the two."""
+    roles, modes = frames.roles[run], frames.mode_of[run]
+    adaptive = np.isin(modes, np.unique(modes[roles == Role.CHOSEN]))
+    followed = np.append(roles[1:] == Role.CHOSEN, False)
+    whole: Ints = run[~((roles == Role.BASE) & adaptive & ~followed)]
+    return whole
+
+
+def tracking_modes(frames: RecordedFrames, tape: Tape | None) -> NDArray[np.bool_]:
+    """Which modes have frames of one scan that depends on what is touched (n_modes,)."""
+    told = tape.recorded_modes if tape else {}
+    # recordings made before they kept their modes have one such mode, and its name ends with a T
+    return np.array([told.get(name, {}).get("adjustable", name.endswith("T")) for name in frames.modes], bool)
+
+
+def plain_capabilities(recording: Recording) -> Capabilities:
+    """What a device can do that replays frames of others."""
+    pattern = recording.frames[0].pattern
+    n_elec = int(pattern.quadruples.max()) + 1
+    return Capabilities("replay", n_elec, pattern.n_inj, pattern.n_meas, features=Feature.CURRENT_MEASURED)
+
+
+def recorded_capabilities(tape: Tape) -> Capabilities:
+    """Those of the recorded device, so that patterns are split as they were; presses excepted.
+
+    Raises:
+        DataError: If the recording does not tell them.
+    """
+    with suppress(KeyError, ValueError, ProtocolError, OverflowError):
+        return Capabilities.from_texts(tape.metadata.get("device", {}))
+    missing = "what the device could do (metadata record 'device')"
+    raise DataError(f"{tape.path} does not say {missing}; it was not made by ohmskin")

@@ -1,0 +1,67 @@
+"""What the loop has to tell its user, each thing once."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ohmskin.scan import Frame
+from ohmskin.skin import Mode
+
+SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
+
+
+class Notices:
+    """Reports sentences, and holds the one that is true now.
+
+    Args:
+        report: Called with every sentence.
+
+    Attributes:
+        message: What is true now and worth knowing; empty if nothing is.
+    """
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report, self.message = report, ""
+        self._missing = self._unread = False
+        self._slow: Mode | None = None
+
+    def say(self, message: str) -> None:
+        """Report a sentence that holds until further notice."""
+        if message != self.message:
+            self._report(message)
+        self.message = message
+
+    def missing(self, frames: Sequence[Frame]) -> None:
+        """Say when voltages begin to be left out of the image, and when none is any more."""
+        missing = sum(int(np.count_nonzero(~np.isfinite(frame.voltages))) for frame in frames)
+        if missing and not self._missing:
+            total = sum(frame.pattern.n_meas for frame in frames)
+            self.say(f"{missing} of {total} voltages are missing or clipped and left out of the image")
+        elif self._missing and not missing:
+            self._report("all voltages are there again")
+            self.message = ""
+        self._missing = bool(missing)
+
+    def unread(self, why: str) -> None:
+        """Say why a frame cannot be read, such as by a rule that finds no parameter for its data; empty if it was."""
+        if why:
+            self.say(why)
+        elif self._unread:
+            self.message = ""
+        self._unread = bool(why)
+
+    def pace(self, mode: Mode, seconds: float, rate: float) -> None:
+        """Say when an estimator is why the loop is slow.
+
+        Args:
+            mode: The mode.
+            seconds: Time that an image takes (s).
+            rate: Cycles per second of the loop; 0 while it is not known.
+        """
+        if mode != self._slow and seconds > SLOW and 0 < rate < 1 / SLOW:
+            self._slow = mode
+            self.say(
+                f"estimator {mode.estimator} takes {seconds:.2g} s a frame on this machine: {1 / seconds:.2g} frames/s"
+            )
+        elif self._slow not in (None, mode):
+            self._slow, self.message = None, ""

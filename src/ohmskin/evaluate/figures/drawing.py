@@ -1,0 +1,83 @@
+"""What all pictures have in common: how they look, how points with intervals are drawn, how they are saved."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ohmskin.arrays import Floats
+from ohmskin.evaluate.result import Outcome
+from ohmskin.evaluate.statistics import Estimate
+from ohmskin.evaluate.worlds import LAYOUTS
+from ohmskin.skin import Skin
+
+Drawn = tuple[str, Figure, str]  # file name, figure, caption
+SIDE = 200.0  # millimetres, of the paper's sheet
+RC: Any = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "grid.linewidth": 0.3,
+    "grid.color": "0.85",
+    "axes.axisbelow": True,
+    "figure.facecolor": "white",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture and the caption that makes it stand alone."""
+
+    name: str
+    path: Path
+    caption: str
+
+
+def save_pictures(
+    done: Outcome[Any], painters: Mapping[str, Callable[[Outcome[Any]], Sequence[Drawn]]], folder: Path, dpi: int
+) -> dict[str, list[Picture]]:
+    """Draw the pictures of all groups whose results are there into a folder; the pictures of each group."""
+    found: dict[str, list[Picture]] = {}
+    with rc_context(RC):
+        for group in done.results:
+            found[group] = []
+            for name, canvas, caption in painters[group](done) if group in painters else ():
+                FigureCanvasAgg(canvas)
+                canvas.savefig(path := folder / f"{name}.png", dpi=dpi)
+                found[group].append(Picture(name, path, caption))
+    return found
+
+
+def draw_estimates(axes: Axes, x: Sequence[float], found: Sequence[Estimate], fmt: str, **style: Any) -> None:
+    """Values at x with their intervals as error bars."""
+    values, low, high = np.array([[m.value, m.low, m.high] for m in found]).T
+    axes.errorbar(x, values, yerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
+
+
+def draw_sheet(
+    axes: Axes, layout: str = "grid", left: bool = True, bottom: bool = True, size: float = 1.8, colour: str = "0.2"
+) -> None:
+    """Axes of a sheet in millimetres, with the electrodes of a layout."""
+    electrodes: Floats = 1e3 * Skin.load(LAYOUTS[layout]).electrodes.positions.T
+    axes.plot(*electrodes, "o", color=colour, markersize=size, clip_on=False, zorder=3)
+    axes.set(xlim=(0, SIDE), ylim=(0, SIDE), xticks=[0, 100, 200], yticks=[0, 100, 200], aspect="equal")
+    axes.spines[["top", "right"]].set_visible(True)
+    axes.tick_params(length=2, labelleft=left, labelbottom=bottom)
+    if left:
+        axes.set_ylabel("y / mm", labelpad=1)
+    if bottom:
+        axes.set_xlabel("x / mm", labelpad=1)

@@ -1,0 +1,220 @@
+"""The experimental set-up: a world that is scanned like a device, with noise, and the sensors that look at it.
+
+Truth and noise are those of `ohmskin.evaluate.worlds`. What is believed may be wrong, see `Flaw`. Sensors are those of
+the loop (`ohmskin.sensing.build`), calibrated on `QUIET` scans of the untouched sheet. A scan of given contacts under a
+given seed has the same noise whoever drives it, so that all sensors meet the same luck.
+"""
+
+import zlib
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import Contact, ContactFitter, find_regions
+from ohmskin.drive import (
+    DRIVES,
+    Candidates,
+    Drive,
+    DriveSettings,
+    Fixed,
+    Target,
+    base_pattern,
+    complete_pattern,
+    part_of,
+)
+from ohmskin.evaluate import worlds
+from ohmskin.evaluate.flaws import SOUND, Flaw, believed, untouched
+from ohmskin.evaluate.worlds import CURRENT, Contacts
+from ohmskin.forward import ContactTable
+from ohmskin.geometry import Mesh, Raster
+from ohmskin.inverse import Image
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent
+from ohmskin.sensing import Percept, Scan, Sensor, SkinModel, build
+from ohmskin.skin import Mode, Skin
+
+PERIOD = 10e-3  # seconds between frames
+PIXELS = 64  # of the images that figures of merit are taken from, along a side
+QUIET = 40  # scans of the untouched sheet that a calibration makes of each pattern
+_CALIBRATION = 1_000_000  # seed of their noise
+
+
+@dataclass(frozen=True)
+class View:
+    """What a sensor made of one frame.
+
+    Args:
+        setup: What was measured.
+        mode: How.
+        percept: What was seen.
+    """
+
+    setup: "Setup" = field(repr=False)
+    mode: Mode
+    percept: Percept
+
+    @property
+    def differences(self) -> tuple[Difference, ...]:
+        """The data that were read: of all scans of the frame, or of the last one if the mode does not fuse them."""
+        frames = self.percept.frames if self.mode.fuse else self.percept.frames[-1:]
+        return tuple(map(self.setup.known.difference, frames))
+
+    @property
+    def image(self) -> Image:
+        """The image."""
+        return self.percept.image
+
+    @property
+    def mesh(self) -> Mesh:
+        """Mesh of the image."""
+        return self.setup.model.mesh
+
+    @property
+    def raster(self) -> Raster:
+        """Its raster of `PIXELS` pixels."""
+        return self.setup.raster
+
+    @property
+    def pixels(self) -> Floats:
+        """The image on pixels (ny, nx); NaN off the sheet."""
+        return self.raster(self.image.values)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """All contacts that the frame shows, strongest first."""
+        return self.percept.detections
+
+    @property
+    def place(self) -> Floats:
+        """Where the image is highest (2,) in metres, without a test whether there is a contact: the centroid of the
+        part about its peak above half of it; NaN where nothing is positive."""
+        values = self.image.values
+        peak = float(values.max())
+        return find_regions(values, self.mesh, peak / 2)[0].centroid if peak > 0 else np.full(2, np.nan)
+
+    @property
+    def strongest(self) -> Floats:
+        """Where the strongest contact is that the frame shows (2,) in metres; NaN where it shows none."""
+        return np.array(self.contacts[0].position) if self.contacts else np.full(2, np.nan)
+
+
+class Setup:
+    """One world at one noise level, and what is believed of it.
+
+    Args:
+        world: One of `worlds.WORLDS`.
+        decibels: Noise level (dB, see `worlds`).
+        amplitude: Prior amplitude s of images (relative conductivity change). With the noise's standard deviation sigma
+            in volts it sets lambda = sigma^2 mean(diag R^-1) / s^2, with no model error added, as in the paper, and the
+            reference is free of noise. Where it is None, images are made as the skin's description says, and the
+            reference is the mean of the quiet scans.
+        layout: Electrode layout, of `worlds.LAYOUTS`.
+        flaw: What is wrong.
+
+    Attributes:
+        noise: Standard deviation of a voltage (V).
+        known: What a calibration knows: the believed model, its conductivity fitted to quiet frames.
+    """
+
+    def __init__(
+        self, world: str, decibels: float, amplitude: float | None = None, layout: str = "grid", flaw: Flaw = SOUND
+    ) -> None:
+        self.world, self.layout, self.flaw = world, layout, flaw
+        self.noise, skin = worlds.noise_volts(world, decibels), Skin.load(worlds.LAYOUTS[layout])
+        if amplitude is not None:
+            skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
+        model = believed(layout, flaw)
+        rings = model.electrodes.rings
+        patterns = [adjacent(rings[:1]), adjacent(rings), base_pattern(model.electrodes)]
+        patterns.append(complete_pattern(model.electrodes))
+        scans = [self._device(untouched(world, layout, flaw), (_CALIBRATION, k)) for k in range(QUIET)]
+        self.known = SkinModel(skin, model, [scan(pattern) for pattern in patterns for scan in scans])
+        if amplitude is not None:  # the reference of the paper's study is free of noise
+            exact = self._device(untouched(world, layout, flaw), (), noise=0.0)
+            baseline = Baseline.learn([exact(pattern) for pattern in patterns for _ in range(2)])
+            self.known.baseline = replace(self.known.baseline, resistances=baseline.resistances)
+        self.model, self.electrodes, self.skin = self.known.model, model.electrodes, skin
+        self._sensors: dict[Mode, Sensor] = {}
+
+    @cached_property
+    def design(self) -> tuple[ContactTable, Candidates]:
+        """What informed drives choose from: the responses of contacts, and all injections at `CURRENT`."""
+        complete = complete_pattern(self.electrodes)
+        return self.table, Candidates.at_currents(complete, len(self.electrodes), self.noise, CURRENT)
+
+    @cached_property
+    def raster(self) -> Raster:
+        """`PIXELS` x `PIXELS` pixels of images."""
+        return Raster(self.model.mesh, PIXELS)
+
+    @property
+    def table(self) -> ContactTable:
+        """Responses of contacts."""
+        return self.known.fitter.table
+
+    @cached_property
+    def trusting_fitter(self) -> ContactFitter:
+        """Fits contacts without allowance for errors of the model, for tests whose threshold is learned and covers
+        them."""
+        return ContactFitter(self.table, self.known.fitter.noise, model_error=0.0)
+
+    def drive(self, mode: Mode) -> Drive:
+        """The drive of a mode, for the electrodes where they are believed to be. Patterns without a choice are driven
+        over and over until a frame has as many injections as the mode says.
+
+        Raises:
+            PatternError: If there is none of that name, or not with so many injections.
+        """
+        settings = DriveSettings(self.electrodes, lambda: self.design, self.skin.imaging.pairs)
+        if mode.drive in ("rim", "rings"):
+            (pattern,) = DRIVES[mode.drive](settings, 0).patterns
+            return Fixed(repeated(pattern, mode.injections or pattern.n_inj))
+        return DRIVES[mode.drive](settings, mode.injections)
+
+    def sensor(self, mode: Mode) -> Sensor:
+        """The sensor of a mode; made once."""
+        if mode not in self._sensors:
+            drive = self.drive(mode)
+            drive.next([Target(self.model.mesh.centroids.mean(axis=0), 1e-6 * np.eye(2), 1e-4, 8e-3)], 1)  # its tables
+            self._sensors[mode] = build(mode, self.known, drive)
+        return self._sensors[mode]
+
+    def see(self, mode: Mode, contacts: Contacts, *seed: int) -> View:
+        """What a mode makes of one frame under contacts, with nothing known before."""
+        sensor = self.sensor(mode)
+        return View(self, mode, sensor.step(sensor.start(), self.scan(contacts, *seed))[1])
+
+    def scan(self, contacts: Contacts, *seed: int, time: float = 0.0) -> Scan:
+        """A device that measures the sheet under contacts at `CURRENT`, with noise of its seed, at a time (s)."""
+        now = untouched(self.world, self.layout, self.flaw)
+        if contacts or self.flaw.since:
+            now = worlds.touched(self.world, self.layout, contacts, self.flaw.wear)
+        return self._device(now, (*seed, zlib.crc32(repr(contacts).encode())), time)
+
+    def _device(self, resistance: Floats, seed: tuple[int, ...], time: float = 0.0, noise: float | None = None) -> Scan:
+        """Measures transfer resistances (n_elec, n_elec) in ohms; with the set-up's noise unless given (V)."""
+        sigma = self.noise if noise is None else noise
+        driven: Counter[int] = Counter()
+
+        def measure(pattern: DrivePattern) -> Frame:
+            random = np.random.default_rng([*seed, pattern.digest, driven[pattern.digest]])  # again: other noise
+            driven[pattern.digest] += 1
+            volts = worlds.voltages(resistance, pattern) + sigma * random.standard_normal(pattern.n_meas)
+            return Frame(pattern, volts, np.full(pattern.n_inj, CURRENT), time)
+
+        return measure
+
+
+def repeated(pattern: DrivePattern, injections: int) -> DrivePattern:
+    """A pattern driven over and over until there are so many injections; the last round may be a part of it."""
+    return part_of(pattern, np.arange(injections) % pattern.n_inj)
+
+
+@lru_cache(maxsize=12)
+def setup(
+    world: str, decibels: float, amplitude: float | None = None, layout: str = "grid", flaw: Flaw = SOUND
+) -> Setup:
+    """The set-up of that world, noise and so on; made once per process."""
+    return Setup(world, decibels, amplitude, layout, flaw)

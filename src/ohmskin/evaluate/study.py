@@ -1,0 +1,149 @@
+"""Studies: experiments that are planned, run, assessed, drawn and reported in one go."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.cache import Cache, describe, fingerprint
+from ohmskin.evaluate.figures.drawing import Drawn, Picture, save_pictures
+from ohmskin.evaluate.report import Section, write_report
+from ohmskin.evaluate.result import Experiment, Groups, Outcome, Progress, plain
+from ohmskin.evaluate.runner import run_experiments
+
+S = TypeVar("S")
+Pictures = Mapping[str, Sequence[Picture]]
+
+
+class Verdict(Protocol):
+    """What a study concludes about one claim or goal."""
+
+    def record(self) -> dict[str, Any]:
+        """Its fields, as JSON can hold them."""
+        ...
+
+
+V = TypeVar("V", bound=Verdict)
+
+
+def assign(experiments: Groups) -> dict[Experiment, str]:
+    """The first group that wants each experiment."""
+    return {task: group for group, wanted in reversed(experiments.items()) for task in reversed(wanted.values())}
+
+
+@dataclass(frozen=True)
+class Study(Generic[S, V]):
+    """One study: what is run, what is concluded from it, and how that is shown.
+
+    Args:
+        settings: Makes the usual settings.
+        plan: The experiments of the groups wanted (all if none is named), by group and name.
+        assess: Verdicts from the outcome.
+        painters: What draws the pictures of a group.
+        sections: The sections of the report: first an introduction, then one for each group.
+        report: File name of the report, ``*.html`` or ``*.md``.
+        verdicts: What the verdicts are called: they go to a JSON file of that name.
+        option: The command line's name for the output folder.
+        dpi: Of the pictures.
+        alone: Groups that tell how long something takes: they run last, in this process, nothing beside them, and are
+            not kept.
+    """
+
+    settings: Callable[[], S]
+    plan: Callable[[S, tuple[str, ...]], Groups]
+    assess: Callable[[Outcome[S]], Sequence[V]]
+    painters: Mapping[str, Callable[[Outcome[S]], Sequence[Drawn]]]
+    sections: Callable[[Outcome[S], Sequence[V], Pictures], Sequence[Section]]
+    report: str
+    verdicts: str
+    option: str = "--output"
+    dpi: int = 200
+    alone: tuple[str, ...] = ()
+
+    def run(
+        self,
+        output: str | Path,
+        settings: S | None = None,
+        only: tuple[str, ...] = (),
+        cache: str | Path | None = None,
+        jobs: int | None = None,
+        scheduler: str = "",
+        fresh: bool = False,
+        progress: Progress = lambda group, task, cached: None,
+    ) -> Path:
+        """Run the study: writes the report, ``figures/*.png``, the verdicts and ``data/*.json`` to a folder.
+
+        Args:
+            output: The folder; made if it is not there.
+            settings: How thoroughly; the usual ones unless given.
+            only: Groups wanted; all unless given.
+            cache: Folder of kept results; ``cache`` in the output folder unless given.
+            jobs, scheduler, fresh: See `run_experiments`.
+            progress: Called after each experiment.
+
+        Returns:
+            The report.
+
+        Raises:
+            OhmskinError: If something cannot be written, or see `run_experiments`.
+        """
+        settings, folder = settings or self.settings(), Path(output)
+        experiments = self.plan(settings, only)  # a mistake in the options is told before folders are made
+        try:
+            (folder / "figures").mkdir(parents=True, exist_ok=True)
+            (folder / "data").mkdir(exist_ok=True)
+        except OSError as error:
+            text = f"cannot make the output folder {folder}: {error}; give another with {self.option}"
+            raise OhmskinError(text) from error
+        kept = Cache(Path(cache) if cache else folder / "cache")
+        done = self.measure(settings, experiments, kept, jobs, scheduler, fresh, progress)
+        verdicts = self.assess(done)
+        try:
+            pictures = save_pictures(done, self.painters, folder / "figures", self.dpi)
+            _write_data(folder / "data", done)
+            summary = {
+                "ohmskin": fingerprint(),
+                "settings": asdict(settings),  # type: ignore[call-overload]
+                self.verdicts: [verdict.record() for verdict in verdicts],
+            }
+            (folder / f"{self.verdicts}.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
+            return write_report(self.sections(done, verdicts, pictures), folder / self.report)
+        except OSError as error:
+            raise OhmskinError(f"cannot write the report to {folder}: {error}") from error
+
+    def measure(
+        self,
+        settings: S,
+        experiments: Groups,
+        cache: Cache | None = None,
+        jobs: int | None = None,
+        scheduler: str = "",
+        fresh: bool = False,
+        progress: Progress = lambda group, task, cached: None,
+    ) -> Outcome[S]:
+        """Run experiments by group and name; see `run_experiments` for the arguments."""
+        wanted_by = assign(experiments)
+
+        def done(task: Experiment, cached: bool) -> None:
+            progress(wanted_by[task], task, cached)
+
+        together = [task for task, group in wanted_by.items() if group not in self.alone]
+        results = run_experiments(together, cache, jobs, scheduler, fresh, done)
+        for task, group in wanted_by.items():
+            if group in self.alone:
+                results[task] = task.run()
+                done(task, False)
+        found = {group: {name: results[task] for name, task in wanted.items()} for group, wanted in experiments.items()}
+        return Outcome(settings, experiments, found)
+
+
+def _write_data(folder: Path, done: Outcome[Any]) -> None:
+    """Write ``GROUP.json`` for every group: parameters and results of its experiments."""
+    for group in done.results:
+        told = {
+            name: {"parameters": describe(task), "results": plain(result, 4)} for name, task, result in done.of(group)
+        }
+        text = json.dumps({"ohmskin": fingerprint(), "experiments": told})
+        (folder / f"{group}.json").write_text(text, encoding="utf-8")

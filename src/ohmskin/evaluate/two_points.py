@@ -1,0 +1,40 @@
+"""One contact or two? What `ContactFitter` finds when it is told to find one, or two, and how far they differ."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.contacts import ContactFitter, Solution
+from ohmskin.contacts.likelihood import Data
+from ohmskin.scan import Difference
+
+
+def best_single(fitter: ContactFitter, *differences: Difference) -> Solution:
+    """The one contact that explains scans best, whether it is significant or not."""
+    data = Data.of(fitter.table.n_elec, *differences)
+    noise = fitter.noise_model(data)
+    return fitter.added(data, noise, *fitter.scores(data, data.volts, noise))
+
+
+def best_pair(fitter: ContactFitter, one: Solution, *differences: Difference) -> Solution:
+    """The two contacts that explain scans best, given the best single one: that one split, or another one beside it, as
+    the fitter finds them, whether the second is significant or not."""
+    data = Data.of(fitter.table.n_elec, *differences)
+    noise = fitter.noise_model(data)
+    added = fitter.added(data, noise, *fitter.scores(data, data.volts - one.caused, noise), one.params)
+    split = fitter.split(data, one, 0, bar=-np.inf)
+    return added if split is None or added.cost < split.cost else split
+
+
+def one_or_two(fitter: ContactFitter, *differences: Difference) -> tuple[float, Solution, Solution]:
+    """How much better two contacts explain scans than one, as the fitter counts it (in units of the noise's variance,
+    see `ContactFitter.gained`), and both explanations."""
+    one = best_single(fitter, *differences)
+    two = best_pair(fitter, one, *differences)
+    return fitter.gained(Data.of(fitter.table.n_elec, *differences), one, two), one, two
+
+
+def told(found: ArrayLike, truth: ArrayLike) -> bool:
+    """Whether each of two true places (2, 2) has one of those found (n, 2) closer than half their distance."""
+    found, truth = np.asarray(found, float).reshape(-1, 2), np.asarray(truth, float)
+    half = np.linalg.norm(truth[0] - truth[1]) / 2
+    return bool((np.linalg.norm(found[:, None] - truth, axis=2) < half).any(axis=0).all())

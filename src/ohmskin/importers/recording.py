@@ -1,0 +1,99 @@
+"""Recordings: frames on disk, with the quiet ones that they are compared to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ohmskin.errors import DataError
+from ohmskin.importers import eidors, kuopio, table
+from ohmskin.importers.matfile import is_mat, load_variables
+from ohmskin.mcap.messages import Role
+from ohmskin.mcap.tape import Tape, is_tape
+from ohmskin.scan import Frame
+
+_LARGEST_FILE = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a recording holds.
+
+    Args:
+        quiet: Frames of the untouched skin.
+        frames: Frames to look at, in order.
+        skin: The shipped skin description that fits the format; empty if the file does not tell.
+        notes: What was left out or assumed on reading, in plain words.
+        tape: All that a recording of ours holds beside; None for others.
+    """
+
+    quiet: Sequence[Frame]
+    frames: Sequence[Frame]
+    skin: str
+    notes: tuple[str, ...] = ()
+    tape: Tape | None = None
+
+
+def read_recording(
+    path: str | Path, *, reference: str | Path | None = None, pattern: str | Path | None = None, driven: bool = False
+) -> Recording:
+    """Read a recording. What it is, is told by its contents:
+
+    - our own, in MCAP (`ohmskin.mcap.tape`), whose frames are read from the file when they are asked for;
+    - MATLAB files of the University of Eastern Finland (UEF 2017; variables CurrentPattern, MeasPattern, Uel) and of
+      the Kuopio Tomography Challenge 2023 (Inj, Mpat, Uel, Uelref), each a file per state of the tank
+      (`ohmskin.importers.kuopio`);
+    - MATLAB files made with EIDORS: a stimulation struct or plain matrices, and data (`ohmskin.importers.eidors`);
+    - text tables with a pattern, beside them or in the same file (`ohmskin.importers.table`);
+    - the text tables of the PyEIDORS tank: four columns, adjacent measurements.
+
+    Args:
+        path: The file.
+        reference: A file of the same kind with the untouched skin, for formats that keep it apart; the usual name
+            beside `path` unless given.
+        pattern: A table of electrodes, for tables without one; ``NAME.pattern.csv`` beside ``NAME.csv`` unless given.
+        driven: Keep voltages measured at a driven electrode. They need a complete electrode model, or are left out.
+
+    Raises:
+        DataError: If a file cannot be read, is damaged, or says what cannot be represented here.
+    """
+    path = Path(path)
+    if is_tape(path):
+        if reference is not None or pattern is not None:
+            raise DataError(f"{path} holds its own patterns and quiet frames; leave reference and pattern out")
+        tape = Tape(path)
+        return Recording(tape.select(Role.QUIET), tape.select(*set(Role) - {Role.QUIET}), "", tape.notes, tape)
+    content = _content(path)
+    if is_mat(content[:8]):
+        if pattern is not None:
+            raise DataError(f"{path} is a MATLAB file, which holds its own pattern; leave pattern={str(pattern)!r} out")
+        variables = load_variables(content, str(path))
+        if kuopio.is_kuopio(variables):
+            other = Path(reference) if reference is not None else kuopio.usual_reference(path, variables)
+            at_rest = load_variables(_content(other), str(other)) if other is not None else None
+            return Recording(*kuopio.read(variables, at_rest, str(path), str(other), driven))
+        if reference is not None:
+            raise DataError(f"{path} holds its own reference; leave reference={str(reference)!r} out")
+        return Recording(*eidors.read(variables, str(path), driven))
+    if reference is not None:
+        out = f"leave reference={str(reference)!r} out"
+        raise DataError(f"{path} is a text table, which holds its own reference column; {out}")
+    beside = path.with_name(path.stem + ".pattern.csv")
+    other = Path(pattern) if pattern is not None else beside if beside.is_file() else None
+    description = _text(_content(other), other) if other is not None else None
+    return Recording(*table.read(_text(content, path), description, path, other, driven))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise DataError(f"{path} has {path.stat().st_size} bytes; others' recordings have at most {_LARGEST_FILE}")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise error if isinstance(error, DataError) else DataError(f"cannot read recording {path}: {error}") from error
+
+
+def _text(content: bytes, path: Path) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"cannot read recording {path}: {error}; it is neither a MATLAB file nor text") from error

@@ -1,0 +1,252 @@
+"""Estimators by name, in the one form in which a loop uses them: the state of an image in, the next one out.
+
+Other packages add theirs with an entry point of the group ``ohmskin.estimators``: a function of `Settings` that returns
+an `Estimator`, its docstring's first line the title. `FrameWise` makes one of a ``reconstruct(*differences)``.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from ohmskin.errors import ModelError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Cells
+from ohmskin.inverse.absolute import AbsoluteGaussNewton
+from ohmskin.inverse.choice import RULES, choose
+from ohmskin.inverse.gauss_newton import GaussNewton
+from ohmskin.inverse.greit import Greit
+from ohmskin.inverse.image import Image
+from ohmskin.inverse.kalman import Belief, Kalman
+from ohmskin.inverse.pixels import Pixels
+from ohmskin.inverse.priors import PRIORS
+from ohmskin.inverse.sparse import SparseBayes
+from ohmskin.inverse.variation import TotalVariation
+from ohmskin.registry import Registry
+from ohmskin.scan import Difference
+
+Scans = Sequence[Difference]
+_MEMORY = 0.1  # s: time over which the Kalman filter forgets an image; fingers move about a radius in it
+
+
+class Estimate(Protocol):
+    """What an estimator knows after some scans."""
+
+    @property
+    def image(self) -> Image:
+        """The image."""
+
+
+class Estimator(Protocol):
+    """Makes images of scans that follow each other.
+
+    Attributes:
+        cells: What its images are made of.
+    """
+
+    @property
+    def cells(self) -> Cells: ...
+
+    def start(self) -> Estimate:
+        """Nothing is known yet."""
+
+    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:
+        """What is known after one frame more.
+
+        Args:
+            before: What was known after the last one.
+            new: The frame's scans.
+            recent: These, and the ones before that belong to the same moment where a frame has few injections.
+            elapsed: Time since the last frame (s).
+        """
+
+
+class Reconstructs(Protocol):
+    """Makes an image of some scans, whatever came before."""
+
+    def reconstruct(self, *differences: Difference) -> Image: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """The image of some scans, made when it is first asked for."""
+
+    estimator: Reconstructs
+    scans: tuple[Difference, ...]
+
+    @cached_property
+    def image(self) -> Image:
+        """The image."""
+        return self.estimator.reconstruct(*self.scans)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameWise:
+    """An estimator without memory.
+
+    Args:
+        estimator: Makes an image of some scans.
+        cells: What its images are made of.
+    """
+
+    estimator: Reconstructs
+    cells: Cells
+
+    def start(self) -> Still:
+        """Nothing is known yet."""
+        return Still(self.estimator, ())
+
+    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Still:
+        """The image of the recent scans."""
+        return Still(self.estimator, tuple(recent))
+
+
+@dataclass(frozen=True, eq=False)
+class Recursive:
+    """A Kalman filter as an estimator.
+
+    Args:
+        filter: The filter.
+        cells: What its images are made of.
+    """
+
+    filter: Kalman
+    cells: Cells
+
+    def start(self) -> Belief:
+        """The prior."""
+        return self.filter.start()
+
+    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Belief:
+        """The belief after the new scans."""
+        assert isinstance(before, Belief)
+        return self.filter.update(before, *new, elapsed=elapsed)
+
+
+@dataclass(frozen=True, eq=False)
+class ByRule:
+    """Gauss-Newton images whose amplitude a rule chooses anew for each (`RULES`).
+
+    Args:
+        estimator: Gauss-Newton at the usual amplitude.
+        rule: Name of the rule.
+    """
+
+    estimator: GaussNewton
+    rule: str
+
+    def reconstruct(self, *differences: Difference) -> Image:
+        """The image of one scan, or of several fused.
+
+        Raises:
+            DataError: If no finite datum is left.
+            ModelError: If the rule finds no amplitude for these data.
+        """
+        amplitude = choose(self.rule, self.estimator, *differences).amplitude
+        return self.estimator.with_amplitude(amplitude).reconstruct(*differences)
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """What an estimator is made for.
+
+    Args:
+        model: The untouched sheet, scaled to the quiet data.
+        noise: Standard deviation of a difference of voltages (V).
+        prior: Name of one of `PRIORS`.
+        rule: Name of one of `RULES`, for the regularisation parameter.
+        amplitude: Relative conductivity change expected (1).
+        model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
+        bipolar: Whether contacts may lower the conductivity, too.
+    """
+
+    model: TransferModel
+    noise: float
+    prior: str = "paper"
+    rule: str = "physical"
+    amplitude: float = 0.1
+    model_error: float = 0.02
+    bipolar: bool = False
+
+    def __post_init__(self) -> None:
+        if self.rule not in RULES:
+            raise ModelError(f"no rule {self.rule!r} for the regularisation parameter; choose from {', '.join(RULES)}")
+
+
+def gauss_newton(s: Settings) -> Estimator:
+    """One-step Gauss-Newton; the prior `pixels` makes the image of pixels instead of triangles."""
+    pixels = Pixels.over(s.model.mesh) if s.prior == "pixels" else None
+    model_error = s.model_error
+    one_step = GaussNewton(s.model, s.noise, s.prior, amplitude=s.amplitude, model_error=model_error, pixels=pixels)
+    return FrameWise(one_step if s.rule == "physical" else ByRule(one_step, s.rule), one_step.cells)
+
+
+def positive(s: Settings) -> Estimator:
+    """One-step Gauss-Newton, nowhere negative."""
+    if s.bipolar:
+        advice = "choose another, or set imaging.bipolar = false"
+        raise ModelError(f"estimator 'positive' on a skin whose contacts may lower the conductivity; {advice}")
+    own = GaussNewton(s.model, s.noise, s.prior, positive=True, amplitude=s.amplitude, model_error=s.model_error)
+    return FrameWise(own, s.model.mesh)
+
+
+def kalman(s: Settings) -> Estimator:
+    """Kalman filter on images."""
+    prior = {"amplitude": s.amplitude, "model_error": s.model_error}
+    return Recursive(Kalman(s.model, s.noise, s.prior, time_constant=_MEMORY, **prior), s.model.mesh)
+
+
+def greit(s: Settings) -> Estimator:
+    """GREIT."""
+    return FrameWise(Greit(s.model, s.noise), s.model.mesh)
+
+
+def total_variation(s: Settings) -> Estimator:
+    """Total variation."""
+    own = TotalVariation(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
+    return FrameWise(own, s.model.mesh)
+
+
+def sparse_bayes(s: Settings) -> Estimator:
+    """Sparse Bayesian learning."""
+    own = SparseBayes(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
+    return FrameWise(own, s.model.mesh)
+
+
+def absolute(s: Settings) -> Estimator:
+    """Iterated Gauss-Newton on absolute voltages."""
+    own = AbsoluteGaussNewton(s.model, s.noise, s.prior, amplitude=s.amplitude, model_error=s.model_error)
+    return FrameWise(own, s.model.mesh)
+
+
+def absolute_variation(s: Settings) -> Estimator:
+    """Iterated Gauss-Newton on absolute voltages with total variation."""
+    outline = 0.1 * float(np.ptp(s.model.mesh.nodes, axis=0).max())
+    own = AbsoluteGaussNewton(s.model, s.noise, outline=outline, amplitude=s.amplitude, model_error=s.model_error)
+    return FrameWise(own, s.model.mesh)
+
+
+_ESTIMATORS = (gauss_newton, positive, kalman, greit, total_variation, sparse_bayes, absolute, absolute_variation)
+ESTIMATORS: Registry[Callable[[Settings], Estimator]] = Registry(
+    "estimator",
+    "ohmskin.estimators",
+    {make.__name__.replace("_", "-"): make for make in _ESTIMATORS},
+    ModelError,
+)
+"""Estimators by name."""
+
+
+def image_of(name: str) -> tuple[str, str]:
+    """Estimator and prior of a short name: an estimator, a prior (of one-step Gauss-Newton), or ``ESTIMATOR:PRIOR``.
+
+    Raises:
+        ModelError: If there is neither; the message lists the choices.
+    """
+    first, _, second = name.partition(":")
+    if first in PRIORS and not second:
+        return "gauss-newton", first
+    if first not in ESTIMATORS or (second and second not in PRIORS):
+        raise ModelError(f"no estimator or prior {name!r}; choose from {', '.join([*ESTIMATORS, *PRIORS])}")
+    return first, second or "paper"

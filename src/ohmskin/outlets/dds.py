@@ -1,0 +1,151 @@
+"""ROS 2 topics over DDS (Cyclone DDS), as ROS 2 lays them out: topic ``rt/NAME``, type ``package::msg::dds_::Name_``.
+
+DDS has no password. It stays on this machine unless an interface is named.
+"""
+
+import logging
+import os
+import re
+import socket
+import stat
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import cache
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.topic import Topic as DdsTopic
+from cyclonedds.util import duration
+
+from ohmskin.errors import PublishError
+from ohmskin.outlets.topics import TYPES, Topic
+from ohmskin.outlets.types import dds_name
+
+log = logging.getLogger(__name__)
+
+DOMAIN = 0
+_INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,32}")
+_PRIMITIVES: dict[str, Any] = {
+    **{f"{sign}int{bits}": getattr(types, f"{sign}int{bits}") for sign in ("", "u") for bits in (8, 16, 32, 64)},
+    "float32": types.float32,
+    "float64": types.float64,
+    "bool": bool,
+    "byte": types.byte,
+    "string": str,
+}
+
+
+class DdsOutlet:
+    """See `ohmskin.outlets.outlet.Outlet`.
+
+    Args:
+        place: The network interface, such as ``eth0``, whose network may then listen; this machine's own unless given.
+        topics, node: See `open_outlet`.
+        token: Not used: plain DDS knows no such thing.
+
+    Raises:
+        PublishError: If there is no such interface.
+    """
+
+    def __init__(self, place: str, topics: Sequence[Topic], node: str, token: str | None) -> None:
+        interface = place or "lo"
+        self.address = f"dds:{interface}"
+        try:
+            self._domain = Domain(DOMAIN, domain_config(interface))
+            self._participant = DomainParticipant(DOMAIN)
+            _stay_on(interface)
+            self._writers = {topic: self._writer(topic) for topic in topics}
+        except DDSException as error:
+            what = f"DDS cannot use the interface {interface!r}: {error}"
+            raise PublishError(f"{what}; `ip link` lists what there is") from error
+
+    def send(self, topic: Topic, stamp: int, data: bytes) -> None:
+        """Publish one CDR message."""
+        sample = _message(topic.type)()
+        sample.ready = data
+        self._writers[topic].write(sample, stamp)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._writers.clear()
+        del self._participant, self._domain
+
+    def _writer(self, topic: Topic) -> DataWriter:
+        lasting = Policy.Reliability.Reliable(duration(seconds=0)) if topic.reliable else Policy.Reliability.BestEffort
+        history, cdr = Policy.History.KeepLast(topic.depth), Policy.DataRepresentation(True, False)
+        qos = Qos(lasting, Policy.Durability.Volatile, history, cdr)
+        return DataWriter(self._participant, DdsTopic(self._participant, f"rt{topic.name}", _message(topic.type)), qos)
+
+
+def domain_config(interface: str) -> str:
+    """Cyclone's configuration for one interface; on the loopback one without multicast.
+
+    Raises:
+        PublishError: If that is no name of an interface.
+    """
+    if not _INTERFACE.fullmatch(interface):
+        raise PublishError(f"dds:{interface} names no network interface; `ip link` lists what there is")
+    multicast, peer = ("false", '<Peers><Peer address="127.0.0.1"/></Peers>') if interface == "lo" else ("true", "")
+    return (
+        f"<CycloneDDS><Domain><General><Interfaces><NetworkInterface name={quoteattr(interface)} "
+        f"multicast={quoteattr(multicast)}/></Interfaces><AllowMulticast>{multicast}</AllowMulticast></General>"
+        f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+        f"<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>{peer}</Discovery></Domain></CycloneDDS>"
+    )
+
+
+def _stay_on(interface: str) -> None:
+    """Let this process's UDP sockets hear nothing but one interface.
+
+    Cyclone binds them to all addresses, whatever interface it is told to use (its issues 1923 and 2090).
+    """
+    try:
+        for own in _udp_sockets():
+            with own:
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode() + b"\0")
+    except (AttributeError, OSError):  # no such option, or no right to use it
+        log.warning("cannot tie DDS to %s here; a firewall should keep UDP ports 7400 to 7500 from others", interface)
+
+
+def _udp_sockets() -> Iterator[socket.socket]:
+    """Every UDP socket that this process has, once more."""
+    for entry in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # closed meanwhile
+            if not stat.S_ISSOCK(os.stat(f"/proc/self/fd/{entry}").st_mode):
+                continue
+            own = socket.socket(fileno=os.dup(int(entry)))
+            if own.type == socket.SOCK_DGRAM and own.family in (socket.AF_INET, socket.AF_INET6):
+                yield own
+            else:
+                own.close()
+
+
+@cache
+def _struct(name: str) -> Any:
+    """A type as Cyclone wants to know it."""
+    fields: dict[str, Any] = {}
+    many: Any = types  # its annotations do not know that these can be indexed
+    for field in TYPES[name]:
+        kind = _PRIMITIVES[field.type] if field.type in _PRIMITIVES else _struct(field.type)
+        if field.count is not None:
+            kind = many.array[kind, field.count] if field.count else many.sequence[kind]
+        fields[field.name] = kind
+    return make_idl_struct(dds_name(name).replace("::", "_"), dds_name(name), fields)
+
+
+@cache
+def _message(name: str) -> Any:
+    """A type whose samples bring their bytes along, because `ohmskin.client.cdr` is the one place that makes them."""
+    kind = _struct(name)
+
+    def serialize(self: Any, buffer: object = None, endianness: object = None, use_version_2: object = None) -> bytes:
+        return bytes(self.ready)
+
+    kind.serialize = serialize
+    kind.__init__ = lambda self: None
+    return kind

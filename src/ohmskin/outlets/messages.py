@@ -1,0 +1,85 @@
+"""What is felt as ROS 2 messages, in the frames of the robot; see `ohmskin.outlets.topics` for their definitions."""
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.client.cdr import Encoder
+from ohmskin.client.felt import Contact, Felt, Patch
+from ohmskin.client.fields import components, numbers
+from ohmskin.mcap.messages import Cylinder, encode_cylinders
+
+_FLOAT32 = 7  # of sensor_msgs/PointField
+_CONTACT = "Ii" + "d" * (len(components(3)) - 1)
+
+
+def encode_contacts(felt: Felt) -> bytes:
+    """`ohmskin_msgs/msg/Contacts`."""
+    encoder = Encoder().stamp(felt.stamp).text("").put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
+    for patch in felt.patches:
+        encoder.text(patch.patch).text(patch.frame).stamp(patch.stamp).put("Q", patch.sequence).text(patch.mode)
+    places = {patch.patch: number for number, patch in enumerate(felt.patches)}
+    encoder.put("I", len(felt.contacts))
+    for c in felt.contacts:
+        encoder.put(_CONTACT, places[c.patch], *numbers(c, 3))
+    return encoder.done()
+
+
+def encode_wrench(contact: Contact | None, frame: str, stamp: int, scale: float) -> bytes:
+    """`geometry_msgs/msg/WrenchStamped`: the push of a contact on its link, and its torque about the link's origin.
+
+    Args:
+        contact: The contact; None for no push.
+        frame: The link.
+        stamp: ns since 1970.
+        scale: Newtons for each m2 of strength, as somebody calibrated it.
+    """
+    force, torque = np.zeros(3), np.zeros(3)
+    if contact is not None:
+        force = -scale * abs(contact.strength) * np.array(contact.normal)
+        torque = np.cross(contact.position, force)
+    force, torque = force + 0.0, torque + 0.0  # no minus zeros
+    return Encoder().stamp(stamp).text(frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
+
+
+def encode_markers(contacts: tuple[Contact, ...], patches: tuple[Patch, ...], stamp: int) -> bytes:
+    """`visualization_msgs/msg/MarkerArray` of contacts on the robot; see `encode_cylinders`."""
+    turns = {patch.name: quaternion(np.array(patch.axes, float).T) for patch in patches}
+    cylinders = [Cylinder(c.frame, c.patch, c.id, c.position, turns[c.patch], c.extent, c.strength) for c in contacts]
+    return encode_cylinders(cylinders, stamp, patches[0].frame)
+
+
+def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int) -> bytes:
+    """`sensor_msgs/msg/PointCloud2`: x, y, z and relative conductivity change of every pixel on the skin.
+
+    Args:
+        pixels: (ny, nx), NaN off the skin.
+        x, y: Pixel centres on the sheet (m).
+        patch: Where the sheet is.
+        stamp: ns since 1970.
+    """
+    row, column = np.nonzero(np.isfinite(pixels))
+    axes = np.array(patch.axes)
+    places = np.array(patch.position) + x[column, None] * axes[0] + y[row, None] * axes[1]
+    points = np.column_stack([places, pixels[row, column]]).astype("<f4")
+    encoder = Encoder().stamp(stamp).text(patch.frame).put("II", 1, len(points)).put("I", 4)
+    for number, name in enumerate(("x", "y", "z", "change")):
+        encoder.text(name).put("IBI", 4 * number, _FLOAT32, 1)
+    encoder.put("?II", False, 16, 16 * len(points)).array(points.view("u1").ravel())
+    return encoder.put("?", True).done()
+
+
+def quaternion(rotation: Floats) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) of a rotation matrix (3, 3)."""
+    # The eigenvector of the largest eigenvalue (Bar-Itzhack, 2000): no special cases.
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    x, y, z, w = np.linalg.eigh(k)[1][:, -1]
+    sign = -1.0 if w < 0 else 1.0
+    return float(sign * x), float(sign * y), float(sign * z), float(sign * w)

@@ -1,0 +1,66 @@
+"""Outlets: the ways out of a publishing process, one class for each protocol, all with one method."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Protocol
+
+from ohmskin.errors import PublishError
+from ohmskin.outlets.topics import Topic
+
+_HOMES = {
+    "zenoh": ("ohmskin.outlets.zenoh", "ZenohOutlet", "zenoh"),
+    "dds": ("ohmskin.outlets.dds", "DdsOutlet", "cyclonedds"),
+    "foxglove": ("ohmskin.outlets.foxglove", "FoxgloveOutlet", "foxglove"),
+}
+KINDS = ("shm", *_HOMES)
+"""What `--publish` takes. Shared memory needs no outlet: it is where outlets read."""
+
+
+class Outlet(Protocol):
+    """Passes encoded messages on. Made in the publishing process, which may wait in it; the loop never does.
+
+    Attributes:
+        address: Where others find it.
+    """
+
+    address: str
+
+    def send(self, topic: Topic, stamp: int, data: bytes) -> None:
+        """Publish one CDR message, stamped in ns since 1970."""
+
+    def close(self) -> None:
+        """Say goodbye."""
+
+
+def open_outlet(address: str, topics: Sequence[Topic], node: str, token: str | None) -> Outlet:
+    """The outlet at an address such as ``zenoh``, ``zenoh:tcp/HOST:PORT``, ``dds:eth0`` or ``foxglove:127.0.0.1:8765``.
+
+    Args:
+        address: Kind and place; without a place it is on this machine only.
+        topics: All that will be sent.
+        node: What to call the sender.
+        token: What listeners on other machines must give, where the protocol knows such a thing.
+
+    Raises:
+        PublishError: If there is no such kind, its extra is missing, or the place cannot be used.
+    """
+    check_outlet(address)
+    kind, _, place = address.partition(":")
+    module, name, package = _HOMES[kind]
+    try:
+        import_module(package)
+    except ImportError as error:
+        raise PublishError(f"publishing to {kind} needs a package: pip install 'ohmskin[{kind}]'") from error
+    outlet: Outlet = getattr(import_module(module), name)(place, topics, node, token)
+    return outlet
+
+
+def check_outlet(address: str) -> None:
+    """Hold the kind of an address against those there are.
+
+    Raises:
+        PublishError: If there is no such kind.
+    """
+    kind, _, place = address.partition(":")
+    if kind not in KINDS or (kind == "shm" and place):
+        raise PublishError(f"cannot publish to {address!r}; choose from {', '.join(KINDS)}")

@@ -1,0 +1,121 @@
+"""The publishing process: reads boards, encodes messages, hands them to its outlets. The loop never waits for it.
+
+It is told on standard input what to publish where (`ohmskin.child`), then any byte whenever there is something new.
+"""
+
+import os
+import time
+from contextlib import ExitStack, closing
+
+import numpy as np
+
+from ohmskin.child import begin
+from ohmskin.client.board import BoardReader
+from ohmskin.client.felt import Felt, SharedMemory
+from ohmskin.client.remote import prefix
+from ohmskin.errors import OhmskinError
+from ohmskin.mcap.messages import encode_image
+from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_markers, encode_wrench
+from ohmskin.outlets.outlet import Outlet, open_outlet
+from ohmskin.outlets.picture import Picture
+from ohmskin.outlets.topics import Topic, contacts_topic
+
+
+class Relay:
+    """Takes what is new on the boards to the outlets.
+
+    Args:
+        name: Board of the contacts.
+        pictures: Boards of the images, in the order of the patches.
+        scale: Newtons per m2 of strength; without it no wrench is published, for strength is no force.
+        outlets: Addresses, see `open_outlet`.
+        token: See `open_outlet`.
+
+    Raises:
+        PublishError: If an outlet cannot be opened.
+    """
+
+    def __init__(
+        self, name: str, pictures: list[str], scale: float | None, outlets: list[str], token: str | None
+    ) -> None:
+        self._board, self._pictures = SharedMemory(name), [BoardReader(picture) for picture in pictures]
+        self._scale = scale
+        self._contacts = contacts_topic(name)
+        self._markers = Topic(f"{prefix(name)}/markers", "visualization_msgs/msg/MarkerArray", True, 10)
+        self._wrench = Topic(f"{prefix(name)}/wrench", "geometry_msgs/msg/WrenchStamped", True, 10)
+        self._images = [
+            (
+                Topic(f"{prefix(own)}/image", "sensor_msgs/msg/Image", False, 5),
+                Topic(f"{prefix(own)}/points", "sensor_msgs/msg/PointCloud2", False, 5),
+            )
+            for own in (picture.removesuffix(".image") for picture in pictures)
+        ]
+        topics = [self._contacts, self._markers, *(topic for pair in self._images for topic in pair)]
+        topics += [self._wrench] if scale is not None else []
+        self.outlets: list[Outlet] = []
+        with ExitStack() as stack:
+            for address in outlets:
+                opened = open_outlet(address, topics, f"ohmskin_{name}", token)
+                self.outlets.append(stack.enter_context(closing(opened)))
+            self._stack = stack.pop_all()
+        self._marked, self._due = False, 0.0
+
+    def look(self, picture_every: float) -> None:
+        """Publish what is new: contacts at once, markers and images as often as that."""
+        if (felt := self._board.newest()) is None:
+            return
+        patches = self._board.patches
+        self._send(self._contacts, felt.stamp, encode_contacts(felt))
+        if self._scale is not None:
+            self._send_wrenches(felt, self._scale)
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + picture_every
+        if felt.contacts or self._marked:
+            self._send(self._markers, felt.stamp, encode_markers(felt.contacts, patches, felt.stamp))
+            self._marked = bool(felt.contacts)
+        for board, patch, (image, points) in zip(self._pictures, patches, self._images, strict=True):
+            if (content := board.newest()) is not None:
+                picture = Picture.unpack(content, board.setup)
+                pixels, stamp = picture.pixels, picture.stamp
+                self._send(image, stamp, encode_image(pixels, stamp, patch.frame))
+                self._send(points, stamp, encode_cloud(pixels, picture.x, picture.y, patch, stamp))
+
+    def close(self) -> None:
+        """Close outlets and boards."""
+        self._stack.close()
+        self._board.close()
+        for picture in self._pictures:
+            picture.close()
+
+    def _send_wrenches(self, felt: Felt, scale: float) -> None:
+        for patch in felt.patches:
+            if not patch.sequence:  # not heard of: that it is not pushed is not known
+                continue
+            own = [contact for contact in felt.contacts if contact.patch == patch.patch]
+            for contact in own or (None,):  # none: a wrench of zero, so that the end of a push is told
+                self._send(self._wrench, patch.stamp, encode_wrench(contact, patch.frame, patch.stamp, scale))
+
+    def _send(self, topic: Topic, stamp: int, data: bytes) -> None:
+        for outlet in self.outlets:
+            outlet.send(topic, stamp, data)
+
+
+def main() -> None:
+    """Publish until standard input ends."""
+    settings, answer = begin()
+    every = settings.pop("picture_every")
+    try:
+        relay = Relay(**settings)
+    except OhmskinError as error:
+        answer(failed=str(error))
+        return
+    with closing(relay), np.errstate(all="ignore"):
+        answer(ready=[outlet.address for outlet in relay.outlets])
+        while os.read(0, 65536):
+            relay.look(every)
+
+
+if __name__ == "__main__":
+    main()

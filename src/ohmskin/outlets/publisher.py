@@ -1,0 +1,111 @@
+"""The publisher: a sink that shows other programs what one skin feels."""
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from ohmskin.client.board import Board
+from ohmskin.client.felt import LARGEST, Felt, Patch, Sighting, felt, pack
+from ohmskin.closing import Closing
+from ohmskin.engine import Touch
+from ohmskin.errors import PublishError
+from ohmskin.geometry import Disc, Raster
+from ohmskin.outlets.picture import Picture
+from ohmskin.outlets.relay import RelayProcess
+from ohmskin.skin import Skin
+
+_PIXELS = 64  # along the longer side, as on the live page
+
+
+class Publisher(Closing):
+    """Shows what a skin feels in shared memory and, through a process of its own, to ROS 2 and others.
+
+    Args:
+        skin: What is felt with.
+        outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
+        name: What clients call it; topics begin with it, too.
+        patch: Where the sheet sits on the robot; its own frame ``skin`` unless given.
+        scale: Newtons per m2 of contact strength, if somebody has calibrated that; wrenches are published with it only.
+        token: What listeners on other machines must give, where the protocol knows such a thing.
+        images: Most images per second.
+
+    Attributes:
+        addresses: Where outlets are.
+
+    Raises:
+        PublishError: If the name is taken, or an outlet cannot be opened.
+    """
+
+    def __init__(
+        self,
+        skin: Skin,
+        outlets: Sequence[str] = (),
+        name: str = "skin",
+        patch: Patch = Patch(),  # noqa: B008, a frozen value
+        scale: float | None = None,
+        token: str | None = None,
+        images: float = 30.0,
+    ) -> None:
+        check_settings(scale, token, images)
+        self.patch = patch
+        self._raster = Raster(skin.mesh(), _PIXELS)
+        self._every, self._due = 1 / images, 0.0
+        setup = {"skin": skin.name, "domain": describe_domain(skin), "patches": [asdict(patch)]}
+        self._board = Board(name, setup, LARGEST)
+        self._picture: Board | None = None
+        self._relay: RelayProcess | None = None
+        try:
+            self._picture = Board(f"{name}.image", setup | Picture.setup(self._raster), Picture.size(self._raster))
+            self._relay = RelayProcess(name, [f"{name}.image"], scale, outlets, token, images)
+        except BaseException:
+            self.close()
+            raise
+        self.addresses = [f"shm:{name}", *self._relay.addresses]
+
+    def publish(self, touch: Touch) -> None:
+        """Show what a cycle felt; never waits."""
+        # The calendar may be set anew at any time, so that each stamp is taken from how long ago the sample was.
+        stamp = time.time_ns() - round((time.monotonic() - touch.time) * 1e9)
+        self._board.write(pack(self.felt(touch, stamp), [self.patch]))
+        if self._picture is not None and (now := time.monotonic()) >= self._due:
+            self._due = now + self._every
+            self._picture.write(Picture.pack(self._raster(touch.percept.image.values), touch.sequence, stamp))
+        if self._relay is not None:
+            self._relay.wake()
+
+    def felt(self, touch: Touch, stamp: int) -> Felt:
+        """What a cycle felt, in the patch's frame."""
+        seen = Sighting(self.patch.name, self.patch.frame, touch.sequence, touch.time, stamp, touch.mode.name)
+        contacts = [self.patch.contact(contact) for contact in touch.contacts]
+        return felt(touch.sequence, [seen], contacts, self._board.boot)
+
+    def close(self) -> None:
+        """End outlets, take the boards away. Safe twice."""
+        if self._relay is not None:
+            self._relay.close()
+        if self._picture is not None:
+            self._picture.close()
+        self._board.close()
+
+
+def check_settings(scale: float | None, token: str | None, images: float) -> None:
+    """Hold settings against their ranges.
+
+    Raises:
+        PublishError: If one is out of range.
+    """
+    if scale is not None and not 0 < scale < 1e12:
+        raise PublishError(f"{scale} newtons per m2 of strength; it must be positive")
+    if not 0 < images <= 1000:
+        raise PublishError(f"images is {images} per second; it must be above 0 and at most 1000")
+    if token is not None and not re.fullmatch(r"[A-Za-z0-9_-]{8,256}", token):
+        raise PublishError("the token must be 8 to 256 letters, digits, '-' or '_', as secrets.token_urlsafe() gives")
+
+
+def describe_domain(skin: Skin) -> dict[str, Any]:
+    """The sheet's outline as boards and pages tell it (m)."""
+    if isinstance(skin.domain, Disc):
+        return {"kind": "disc", "radius": skin.sheet.radius}
+    return {"kind": "rectangle", "width": skin.sheet.width, "height": skin.sheet.height}

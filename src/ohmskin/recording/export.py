@@ -1,0 +1,335 @@
+"""Recordings as tables, arrays, pictures and films, for those who read them elsewhere."""
+
+import csv
+import os
+import secrets
+import shutil
+import subprocess
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ohmskin.arrays import Ints
+from ohmskin.client.fields import columns, numbers
+from ohmskin.errors import DataError
+from ohmskin.geometry import Raster
+from ohmskin.mcap import Tape
+from ohmskin.plot import draw_image
+from ohmskin.recording.player import Replayed, reimage
+
+CONTACT_COLUMNS = ("time_s", "cycle", "mode", *columns())
+"""A row per contact and cycle; `time_s` counts from the first frame behind the calibration. NaN: not known."""
+
+FRAME_COLUMNS = (
+    *("time_s", "device_time_s", "sequence", "role", "mode", "source", "sink", "plus", "minus"),
+    *("current_A", "voltage_V"),
+)
+"""A row per measured voltage; `role` is untold, base, chosen or quiet."""
+
+_ROWS_AT_ONCE = 65536
+_MOST_VALUES = 2**28  # of one array held in memory
+_FILM_PIXELS = (640, 560)
+_RASTER = 256  # as in `draw_image`
+
+
+def contact_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
+    """The recorded contacts (`CONTACT_COLUMNS`) between two times (s)."""
+    times = tape.times_of(tape.touches)
+    for k in np.flatnonzero((times >= start) & (times <= stop)):
+        touch = tape.touches[int(k)]
+        for contact in touch.contacts:
+            yield (float(times[k]), touch.sequence, touch.mode, *numbers(contact, 2))
+
+
+def frame_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
+    """The recorded voltages (`FRAME_COLUMNS`) of frames between two times (s)."""
+    for k in _within(tape, start, stop):
+        record, pattern = tape.frames[int(k)], tape.pattern(int(k))
+        frame = record.frame(pattern)
+        head = (float(tape.times[k]), record.time, record.sequence, record.role.name.lower(), record.mode)
+        amperes, volts = frame.measurement_currents.tolist(), frame.voltages.tolist()
+        rows = zip(pattern.quadruples.tolist(), amperes, volts, strict=True)
+        for quadruple, current, voltage in rows:
+            yield (*head, *quadruple, current, voltage)
+
+
+def write_csv(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, ...]]) -> int:
+    """Write a table with a header; the number of its rows.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    count = 0
+    with _new(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for count, row in enumerate(rows, 1):  # noqa: B007
+            writer.writerow(row)
+    return count
+
+
+def write_parquet(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, ...]]) -> int:
+    """Write a table as Parquet, through pyarrow (extra `export`); the number of its rows.
+
+    Raises:
+        DataError: If pyarrow is missing, or the file exists or cannot be written.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise DataError("Parquet needs pyarrow: pip install 'ohmskin[export]'; or choose csv or npz") from error
+    names = tuple(columns)
+    known = dict.fromkeys(("mode", "role"), pa.string()) | dict.fromkeys(("cycle", "sequence"), pa.uint64())
+    known |= dict.fromkeys(("id", "source", "sink", "plus", "minus"), pa.int64())
+    kinds = [known.get(name, pa.float64()) for name in names]
+    schema = pa.schema(list(zip(names, kinds, strict=True)))
+    total, rows = 0, iter(rows)
+    with _new(path) as part, pq.ParquetWriter(part, schema) as writer:
+        while batch := list(islice(rows, _ROWS_AT_ONCE)):
+            arrays = [pa.array(column, kind) for column, kind in zip(zip(*batch, strict=True), kinds, strict=True)]
+            writer.write_batch(pa.record_batch(arrays, schema=schema))
+            total += len(batch)
+    return total
+
+
+def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.inf) -> dict[str, tuple[int, ...]]:
+    """Write frames, patterns, contacts and images as NumPy arrays (docs/guide/recording.md); their shapes.
+
+    Voltages of frame k are `voltages[voltages_start[k] : voltages_start[k + 1]]`; likewise currents and patterns.
+
+    Raises:
+        DataError: If the file exists or cannot be written, or so much does not fit into memory.
+    """
+    frames = _within(tape, start, stop)
+    _, first, which = np.unique(tape.pattern_numbers[frames], return_index=True, return_inverse=True)
+    patterns = [tape.pattern(int(frames[k])) for k in first]
+    sizes = np.array([p.n_meas for p in patterns], np.int64)
+    if (total := int(sizes[which].sum())) > _MOST_VALUES:
+        raise DataError(f"{total} voltages are too many for one file; choose a part with --start and --seconds")
+    records = [tape.frames[int(k)] for k in frames]
+    images: list[Any] = []
+    image_times, shape = [], (0, 0)
+    times = tape.times_of(tape.images)
+    for k in np.flatnonzero((times >= start) & (times <= stop)):
+        image = tape.images[int(k)]
+        shape = shape if images else image.shape
+        if image.shape != shape:
+            raise DataError(f"image {k} of {tape.path} has shape {image.shape}, not {shape}; export a part without it")
+        if (len(images) + 1) * image.size > _MOST_VALUES:
+            raise DataError("the images are too many for one file; choose a part with --start and --seconds")
+        images.append(image.astype(np.float32))
+        image_times.append(times[k])
+    contacts = list(contact_rows(tape, start, stop))
+    table = zip(*contacts, strict=True) if contacts else [()] * len(CONTACT_COLUMNS)
+    arrays: dict[str, Any] = {
+        "frame_time_s": tape.times[frames],
+        "frame_device_time_s": np.array([r.time for r in records]),
+        "frame_sequence": np.array([r.sequence for r in records], np.uint64),
+        "frame_flags": np.array([int(r.flags) for r in records], np.uint32),
+        "frame_role": np.array([int(r.role) for r in records], np.uint8),
+        "frame_pattern": which.astype(np.int64),
+        "voltages": np.concatenate([r.voltages for r in records] or [np.empty(0)]),
+        "voltages_start": _starts([r.voltages.size for r in records]),
+        "currents": np.concatenate([r.currents for r in records] or [np.empty(0)]),
+        "currents_start": _starts([r.currents.size for r in records]),
+        "pattern_injections": _stacked([p.injections for p in patterns], 2),
+        "pattern_injections_start": _starts([p.n_inj for p in patterns]),
+        "pattern_measurements": _stacked([p.measurements for p in patterns], 3),
+        "pattern_measurements_start": _starts([p.n_meas for p in patterns]),
+        "image_time_s": np.array(image_times),
+        "images": np.array(images, np.float32).reshape(len(images), *shape),
+        "skin_toml": np.array(tape.skin),
+        **{f"contact_{name}": np.array(own) for name, own in zip(CONTACT_COLUMNS, table, strict=True)},
+    }
+    with suppress(KeyError, ValueError):
+        raster = tape.metadata["raster"]
+        arrays["image_x_m"] = float(raster["x0"]) + float(raster["pitch"]) * np.arange(shape[1])
+        arrays["image_y_m"] = float(raster["y0"]) + float(raster["pitch"]) * np.arange(shape[0])
+    with _new(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+    return {name: array.shape for name, array in arrays.items()}
+
+
+def write_picture(path: Path, cycle: Replayed, title: str = "") -> None:
+    """Save one cycle's image with its contacts.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    save_comparison(path, {title or f"{cycle.time:.2f} s": cycle})
+
+
+def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
+    """Save images side by side, each under its title, each with colours of its own.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    figure = Figure(figsize=(1 + 4.2 * len(cycles), 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (title, cycle) in zip(figure.subplots(1, len(cycles), squeeze=False)[0], cycles.items(), strict=True):
+        model, touch = cycle.known.model, cycle.touch
+        shown = draw_image(axes, model.mesh, touch.percept.image.values, model.electrodes, touch.percept.detections)
+        axes.set_title(title, fontsize=10)
+        figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.8)
+    with _new(path) as part:
+        try:
+            figure.savefig(part, dpi=120, format=path.suffix.lstrip(".") or "png")
+        except ValueError as error:
+            raise DataError(f"cannot write picture {path}: {error}") from error
+
+
+def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> int:
+    """Write an MP4 film of `rate` pictures per recorded second, through ffmpeg; the number of its pictures.
+
+    Raises:
+        DataError: If ffmpeg is not installed or fails, there are no cycles, or the file exists.
+    """
+    if (program := shutil.which("ffmpeg")) is None:
+        raise DataError("a film needs the program ffmpeg: apt-get install ffmpeg; or choose png, csv, npz or parquet")
+    width, height = _FILM_PIXELS
+    with _new(path) as part:
+        pictures = f"-f rawvideo -pix_fmt rgba -s {width}x{height} -r {rate:g} -i -"
+        command = [program, *f"-y -loglevel error {pictures} -an -vf format=yuv420p -f mp4".split(), str(part)]
+        count = 0
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdin is not None
+            assert process.stderr is not None
+            with suppress(BrokenPipeError):
+                for count, picture in enumerate(_pictures(cycles, rate), 1):  # noqa: B007
+                    process.stdin.write(picture)
+                process.stdin.close()
+            complaint = process.stderr.read().decode(errors="replace").strip()
+        if not count:
+            raise DataError("nothing was recorded in that time; choose another --start and --seconds")
+        if process.returncode:
+            raise DataError(f"ffmpeg failed (exit status {process.returncode}): {complaint[:300] or 'no reason given'}")
+    return count
+
+
+def strongest(cycles: Iterable[Replayed]) -> Replayed:
+    """The cycle with the strongest contact, or the highest image if there is none.
+
+    Raises:
+        DataError: If there is no cycle.
+    """
+    best, height = None, (False, -np.inf)
+    for cycle in cycles:
+        contacts = cycle.touch.percept.detections  # of this image alone: tracking needs some cycles before it
+        peak = max((abs(c.peak) for c in contacts), default=float(np.abs(cycle.touch.percept.image.values).max()))
+        if (bool(contacts), peak) > height:
+            best, height = cycle, (bool(contacts), peak)
+    if best is None:
+        raise DataError("nothing was recorded in that time; choose another --start and --seconds")
+    return best
+
+
+def cycle_at(path: str | Path, at: float, **options: Any) -> Replayed:
+    """The first cycle from a time on (s); `options` are those of `reimage`.
+
+    Raises:
+        DataError: If there is none.
+    """
+    for cycle in reimage(path, start=at, **options):
+        return cycle
+    raise DataError(f"no whole cycle was recorded from {at:g} s on; choose an earlier time")
+
+
+def _pictures(cycles: Iterable[Replayed], rate: float) -> Iterator[bytes]:
+    """RGBA pictures, one for each 1 / rate seconds: the newest cycle at that time.
+
+    Colours stay fixed from the first one on.
+    """
+    film: _Film | None = None
+    picture, due = b"", 0.0
+    for cycle in cycles:
+        if film is None:
+            film, due = _Film(cycle), cycle.time
+        while picture and due + 1 / rate <= cycle.time:  # nothing new: the film stands still
+            yield picture
+            due += 1 / rate
+        if cycle.time + 1e-9 < due:
+            continue
+        picture = film.draw(cycle)
+        yield picture
+        due += 1 / rate
+
+
+class _Film:
+    """One figure, whose image and contacts are exchanged from picture to picture."""
+
+    def __init__(self, first: Replayed) -> None:
+        width, height = _FILM_PIXELS
+        self._figure = Figure(figsize=(width / 100, height / 100), dpi=100, layout="constrained")
+        self._canvas = FigureCanvasAgg(self._figure)
+        self._axes = self._figure.add_subplot()
+        model = first.known.model
+        self._mesh, self._raster = model.mesh, Raster(model.mesh, _RASTER)
+        full = max(0.3, 3 * first.thresholds.final)
+        image = first.touch.percept.image.values
+        self._shown = draw_image(self._axes, model.mesh, image, model.electrodes, limit=full)
+        self._figure.colorbar(self._shown, ax=self._axes, label="relative conductivity change", shrink=0.85)
+        (self._marks,) = self._axes.plot([], [], "+", color="black", markersize=12)
+
+    def draw(self, cycle: Replayed) -> bytes:
+        if cycle.known.model.mesh is not self._mesh:  # after another calibration
+            self._mesh = cycle.known.model.mesh
+            self._raster = Raster(self._mesh, _RASTER)
+        self._shown.set_data(self._raster(cycle.touch.percept.image.values))
+        places = 1e3 * np.array([contact.position for contact in cycle.touch.contacts]).reshape(-1, 2)
+        self._marks.set_data(places[:, 0], places[:, 1])
+        self._axes.set_title(f"{cycle.touch.mode.name}   {cycle.time:7.2f} s", fontsize=10)
+        self._canvas.draw()
+        return bytes(self._canvas.buffer_rgba())
+
+
+def _within(tape: Tape, start: float, stop: float) -> Any:
+    return np.flatnonzero((tape.times >= start) & (tape.times <= stop))
+
+
+def _stacked(rows: list[Ints], width: int) -> Any:
+    return np.concatenate([*rows, np.empty((0, width), np.int64)]).astype(np.int32)
+
+
+def _starts(sizes: list[int]) -> Any:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+@contextmanager
+def _new(path: Path) -> Iterator[Path]:
+    """A name to write to; it becomes `path` when all went well, and `path` is never overwritten.
+
+    Raises:
+        DataError: If the file exists or cannot be written.
+    """
+    if path.exists():
+        raise DataError(f"{path} exists and is never overwritten; choose another name")
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        part.touch(exist_ok=False)  # who may read it is for the user's umask to say
+        try:
+            yield part
+            _rename(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+
+
+def _rename(part: Path, path: Path) -> None:
+    """Give a file its name unless another one has it."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # no hard links here: a USB stick, say
+        if path.exists():
+            raise
+        part.rename(path)

@@ -1,0 +1,182 @@
+"""The recorder: a sink that keeps everything the loop measured and felt, in a file that others can read."""
+
+import platform
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+import ohmskin
+from ohmskin.closing import Closing
+from ohmskin.device import Device
+from ohmskin.engine import Engine, State, Touch
+from ohmskin.errors import DataError
+from ohmskin.geometry import Raster
+from ohmskin.mcap import Progress, Role, WriterPipe, messages
+from ohmskin.mcap.modes import encode_modes
+from ohmskin.mcap.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOUCH
+from ohmskin.mcap.tape import FORMAT
+from ohmskin.scan import DrivePattern, Frame
+from ohmskin.sensing import drive_of
+from ohmskin.sensing import modes as modes_of
+from ohmskin.skin import Mode, Skin
+
+PIXELS = 64
+"""Pixels of a recorded image along the skin's longer side; those of the live page."""
+
+_MOST_PATTERNS = 4096  # remembered as stored; one that was forgotten is stored again
+_HEALTH_EVERY = 1.0  # s
+
+
+class Recorder(Closing):
+    """Records a device and, if there is one, the loop that runs on it. Nothing here waits for the disk.
+
+        with Recorder("touch.mcap", skin) as recorder:
+            with Engine(lambda: recorder.tee(connect(url)), skin, report=recorder.note) as engine:
+                recorder.watch(engine)
+                engine.calibrate()
+                for touch in engine.touches():
+                    recorder.publish(touch)
+
+    Args:
+        path: The recording, a file that is not there yet.
+        skin: What the device is.
+        images: Most images and markers per second; frames suffice to make them again. 0 for none, infinity for all.
+        modes: The modes that may be used, for a replay to use them again; those of the skin unless given.
+
+    Raises:
+        DataError: If the file is there already or cannot be made.
+    """
+
+    def __init__(self, path: str | Path, skin: Skin, images: float = 30.0, modes: Iterable[Mode] = ()) -> None:
+        if not images >= 0:
+            raise DataError(f"images is {images} per second; it must be 0 or more")
+        used = tuple(modes) or tuple(modes_of(skin).values())
+        told = {mode.name: {**mode.entries, "adjustable": drive_of(mode, skin).adjustable} for mode in used}
+        self.skin, self._modes = skin, encode_modes(told)
+        self.path = Path(path)
+        self._pipe: WriterPipe | None = None
+        self._engine: Engine | None = None
+        if self.path.exists():
+            raise DataError(f"{self.path} exists, and a recording is never overwritten; choose another name")
+        self._named: dict[int, DrivePattern] = {}  # the newest stored pattern of each digest
+        self._raster: Raster | None = None
+        self._image_every, self._image_at, self._health_at = (1 / images if images else np.inf), -np.inf, -np.inf
+        self._frames, self._unnamed, self._ended = 0, 0, Progress()
+
+    def tee(self, device: Device) -> Device:
+        """The device, its frames recorded on their way. The first one is described in the file."""
+        if self._pipe is None:
+            self._open(device)
+            for frame in device.reference:
+                self.frame(frame, Role.QUIET)
+        device.listen(self.frame)
+        return device
+
+    def watch(self, engine: Engine) -> None:
+        """Ask this engine what a frame is scanned for, so that a replay can calibrate with the very same frames."""
+        self._engine = engine
+
+    def frame(self, frame: Frame, role: Role | None = None) -> None:
+        """Record one frame; `tee` calls it."""
+        if self._pipe is None:
+            raise DataError("this recorder has no device yet; open one with recorder.tee(device)")
+        stamp, mode = time.time_ns(), ""
+        if self._engine is not None:
+            mode = self._engine.mode.name
+            if role is None:
+                first = self._engine.scans_made == 0
+                role = Role.QUIET if self._engine.state is State.CALIBRATING else Role.BASE if first else Role.CHOSEN
+        self._frames += 1
+        if self._store(frame.pattern, stamp):
+            data = messages.encode_frame(frame, stamp, time.monotonic(), role or Role.UNTOLD, mode)
+            self._pipe.send(FRAME, self._frames, stamp, data)
+        else:
+            self._unnamed += 1
+
+    def publish(self, touch: Touch) -> None:
+        """Record what a cycle felt: contacts, an image and the loop's health as often as they are due."""
+        if self._pipe is None:
+            return
+        stamp, number = time.time_ns(), touch.sequence
+        frames = [frame.sequence & 0xFFFFFFFFFFFFFFFF for frame in touch.percept.frames]
+        data = messages.encode_touch(number, touch.time, stamp, touch.mode.name, frames, touch.contacts)
+        self._pipe.send(TOUCH, number, stamp, data)
+        clock = time.monotonic()
+        if self._raster is not None and clock >= self._image_at:
+            self._image_at = clock + self._image_every
+            pixels = self._raster(touch.percept.image.values)
+            self._pipe.send(IMAGE, number, stamp, messages.encode_image(pixels, stamp))
+            self._pipe.send(MARKERS, number, stamp, messages.encode_markers(touch.contacts, stamp))
+        if clock >= self._health_at:
+            self._health_at = clock + _HEALTH_EVERY
+            health = touch.health
+            values = {name: float(value) for name, value in vars(health).items() if isinstance(value, int | float)}
+            values["recorder_dropped"] = float(sum(self.progress.dropped.values()))
+            message = self._engine.message if self._engine is not None else ""
+            self._pipe.send(HEALTH, number, stamp, messages.encode_health(values, message, self._device, stamp))
+
+    def note(self, sentence: str) -> None:
+        """Record a sentence of the loop."""
+        if self._pipe is not None:
+            stamp = time.time_ns()
+            self._pipe.send(LOG, 0, stamp, messages.encode_log(sentence, stamp))
+
+    @property
+    def progress(self) -> Progress:
+        """How much was written and dropped, and what stands in the way."""
+        if self._pipe is None:
+            return self._ended
+        progress = self._pipe.progress
+        if self._unnamed:
+            return replace(progress, dropped={**progress.dropped, "frames without their pattern": self._unnamed})
+        return progress
+
+    def close(self) -> Progress:
+        """Finish the file and say how it went; a file without a single frame is taken away again. Safe twice."""
+        if self._pipe is not None:
+            self._pipe.close()
+            self._ended, self._pipe = self.progress, None
+            if not self._frames:
+                self.path.unlink(missing_ok=True)
+        return self._ended
+
+    def _open(self, device: Device) -> None:
+        self._device = device.capabilities.name
+        metadata = {
+            "ohmskin": {
+                "format": FORMAT,
+                "ohmskin": ohmskin.__version__,
+                "numpy": np.__version__,
+                "scipy": scipy.__version__,
+                "python": platform.python_version(),
+                "platform": platform.platform(),
+                "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                "skin": self.skin.name,
+                "modes": self._modes,
+            },
+            "device": {**device.capabilities.as_texts(), "reference": str(len(device.reference))},
+        }
+        if self._image_every < np.inf:
+            self._raster = raster = Raster(self.skin.mesh(), PIXELS)
+            corner = {"x0": repr(float(raster.x[0])), "y0": repr(float(raster.y[0])), "pitch": repr(raster.pitch)}
+            metadata["raster"] = {**corner, "nx": str(len(raster.x)), "ny": str(len(raster.y)), "unit": "1"}
+        self._pipe = WriterPipe(self.path, metadata, {"skin.toml": self.skin.dump()})
+
+    def _store(self, pattern: DrivePattern, stamp: int) -> bool:
+        """See to it that the newest pattern in the file with this digest is this one."""
+        assert self._pipe is not None
+        if self._named.get(pattern.digest) is pattern:
+            return True
+        if self._named.get(pattern.digest) == pattern:
+            self._named[pattern.digest] = pattern
+            return True
+        if not self._pipe.send(PATTERN, 0, stamp, messages.encode_pattern(pattern)):
+            return False
+        self._named[pattern.digest] = pattern
+        if len(self._named) > _MOST_PATTERNS:
+            del self._named[next(iter(self._named))]
+        return True

@@ -1,0 +1,32 @@
+"""From a mode to contacts: a sensor is a drive and a reader, and knows a skin."""
+
+from ohmskin.sensing.build import build, drive_of, perceive
+from ohmskin.sensing.compiled import CompiledCycle
+from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes
+from ohmskin.sensing.readers import READERS, Belief, DetectionReader, FilterReader, Reader
+from ohmskin.sensing.sensor import Percept, Scan, Sensor, SensorState, Thresholds
+
+__all__ = [
+    "DEFAULT",
+    "MODES",
+    "READERS",
+    "RECORDED",
+    "Belief",
+    "CompiledCycle",
+    "DetectionReader",
+    "FilterReader",
+    "Percept",
+    "Reader",
+    "Scan",
+    "Sensor",
+    "SensorState",
+    "SkinModel",
+    "Thresholds",
+    "build",
+    "default_mode",
+    "drive_of",
+    "mode_named",
+    "modes",
+    "perceive",
+]

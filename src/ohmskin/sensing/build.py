@@ -1,0 +1,106 @@
+"""From a mode to a sensor: its parts by their names, gamma_0 learned from the quiet frames, compiled where possible."""
+
+import time
+
+import numpy as np
+
+from ohmskin.contacts import ContactFinder, learn_threshold
+from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target
+from ohmskin.errors import ModelError
+from ohmskin.scan import Frame
+from ohmskin.sensing.compiled import compiled
+from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.modes import RECORDED
+from ohmskin.sensing.readers import READERS
+from ohmskin.sensing.sensor import Locator, Percept, Sensor, Thresholds
+from ohmskin.skin import Mode, Skin
+
+_LEAST_QUIET = 8  # images, below which a threshold learned from them would be luck
+_SIGMAS = 5.0  # height of a threshold above the largest predicted noise, where it cannot be learned
+_PATIENCE = 2.0  # s to learn thresholds in, of slow estimators
+
+
+def drive_of(mode: Mode, skin: Skin) -> Drive:
+    """The drive of a mode.
+
+    Raises:
+        PatternError: If there is none of that name, or the skin does not allow it.
+    """
+    settings = DriveSettings(skin.electrodes, skin.design, skin.imaging.pairs)
+    return DRIVES[mode.drive](settings, mode.injections)
+
+
+def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
+    """The sensor of a mode.
+
+    Args:
+        mode: Names drive, reader, estimator and prior.
+        known: What is known of the quiet skin.
+        drive: A drive that is there already, such as the recorded pattern.
+
+    Raises:
+        PatternError: If there is no such drive, or the skin does not allow it, or its quiet frames do not cover it.
+        ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
+    """
+    drive = drive or drive_of(mode, known.skin)
+    estimator = known.estimator(mode.estimator, mode.prior, mode.rule)
+    imaging = known.skin.imaging
+    if known.model.mesh.nodes.shape[1] != 2 and mode.reader != "centroid":
+        raise ModelError(f"reader {mode.reader!r} needs a flat sheet; on surfaces in space use reader 'centroid'")
+    finder = ContactFinder(np.inf, imaging.fraction, imaging.dip, imaging.bipolar)
+    part = drive.scans == 1 and drive.patterns[0].n_inj > drive.injections
+    window = imaging.pairs if part else 0
+    quick = known.one_step(estimator)
+    locator = Locator(quick, finder)
+    blind = Sensor(
+        known, drive, READERS["centroid"](known, estimator, np.inf), locator, Thresholds(0, 0), mode.fuse, window
+    )
+    thresholds, seconds = _learned(blind, finder)
+    locator = Locator(quick, ContactFinder(thresholds.base, imaging.fraction, imaging.dip, imaging.bipolar))
+    reader = READERS[mode.reader](known, estimator, thresholds.final)
+    middle = known.model.mesh.centroids[:, :2].mean(axis=0)
+    drive.next([Target(middle, 1e-6 * np.eye(2), 1e-4, imaging.mesh_size)], 1)  # makes its tables, if it has any, now
+    sensor = Sensor(known, drive, reader, locator, thresholds, mode.fuse, window)
+    sensor.implementation, sensor.seconds = compiled(sensor, mode), seconds
+    return sensor
+
+
+def perceive(known: SkinModel, frame: Frame, mode: Mode = RECORDED) -> Percept:
+    """What one frame of any pattern shows by itself.
+
+    Args:
+        known: What is known of the quiet skin; its quiet frames cover the frame's pattern.
+        frame: The frame.
+        mode: Names reader, estimator, prior and rule; its drive does not count.
+
+    Raises:
+        PatternError: If the quiet frames do not cover the pattern.
+        ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
+    """
+    sensor = build(mode, known, Fixed(frame.pattern))
+    return sensor.step(sensor.start(), lambda _: frame)[1]
+
+
+def _learned(sensor: Sensor, finder: ContactFinder) -> tuple[Thresholds, float]:
+    """gamma_0 from quiet frames: their highest values, or predicted noise where frames are too few to tell; and how
+    long the images of one take (s)."""
+    known = sensor.known
+    repeats = known.quiet.repeats
+    base, final, state = [], [], sensor.start()
+    begin = seconds = np.inf
+    for number in range(repeats):
+        started = time.monotonic()
+        scan = lambda pattern, number=number: known.quiet.scan(pattern, number)  # noqa: E731
+        state, percept = sensor.step(state, scan)
+        base.append(finder.highest(percept.base_image))
+        final.append(finder.highest(percept.image))
+        seconds = min(seconds, time.monotonic() - started)  # the quickest: the first prepares much
+        begin = min(begin, time.monotonic())
+        if repeats < _LEAST_QUIET or (number + 1 >= _LEAST_QUIET and time.monotonic() - begin > _PATIENCE):
+            break
+    if len(base) < _LEAST_QUIET:
+        predicted = _SIGMAS * float(percept.image.contrast_std(np.arange(len(percept.image.values))).max())
+        return Thresholds(predicted, predicted), seconds
+    # the quiet frames' own mean is taken off them; later ones have it
+    share = float(np.sqrt((1 + 1 / repeats) / (1 - 1 / repeats)))
+    return Thresholds(share * learn_threshold(base), share * learn_threshold(final)), seconds

@@ -1,0 +1,159 @@
+"""What is learned of a quiet skin, and the parts that every reader of it shares."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import ContactFitter
+from ohmskin.contacts.likelihood import gain_directions
+from ohmskin.errors import DataError, ModelError
+from ohmskin.forward import ContactTable, TransferModel
+from ohmskin.inverse import GaussNewton
+from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Settings
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality
+from ohmskin.sensing.quiet import QuietScans
+from ohmskin.skin import Skin
+
+_CONTACT_ERROR = 0.05  # share of its signal that a disc gets wrong of a contact; up to 0.04 on the contact-layer twin
+_LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
+
+
+class SkinModel:
+    """A skin, and what its quiet frames say: reference data, noise, and the forward model that fits them.
+
+    Args:
+        skin: Its description.
+        model: Forward model of the untouched sheet as described; its conductivity is scaled to the quiet frames.
+        quiet: Frames of the untouched skin, of every pattern that will be driven.
+        quality: Which electrodes to leave out or to count less, by `ohmskin.scan.assess`; all count alike unless given.
+
+    Attributes:
+        baseline: Reference data and noise.
+        model: The model, scaled.
+        noise: Standard deviation of a difference of voltages (V).
+        quiet: The quiet frames, to scan once more.
+
+    Raises:
+        DataError: If the quiet frames do not tell a reference.
+    """
+
+    def __init__(
+        self, skin: Skin, model: TransferModel, quiet: Sequence[Frame], quality: Quality | None = None
+    ) -> None:
+        self.skin, self.quality = skin, quality
+        if quality is not None:
+            quiet = [quality.clean(frame) for frame in quiet]
+        self.baseline, self.quiet = Baseline.learn(quiet), QuietScans(quiet)
+        pattern = quiet[0].pattern
+        measured, modelled = self.baseline.reference(pattern), model.voltages(pattern)
+        known = np.isfinite(measured)
+        if not known.any():
+            raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
+        modelled, measured = modelled[known], measured[known]
+        self.model = model.scaled(float(modelled @ modelled / (modelled @ measured)))
+        volts = quiet[0].voltages
+        floor = _LEAST_NOISE * float(np.abs(volts[np.isfinite(volts)]).max())
+        self.noise = max(self.baseline.difference_noise, floor)
+        self._white, self.gain = kinds_of_noise(self.baseline, quiet)
+        self._usual = {  # currents (A) of the pairs driven
+            tuple(pair): current
+            for frame in quiet
+            for pair, current in zip(frame.pattern.injections.tolist(), frame.currents.tolist(), strict=True)
+            if np.isfinite(current) and current != 0
+        }
+        self._estimators: dict[tuple[str, str, str], Estimator] = {}
+
+    def difference(self, frame: Frame) -> Difference:
+        """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or counted less."""
+        if self.quality is None:
+            return self.baseline.difference(frame)
+        return self.quality.weigh(self.baseline.difference(self.quality.clean(frame)))
+
+    def usual_currents(self, pattern: DrivePattern) -> Floats | None:
+        """The currents (n_inj,) of a pattern on the quiet skin (A); None if not all were measured."""
+        currents = [self._usual.get(tuple(pair)) for pair in pattern.injections.tolist()]
+        return None if None in currents else np.array(currents, float)
+
+    def at_usual_currents(self, difference: Difference) -> Difference:
+        """A difference scaled to the currents of the quiet skin, so that one factorisation serves all frames of a base
+        scan."""
+        usual = self.usual_currents(difference.pattern)
+        if usual is None or self.quality is not None:  # which counts less what has less current
+            return difference
+        wanted = usual[difference.pattern.measurements[:, 0]]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = wanted / difference.currents
+        reference = None if difference.reference is None else difference.reference * share
+        return replace(difference, currents=wanted, volts=difference.volts * share, reference=reference)
+
+    def estimator(self, name: str, prior: str = "paper", rule: str = "physical") -> Estimator:
+        """The estimator of that name; made once.
+
+        Raises:
+            ModelError: If there is no such estimator, prior or rule, or it does not fit the skin.
+        """
+        key = name, prior, rule
+        if key not in self._estimators:
+            imaging = self.skin.imaging
+            settings = Settings(
+                self.model, self.noise, prior, rule, imaging.amplitude, imaging.model_error, imaging.bipolar
+            )
+            self._estimators[key] = ESTIMATORS[name](settings)
+        return self._estimators[key]
+
+    def one_step(self, estimator: Estimator) -> GaussNewton:
+        """What looks at base scans: the estimator if it is one-step Gauss-Newton, else that with the paper's prior."""
+        for found in (estimator, self.estimator("gauss-newton")):
+            if (
+                isinstance(found, FrameWise)
+                and isinstance(found.estimator, GaussNewton)
+                and not found.estimator.positive
+            ):
+                return found.estimator
+        raise ModelError("the estimator 'gauss-newton' was replaced; base scans need it")
+
+    @cached_property
+    def fitter(self) -> ContactFitter:
+        """What fits contacts to data; made when it is first needed, in a second or so.
+
+        Raises:
+            ModelError: If the sheet is not flat.
+        """
+        size = self.skin.imaging.mesh_size
+        table = ContactTable(self.model, radius=1.5 * size, pitch=0.7 * size)
+        floor = max(self.noise / max(self.baseline.difference_noise, 1e-300), 1.0)  # on recordings without noise
+        return ContactFitter(table, self._white * floor, _CONTACT_ERROR, bipolar=self.skin.imaging.bipolar)
+
+    def current_errors(self, difference: Difference) -> Floats:
+        """Directions (n_meas, n_inj) in which errors of the measured currents move a scan's voltages (V)."""
+        assert difference.reference is not None
+        return gain_directions(difference, difference.reference, self.gain)
+
+
+def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:
+    """White noise of a difference (V), and the relative error of a measured current that all voltages of an injection
+    share (1)."""
+    count, white, along, squares, injections = 0, 0.0, 0.0, 0.0, 0
+    for frame in quiet if baseline.repeats > 1 else ():
+        difference = baseline.difference(frame)
+        reference = difference.currents * baseline.reference(frame.pattern)
+        known = np.isfinite(difference.volts) & np.isfinite(reference)
+        which = frame.pattern.measurements[known, 0]
+        u, r = reference[known], difference.volts[known]
+        uu, ur, rr = (np.bincount(which, product, frame.pattern.n_inj) for product in (u * u, u * r, r * r))
+        measured = np.bincount(which, minlength=frame.pattern.n_inj)
+        used = (measured > 1) & (uu > 0)
+        share = ur[used] ** 2 / uu[used]
+        count += int(measured[used].sum())
+        white, along = white + float((rr[used] - share).sum()), along + float(share.sum())
+        squares, injections = squares + float(uu[used].sum()), injections + int(used.sum())
+    if count <= injections or white <= 0:
+        return baseline.difference_noise, 0.0
+    # the quiet frames' own mean is taken off; a later frame's is not
+    bias = (1 + 1 / baseline.repeats) / (1 - 1 / baseline.repeats)
+    variance = white / (count - injections)
+    gain = max(along / injections - variance, 0.0) / (squares / injections)
+    return float(np.sqrt(variance * bias)), float(np.sqrt(gain * bias))

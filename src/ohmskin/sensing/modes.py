@@ -1,0 +1,86 @@
+"""The named modes: which drive, reader, estimator and prior go together, with a plain name and a sentence each."""
+
+from dataclasses import replace
+
+from ohmskin.errors import PatternError
+from ohmskin.skin import Mode, Skin
+
+MODES = (
+    Mode(
+        "{rim}B",
+        drive="rim",
+        reader="centroid",
+        title="Rim only",
+        summary="Adjacent drive on the {rim} electrodes of the rim; contacts are centroids of the image.",
+    ),
+    Mode(
+        "{all}I",
+        drive="rings",
+        reader="centroid",
+        title="Rim and inside",
+        summary="Adjacent drive on the rim and on the inner ring; contacts are centroids of the image.",
+    ),
+    Mode(
+        "{all}O",
+        drive="eq7",
+        reader="centroid",
+        title="Adaptive, as in the paper",
+        summary="A base scan of the rim, then the pairs closest to the contacts; contacts are centroids of the image.",
+    ),
+    Mode(
+        "{all}P",
+        drive="position",
+        reader="fit",
+        title="Adaptive, most precise",
+        summary="A base scan, then the pairs most informative about positions; contacts are fitted to the data.",
+    ),
+    Mode(
+        "{all}T",
+        drive="tracking",
+        reader="tracked",
+        title="Tracking, fastest",
+        summary="A few injections a frame where most informative; contacts are tracked on the data.",
+    ),
+)
+"""The modes that ship; ``{rim}`` and ``{all}`` stand for numbers of electrodes."""
+
+RECORDED = Mode(
+    "recorded", drive="recorded", reader="centroid", title="As recorded", summary="The recording's pattern."
+)
+"""Of recordings with a pattern of their own."""
+
+DEFAULT = "{all}P"
+"""The mode of least measured error of those that see every frame afresh (docs/modes.md)."""
+
+
+def modes(skin: Skin) -> dict[str, Mode]:
+    """The modes of a skin by name: those that ship and its electrodes allow, then those of its own file."""
+    own = {mode.name: mode for mode in skin.modes}
+    inner = len(skin.electrodes.rings) > 1
+    shipped = [_named(mode, skin) for mode in MODES if inner or mode.drive != "rings"]
+    return {**{mode.name: mode for mode in shipped if mode.name not in own}, **own}
+
+
+def default_mode(skin: Skin) -> str:
+    """The name of the mode that a loop starts in unless told otherwise."""
+    return _filled(DEFAULT, skin)
+
+
+def mode_named(skin: Skin, name: str) -> Mode:
+    """The mode of that name; the default one if it is empty.
+
+    Raises:
+        PatternError: If the skin has no such mode; the message lists those it has.
+    """
+    found = modes(skin)
+    if (name or default_mode(skin)) not in found:
+        raise PatternError(f"mode {name!r} is not possible with this skin; choose from {', '.join(found)}")
+    return found[name or default_mode(skin)]
+
+
+def _named(mode: Mode, skin: Skin) -> Mode:
+    return replace(mode, name=_filled(mode.name, skin), summary=_filled(mode.summary, skin), fuse=skin.imaging.fuse)
+
+
+def _filled(text: str, skin: Skin) -> str:
+    return text.format(rim=len(skin.electrodes.rings[0]), all=len(skin.electrodes))

@@ -1,0 +1,50 @@
+"""Quiet frames once more: what a scan of the untouched skin gives, without asking the device."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ohmskin.errors import PatternError
+from ohmskin.scan import DrivePattern, Frame
+
+
+class QuietScans:
+    """Scans of the untouched skin, put together from frames that were measured.
+
+    Args:
+        frames: Quiet frames of one or several patterns, repeated.
+
+    Attributes:
+        repeats: How often the least repeated of the patterns was measured.
+    """
+
+    def __init__(self, frames: Sequence[Frame]) -> None:
+        self._by_pattern: dict[DrivePattern, list[Frame]] = {}
+        for frame in frames:
+            self._by_pattern.setdefault(frame.pattern, []).append(frame)
+        self.repeats = min(len(repeated) for repeated in self._by_pattern.values())
+        self._home = {  # where each voltage was measured
+            tuple(quadruple): (pattern, row)
+            for pattern in self._by_pattern
+            for row, quadruple in enumerate(pattern.quadruples.tolist())
+        }
+
+    def scan(self, pattern: DrivePattern, number: int) -> Frame:
+        """The frame of a pattern in repeat `number`.
+
+        Raises:
+            PatternError: If one of its voltages was not measured while the skin was quiet.
+        """
+        if pattern in self._by_pattern:
+            return self._by_pattern[pattern][number]
+        volts, currents, time = np.empty(pattern.n_meas), np.empty(pattern.n_inj), 0.0
+        for k, quadruple in enumerate(pattern.quadruples.tolist()):
+            if tuple(quadruple) not in self._home:
+                raise PatternError(
+                    f"no quiet reference for source, sink, plus, minus = {quadruple}; calibrate with this pattern"
+                )
+            home, row = self._home[tuple(quadruple)]
+            frame = self._by_pattern[home][number]
+            volts[k], time = frame.voltages[row], max(time, frame.time)
+            currents[pattern.measurements[k, 0]] = frame.currents[home.measurements[row, 0]]
+        return Frame(pattern, volts, currents, time)

@@ -1,0 +1,157 @@
+"""Readers: what is there, from what was measured. A belief in, the next one out.
+
+Other packages add theirs with an entry point of the group ``ohmskin.readers``: a function of a `SkinModel`, an
+`Estimator` and a threshold that returns a `Reader`, its documentation's first line the title.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from scipy.linalg import block_diag
+
+from ohmskin.contacts import Contact, ContactFinder
+from ohmskin.errors import ModelError
+from ohmskin.inverse import Image
+from ohmskin.inverse.estimators import Estimate, Estimator
+from ohmskin.registry import Registry
+from ohmskin.scan import Difference
+from ohmskin.sensing.model import SkinModel
+from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What is believed after a frame.
+
+    Args:
+        estimate: Of the image.
+        detections: The contacts that the frame shows by itself, strongest first.
+        contacts: The contacts to report: confirmed by several frames, with ids.
+        tracks: What is remembered of them.
+    """
+
+    estimate: Estimate
+    detections: tuple[Contact, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    tracks: Tracks | TrackState = field(default=Tracks(), repr=False)
+
+    @property
+    def image(self) -> Image:
+        """The image, made when it is first asked for."""
+        return self.estimate.image
+
+
+class Reader(Protocol):
+    """Says what is there.
+
+    Attributes:
+        estimator: What makes the image.
+    """
+
+    @property
+    def estimator(self) -> Estimator: ...
+
+    def start(self, before: Belief | None = None) -> Belief:
+        """Nothing touches the skin; names and drift known from `before`, a belief of the same reader, are kept."""
+        ...
+
+    def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
+        """What is believed after one frame more; arguments as for `Estimator.update`.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionReader:
+    """Sees every frame afresh, and follows what it sees by nearest neighbours.
+
+    Args:
+        estimator: What makes the image.
+        detect: Finds contacts, given the estimate and the recent scans.
+        tracker: Follows them.
+    """
+
+    estimator: Estimator
+    detect: Callable[[Estimate, Sequence[Difference]], Sequence[Contact]]
+    tracker: Tracker = field(default_factory=Tracker)
+
+    def start(self, before: Belief | None = None) -> Belief:
+        """Nothing touches the skin."""
+        return Belief(self.estimator.start(), tracks=before.tracks if before else Tracks())
+
+    def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
+        """What is believed after one frame more."""
+        estimate = self.estimator.update(before.estimate, new, recent, elapsed)
+        return self.follow(before, estimate, self.detect(estimate, recent))
+
+    def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
+        """What is believed after a frame that showed these contacts."""
+        assert isinstance(before.tracks, Tracks)
+        tracks, contacts = self.tracker.update(before.tracks, found)
+        return Belief(estimate, tuple(found), contacts, tracks)
+
+
+@dataclass(frozen=True, eq=False)
+class FilterReader:
+    """Follows contacts by a filter on the data themselves.
+
+    Args:
+        estimator: What makes the image, of the newest frames with drift taken off.
+        filter: The filter.
+        injections: How many injections the image is made of, at least: frames follow each other faster than fingers.
+    """
+
+    estimator: Estimator
+    filter: ContactFilter
+    injections: int
+
+    def start(self, before: Belief | None = None) -> Belief:
+        """Nothing touches the skin; what is known of its drift is kept."""
+        if before is None:
+            return Belief(self.estimator.start(), tracks=self.filter.start())
+        assert isinstance(before.tracks, TrackState)
+        return Belief(self.estimator.start(), tracks=self.filter.lifted(before.tracks))
+
+    def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
+        """What is believed after one frame more; its scans are taken one after the other."""
+        state = before.tracks
+        assert isinstance(state, TrackState)
+        for number, scan in enumerate(new):
+            state = self.filter.update(state, scan, 0.0 if number else elapsed, scan.reference)
+        corrected = state.recent(self.injections)
+        estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
+        return Belief(estimate, state.contacts, state.contacts, state)
+
+
+def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
+    """Centroids of the image's regions, as in the paper."""
+    imaging = known.skin.imaging
+    finder = ContactFinder(threshold, imaging.fraction, imaging.dip, imaging.bipolar)
+    return DetectionReader(estimator, lambda estimate, _: finder.find(estimate.image, estimator.cells))
+
+
+def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
+    """Contacts fitted to the data of each frame."""
+    fitter = known.fitter
+
+    def detect(_: Estimate, recent: Sequence[Difference]) -> Sequence[Contact]:
+        unsure = block_diag(*[known.current_errors(difference) for difference in recent])
+        return fitter.contacts(fitter.fit(*recent, unsure=unsure))
+
+    return DetectionReader(estimator, detect)
+
+
+def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
+    """Contacts tracked from frame to frame on the data."""
+    follow = ContactFilter(known.fitter, repeats=known.baseline.repeats, gain=known.gain)
+    return FilterReader(estimator, follow, known.skin.imaging.pairs)
+
+
+READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(
+    "reader", "ohmskin.readers", {"centroid": centroid, "fit": fit, "tracked": tracked}, ModelError
+)
+"""Readers by name."""

@@ -1,0 +1,260 @@
+"""A sensor is a drive and a reader: one step measures what the drive asks for and reads what is there."""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.contacts import Contact, ContactFinder, find_regions
+from ohmskin.drive import Drive, Target
+from ohmskin.geometry import Cells
+from ohmskin.inverse import GaussNewton, Image
+from ohmskin.inverse.estimators import Estimate
+from ohmskin.scan import Difference, DrivePattern, Frame
+from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.readers import Belief, Reader
+
+Scan = Callable[[DrivePattern], Frame]
+
+_LONGEST = 1.0  # s between two frames, beyond which nothing more is forgotten
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """gamma_0 (eq. 6), relative conductivity change: for the base image and for the final one."""
+
+    base: float
+    final: float
+
+
+@dataclass(frozen=True, eq=False)
+class Percept:
+    """What one step measured and what is believed because of it.
+
+    Args:
+        frames: The scans.
+        belief: What is believed.
+        look: Makes the image of the base scan; None where a frame has one scan.
+    """
+
+    frames: tuple[Frame, ...]
+    belief: Belief
+    look: Estimate | None = field(default=None, repr=False)
+
+    @property
+    def image(self) -> Image:
+        """The image, made when it is first asked for."""
+        return self.belief.image
+
+    @property
+    def base_image(self) -> Image:
+        """Image of the base scan; of frames with one scan the image."""
+        return self.image if self.look is None else self.look.image
+
+    @property
+    def detections(self) -> tuple[Contact, ...]:
+        """The contacts that the frame shows by itself, strongest first."""
+        return self.belief.detections
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The contacts to report, with ids, strongest first."""
+        return self.belief.contacts
+
+
+@dataclass(frozen=True, eq=False)
+class SensorState:
+    """What a sensor remembers from one step to the next.
+
+    Args:
+        belief: What is believed.
+        turn: Scans so far.
+        recent: The newest scans, of drives whose frames have few injections.
+        time: When the last frame was taken (s, on the device's clock); None before the first.
+    """
+
+    belief: Belief
+    turn: int = 0
+    recent: tuple[Difference, ...] = field(default=(), repr=False)
+    time: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """The scans of one frame.
+
+    Args:
+        frames: As measured.
+        scans: Their changes against the quiet skin, the base scan at its usual currents.
+        look: The image of the base scan; None where there is one scan.
+        read: What is believed after them, given what was before, where they have been read already.
+    """
+
+    frames: tuple[Frame, ...]
+    scans: tuple[Difference, ...]
+    look: Estimate | None = None
+    read: Callable[[Belief], Belief] | None = None
+
+
+class Implementation(Protocol):
+    """Measures and reads frames in another way, with the same outcome."""
+
+    def measure(self, scan: Scan) -> Measured | tuple[Frame, ...]:
+        """A frame measured and read; the scans made so far if it cannot read these data."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Locator:
+    """Tells roughly where a base scan shows contacts: the regions of its image (eq. 6).
+
+    Args:
+        estimator: Makes the image.
+        finder: Threshold gamma_0, least share of the highest region, and dip between two.
+    """
+
+    estimator: GaussNewton
+    finder: ContactFinder
+
+    def targets(self, image: Image) -> list[Target]:
+        """The regions, strongest first; the highest place where nothing exceeds gamma_0, which finds weak contacts."""
+        cells, finder = self.estimator.cells, self.finder
+        values = image.values
+        threshold = max(finder.threshold, finder.fraction * float(values.max()))
+        regions = find_regions(values, cells, threshold, finder.dip)
+        if not regions:
+            peak = cells.centroids[int(np.argmax(values))]
+            return [self._target(peak, 0.0, cells.centroids[cells.closest_elements(peak[None], 3)[0]], cells)]
+        found = []
+        for region in regions:
+            effect = float(values[region.elements] @ cells.measures[region.elements])
+            found.append(self._target(region.centroid, effect, region.anchors, cells, region.elements))
+        return found
+
+    @staticmethod
+    def _target(place: Floats, effect: float, anchors: Floats, cells: Cells, elements: Ints | None = None) -> Target:
+        radius = 0.0 if elements is None else float(np.sqrt(cells.measures[elements].sum() / np.pi))
+        return Target(place, radius**2 * np.eye(2), effect, radius, anchors)
+
+
+class Sensor:
+    """A drive and a reader. State in, state out; the same frames give the same contacts.
+
+    Args:
+        known: What is known of the quiet skin.
+        drive: Says what to measure.
+        reader: Says what is there.
+        locator: Tells a drive of two scans what the first one showed.
+        thresholds: gamma_0, as learned.
+        fuse: Whether the reader gets all scans of a frame, or the last one alone.
+        window: Injections that a reader gets at least, scans of earlier frames included; 0: those of the frame alone.
+
+    Attributes:
+        seconds: Time that its images of one frame take on this machine, as measured when it was made (s); 0: unknown.
+    """
+
+    def __init__(
+        self,
+        known: SkinModel,
+        drive: Drive,
+        reader: Reader,
+        locator: Locator,
+        thresholds: Thresholds,
+        fuse: bool = True,
+        window: int = 0,
+    ) -> None:
+        self.known, self.drive, self.reader, self.locator = known, drive, reader, locator
+        self.thresholds, self.fuse, self.window = thresholds, fuse, window
+        self.implementation: Implementation | None = None
+        self.seconds = 0.0
+
+    def with_drive(self, drive: Drive) -> "Sensor":
+        """The same sensor with another number of injections; its state stays valid."""
+        other = copy(self)
+        other.drive = drive
+        return other
+
+    @property
+    def cells(self) -> Cells:
+        """What its images are made of."""
+        return self.reader.estimator.cells
+
+    def start(self, before: Belief | None = None) -> SensorState:
+        """Nothing touches the skin; names and drift known from `before`, a belief of the same reader, are kept."""
+        return SensorState(self.reader.start(before))
+
+    def step(self, state: SensorState, scan: Scan) -> tuple[SensorState, Percept]:
+        """Measure once what the drive asks for, and read what is there.
+
+        Args:
+            state: What is remembered; begin with `start`.
+            scan: Scans a pattern.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        measured = self._measure(state, scan)
+        last = measured.frames[-1]
+        now = last.time if last.recorded is None else last.recorded
+        elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
+        new = measured.scans if self.fuse else measured.scans[-1:]
+        recent = self._with_older(new, state.recent)
+        if measured.read is not None:
+            belief = measured.read(state.belief)
+        else:
+            belief = self.reader.update(state.belief, new, recent, elapsed)
+        after = SensorState(belief, state.turn + len(measured.frames), recent if self.window else (), now)
+        return after, Percept(measured.frames, belief, measured.look)
+
+    def _with_older(self, new: tuple[Difference, ...], older: tuple[Difference, ...]) -> tuple[Difference, ...]:
+        """New scans, and as many older ones as make up the window."""
+        taken = list(new)
+        for scan in older:
+            if sum(one.pattern.n_inj for one in taken) >= self.window:
+                break
+            taken.append(scan)
+        return tuple(taken)
+
+    def _measure(self, state: SensorState, scan: Scan) -> Measured:
+        if self.implementation is None:
+            return self.measure(state, scan)
+        found = self.implementation.measure(scan)
+        if isinstance(found, Measured):
+            return found
+        scanned = iter(found)  # whatever would be chosen now: frames tell their own patterns
+        return self.measure(state, lambda pattern: next(scanned, None) or scan(pattern))
+
+    def measure(self, state: SensorState, scan: Scan) -> Measured:
+        """The scans of one frame, each chosen by what is known then."""
+        frames: list[Frame] = []
+        scans: list[Difference] = []
+        look: Image | None = None
+        targets = targets_of(state.belief.contacts)
+        for number in range(self.drive.scans):
+            frames.append(scan(self.drive.next(targets, state.turn + number)))
+            scans.append(self.known.difference(frames[-1]))
+            if number + 1 < self.drive.scans:
+                scans[-1] = self.known.at_usual_currents(scans[-1])
+                look = self.locator.estimator.reconstruct(*scans)
+                targets = self.locator.targets(look)
+        return Measured(tuple(frames), tuple(scans), None if look is None else Made(look))
+
+
+@dataclass(frozen=True)
+class Made:
+    """An image that is there already."""
+
+    image: Image
+
+
+def targets_of(contacts: Sequence[Contact]) -> list[Target]:
+    """Contacts as a drive wants them; one without a covariance is known as well as it is large."""
+    targets = []
+    for c in contacts:
+        square = c.extent / np.pi if c.radius is None else c.radius**2
+        covariance = square * np.eye(2) if c.covariance is None else np.array(c.covariance)
+        targets.append(Target(np.array(c.position), covariance, c.strength, float(np.sqrt(square))))
+    return targets

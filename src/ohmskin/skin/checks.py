@@ -1,0 +1,99 @@
+"""Entries of a skin's description: defaults with the values that they may have, and the check of what is given."""
+
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import field, fields
+from pathlib import Path
+from typing import Any
+
+from ohmskin.errors import SkinError
+
+
+def read_text(path: Path, most: int, what: str) -> str:
+    """The text of a file of at most so many bytes; `what` it is, for errors.
+
+    Raises:
+        SkinError: If it cannot be read, is larger, or is not UTF-8.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+        if len(content) > most:
+            raise SkinError(f"{what} {path} has more than {most} bytes; that cannot be right")
+        return content.decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SkinError(f"cannot read {what} {path}: {error}") from error
+
+
+def read_toml(text: str, origin: str) -> dict[str, Any]:
+    """The entries of a TOML text.
+
+    Raises:
+        SkinError: If it is not valid TOML; `origin` names it.
+    """
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, brackets in brackets
+        raise SkinError(f"{origin} is not valid TOML: {error}") from error
+
+
+def check_names(given: Iterable[str], names: Sequence[str], table: str = "") -> None:
+    """Raise SkinError for an entry of a `table` that is none of `names`."""
+    if unknown := [name for name in given if name not in names]:
+        entry = f"{table}{unknown[0]}" if table else repr(unknown[0])
+        raise SkinError(f"unknown entry {entry}; choose from {', '.join(names)}")
+
+
+def number(default: float, low: float, high: float, unit: str = "") -> Any:
+    """A number within low..high; whole if its default is."""
+    return field(default=default, metadata={"low": low, "high": high, "unit": unit})
+
+
+def numbers(high: float, unit: str = "") -> Any:
+    """A list of numbers within 0..high, empty unless given."""
+    return field(default=(), metadata={"low": 0.0, "high": high, "unit": unit})
+
+
+def choice(default: str, *choices: str) -> Any:
+    """One of several words."""
+    return field(default=default, metadata={"choices": choices})
+
+
+def check_table(table: str, values: Any) -> None:
+    """Hold each value against the type of its default and the range in its metadata.
+
+    Raises:
+        SkinError: If one is not like that; it names the entry.
+    """
+    for entry in fields(values):
+        value, name, told = getattr(values, entry.name), f"{table}.{entry.name}", entry.metadata
+        expected: Any = type(entry.default)
+        if expected is tuple and "low" not in told:
+            if not (isinstance(value, tuple) and all(_is_place(place) for place in value)):
+                raise SkinError(f"{name} must be a list of [x, y] in metres")
+        elif expected is tuple:
+            low, high = told["low"], told["high"]
+            if not (isinstance(value, tuple) and all(is_number(v) and low <= v <= high for v in value)):
+                raise SkinError(f"{name} must be a list of numbers, each {_range(told)}")
+        elif expected in (bool, str):
+            if not isinstance(value, expected):
+                raise SkinError(f"{name} is {value!r}; it must be {'true or false' if expected is bool else 'text'}")
+            if value not in (choices := told.get("choices", (value,))):
+                raise SkinError(f"{name} is {value!r}; choose from {', '.join(choices)}")
+        elif not is_number(value) or (expected is int and not isinstance(value, int)):
+            raise SkinError(f"{name} is {value!r}; it must be {'a whole number' if expected is int else 'a number'}")
+        elif not told["low"] <= value <= told["high"]:  # false for nan, too
+            raise SkinError(f"{name} is {value}; it must be {_range(told)}")
+
+
+def _range(told: Any) -> str:
+    return f"{told['low']:g} to {told['high']:g} {told['unit']}".rstrip()
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a TOML file is a number, which true and false are not."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_place(place: Any) -> bool:
+    return isinstance(place, tuple) and len(place) == 2 and all(is_number(x) and -1e3 < x < 1e3 for x in place)

@@ -1,0 +1,67 @@
+"""Where the electrodes of a skin are, as its description says."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.drive import arranged
+from ohmskin.errors import GeometryError, SkinError
+from ohmskin.geometry import Domain, Electrodes, Rectangle
+from ohmskin.skin.checks import choice, number
+
+
+@dataclass(frozen=True)
+class ElectrodeLayout:
+    """Where the electrodes are and of what kind.
+
+    ``grid``: columns x rows with an inset; ``rim``: `count` round the rim; ``listed``: at `positions` [x, y] in
+    metres, which are then numbered counterclockwise, those on the rim first.
+    On the rim the first is at the share `start` of its length, counterclockwise from where it starts: 0.25 is 12
+    o'clock of a disc.
+    """
+
+    layout: str = choice("grid", "grid", "rim", "listed")
+    columns: int = number(4, 2, 32)
+    rows: int = number(4, 2, 32)
+    inset: float = number(0.0, 0, 10, "m")
+    count: int = number(16, 4, 256)
+    start: float = number(0.0, 0, 0.999999)
+    clockwise: bool = False
+    radius: float = number(3e-3, 1e-5, 1, "m")
+    contact_resistivity: float = number(1e-4, 1e-9, 1e3, "ohm m2")
+    positions: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        given = self.positions  # TOML gives lists; a description must be hashable
+        if isinstance(given, list | tuple):
+            pairs = tuple(tuple(place) if isinstance(place, list) else place for place in given)
+            object.__setattr__(self, "positions", pairs)
+
+    def on(self, domain: Domain) -> Electrodes:
+        """The electrodes on a sheet that `check` has passed."""
+        if self.layout == "listed":
+            return arranged(domain, np.array(self.positions, float))
+        if isinstance(domain, Rectangle) and self.layout == "grid":
+            return Electrodes.grid(domain, self.columns, self.rows, self.inset)
+        return Electrodes.rim(domain, self.count, self.start, self.clockwise)
+
+    def check(self, domain: Domain) -> None:
+        """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
+        if self.layout == "grid" and not isinstance(domain, Rectangle):
+            raise SkinError('electrode.layout is "grid" on a disc; use "rim", "listed", or a rectangular sheet')
+        if self.layout != "listed":
+            if self.positions:
+                told = f'electrode.positions are given but the layout is "{self.layout}"'
+                raise SkinError(f'{told}; use layout = "listed"')
+            return
+        if len(self.positions) < 4:
+            raise SkinError(f"electrode.positions lists {len(self.positions)} electrodes; need at least 4")
+        depth = domain.depth(np.array(self.positions, float))
+        if (depth < -1e-6).any():
+            k = int(np.argmin(depth))
+            off = f"electrode.positions[{k}] is {list(self.positions[k])}, {-depth[k]:.3g} m off the sheet"
+            raise SkinError(f"{off}; move it onto it")
+        try:
+            self.on(domain)
+        except GeometryError as error:
+            raise SkinError(f"electrode.positions: {error}") from None

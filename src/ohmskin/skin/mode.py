@@ -1,0 +1,87 @@
+"""What a mode is: which drive, reader and estimator go together, by their names."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from ohmskin.errors import SkinError
+from ohmskin.skin.checks import check_names
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One way to use a skin. Names are those of the tables `DRIVES`, `READERS`, `ESTIMATORS` and `PRIORS`.
+
+    Args:
+        name: Its label, such as ``16O``.
+        drive: What is measured.
+        reader: How contacts are told from it.
+        estimator: What makes the image.
+        prior: What the estimator believes beforehand.
+        rule: How the regularisation parameter is chosen.
+        injections: Per frame, of drives that take any number; 0: as many as the drive usually has.
+        fuse: Whether all scans of a frame are used together, or the last one alone.
+        title: Its name in plain words.
+        summary: What it does, in one sentence.
+    """
+
+    name: str
+    drive: str
+    reader: str
+    estimator: str = "gauss-newton"
+    prior: str = "paper"
+    rule: str = "physical"
+    injections: int = 0
+    fuse: bool = True
+    title: str = ""
+    summary: str = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value, expected = getattr(self, entry.name), entry.type
+            if type(value) is not expected:
+                kind = "text" if expected is str else "a whole number" if expected is int else "true or false"
+                raise SkinError(f"modes.{self.name}.{entry.name} is {value!r}; it must be {kind}")
+        if self.injections < 0:
+            raise SkinError(f"modes.{self.name}.injections is {self.injections}; it must be 0 (as usual) or more")
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """What a skin file or a recording says of it: all but the name, and what is as usual."""
+        told = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "name"}
+        usual = {entry.name: entry.default for entry in fields(self)}
+        return {name: value for name, value in told.items() if value != usual[name]}
+
+    @property
+    def label(self) -> str:
+        """What people call it: its plain name, its own name behind."""
+        return f"{self.title} ({self.name})" if self.title else self.name
+
+    def using(self, estimator: str = "", prior: str = "", rule: str = "") -> "Mode":
+        """The mode with another estimator, prior or rule; what is empty stays."""
+        return replace(self, estimator=estimator or self.estimator, prior=prior or self.prior, rule=rule or self.rule)
+
+    @classmethod
+    def of(cls, name: str, entries: Any) -> "Mode":
+        """The mode that a skin file or a recording tells of.
+
+        Raises:
+            SkinError: If an entry is unknown, missing or of the wrong type.
+        """
+        names = [entry.name for entry in fields(cls) if entry.name != "name"]
+        if not isinstance(entries, dict):
+            raise SkinError(f"modes.{name} is {entries!r}; it must be a table [modes.{name}]")
+        check_names(entries, names, f"modes.{name}.")
+        if missing := [entry for entry in ("drive", "reader") if entry not in entries]:
+            raise SkinError(f'modes.{name} does not say its {missing[0]}; add {missing[0]} = "..."')
+        return cls(name, **entries)
+
+
+def modes_of(tables: Any) -> tuple[Mode, ...]:
+    """The modes of the tables ``[modes.NAME]`` of a skin file.
+
+    Raises:
+        SkinError: If one is not a valid mode.
+    """
+    if not isinstance(tables, dict):
+        raise SkinError(f"modes is {tables!r}; it must be tables [modes.NAME]")
+    return tuple(Mode.of(name, entries) for name, entries in tables.items())

@@ -1,0 +1,85 @@
+"""Births: new contacts, where one more explains what is left of the last frames significantly better."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import ndtr, ndtri
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.likelihood import Data, NoiseModel, responses
+from ohmskin.contacts.solution import Solution, unknown
+from ohmskin.tracking.residuals import Residuals
+from ohmskin.tracking.state import TrackState
+
+_WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
+LONGEST = int(_WINDOWS[-1])
+
+
+def birth_threshold(fitter: ContactFitter) -> float:
+    """Standard deviations at which a new contact's score must stand out for a stated rate of false alarms per frame."""
+    return float(-ndtri(ndtr(-fitter.bar) / len(_WINDOWS)))
+
+
+def scored(residuals: Residuals, fitter: ContactFitter) -> Residuals:
+    """The residuals with their scores."""
+    noise_model = NoiseModel(fitter.noise, residuals.unsure)
+    score, power = fitter.scores(residuals.reading.data, residuals.innovation, noise_model)
+    return replace(residuals, score=score, power=power)
+
+
+def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: float, speed: float) -> TrackState:
+    """The state with new contacts.
+
+    Args:
+        state: With a scored history.
+        fitter: What explains data by contacts.
+        bar: Standard deviations by which the score of a new contact must stand out.
+        common: Share of the noise's variance that is the same in all frames: it does not average out.
+        speed: Standard deviation of a contact's velocity (m/s).
+    """
+    while len(state.pressing) < fitter.most:
+        found, used = _found(state.history, fitter, bar, common)
+        if found is None:
+            break
+        covariance = found.covariance
+        moved = speed * (state.time - used[-1].time) / 2
+        covariance[[0, 1], [0, 1]] += moved**2
+        state = state.with_contact(found.params[0], covariance, speed)
+        state = replace(state, history=tuple(_reviewed(residuals, fitter, found.params) for residuals in state.history))
+    return state
+
+
+def _found(
+    history: Sequence[Residuals], fitter: ContactFitter, bar: float, common: float
+) -> tuple[Solution | None, Sequence[Residuals]]:
+    """The contact that stands out most over some of the newest frames, if it does enough, and those frames."""
+    windows = _WINDOWS[: np.searchsorted(_WINDOWS, len(history), side="right")]
+    score = np.cumsum([residuals.score for residuals in history], axis=0)[windows - 1]
+    power = np.cumsum([residuals.power for residuals in history], axis=0)[windows - 1]
+    energy = np.cumsum([residuals.energy for residuals in history])[windows - 1, None]
+    shared = 1 + (windows[:, None] - 1) * common
+    height = fitter.heights(score, power * shared) - fitter.model_error * np.sqrt(energy) / fitter.noise
+    window, place = np.unravel_index(np.argmax(height), height.shape)
+    used = history[: int(windows[window])]
+    if height[window, place] < bar:
+        return None, used
+    data = Data.together([replace(residuals.reading.data, volts=residuals.innovation) for residuals in used])
+    noise_model = fitter.noise_model(data, block_diag(*[residuals.unsure for residuals in used]))
+    return fitter.added(data, noise_model, score[window], power[window]), used
+
+
+def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats) -> Residuals:
+    """The residuals after one contact more (1, 4) has been found in them."""
+    caused, slopes = responses(fitter.table, residuals.reading.data, params)
+    free = unknown(slopes, residuals.reading.data.volts)
+    reviewed = replace(
+        residuals,
+        innovation=residuals.innovation - caused,
+        residual=residuals.residual - caused,
+        unsure=np.hstack([free, residuals.unsure]),
+        energy=residuals.energy + float(caused @ caused),
+    )
+    return scored(reviewed, fitter)

@@ -1,0 +1,146 @@
+"""Contacts over time: few measurements a frame suffice, because what was known a moment ago still nearly holds.
+
+Every contact is a disc that moves: place, effect, squared radius, velocity, with one covariance for all contacts. A
+frame corrects it (iterated extended Kalman filter: the most probable state given the frame and what was believed
+before). What the contacts do not explain is kept for a dozen frames and searched for new ones; what stays unexplained
+is learned as drift. The rules are told in docs/guide/tracking.md.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts.finder import Contact
+from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.likelihood import PER_CONTACT
+from ohmskin.contacts.solution import Solution, inverse, nothing
+from ohmskin.errors import ModelError
+from ohmskin.scan import Difference
+from ohmskin.tracking.birth import LONGEST, birth_threshold, scored, with_births
+from ohmskin.tracking.drift import learned, with_common_drift, without_drift
+from ohmskin.tracking.lift import with_lifts
+from ohmskin.tracking.motion import Motion, moved
+from ohmskin.tracking.residuals import Reading, Residuals
+from ohmskin.tracking.revision import revision_threshold, with_revision
+from ohmskin.tracking.state import STATE, TrackState
+
+_WARM = 0.01  # by how much all resistances may have changed together before the first frame
+_LEARN_EVERY = 5  # frames between two lessons on drift; has no factor in common with a round of six exploring drives
+_REVISE_EVERY = 8  # frames between two looks at whether one contact is two, or two are one
+
+
+class ContactFilter:
+    """Follows contacts from frame to frame; each frame may have another pattern.
+
+    Args:
+        fitter: Explains data by contacts; its `false_alarms` are per frame here, `false_twos` per ten seconds or so.
+        motion: How contacts and the skin may change.
+        repeats: Quiet frames behind the reference, whose noise is the same in all frames.
+        gain: Standard deviation of the error of a measured current (1); it is the same in all voltages of an injection.
+
+    Attributes:
+        bar: Standard deviations by which the score of a new contact must stand out.
+        split_bar: By how much two contacts must explain the last frames better than one.
+    """
+
+    def __init__(
+        self, fitter: ContactFitter, motion: Motion | None = None, repeats: float = np.inf, gain: float = 0.0
+    ) -> None:
+        self.fitter, self.motion, self.repeats, self.gain = fitter, motion or Motion(), repeats, gain
+        self.bar, self.split_bar = birth_threshold(fitter), revision_threshold(fitter)
+
+    def start(self) -> TrackState:
+        """Nothing touches the skin."""
+        n_pairs = self.fitter.table.responses.shape[1]
+        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _WARM**2), np.zeros(n_pairs))
+
+    def lifted(self, state: TrackState) -> TrackState:
+        """The state with nothing on the skin; what is known of its drift is kept."""
+        common_drift = state.common_drift[0], _WARM**2
+        start = self.start()
+        return replace(start, common_drift=common_drift, drift=state.drift, echo=state.echo, next_id=state.next_id)
+
+    def update(
+        self, state: TrackState, difference: Difference, elapsed: float, reference: Floats | None = None
+    ) -> TrackState:
+        """What is believed after one frame more.
+
+        Args:
+            state: What was believed after the last one.
+            difference: The frame's change against the untouched skin.
+            elapsed: Time since the last one (s).
+            reference: (n_meas,) voltages of the untouched skin at the currents of this frame (V). A common change of
+                all resistances (temperature) is followed only where they are given.
+
+        Raises:
+            DataError: If no finite datum is left.
+            ModelError: If the time is negative or not finite.
+        """
+        if not (np.isfinite(elapsed) and elapsed >= 0):
+            raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
+        fitter, motion = self.fitter, self.motion
+        before = moved(state, fitter, motion, elapsed)
+        reading = without_drift(before, fitter.table.n_elec, difference, reference, self.gain)
+        state, seen = self._corrected(before, reading)
+        state = self._remembered(before, state, reading, seen, elapsed)
+        state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
+        state = with_lifts(with_common_drift(state, fitter), fitter, self.bar, motion.settling, elapsed)
+        if state.turn % _REVISE_EVERY == 0:
+            state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
+        if state.turn % _LEARN_EVERY == 0 and state.history:
+            state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
+        return replace(state, contacts=self._contacts(state))
+
+    def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
+        """The state after a frame, its contacts being those that it holds, and how they explain it."""
+        data, measured = reading.data, state.measured
+        if not state.held:
+            return state, nothing(data)
+        before = state.covariance[np.ix_(measured, measured)]
+        noise_model = self.fitter.noise_model(data, reading.errors)
+        seen = self.fitter.refine(data, state.params, noise_model, state.params.ravel(), inverse(before), rounds=3)
+        gain = np.linalg.solve(before, state.covariance[measured]).T
+        mean = state.mean + (gain @ (seen.params - state.params).ravel()).reshape(state.mean.shape)
+        mean[:, :PER_CONTACT] = seen.params
+        covariance = state.covariance - gain @ (before - inverse(seen.normal)) @ gain.T
+        return replace(state, mean=mean, covariance=(covariance + covariance.T) / 2), seen
+
+    def _remembered(
+        self, before: TrackState, after: TrackState, reading: Reading, seen: Solution, elapsed: float
+    ) -> TrackState:
+        """The state with a frame among its history, from what was believed before and after it."""
+        innovation, directions = _innovation(before, after, reading, seen)
+        # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
+        energy = max(float(seen.caused @ seen.caused), after.echo * float(np.exp(-2 * elapsed / self.motion.creeping)))
+        effects = {held.id: float(effect) for held, effect in zip(after.held, after.mean[:, 2], strict=True)}
+        residual, unsure = reading.data.volts - seen.caused, np.hstack([directions, reading.errors])
+        residuals = scored(Residuals(reading, innovation, residual, unsure, energy, effects, after.time), self.fitter)
+        return replace(after, history=(residuals, *after.history[: LONGEST - 1]), echo=energy, turn=after.turn + 1)
+
+    def _common(self, elapsed: float) -> float:
+        """Share of the noise's variance that all frames share: of the reference and its learned drift."""
+        return 1 / self.repeats + min(_LEARN_EVERY * elapsed / self.motion.drifting, 1) / 2
+
+    def _contacts(self, state: TrackState) -> tuple[Contact, ...]:
+        """The pressing contacts, strongest first."""
+        found = []
+        for k in state.pressing:
+            contact = self.fitter.contact(state.params[k], state.covariance_of(k))
+            velocity = float(state.mean[k, 4]), float(state.mean[k, 5])
+            found.append(replace(contact, id=state.held[k].id, velocity=velocity))
+        return tuple(sorted(found, key=lambda contact: -abs(contact.strength)))
+
+
+def _innovation(before: TrackState, after: TrackState, reading: Reading, seen: Solution) -> tuple[Floats, Floats]:
+    """What was not foreseen of a frame (n_meas,), and how (n_meas, 4 n) contacts may have caused it (V)."""
+    volts, measured = reading.data.volts, before.measured
+    if not before.held:
+        return volts, seen.slopes
+    spread = np.linalg.cholesky(_balanced(before.covariance[np.ix_(measured, measured)]))
+    return volts - seen.caused + seen.slopes @ (after.params - before.params).ravel(), seen.slopes @ spread
+
+
+def _balanced(covariance: Floats) -> Floats:
+    """The covariance with a trace of its diagonal added, so that rounding cannot make it indefinite."""
+    return np.asarray(covariance + 1e-12 * np.diag(np.diag(covariance)))

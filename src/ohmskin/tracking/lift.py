@@ -1,0 +1,77 @@
+"""Lifts: which contacts are lifted, which are there again, and what becomes of what is left of them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ohmskin.contacts.fitter import FAINT, ContactFitter
+from ohmskin.tracking.revision import NEAR
+from ohmskin.tracking.state import STATE, HeldTrack, TrackState
+
+_LIFTED, _AGAIN = 0.1, 0.2  # shares of its peak below which a contact is lifted, above which it is there again
+_SETTLED = 5.0  # settling times after which nothing is left of a lifted contact
+
+
+def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: float, elapsed: float) -> TrackState:
+    """The state with lifted contacts told from pressing ones; what is left of lifted ones goes over into the drift.
+
+    Args:
+        state: After a frame.
+        fitter: What explains data by contacts.
+        bar: Standard deviations of its effect above which a lifted contact may be there again.
+        settling: Time over which what is left of a lifted contact becomes drift (s).
+        elapsed: Since the frame before (s).
+    """
+    state = _without_double(state, fitter)
+    held, mean, drift, next_id = [], state.mean.copy(), state.drift, state.next_id
+    share = 1 - np.exp(-elapsed / settling)
+    for k, one in enumerate(state.held):
+        effect, std = state.effect(k)
+        if not one.lifted:
+            one = replace(one, peak=max(one.peak, effect))
+            if _faint(effect, std, one):
+                one = replace(one, lifted=max(elapsed, 1e-9))
+                mean[k, 4:] = 0.0
+        elif effect > max(_AGAIN * one.peak, bar * std):
+            one = HeldTrack(next_id, effect, state.time)
+            next_id += 1
+        else:
+            one = replace(one, lifted=one.lifted + elapsed)
+            if effect > FAINT * std:
+                response = fitter.table(mean[k, None, :2], np.sqrt(mean[k, 3])).values[0]
+                drift = drift + share * mean[k, 2] * response
+                mean[k, 2] *= 1 - share
+        held.append(one)
+    state = replace(state, held=tuple(held), mean=mean, drift=drift, next_id=next_id)
+    return state.without([k for k, one in enumerate(held) if one.lifted > _SETTLED * settling])
+
+
+def _faint(effect: float, std: float, held: HeldTrack) -> bool:
+    """Whether so small an effect, known as well as that (m2), is no press any more."""
+    return effect < max(_LIFTED * held.peak, FAINT * std)
+
+
+def _without_double(state: TrackState, fitter: ContactFitter) -> TrackState:
+    """The state without a faint contact beside another one, which takes over its effect: two were seen where one is."""
+    if len(state.held) < 2:
+        return state
+    apart = np.linalg.norm(state.mean[:, None, :2] - state.mean[:, :2], axis=2)
+    for k, one in enumerate(state.held):
+        beside = [j for j in state.pressing if j != k]
+        near = beside and apart[k, beside].min() < NEAR * fitter.table.radius
+        if near and (one.lifted or _faint(*state.effect(k), one)):
+            held = list(state.held)
+            if not one.lifted:
+                heir = min(beside, key=lambda j: float(apart[k, j]))
+                held[heir] = replace(held[heir], id=min(one.id, held[heir].id))
+            return _known_gone(replace(state, held=tuple(held)), fitter, k)
+    return state
+
+
+def _known_gone(state: TrackState, fitter: ContactFitter, k: int) -> TrackState:
+    """The state without a contact, its effect known to be zero; what that says of the others is used."""
+    at = STATE * k + 2
+    gain = state.covariance[:, at] / state.covariance[at, at]
+    mean = fitter.within(state.mean - (gain * state.mean[k, 2]).reshape(state.mean.shape))
+    covariance = state.covariance - np.outer(gain, state.covariance[at])
+    return replace(state, mean=mean, covariance=covariance).without([k])

@@ -1,0 +1,61 @@
+"""Motion: how contacts and the skin may change, and what is believed some time later with nothing measured since."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ohmskin.contacts.fitter import SQUARE_STD, ContactFitter
+from ohmskin.inverse.modes import check_positive
+from ohmskin.tracking.state import STATE, TrackState
+
+_LEAST_EFFECT = 0.1  # change of conductivity that even a light contact may gain in a moment
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How contacts and the skin may change. The defaults are for fingers on foam.
+
+    Args:
+        speed: Standard deviation of a contact's velocity, along each axis (m/s).
+        memory: Time over which a velocity is forgotten to 1/e (s).
+        pressing: Relative change of an effect in a second, for its random walk (1/sqrt(s)).
+        widening: Time over which a radius is forgotten (s).
+        warming: Random walk of the common factor of all resistances in a second (1/sqrt(s)); temperature.
+        drifting: Time over which what no contact explains becomes part of the baseline (s).
+        settling: Time over which what is left of a lifted contact does (s).
+        creeping: Time in which foam recovers from a press (s); until then, next to nothing beside it is no contact.
+    """
+
+    speed: float = 0.3
+    memory: float = 0.3
+    pressing: float = 2.0
+    widening: float = 1.0
+    warming: float = 5e-4
+    drifting: float = 5.0
+    settling: float = 2.0
+    creeping: float = 30.0
+
+    def __post_init__(self) -> None:
+        check_positive(**vars(self))
+
+
+def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
+    """The state some time later (s): contacts go on, ever more slowly, and are known less and less well."""
+    n, square = len(state.held), fitter.table.radius**2
+    common_drift = (state.common_drift[0], state.common_drift[1] + motion.warming**2 * elapsed)
+    state = replace(state, common_drift=common_drift, time=state.time + elapsed)
+    if not n:
+        return state
+    kept, sized = np.exp(-elapsed / motion.memory), np.exp(-elapsed / motion.widening)
+    one = np.diag([1.0, 1.0, 1.0, sized, kept, kept])
+    one[[0, 1], [4, 5]] = motion.memory * (1 - kept)
+    mean = state.mean @ one.T
+    mean[:, 3] += (1 - sized) * square
+    mean[:, :2] = fitter.onto(mean[:, :2])
+    added = np.zeros((n, STATE))
+    added[state.pressing, 4:] = motion.speed**2 * (1 - kept**2)
+    added[state.pressing, :2] = added[state.pressing, 4:] * elapsed**2 / 3
+    added[:, 2] = motion.pressing**2 * elapsed * (np.abs(state.mean[:, 2]) + _LEAST_EFFECT * np.pi * square) ** 2
+    added[:, 3] = (1 - sized**2) * (SQUARE_STD * square) ** 2
+    step = np.kron(np.eye(n), one)
+    return replace(state, mean=mean, covariance=step @ state.covariance @ step.T + np.diag(added.ravel()))

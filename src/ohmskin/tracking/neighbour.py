@@ -1,0 +1,69 @@
+"""Tracking: contacts keep their id from frame to frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ohmskin.contacts.finder import Contact
+
+
+@dataclass(frozen=True)
+class Track:
+    """A contact followed over time: its newest sighting, how often it was seen and how often missed since."""
+
+    contact: Contact
+    seen: int = 1
+    missed: int = 0
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """The state of a tracker. Start with ``Tracks()``."""
+
+    tracks: tuple[Track, ...] = ()
+    next_id: int = 1
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """Follows contacts by nearest neighbour.
+
+    Args:
+        reach: Farthest that a contact may move between two frames (m).
+        confirm: Frames in a row in which a contact must be seen before it is reported; noise does not come twice.
+        patience: Frames for which a contact may go unseen before its id is given up. It is not reported meanwhile.
+    """
+
+    reach: float = 0.025
+    confirm: int = 3
+    patience: int = 3
+
+    def update(self, state: Tracks, found: Sequence[Contact]) -> tuple[Tracks, tuple[Contact, ...]]:
+        """The next state, and the contacts to report, with ids, in the order found."""
+        old = state.tracks
+        track_of: dict[int, int] = {}
+        if old and found:
+            last, now = (np.array([c.position for c in some]) for some in ([t.contact for t in old], found))
+            distance = np.linalg.norm(last[:, None] - now[None], axis=2)
+            paired = zip(*linear_sum_assignment(np.minimum(distance, 2 * self.reach)), strict=True)
+            track_of = {int(c): int(t) for t, c in paired if distance[t, c] <= self.reach}
+        next_id = state.next_id
+        tracks, reported = [], []
+        for number, contact in enumerate(found):
+            if number in track_of:
+                track = old[track_of[number]]
+                track = Track(replace(contact, id=track.contact.id), track.seen + 1)
+            else:
+                track = Track(contact)
+            if track.seen >= self.confirm:
+                if track.contact.id < 0:
+                    track = replace(track, contact=replace(contact, id=next_id))
+                    next_id += 1
+                reported.append(track.contact)
+            tracks.append(track)
+        for number, track in enumerate(old):
+            if number not in track_of.values() and track.seen >= self.confirm and track.missed < self.patience:
+                tracks.append(replace(track, missed=track.missed + 1))
+        return Tracks(tuple(tracks), next_id), tuple(reported)

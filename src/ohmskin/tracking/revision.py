@@ -1,0 +1,114 @@
+"""Revisions: a contact is moved elsewhere, two are taken for one, or one for two, where the last frames say so."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.likelihood import PER_CONTACT, Data, NoiseModel, responses
+from ohmskin.tracking.state import STATE, TrackState
+
+_TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
+NEAR = 4.0  # radii, within which two contacts may be one
+_ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
+_HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again
+
+
+def revision_threshold(fitter: ContactFitter) -> float:
+    """By how much two contacts must explain the last frames better than one, if they are looked at again and again."""
+    return fitter.split_threshold(fitter.false_twos / _TRIALS)
+
+
+def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: float, turn: int) -> TrackState:
+    """The state after one revision at most.
+
+    Args:
+        state: With a history.
+        fitter: What explains data by contacts.
+        bar: By how much two contacts must explain the last frames better than one.
+        speed: Standard deviation of a contact's velocity (m/s).
+        turn: Which contact's turn it is to be looked at for two, counted on from one revision to the next.
+    """
+    pressing = state.pressing
+    for k in pressing:
+        young = state.held[k].since >= state.history[-1].time  # its first frame may have misled
+        if young and (placed := _placed(state, fitter, speed, k)) is not None:
+            return placed
+    for place, k in enumerate(pressing):
+        for other in pressing[place + 1 :]:
+            apart = float(np.linalg.norm(state.mean[k, :2] - state.mean[other, :2]))
+            near = apart < NEAR * fitter.table.radius
+            if near and (merged := _merged(state, fitter, bar, speed, (k, other))) is not None:
+                return merged
+    if pressing and len(pressing) < fitter.most:
+        return _split(state, fitter, bar, speed, pressing[turn % len(pressing)])
+    return state
+
+
+def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
+    """The state with one contact where the frames since it came want it, if that is elsewhere."""
+    data, errors = _resting(state, fitter, [k])
+    noise_model = fitter.noise_model(data, errors)
+    here = fitter.refine(data, state.params[[k]], noise_model)
+    there = fitter.added(data, noise_model, *fitter.scores(data, data.volts, NoiseModel(fitter.noise, errors)))
+    if here.cost - there.cost < _ELSEWHERE:
+        return None
+    mean, covariance = state.mean.copy(), state.covariance.copy()
+    at = slice(STATE * k, STATE * (k + 1))
+    mean[k, :PER_CONTACT], mean[k, PER_CONTACT:] = there.params[0], 0.0
+    covariance[at], covariance[:, at] = 0.0, 0.0
+    covariance[at, at] = block_diag(there.covariance, speed**2 * np.eye(2))
+    return replace(state, mean=mean, covariance=covariance, history=())
+
+
+def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k: int) -> TrackState:
+    """The state with one contact as two, if these explain the last frames better; the closer one keeps the name."""
+    data, errors = _resting(state, fitter, [k])
+    one = fitter.refine(data, state.params[[k]], fitter.noise_model(data, errors))
+    two = fitter.split(data, one, 0, bar, errors)
+    if two is None:
+        return state
+    closer, farther = np.argsort(np.linalg.norm(two.params[:, :2] - state.mean[k, :2], axis=1))
+    rest, covariances = state.without([k]), two.covariances
+    kept = rest.with_contact(two.params[closer], covariances[closer], speed, state.held[k].id)
+    return replace(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
+
+
+def _merged(
+    state: TrackState, fitter: ContactFitter, bar: float, speed: float, both: tuple[int, int]
+) -> TrackState | None:
+    """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
+    data, errors = _resting(state, fitter, both)
+    noise_model = fitter.noise_model(data, errors)
+    pair = state.params[list(both)]
+    weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
+    start = weight @ pair
+    start[2] = pair[:, 2].sum()
+    two, one = fitter.refine(data, pair, noise_model), fitter.refine(data, start[None], noise_model)
+    if fitter.gained(data, one, two) > _HYSTERESIS * bar:
+        return None
+    kept = min(state.held[k].id for k in both)
+    return replace(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
+
+
+def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) -> tuple[Data, Floats]:
+    """The newest frames in which the chosen contacts rested, less the others, and directions in which they err (V)."""
+    chosen = list(chosen)
+    speed = float(np.linalg.norm(state.mean[chosen, PER_CONTACT:], axis=1).max())
+    came = max(state.held[k].since for k in chosen)
+    play = [3 * state.effect(k)[1] + 0.1 * abs(state.mean[k, 2]) for k in chosen]
+    used = []
+    for residuals in state.history:
+        effects = np.array([residuals.effects.get(state.held[k].id, np.nan) for k in chosen])
+        absent = np.isnan(effects).any() and residuals.time < came
+        changed = (np.abs(effects - state.mean[chosen, 2]) > play).any()
+        if absent or changed or (state.time - residuals.time) * speed > fitter.table.radius / 4:
+            break
+        used.append(residuals.reading)
+    used = used or [state.history[0].reading]
+    data = Data.together([reading.data for reading in used])
+    others = responses(fitter.table, data, np.delete(state.params, chosen, axis=0))[0]
+    return data.less(others), block_diag(*[reading.errors for reading in used])

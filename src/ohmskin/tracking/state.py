@@ -1,0 +1,122 @@
+"""Track state: what is believed to touch the skin, from one frame to the next."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.contacts.finder import Contact
+from ohmskin.contacts.likelihood import PER_CONTACT
+from ohmskin.contacts.solution import effect_std
+from ohmskin.scan import Difference
+from ohmskin.tracking.residuals import Residuals
+
+STATE = 6  # x, y, effect, squared radius, velocity
+
+
+@dataclass(frozen=True)
+class HeldTrack:
+    """What is remembered of a contact beside its state.
+
+    Args:
+        id: Its name.
+        peak: Its largest effect so far (m2).
+        since: When it came (s).
+        lifted: Since when it is lifted (s); zero while it presses.
+    """
+
+    id: int
+    peak: float
+    since: float
+    lifted: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrackState:
+    """What is believed to touch the skin. Start with ``ContactFilter.start()``.
+
+    Args:
+        held: The contacts in the order in which they came, lifted ones included.
+        mean: (n, 6) x, y (m), effect (m2), squared radius (m2) and velocity (m/s) of each.
+        covariance: (6 n, 6 n) of all of them together.
+        common_drift: Common relative change of all resistances since the calibration, and its variance (1).
+        drift: (n_pairs,) what else has changed in the baseline: two-terminal resistances (ohm).
+        contacts: The contacts to report, strongest first.
+        next_id: The name of the next contact.
+        turn: Frames so far.
+        time: Since the start (s).
+        echo: Squared norm of what contacts cause, or did before the foam forgot it (V2).
+        history: The last frames, newest first.
+    """
+
+    held: tuple[HeldTrack, ...]
+    mean: Floats
+    covariance: Floats = field(repr=False)
+    common_drift: tuple[float, float]
+    drift: Floats = field(repr=False)
+    contacts: tuple[Contact, ...] = ()
+    next_id: int = 1
+    turn: int = 0
+    time: float = 0.0
+    echo: float = 0.0
+    history: tuple[Residuals, ...] = field(default=(), repr=False)
+
+    def recent(self, injections: int) -> tuple[Difference, ...]:
+        """The newest frames with at least so many injections together, less drift and temperature, newest first."""
+        taken: list[Difference] = []
+        for residuals in self.history:
+            if sum(difference.pattern.n_inj for difference in taken) >= injections:
+                break
+            taken.append(residuals.reading.difference)
+        return tuple(taken)
+
+    @property
+    def params(self) -> Floats:
+        """(n, 4) x, y (m), effect (m2), squared radius (m2) of each contact."""
+        return self.mean[:, :PER_CONTACT]
+
+    @property
+    def measured(self) -> Ints:
+        """Where in the state of all contacts the parameters are that a frame depends on (4 n,)."""
+        return (np.arange(len(self.held))[:, None] * STATE + np.arange(PER_CONTACT)).ravel()
+
+    @property
+    def pressing(self) -> list[int]:
+        """The numbers of the contacts that are not lifted."""
+        return [k for k, held in enumerate(self.held) if not held.lifted]
+
+    def covariance_of(self, k: int) -> Floats:
+        """Of the parameters of contact number k (4, 4)."""
+        at = slice(STATE * k, STATE * k + PER_CONTACT)
+        return self.covariance[at, at]
+
+    def effect(self, k: int) -> tuple[float, float]:
+        """The size of a contact's effect, and its standard deviation (m2)."""
+        return abs(float(self.mean[k, 2])), effect_std(self.covariance_of(k))
+
+    def with_contact(self, params: Floats, covariance: Floats, speed: float, name: int | None = None) -> "TrackState":
+        """The state with one contact more, at rest.
+
+        Args:
+            params: (4,) what it is.
+            covariance: (4, 4) of them.
+            speed: Standard deviation of its velocity (m/s).
+            name: Its name, the next one unless given.
+        """
+        known, end = STATE * len(self.held), STATE * len(self.held) + PER_CONTACT
+        whole = np.zeros((known + STATE, known + STATE))
+        whole[:known, :known] = self.covariance
+        whole[known:end, known:end] = covariance
+        whole[[-2, -1], [-2, -1]] = speed**2
+        held = HeldTrack(self.next_id if name is None else name, abs(float(params[2])), self.time)
+        mean = np.vstack([self.mean, [*params, 0.0, 0.0]])
+        next_id = self.next_id + (name is None)
+        return replace(self, held=(*self.held, held), mean=mean, covariance=whole, next_id=next_id)
+
+    def without(self, gone: Sequence[int]) -> "TrackState":
+        """The state without some of its contacts."""
+        kept = np.array([k for k in range(len(self.held)) if k not in gone], int)
+        state = (kept[:, None] * STATE + np.arange(STATE)).ravel()
+        held = tuple(self.held[k] for k in kept)
+        return replace(self, held=held, mean=self.mean[kept], covariance=self.covariance[np.ix_(state, state)])

@@ -1,0 +1,54 @@
+// Where a place on the skin is on a canvas.
+
+export const MARGIN = 30; // px around the skin, room for electrode numbers
+export const FOOT = 16; // px more below, room for the scale bar
+
+/** Smallest box around a domain, [x_min, y_min, x_max, y_max] in metres. */
+export function bounds(domain) {
+  return domain.kind === "disc"
+    ? [-domain.radius, -domain.radius, domain.radius, domain.radius]
+    : [0, 0, domain.width, domain.height];
+}
+
+/** The point of the domain closest to (x, y). */
+export function clampTo(domain, x, y) {
+  if (domain.kind === "disc") {
+    const shrink = Math.min(1, domain.radius / Math.max(1e-12, Math.hypot(x, y)));
+    return [x * shrink, y * shrink];
+  }
+  return [Math.min(domain.width, Math.max(0, x)), Math.min(domain.height, Math.max(0, y))];
+}
+
+export function contains(domain, x, y) {
+  const [u, v] = clampTo(domain, x, y);
+  return Math.hypot(u - x, v - y) < 1e-9;
+}
+
+/** Metres to pixels of a canvas of this size, and back. */
+export class Frame {
+  constructor(domain, width, height) {
+    const [left, bottom, right, top] = bounds(domain);
+    const room = [(width - 2 * MARGIN) / (right - left), (height - 2 * MARGIN - FOOT) / (top - bottom)];
+    this.scale = Math.max(1, Math.min(...room));
+    this._x = width / 2 - (this.scale * (left + right)) / 2;
+    this._y = (height - FOOT) / 2 + (this.scale * (bottom + top)) / 2;
+  }
+
+  x(metres) {
+    return this._x + this.scale * metres;
+  }
+
+  y(metres) {
+    return this._y - this.scale * metres;
+  }
+
+  back(x, y) {
+    return [(x - this._x) / this.scale, (this._y - y) / this.scale];
+  }
+}
+
+/** Height of a map that is `width` pixels wide. */
+export function heightFor(domain, width) {
+  const [left, bottom, right, top] = bounds(domain);
+  return Math.round(((width - 2 * MARGIN) * (top - bottom)) / (right - left) + 2 * MARGIN + FOOT);
+}

@@ -1,0 +1,379 @@
+"""Sensors: any drive with any reader, any estimator; modes of a skin's own; parts that others register."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ohmskin import registry
+from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed
+from ohmskin.errors import ModelError, PatternError, SkinError
+from ohmskin.inverse import PRIORS, RULES, graph_laplacian
+from ohmskin.inverse.estimators import ESTIMATORS
+from ohmskin.inverse.estimators import Settings as EstimatorSettings
+from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent
+from ohmskin.sensing import (
+    DEFAULT,
+    MODES,
+    READERS,
+    RECORDED,
+    Sensor,
+    SkinModel,
+    build,
+    default_mode,
+    drive_of,
+    mode_named,
+    modes,
+    perceive,
+)
+from ohmskin.sensing.model import kinds_of_noise
+from ohmskin.skin import Mode, Skin, VirtualSkin, shipped_skins
+
+PAPER = Skin.load("paper")
+PLACES = [(0.055, 0.12), (0.14, 0.05)]
+
+
+@cache
+def drive_named(name: str) -> Drive:
+    return drive_of(Mode(name, name, "centroid"), PAPER)
+
+
+@cache
+def known(size: float = PAPER.imaging.mesh_size) -> SkinModel:
+    """The quiet skin: a few frames of every pattern that some drive asks for; of less than eight of each, thresholds
+    are predicted and not learned."""
+    twin = VirtualSkin(PAPER, seed=11)
+    patterns = {p: None for name in DRIVES for p in drive_named(name).patterns}
+    skin = replace(PAPER, imaging=replace(PAPER.imaging, mesh_size=size))
+    return SkinModel(skin, skin.transfer_model(), [twin.scan(p) for p in patterns for _ in range(3)])
+
+
+@cache
+def sensor(drive: str, reader: str) -> Sensor:
+    return build(Mode("any", drive, reader), known(), drive_named(drive))
+
+
+def misses(used: Sensor, places: list[tuple[float, float]], frames: int = 3) -> list[float]:
+    """Distance (m) of the contact reported after so many frames of a press at each place."""
+    twin, found = VirtualSkin(PAPER, seed=12), []
+    for at in places:
+        twin.press(0, *at, 8e-3, 20e3)
+        state, percept = used.start(), None
+        for _ in range(frames):
+            state, percept = used.step(state, twin.scan)
+        twin.press(0, *at, 8e-3, 0.0)
+        assert percept is not None
+        assert len(percept.contacts) == 1, f"{at}: {percept.contacts}"
+        found.append(float(np.hypot(*np.subtract(percept.contacts[0].position, at))))
+    return found
+
+
+def quiet(used: Sensor, frames: int = 4) -> int:
+    """Contacts reported on the untouched skin."""
+    twin, state, count = VirtualSkin(PAPER, seed=13), used.start(), 0
+    for _ in range(frames):
+        state, percept = used.step(state, twin.scan)
+        count += len(percept.contacts)
+    return count
+
+
+# --- any drive with any reader ----------------------------------------------------------------------------------------
+
+BOUNDS = {"centroid": 12e-3, "fit": 4e-3, "tracked": 4e-3}  # of the rim alone, the centroid errs most
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("drive", DRIVES)
+def test_any_drive_goes_with_any_reader(drive: str, reader: str) -> None:
+    used = sensor(drive, reader)
+    few = used.drive.injections < 12  # a frame shows little then, and several tell
+    found = misses(used, PLACES[:1], 12 if few else 5 if reader == "tracked" else 3)
+    assert max(found) < BOUNDS[reader], f"{1e3 * max(found):.1f} mm"
+    assert quiet(used) == 0
+
+
+def test_a_combination_without_sense_is_refused_in_words() -> None:
+    bent = Skin.parse('[electrode]\nlayout = "rim"\ncount = 8\n')
+    with pytest.raises(PatternError, match="drive 'rings' needs electrodes inside the sheet"):
+        drive_of(Mode("mine", "rings", "fit"), bent)
+    with pytest.raises(PatternError, match=r"5 injections a frame; the base scan alone has 12"):
+        drive_of(Mode("mine", "eq7", "fit", injections=5), PAPER)
+    with pytest.raises(PatternError, match=r"a fixed pattern has no choice of injections; it has 12"):
+        drive_of(Mode("mine", "rim", "fit", injections=5), PAPER)
+    with pytest.raises(PatternError, match="needs to know what contacts do to the data"):
+        DRIVES["best"](DriveSettings(PAPER.electrodes), 4)
+
+
+# --- estimators, priors, rules ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_any_estimator_finds_a_press_and_none_on_quiet_frames(estimator: str) -> None:
+    used = build(Mode("any", "rings", "centroid", estimator), known(9e-3))
+    assert max(misses(used, PLACES[:1])) < 12e-3
+    assert quiet(used, 3) == 0
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_any_rule_finds_a_press(rule: str) -> None:
+    """Where the image is highest; the L-curve makes so much of noise that its threshold exceeds a press."""
+    mode = RECORDED.using(rule=rule)
+    at, twin, pattern = PLACES[0], VirtualSkin(PAPER, seed=12), adjacent(PAPER.electrodes.rings)
+    twin.press(0, *at, 8e-3, 20e3)
+    percept = perceive(known(), twin.scan(pattern), mode)
+    centroids = known().model.mesh.centroids
+    assert np.hypot(*(centroids[percept.image.values.argmax()] - at)) < 15e-3
+    if rule != "l-curve":
+        assert np.hypot(*np.subtract(percept.detections[0].position, at)) < 12e-3
+
+
+@pytest.mark.parametrize("prior", [*PRIORS, "pixels"])
+def test_any_prior_makes_an_image(prior: str) -> None:
+    at, twin = PLACES[0], VirtualSkin(PAPER, seed=12)
+    twin.press(0, *at, 8e-3, 20e3)
+    used = build(RECORDED.using(prior=prior), known(), Fixed(adjacent(PAPER.electrodes.rings)))
+    image = used.step(used.start(), twin.scan)[1].image.values
+    assert image.shape == used.cells.measures.shape
+    assert np.hypot(*(used.cells.centroids[image.argmax()] - at)) < 15e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"drive": "x"}, "no drive 'x'; choose from rim, rings, opposite, best, eq7, local, position, tracking"),
+        ({"reader": "x"}, "no reader 'x'; choose from centroid, fit, tracked"),
+        ({"estimator": "x"}, "no estimator 'x'; choose from gauss-newton, positive, kalman, greit"),
+        ({"prior": "x"}, "no prior 'x'; choose from paper, laplacian, tikhonov, noser, matern"),
+        ({"rule": "x"}, "no rule 'x' .*; choose from physical, noise figure, cross-validation"),
+    ],
+)
+def test_an_unknown_name_lists_the_choices(change: dict, message: str) -> None:
+    with pytest.raises((PatternError, ModelError), match=message):
+        build(replace(mode_named(PAPER, "16O"), **change), known())
+
+
+def test_the_kalman_filter_carries_its_belief_from_frame_to_frame() -> None:
+    used, twin = build(Mode("any", "rotating", "centroid", "kalman"), known()), VirtualSkin(PAPER, seed=12)
+    twin.press(0, *PLACES[0], 8e-3, 20e3)
+    state, spread, peak = used.start(), [], []
+    for _ in range(6):
+        state, percept = used.step(state, twin.scan)
+        belief = percept.belief.estimate
+        spread.append(float(np.trace(belief.covariance)))  # type: ignore[attr-defined]
+        peak.append(float(percept.image.values.max()))
+    assert spread[1] < spread[0]  # the second frame adds to what the first one told
+    assert peak[-1] > peak[0]
+    fresh = used.step(used.start(), twin.scan)[1].belief.estimate
+    assert np.trace(fresh.covariance) > 1.02 * spread[-1]  # type: ignore[attr-defined]
+
+
+# --- modes ------------------------------------------------------------------------------------------------------------
+
+MINE = '[modes.mine]\ndrive = "opposite"\nreader = "fit"\nprior = "matern"\ntitle = "My own"\n'
+
+
+def test_a_skin_file_may_define_a_mode_of_its_own() -> None:
+    skin = Skin.parse(MINE)
+    mode = modes(skin)["mine"]
+    assert mode == Mode("mine", "opposite", "fit", prior="matern", title="My own")
+    assert Skin.parse(skin.dump()) == skin
+    assert list(modes(skin))[-1] == "mine"
+    twin, pattern = VirtualSkin(skin, seed=11), drive_of(mode, skin).next([], 0)
+    used = build(mode, SkinModel(skin, skin.transfer_model(), [twin.scan(pattern) for _ in range(8)]))
+    assert max(misses(used, PLACES[:1])) < BOUNDS["fit"]
+
+
+def test_a_mode_of_its_own_may_replace_one_that_ships() -> None:
+    skin = Skin.parse('[modes.16P]\ndrive = "rim"\nreader = "centroid"\n')
+    assert modes(skin)["16P"].drive == "rim"
+    assert mode_named(skin, "").name == "16P"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[modes.mine]\ndrive = "rim"\n', "modes.mine does not say its reader; add reader"),
+        ('[modes.mine]\nreader = "fit"\n', "modes.mine does not say its drive; add drive"),
+        ('[modes.mine]\ndrive = "rim"\nreader = "fit"\nspeed = 3\n', "unknown entry modes.mine.speed; choose from"),
+        ('[modes.mine]\ndrive = "rim"\nreader = 3\n', "modes.mine.reader is 3; it must be text"),
+        ('[modes.mine]\ndrive = "rim"\nreader = "fit"\nfuse = 1\n', "modes.mine.fuse is 1; it must be true or false"),
+        (
+            '[modes.mine]\ndrive = "rim"\nreader = "fit"\ninjections = -1\n',
+            r"modes.mine.injections is -1; it must be 0",
+        ),
+        (
+            '[modes.mine]\ndrive = "rim"\nreader = "fit"\ninjections = "4"\n',
+            "modes.mine.injections is '4'; it must be a whole number",
+        ),
+        ("modes = 3\n", r"modes is 3; it must be tables \[modes.NAME\]"),
+        ("[modes]\nmine = 3\n", r"modes.mine is 3; it must be a table \[modes.mine\]"),
+    ],
+)
+def test_wrong_entries_of_a_mode_are_named(text: str, message: str) -> None:
+    with pytest.raises(SkinError, match=message):
+        Skin.parse(text)
+
+
+@pytest.mark.parametrize("name", shipped_skins())
+def test_every_shipped_skin_has_the_default_mode(name: str) -> None:
+    skin = Skin.load(name)
+    assert mode_named(skin, "").name == default_mode(skin)
+    for mode in modes(skin).values():
+        assert mode.title
+        assert mode.summary.endswith(".")
+        assert "{" not in mode.name + mode.summary
+        drive_of(mode, skin).next([], 0).check(len(skin.electrodes))
+
+
+# --- what others register ---------------------------------------------------------------------------------------------
+
+
+def twice_the_noise(settings: EstimatorSettings):
+    """Gauss-Newton that trusts the data half as much."""
+    return ESTIMATORS["gauss-newton"](replace(settings, noise=2 * settings.noise))
+
+
+def first_pairs(settings: DriveSettings, injections: int) -> Fixed:
+    """Both rings, registered by another package."""
+    return Fixed(adjacent(settings.electrodes.rings))
+
+
+def only_centroids(known: SkinModel, estimator, threshold: float):
+    """Centroids, registered by another package."""
+    return READERS["centroid"](known, estimator, threshold)
+
+
+def smooth_prior(model):
+    """Smoothness, registered by another package."""
+    return graph_laplacian
+
+
+def test_other_packages_add_theirs_by_entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered = {
+        "ohmskin.drives": "first_pairs",
+        "ohmskin.readers": "only_centroids",
+        "ohmskin.estimators": "twice_the_noise",
+        "ohmskin.priors": "smooth_prior",
+    }
+
+    def entry_points(group: str) -> list[EntryPoint]:
+        return [EntryPoint("theirs", f"{__name__}:{offered[group]}", group)] if group in offered else []
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    for table, title in (
+        (DRIVES, "Both rings"),
+        (READERS, "Centroids"),
+        (ESTIMATORS, "Gauss-Newton"),
+        (PRIORS, "Smooth"),
+    ):
+        assert "theirs" in table
+        assert list(table)[-1] == "theirs"
+        assert table.title("theirs").startswith(title)
+    used = build(Mode("mine", "theirs", "theirs", "theirs", "theirs"), known())
+    assert max(misses(used, PLACES[:1], 4)) < 15e-3
+    with pytest.raises(PatternError, match=r"no drive 'x'; choose from .*, theirs"):
+        DRIVES["x"]
+
+
+# --- one step ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("drive", "reader"), [("eq7", "centroid"), ("position", "fit"), ("tracking", "tracked")])
+def test_the_same_state_and_frames_give_the_same_percept(drive: str, reader: str) -> None:
+    used, twin, frames = sensor(drive, reader), VirtualSkin(PAPER, seed=12), []
+    twin.press(0, *PLACES[0], 8e-3, 20e3)
+    state = used.start()
+    for _ in range(8):
+        state, _ = used.step(state, twin.scan)
+
+    def scan(pattern: DrivePattern) -> Frame:
+        frames.append(twin.scan(pattern))
+        return frames[-1]
+
+    after, first = used.step(state, scan)
+    used.step(after, twin.scan)  # another step between leaves nothing behind
+    replayed = iter(list(frames))
+    again, second = used.step(state, lambda _: next(replayed))
+    assert first.contacts == second.contacts
+    assert first.detections == second.detections
+    assert (after.turn, after.time) == (again.turn, again.time)
+    np.testing.assert_array_equal(first.image.values, second.image.values)
+
+
+@pytest.mark.parametrize("scan_with_a_hole", [0, 1])
+def test_a_missing_channel_is_no_reason_to_change_method(scan_with_a_hole: int) -> None:
+    """Read with one voltage missing, compiled or not: the same frames, the same image, the same contacts."""
+    used, twin = sensor("eq7", "centroid"), VirtualSkin(PAPER, seed=12)
+    assert used.implementation is not None
+    plain = used.with_drive(used.drive)
+    plain.implementation = None
+    twin.press(0, *PLACES[0], 8e-3, 20e3)
+    frames: list[Frame] = []
+
+    def scan(pattern: DrivePattern) -> Frame:
+        frame = twin.scan(pattern)
+        if len(frames) == scan_with_a_hole:
+            frame = replace(frame, voltages=np.where(np.arange(pattern.n_meas) == 17, np.nan, frame.voltages))
+        frames.append(frame)
+        return frame
+
+    _, quick = used.step(used.start(), scan)
+    assert len(frames) == 2  # none was measured twice
+    replayed = iter(frames)
+    _, slow = plain.step(plain.start(), lambda _: next(replayed))
+    for a, b in ((quick.image, slow.image), (quick.base_image, slow.base_image)):
+        np.testing.assert_allclose(a.values, b.values, rtol=0, atol=1e-4 * np.abs(b.values).max())
+    (found,), (expected,) = quick.detections, slow.detections
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-5)
+    whole = used.step(used.start(), lambda pattern: twin.scan(pattern))[1]
+    np.testing.assert_allclose(found.position, whole.detections[0].position, atol=2e-3)
+
+
+def test_a_pattern_that_was_not_seen_quiet_is_refused() -> None:
+    some = adjacent([PAPER.electrodes.rings[0]])
+    twin = VirtualSkin(PAPER, seed=11)
+    little = SkinModel(PAPER, PAPER.transfer_model(), [twin.scan(some) for _ in range(2)])
+    assert little.quiet.scan(some, 1).pattern == some
+    with pytest.raises(PatternError, match=r"no quiet reference for source, sink, plus, minus = .*; calibrate with"):
+        little.quiet.scan(adjacent(PAPER.electrodes.rings), 0)
+    with pytest.raises(PatternError, match="no quiet reference"):
+        build(mode_named(PAPER, "16I"), little)
+    with pytest.raises(PatternError, match="no quiet reference"):
+        perceive(little, twin.scan(adjacent(PAPER.electrodes.rings)))
+
+
+def test_the_default_mode_has_the_least_measured_error_of_those_that_ship() -> None:
+    """As a geometric mean over the worlds of docs/modes.json, which the page docs/modes.md shows."""
+    rows = json.loads((Path(__file__).parents[1] / "docs" / "modes.json").read_text())["rows"]
+    drives = {"rim": "rim", "rings": "rings", "eq7": "eq7", "position": "position", "tracking": "tracking"}
+    errors = {}
+    for mode in MODES:
+        own = [r["mean"] for r in rows if (r["drive"], r["reader"]) == (drives[mode.drive], mode.reader)]
+        assert len(own) == len({(r["world"], r["decibels"]) for r in rows})
+        errors[mode.name] = float(np.exp(np.mean(np.log(own))))
+    assert min(errors, key=lambda name: errors[name]) == DEFAULT
+    assert default_mode(Skin.load("paper")) in (Path(__file__).parents[1] / "docs" / "modes.md").read_text()
+
+
+@pytest.mark.parametrize("gain", [0.0, 2e-3])
+def test_white_noise_and_errors_of_measured_currents_are_told_apart(gain: float) -> None:
+    """Five seeds: the noise of a voltage, and the share by which all voltages of an injection err together."""
+    skin = Skin.load("paper")
+    pattern, sigma, repeats = adjacent(skin.electrodes.rings), 1e-4, 40
+    quiet = skin.transfer_model().voltages(pattern, 1e-3)
+    found = []
+    for seed in range(5):
+        random, frames = np.random.default_rng(seed), []
+        for k in range(repeats):
+            shares = (1 + gain * random.standard_normal(pattern.n_inj))[pattern.measurements[:, 0]]
+            volts = quiet * shares + sigma * random.standard_normal(pattern.n_meas)
+            frames.append(Frame(pattern, volts, np.full(pattern.n_inj, 1e-3), 0.01 * k))
+        found.append(kinds_of_noise(Baseline.learn(frames), frames))
+    white, share = np.mean(found, axis=0)
+    # of a difference, which has the reference's own share of the noise
+    assert white == pytest.approx(sigma * np.sqrt(1 + 1 / repeats), rel=0.02)
+    assert share == pytest.approx(gain * np.sqrt(1 + 1 / repeats), rel=0.05, abs=1e-4)

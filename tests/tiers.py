@@ -1,0 +1,176 @@
+"""What each test needs and how often it runs: the one place where markers are assigned.
+
+A row names a file, or a test of it (`file::test`, as a glob), a marker, what the test cannot do without, and why. A
+test whose needs are not there is skipped with the Debian package to install; in CI it fails.
+"""
+
+import ctypes
+import os
+import shutil
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+
+@dataclass(frozen=True)
+class Need:
+    """Something outside Python: a program, a shared library (`lib....so.N`) or a path; any of `names` will do."""
+
+    names: tuple[str, ...]
+    package: str
+
+    def met(self) -> bool:
+        """Whether one of them is there."""
+        return any(_found(name) for name in self.names)
+
+
+def _found(name: str) -> bool:
+    if name.startswith("/"):
+        return Path(name).exists()
+    if ".so" not in name:
+        return shutil.which(name) is not None
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
+
+
+def needs(*names: str, package: str) -> None:
+    """Skip the running test unless one of these is there, naming the Debian package to install; in CI fail."""
+    if not Need(names, package).met():
+        reason = f"needs {' or '.join(names)}: apt-get install {package}"
+        if os.environ.get("CI"):
+            pytest.fail(reason, pytrace=False)
+        pytest.skip(reason)
+
+
+CHROMIUM = Need(("chromium", "chromium-browser", "google-chrome"), "chromium")
+QEMU = Need(("qemu-system-arm",), "qemu-system-arm")
+ARM = Need(("arm-none-eabi-gcc",), "gcc-arm-none-eabi libnewlib-arm-none-eabi")
+MAKE = Need(("make",), "make")
+GCC = Need(("gcc",), "gcc libc6-dev")
+CLANG = Need(("clang",), "clang")
+FAST_DDS = Need(("/usr/include/fastdds",), "libfastrtps-dev")
+GXX = Need(("g++",), "g++")
+GL = Need(("libEGL.so.1", "libOSMesa.so.8"), "libegl1 libgl1")
+FFMPEG = Need(("ffmpeg",), "ffmpeg")
+GMSH = tuple(
+    Need((library,), package)
+    for library, package in (
+        ("libGLU.so.1", "libglu1-mesa"),
+        ("libXcursor.so.1", "libxcursor1"),
+        ("libXinerama.so.1", "libxinerama1"),
+        ("libXft.so.2", "libxft2"),
+    )
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Tests, the marker they carry, what they need, and why (asked for where the marker is `long`)."""
+
+    tests: str
+    marker: str
+    needs: tuple[Need, ...] = ()
+    reason: str = ""
+
+
+# What takes long and is seldom broken alone; each line says what of the same feature runs every day.
+LONG = {
+    "test_calibrate.py::test_the_virtual_skin_calibrates_itself": "the same calibration runs in its parts",
+    "test_examples.py::test_example[[]03": "two other examples",
+    "test_examples.py::test_example[[]04": "two other examples",
+    "test_examples.py::test_example[[]05": "two other examples",
+    "test_faults.py::test_a_host_that_was_suspended": "the loss of a device in other ways",
+    "test_faults.py::test_one_byte_in_a_hundred": "spoilt lines in test_driver.py",
+    "test_faults.py::test_a_serial_port_that_goes": "a cable pulled and plugged in again",
+    "test_firmware.py::test_ten_seconds_of_fuzzing": "requests by hypothesis",
+    "test_firmware_loop.py::test_a_session_finds": "frames of the same board in the same emulator",
+    "test_guides.py::test_example_runs*[[]drive_design": "two other examples, and the text of all",
+    "test_guides.py::test_example_runs*[[]estimators": "two other examples, and the text of all",
+    "test_guides.py::test_example_runs*[[]meshes": "two other examples, and the text of all",
+    "test_guides.py::test_example_runs*[[]priors": "two other examples, and the text of all",
+    "test_guides.py::test_example_runs*[[]regularisation": "two other examples, and the text of all",
+    "test_import.py::test_the_example_of": "what these examples call",
+    "test_layout.py::test_a_better_layout": "the search itself",
+    "test_policies.py::test_the_report_has": "the command with one section",
+    "test_policies.py::test_a_second_run": "the cache in test_reproduce.py",
+    "test_recorder.py::test_the_guides_example": "the recorder it calls",
+    "test_reproduce.py::test_a_killed_run": "results kept and found again",
+    "test_reproduce.py::test_a_second_run": "results kept and found again",
+    "test_reproduce.py::test_every_number": "the experiments in test_evaluate_*.py",
+    "test_reproduce.py::test_pictures_are_large": "the experiments in test_evaluate_*.py",
+    "test_reproduce.py::test_processes_and_a_dask": "results kept and found again",
+    "test_reproduce.py::test_the_report_needs": "the experiments in test_evaluate_*.py",
+    "test_robot.py::test_skin_of_another_shape": "the paper's skin",
+    "test_robot.py::test_same_seed_same_run": "the seeds of the virtual skin",
+    "test_scale.py::test_with_many_electrodes": "the same with sixteen",
+}
+
+TABLE = (
+    Row("test_view_browser.py", "browser", (CHROMIUM,)),
+    Row("test_live_browser.py", "browser", (CHROMIUM,)),
+    Row("test_patches.py::test_a_robot_feels_where_it_is_touched*", "browser", (CHROMIUM,)),
+    Row("test_firmware.py::test_the_core_*", "compiler", (MAKE, GCC)),
+    Row("test_firmware.py::test_ten_seconds_of_fuzzing*", "compiler", (MAKE, CLANG)),
+    Row("test_firmware_loop.py::test_both_targets*", "compiler", (MAKE, ARM)),
+    *(
+        Row(f"test_firmware_loop.py::{name}*", "qemu", (MAKE, ARM, QEMU))
+        for name in (
+            "test_frames_are",
+            "test_averages",
+            "test_a_session",
+            "test_a_reset",
+            "test_a_late",
+            "test_a_bad_line",
+            "test_one_pattern",
+            "test_a_press_off",
+            "test_a_new_host",
+            "test_an_emulator",
+            "test_the_command_serves",
+        )
+    ),
+    Row("test_publish.py::test_fast_dds_reads_it", "compiler", (FAST_DDS, GXX)),
+    Row("test_robot.py::test_command_line_draws*", "gl", (GL, FFMPEG)),
+    *(Row(f"test_domains.py::{name}", "gmsh", GMSH) for name in ("*gmsh*", "test_refined*", "test_a_broken*")),
+    *(Row(f"{tests}*", "long", reason=reason) for tests, reason in LONG.items()),
+)
+
+SLOWEST = (  # files that take longest, so that workers begin with them
+    "test_reproduce.py",
+    "test_cli.py",
+    "test_replay.py",
+    "test_recorder.py",
+    "test_robot.py",
+    "test_faults.py",
+    "test_firmware_loop.py",
+    "test_policies.py",
+    "test_calibrate.py",
+    "test_guides.py",
+    "test_publish.py",
+    "test_filter.py",
+    "test_layout.py",
+    "test_live_browser.py",
+    "test_view_browser.py",
+    "test_patches.py",
+    "test_import.py",
+    "test_conformance.py",
+    "test_examples.py",
+    "test_dataset.py",
+    "test_engine.py",
+    "test_policy.py",
+    "test_firmware.py",
+)
+
+
+def rows(path: str, name: str) -> list[Row]:
+    """The rows of the table that speak of a test: its file's name, and its own name with parameters."""
+    return [row for row in TABLE if path == row.tests or fnmatch(f"{path}::{name}", row.tests)]
+
+
+def order(path: str) -> int:
+    """Where a file comes among the others: those that take longest first."""
+    return SLOWEST.index(path) if path in SLOWEST else len(SLOWEST)
