@@ -15,7 +15,10 @@ class DirectDevice(Device):
 
     def __init__(self, virtual: VirtualSkin, serial: int = 1) -> None:
         count = len(virtual.skin.electrodes)
-        super().__init__("direct:", Capabilities("direct", count, 24, 512, features=Feature.VIRTUAL, serial=serial))
+        super().__init__(
+            "direct:",
+            Capabilities("direct", count, 24, 512, features=Feature.VIRTUAL | Feature.DRIVEN_MEASURED, serial=serial),
+        )
         self.virtual, self.gone, self.blind = virtual, False, False
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:

@@ -93,6 +93,14 @@ class ContactFitter:
 
     # --- the model of the noise ---------------------------------------------------------------------------------------
 
+    def data(self, *differences: Difference) -> Data:
+        """The data of one scan, or of several fused.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        return Data.of(self.table.n_elec, *differences).counted(self.noise, self.model_error)
+
     def noise_model(self, data: Data, more: Floats | None = None) -> NoiseModel:
         """The noise of data; `more` (n_meas, k) are further directions not known (V)."""
         sigma = float(np.hypot(self.noise, self.model_error * data.root_mean_square))
@@ -257,8 +265,8 @@ class ContactFitter:
         Raises:
             DataError: If no finite datum is left.
         """
-        data = Data.of(self.table.n_elec, *differences)
-        noise_model = self.noise_model(data, None if unsure is None else unsure[data.known])
+        data = self.data(*differences)
+        noise_model = self.noise_model(data, None if unsure is None else unsure[data.known] * data.share[:, None])
         found = nothing(data)
         while len(found.params) < self.most:
             left = data.volts - found.caused

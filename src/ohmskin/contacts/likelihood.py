@@ -7,7 +7,7 @@ yet known): its inverse covariance (sigma^2 I + V V^T)^-1 is applied by the matr
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,8 @@ class Data:
         currents: (n_meas,) behind them (A).
         n_pairs: Number of electrode pairs.
         known: Which of the scans' measurements these are.
+        driven: (n_meas,) which of these involve an electrode that carries the current.
+        share: (n_meas,) by which weights and volts have been multiplied, to count less what is less sure (1).
     """
 
     pairs: Ints
@@ -41,6 +43,8 @@ class Data:
     currents: Floats
     n_pairs: int
     known: NDArray[np.bool_]
+    driven: NDArray[np.bool_]
+    share: Floats
 
     @classmethod
     def of(cls, n_elec: int, *differences: Difference) -> "Data":
@@ -67,15 +71,29 @@ class Data:
         distinct = first != second  # a driven electrode that is also measured: F_ii = 0
         pairs = np.where(distinct, pair_index(first, np.where(distinct, second, first + 1), n_elec), 0)
         weights = weights * currents[known] * distinct
-        return cls(pairs, weights, volts[known], currents[known], n_elec * (n_elec - 1) // 2, known)
+        driven, share = np.concatenate([d.pattern.driven for d in differences])[known], np.ones(len(a))
+        return cls(pairs, weights, volts[known], currents[known], n_elec * (n_elec - 1) // 2, known, driven, share)
 
     @classmethod
     def together(cls, parts: Sequence["Data"]) -> "Data":
         """The data of several frames as one; all with or all without a sagging source."""
-        names = ("pairs", "weights", "volts", "currents", "known")
-        joined = (np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names)
-        pairs, weights, volts, currents, known = joined
-        return cls(pairs, weights, volts, currents, parts[0].n_pairs, known)
+        arrays = [field.name for field in fields(cls) if field.name != "n_pairs"]
+        joined = {name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in arrays}
+        return cls(**joined, n_pairs=parts[0].n_pairs)
+
+    def counted(self, noise: float, model_error: float) -> "Data":
+        """These data with those of driven electrodes counted as much less as their larger changes err more.
+
+        Args:
+            noise: Standard deviation of a voltage (V).
+            model_error: How far the model errs, as a share of the root mean square of each of the two kinds (1).
+        """
+        if not self.driven.any() or self.driven.all():
+            return self
+        squares = (float(np.mean(self.volts[kind] ** 2)) for kind in (~self.driven, self.driven))
+        usual, theirs = (np.hypot(noise, model_error * np.sqrt(square)) for square in squares)
+        share = np.where(self.driven, min(1.0, usual / theirs), 1.0)
+        return replace(self, weights=self.weights * share, volts=self.volts * share, share=self.share * share)
 
     def less(self, explained: Floats) -> "Data":
         """These data without what is explained already (n_meas,) in volts."""
@@ -100,8 +118,9 @@ class Data:
 
     @cached_property
     def root_mean_square(self) -> float:
-        """Of the data (V)."""
-        return float(np.sqrt(np.mean(self.volts**2)))
+        """Of the data whose electrodes carry no current, if there are any (V)."""
+        counted = self.volts if self.driven.all() else self.volts[~self.driven]
+        return float(np.sqrt(np.mean(counted**2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +184,21 @@ def gain_directions(difference: Difference, reference: Floats, gain: float) -> F
     """
     which = difference.pattern.measurements[:, 0]
     return np.asarray(gain * reference[:, None] * (which[:, None] == np.arange(difference.pattern.n_inj)))
+
+
+def contact_directions(difference: Difference, spread: Floats) -> Floats:
+    """What a change of contact impedance does at each electrode that carries current and is measured (n_meas, k) (V).
+
+    Args:
+        difference: The scan.
+        spread: (n_elec,) standard deviation of the change (ohm).
+    """
+    source, sink, plus, minus = difference.pattern.quadruples.T
+    electrodes = np.unique(difference.pattern.quadruples[difference.pattern.driven, 2:])
+    into = (source[:, None] == electrodes).astype(float) - (sink[:, None] == electrodes)
+    across = (plus[:, None] == electrodes).astype(float) - (minus[:, None] == electrodes)
+    directions = difference.currents[:, None] * into * across * spread[electrodes]
+    return np.asarray(directions[:, directions.any(axis=0)])
 
 
 def responses(table: ContactTable, data: Data, params: Floats) -> tuple[Floats, Floats]:

@@ -162,7 +162,7 @@ class AnalogueSide:
         return {
             "serial": zlib.crc32(b"firmware of " + skin.dump().encode()),
             "boot": int.from_bytes(os.urandom(4), "little"),
-            "features": Feature.VIRTUAL | Feature.CURRENT_MEASURED | source,
+            "features": Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source,
             "excitation": skin.excitation.amplitude,
             "full_scale": skin.converter.full_scale,
             "settle_time": skin.converter.settle,

@@ -19,6 +19,7 @@ class Feature(IntFlag):
     VIRTUAL = 1  # simulated: touches can be put on it with `press`
     CURRENT_MEASURED = 2  # the currents of a frame are measured, not nominal
     VOLTAGE_SOURCE = 4  # it drives volts; otherwise amperes
+    DRIVEN_MEASURED = 8  # voltages of the electrodes that carry the current can be measured, too
 
 
 _RECORDED: dict[str, Any] = {
@@ -93,12 +94,17 @@ class Capabilities:
             KeyError, ValueError, OverflowError, ProtocolError: If something is missing or makes no sense.
         """
         values = {name: kind(told[name]) for name, kind in _RECORDED.items()}
-        return cls(**values | {"features": Feature(values["features"] & 7) & ~Feature.VIRTUAL})
+        return cls(**values | {"features": Feature(values["features"] & 15) & ~Feature.VIRTUAL})
 
     @property
     def virtual(self) -> bool:
         """Whether touches can be put on it with `press`."""
         return Feature.VIRTUAL in self.features
+
+    @property
+    def driven(self) -> bool:
+        """Whether electrodes that carry the current can be measured."""
+        return Feature.DRIVEN_MEASURED in self.features
 
     @property
     def cost(self) -> Cost:

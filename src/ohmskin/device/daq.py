@@ -87,7 +87,7 @@ class MuxDaqDevice(Device):
             n_elec,
             max_injections=1024,
             max_measurements=4096,
-            features=Feature.VOLTAGE_SOURCE | Feature.CURRENT_MEASURED,
+            features=Feature.VOLTAGE_SOURCE | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED,
             excitation=excitation,
             full_scale=full_scale,
             # all electrodes at once: it does not grow with the voltages asked for

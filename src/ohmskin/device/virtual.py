@@ -44,7 +44,7 @@ class VirtualInstrument:
             max_injections=256,
             max_measurements=4096,
             pattern_slots=16,
-            features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | source,
+            features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source,
             excitation=skin.excitation.amplitude,
             full_scale=skin.converter.full_scale,
             settle_time=skin.converter.settle,

@@ -2,7 +2,7 @@
 
 from ohmskin.drive.bound import ContactPrior, best_fixed, position_bound
 from ohmskin.drive.design import Candidates, Choice, Search, exchange, greedy, pair_currents
-from ohmskin.drive.drive import Drive, Fixed, SecondScan, Target, TwoScans
+from ohmskin.drive.drive import Drive, Fixed, SecondScan, Target, TwoScans, WithDriven
 from ohmskin.drive.drives import DRIVES, DriveSettings
 from ohmskin.drive.informed import InformedPolicy, Plan, PositionDrive, Ranking
 from ohmskin.drive.layout import LayoutSearch, arranged
@@ -30,6 +30,7 @@ __all__ = [
     "SecondScan",
     "Target",
     "TwoScans",
+    "WithDriven",
     "arranged",
     "base_pattern",
     "best_fixed",

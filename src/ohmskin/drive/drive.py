@@ -141,3 +141,42 @@ class TwoScans:
     def with_injections(self, count: int) -> Drive:
         """Refused."""
         raise PatternError(f"a drive of two scans has no choice of injections; it has {self.injections}")
+
+
+@dataclass(frozen=True)
+class WithDriven:
+    """A drive whose injections are measured at their source and sink, too.
+
+    Args:
+        drive: What is driven.
+    """
+
+    drive: Drive
+
+    @property
+    def patterns(self) -> tuple[DrivePattern, ...]:
+        """Those of the drive, with driven electrodes."""
+        return tuple(pattern.with_driven for pattern in self.drive.patterns)
+
+    @property
+    def scans(self) -> int:
+        """Of the drive."""
+        return self.drive.scans
+
+    @property
+    def injections(self) -> int:
+        """Of the drive."""
+        return self.drive.injections
+
+    @property
+    def adjustable(self) -> bool:
+        """Of the drive."""
+        return self.drive.adjustable
+
+    def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
+        """What the drive wants, with driven electrodes."""
+        return self.drive.next(targets, turn).with_driven
+
+    def with_injections(self, count: int) -> "WithDriven":
+        """The same with another number of injections a frame; raises PatternError as the drive does."""
+        return WithDriven(self.drive.with_injections(count))

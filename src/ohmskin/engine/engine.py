@@ -12,7 +12,7 @@ from ohmskin.device import Device
 from ohmskin.drive import Drive, Fixed
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import SLOW, Notices
-from ohmskin.engine.quiet import quiet_frames
+from ohmskin.engine.quiet import needed, quiet_frames
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import DeviceError, DeviceLost, ModelError, PatternError
 from ohmskin.scan import DrivePattern, Frame
@@ -219,7 +219,7 @@ class Engine(Closing):
     def drive(self, mode: Mode) -> Drive:
         """The drive of a mode."""
         if mode not in self._drives:
-            self._drives[mode] = self._recorded or drive_of(mode, self.skin)
+            self._drives[mode] = self._recorded or drive_of(mode, self.skin, self.device.capabilities.driven)
         return self._drives[mode]
 
     def forget(self) -> None:
@@ -306,7 +306,7 @@ class Engine(Closing):
                 patterns |= dict.fromkeys(self.drive(mode).patterns)
             except PatternError as error:
                 self._drop(mode, error)
-        return quiet_frames(list(patterns), self.device.capabilities, self._scan, progress)
+        return quiet_frames(needed(patterns), self.device.capabilities, self._scan, progress)
 
     def _scan(self, pattern: DrivePattern) -> Frame:
         asked = time.monotonic()

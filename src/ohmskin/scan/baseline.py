@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,6 +34,19 @@ class Difference:
     volts: Floats
     source_loading: Floats | None = None
     reference: Floats | None = None
+
+    @cached_property
+    def undriven(self) -> "Difference":
+        """What electrodes that carry no current say: the data of which contact impedances are no part.
+
+        Itself if that is all, or if there is nothing else.
+        """
+        kept = ~self.pattern.driven
+        if kept.all() or not kept.any():
+            return self
+        pattern = DrivePattern(self.pattern.injections, self.pattern.measurements[kept])
+        loading, reference = (None if a is None else a[kept] for a in (self.source_loading, self.reference))
+        return Difference(pattern, self.currents[kept], self.volts[kept], loading, reference)
 
     def combination(self, n_elec: int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) from changes of two-terminal resistances to these volts, per ampere.
@@ -70,7 +84,8 @@ class Baseline:
     def learn(cls, frames: Iterable[Frame]) -> "Baseline":
         """Learn from quiet frames, of one or several patterns.
 
-        The noise is the scatter of repeated frames about their mean. A pattern seen once has no scatter; if no pattern
+        The noise is the scatter of repeated frames about their mean, of electrodes that carry no current: at those that
+        do, errors of the current are as large. A pattern seen once has no scatter; if no pattern
         is repeated, the noise is taken from the disagreement of reciprocal measurements, which must be equal.
 
         Raises:
@@ -89,8 +104,12 @@ class Baseline:
         squares = np.bincount(which, currents**2, minlength=len(keys))
         products = np.bincount(which, volts * currents, minlength=len(keys))
         resistances = np.divide(products, squares, out=np.full(len(keys), np.nan), where=squares > 0)
-        scatter = float(np.nansum((volts - resistances[which] * currents) ** 2))
-        freedom = int(np.maximum(repeats - 1, 0).sum())
+        errors = (volts - resistances[which] * currents) ** 2
+        counted = ~np.concatenate([frame.pattern.driven for frame in frames])[known]
+        if not counted.any():
+            counted[:] = True
+        scatter = float(np.nansum(errors[counted]))
+        freedom = int(np.maximum(np.bincount(which[counted], minlength=len(keys)) - 1, 0).sum())
         if freedom > 0 and scatter > 0:
             noise = float(np.sqrt(scatter / freedom))
         else:

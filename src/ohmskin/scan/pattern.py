@@ -61,6 +61,27 @@ class DrivePattern:
         """Source, sink, plus, minus (n_meas, 4) of each measurement."""
         return np.hstack([self.injections[self.measurements[:, 0]], self.measurements[:, 1:]])
 
+    @cached_property
+    def driven(self) -> NDArray[np.bool_]:
+        """Which measurements (n_meas,) involve an electrode that carries the current: its contact impedance counts."""
+        given, measured = self.quadruples[:, None, :2], self.quadruples[:, 2:, None]
+        return np.asarray((given == measured).any(axis=(1, 2)))
+
+    @cached_property
+    def with_driven(self) -> "DrivePattern":
+        """The pattern with two voltages more of each injection: source and sink against its first and last electrode.
+
+        An injection that measures one of them already stays as it is.
+        """
+        which, plus, minus = self.measurements.T
+        numbers, first, count = np.unique(which, return_index=True, return_counts=True)
+        kept = ~np.isin(numbers, which[self.driven])
+        numbers, first, last = numbers[kept], first[kept], (first + count - 1)[kept]
+        source, sink = self.injections[numbers].T
+        more = [np.column_stack([numbers, *ends]) for ends in ((source, plus[first]), (minus[last], sink))]
+        rows = np.vstack([self.measurements, *more])
+        return DrivePattern(self.injections, rows[np.argsort(rows[:, 0], kind="stable")])
+
     def uses(self, electrodes: ArrayLike) -> NDArray[np.bool_]:
         """Whether each measurement (n_meas,) involves any of `electrodes`, one or several, driven or measured."""
         return np.asarray(np.isin(self.quadruples, electrodes).any(axis=1))

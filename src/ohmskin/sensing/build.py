@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from ohmskin.contacts import ContactFinder, learn_threshold
-from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target
+from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, WithDriven
 from ohmskin.errors import ModelError
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
@@ -20,14 +20,20 @@ _SIGMAS = 5.0  # height of a threshold above the largest predicted noise, where 
 _PATIENCE = 2.0  # s to learn thresholds in, of slow estimators
 
 
-def drive_of(mode: Mode, skin: Skin) -> Drive:
+def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
     """The drive of a mode.
+
+    Args:
+        mode: Names the drive.
+        skin: What is driven.
+        driven: Whether the device can measure electrodes that carry the current; modes that want it do without else.
 
     Raises:
         PatternError: If there is none of that name, or the skin does not allow it.
     """
     settings = DriveSettings(skin.electrodes, skin.design, skin.imaging.pairs)
-    return DRIVES[mode.drive](settings, mode.injections)
+    drive = DRIVES[mode.drive](settings, mode.injections)
+    return WithDriven(drive) if mode.driven and driven else drive
 
 
 def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
@@ -42,7 +48,7 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
         PatternError: If there is no such drive, or the skin does not allow it, or its quiet frames do not cover it.
         ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
     """
-    drive = drive or drive_of(mode, known.skin)
+    drive = drive or drive_of(mode, known.skin, known.quiet.driven is not None)
     estimator = known.estimator(mode.estimator, mode.prior, mode.rule)
     imaging = known.skin.imaging
     if known.model.mesh.nodes.shape[1] != 2 and mode.reader != "centroid":

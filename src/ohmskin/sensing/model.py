@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.likelihood import gain_directions
+from ohmskin.contacts.likelihood import contact_directions, gain_directions
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.inverse import GaussNewton
@@ -18,6 +18,8 @@ from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Skin
 
 _CONTACT_ERROR = 0.05  # share of its signal that a disc gets wrong of a contact; up to 0.04 on the contact-layer twin
+_CHANGE = 0.2  # share by which contact impedances change unseen: screws on a sprayed sheet do when pressed nearby
+_LEAST_CONTACT = 0.01  # of the sheet's resistance, which every contact is taken to have
 _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
 
 
@@ -29,6 +31,7 @@ class SkinModel:
         model: Forward model of the untouched sheet as described; its conductivity is scaled to the quiet frames.
         quiet: Frames of the untouched skin, of every pattern that will be driven.
         quality: Which electrodes to leave out or to count less, by `ohmskin.scan.assess`; all count alike unless given.
+        impedances: (n_elec,) contact impedances (ohm); told from quiet voltages of driven electrodes unless given.
 
     Attributes:
         baseline: Reference data and noise.
@@ -41,21 +44,25 @@ class SkinModel:
     """
 
     def __init__(
-        self, skin: Skin, model: TransferModel, quiet: Sequence[Frame], quality: Quality | None = None
+        self,
+        skin: Skin,
+        model: TransferModel,
+        quiet: Sequence[Frame],
+        quality: Quality | None = None,
+        impedances: Floats | None = None,
     ) -> None:
-        self.skin, self.quality = skin, quality
+        self.skin, self.quality, self._impedances = skin, quality, impedances
         if quality is not None:
             quiet = [quality.clean(frame) for frame in quiet]
         self.baseline, self.quiet = Baseline.learn(quiet), QuietScans(quiet)
         pattern = quiet[0].pattern
         measured, modelled = self.baseline.reference(pattern), model.voltages(pattern)
-        known = np.isfinite(measured)
+        known = np.isfinite(measured) & (~pattern.driven | pattern.driven.all())
         if not known.any():
             raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
-        modelled, measured = modelled[known], measured[known]
+        modelled, measured, volts = modelled[known], measured[known], quiet[0].voltages[known]
         self.model = model.scaled(float(modelled @ modelled / (modelled @ measured)))
-        volts = quiet[0].voltages
-        floor = _LEAST_NOISE * float(np.abs(volts[np.isfinite(volts)]).max())
+        floor = _LEAST_NOISE * float(np.nanmax(np.where(np.isfinite(volts), np.abs(volts), 0.0)))
         self.noise = max(self.baseline.difference_noise, floor)
         self._white, self.gain = kinds_of_noise(self.baseline, quiet)
         self._usual = {  # currents (A) of the pairs driven
@@ -127,10 +134,35 @@ class SkinModel:
         floor = max(self.noise / max(self.baseline.difference_noise, 1e-300), 1.0)  # on recordings without noise
         return ContactFitter(table, self._white * floor, _CONTACT_ERROR, bipolar=self.skin.imaging.bipolar)
 
-    def current_errors(self, difference: Difference) -> Floats:
-        """Directions (n_meas, n_inj) in which errors of the measured currents move a scan's voltages (V)."""
+    @cached_property
+    def impedances(self) -> Floats:
+        """Contact impedances (n_elec,) of the electrodes (ohm); those of the description where they were not measured.
+
+        What a driven electrode's quiet voltage exceeds that of a perfect contact of its size on the model.
+        """
+        if self._impedances is not None:
+            return self._impedances
+        electrode, quiet = self.skin.electrode, self.quiet.driven
+        described = electrode.contact_resistivity / (np.pi * electrode.radius**2)
+        found = np.full(len(self.skin.electrodes), described)
+        if quiet is None:
+            return found
+        model = self.skin.electrode_model()
+        model = model.scaled(self.model.conductivity.mean() / model.conductivity.mean())
+        excess = (self.baseline.reference(quiet) - model.voltages(quiet))[quiet.driven]
+        source, sink, plus, minus = quiet.quadruples[quiet.driven].T
+        electrodes = np.where((plus == source) | (minus == source), source, sink)
+        excess *= np.where((plus == source) | (minus == sink), 1.0, -1.0)
+        for number in np.unique(electrodes):
+            found[number] += np.nanmedian(excess[electrodes == number])
+        return np.asarray(np.fmax(found, described))
+
+    def unsure(self, difference: Difference) -> Floats:
+        """Directions (n_meas, k) in which a scan errs beside white noise (V): its currents, its contacts."""
         assert difference.reference is not None
-        return gain_directions(difference, difference.reference, self.gain)
+        currents = gain_directions(difference, difference.reference, self.gain)
+        least = _LEAST_CONTACT / self.skin.sheet.conductivity
+        return np.hstack([currents, contact_directions(difference, _CHANGE * np.maximum(self.impedances, least))])
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:

@@ -29,6 +29,12 @@ class QuietScans:
             for row, quadruple in enumerate(pattern.quadruples.tolist())
         }
 
+    @property
+    def driven(self) -> DrivePattern | None:
+        """The largest pattern with voltages of driven electrodes, if there is one."""
+        found = [pattern for pattern in self._by_pattern if pattern.driven.any()]
+        return max(found, key=lambda pattern: pattern.n_inj, default=None)
+
     def scan(self, pattern: DrivePattern, number: int) -> Frame:
         """The frame of a pattern in repeat `number`.
 

@@ -65,6 +65,11 @@ class Reader(Protocol):
         ...
 
 
+def undriven(scans: Sequence[Difference]) -> list[Difference]:
+    """What images are made of: contact impedances, which change, are no part of it."""
+    return [scan.undriven for scan in scans]
+
+
 @dataclass(frozen=True, eq=False)
 class DetectionReader:
     """Sees every frame afresh, and follows what it sees by nearest neighbours.
@@ -85,7 +90,7 @@ class DetectionReader:
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
         """What is believed after one frame more."""
-        estimate = self.estimator.update(before.estimate, new, recent, elapsed)
+        estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         return self.follow(before, estimate, self.detect(estimate, recent))
 
     def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
@@ -122,7 +127,7 @@ class FilterReader:
         assert isinstance(state, TrackState)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed, scan.reference)
-        corrected = state.recent(self.injections)
+        corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
         return Belief(estimate, state.contacts, state.contacts, state)
 
@@ -139,7 +144,7 @@ def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     fitter = known.fitter
 
     def detect(_: Estimate, recent: Sequence[Difference]) -> Sequence[Contact]:
-        unsure = block_diag(*[known.current_errors(difference) for difference in recent])
+        unsure = block_diag(*[known.unsure(difference) for difference in recent])
         return fitter.contacts(fitter.fit(*recent, unsure=unsure))
 
     return DetectionReader(estimator, detect)
@@ -147,7 +152,7 @@ def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
 
 def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     """Contacts tracked from frame to frame on the data."""
-    follow = ContactFilter(known.fitter, repeats=known.baseline.repeats, gain=known.gain)
+    follow = ContactFilter(known.fitter, repeats=known.baseline.repeats, unsure=known.unsure)
     return FilterReader(estimator, follow, known.skin.imaging.pairs)
 
 

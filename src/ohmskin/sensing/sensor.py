@@ -15,7 +15,7 @@ from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.readers import Belief, Reader
+from ohmskin.sensing.readers import Belief, Reader, undriven
 
 Scan = Callable[[DrivePattern], Frame]
 
@@ -238,7 +238,7 @@ class Sensor:
             scans.append(self.known.difference(frames[-1]))
             if number + 1 < self.drive.scans:
                 scans[-1] = self.known.at_usual_currents(scans[-1])
-                look = self.locator.estimator.reconstruct(*scans)
+                look = self.locator.estimator.reconstruct(*undriven(scans))
                 targets = self.locator.targets(look)
         return Measured(tuple(frames), tuple(scans), None if look is None else Made(look))
 

@@ -20,6 +20,7 @@ class Mode:
         rule: How the regularisation parameter is chosen.
         injections: Per frame, of drives that take any number; 0: as many as the drive usually has.
         fuse: Whether all scans of a frame are used together, or the last one alone.
+        driven: Whether electrodes that carry the current are measured, too, by devices that can.
         title: Its name in plain words.
         summary: What it does, in one sentence.
     """
@@ -32,6 +33,7 @@ class Mode:
     rule: str = "physical"
     injections: int = 0
     fuse: bool = True
+    driven: bool = False
     title: str = ""
     summary: str = ""
 

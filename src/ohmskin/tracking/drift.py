@@ -1,47 +1,48 @@
 """Drift: what changes beside contacts, all resistances together (temperature) or pairs one by one."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.likelihood import Data, NoiseModel, gain_directions, no_directions, responses
+from ohmskin.contacts.likelihood import NoiseModel, no_directions, responses
 from ohmskin.contacts.solution import unknown
 from ohmskin.scan import Difference
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.residuals import Reading
 from ohmskin.tracking.state import TrackState
 
+Unsure = Callable[[Difference], Floats]
+
 _RIDGE = 0.05  # of the rows of a frame, so that drift is not learned where they say nothing
 
 
 def without_drift(
-    state: TrackState, n_elec: int, difference: Difference, reference: Floats | None, gain: float
+    state: TrackState, fitter: ContactFitter, difference: Difference, reference: Floats | None, unsure: Unsure | None
 ) -> Reading:
     """A frame without the drift and the temperature of the state.
 
     Args:
         state: Whose drift and temperature.
-        n_elec: Number of electrodes.
+        fitter: What counts how much of the data.
         difference: The frame's change against the untouched skin.
         reference: (n_meas,) voltages of the untouched skin at its currents (V); None where they are not known.
-        gain: Standard deviation of the error of a measured current (1).
+        unsure: Gives the directions (n_meas, k) in which the frame errs beside white noise (V).
 
     Raises:
         DataError: If no finite datum is left.
     """
-    whole = Data.of(n_elec, difference)
-    known = whole.known
-    common = np.zeros(len(whole.volts)) if reference is None else np.asarray(reference, float)[known]
+    whole = fitter.data(difference)
+    known, share = whole.known, whole.share[:, None]
+    common = np.zeros(len(whole.volts)) if reference is None else np.asarray(reference, float)[known] * whole.share
     data = whole.less(whole.rows(state.drift) + state.common_drift[0] * common)
     volts = np.full(len(known), np.nan)
-    volts[known] = data.volts
-    errors = no_directions(data)
+    volts[known] = data.volts / whole.share
+    errors = no_directions(data) if unsure is None else unsure(difference)[known] * share
     if reference is not None:
-        errors = (np.sqrt(state.common_drift[1]) * common)[:, None]
-        if gain:
-            errors = np.hstack([gain_directions(difference, np.asarray(reference, float), gain)[known], errors])
+        errors = np.hstack([errors, (np.sqrt(state.common_drift[1]) * common)[:, None]])
     return Reading(replace(difference, volts=volts), data, common, errors)
 
 

@@ -18,7 +18,7 @@ from ohmskin.contacts.solution import Solution, inverse, nothing
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
 from ohmskin.tracking.birth import LONGEST, birth_threshold, scored, with_births
-from ohmskin.tracking.drift import learned, with_common_drift, without_drift
+from ohmskin.tracking.drift import Unsure, learned, with_common_drift, without_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Reading, Residuals
@@ -37,7 +37,7 @@ class ContactFilter:
         fitter: Explains data by contacts; its `false_alarms` are per frame here, `false_twos` per ten seconds or so.
         motion: How contacts and the skin may change.
         repeats: Quiet frames behind the reference, whose noise is the same in all frames.
-        gain: Standard deviation of the error of a measured current (1); it is the same in all voltages of an injection.
+        unsure: Gives the directions (n_meas, k) in which a scan errs beside white noise (V), see `SkinModel.unsure`.
 
     Attributes:
         bar: Standard deviations by which the score of a new contact must stand out.
@@ -45,9 +45,13 @@ class ContactFilter:
     """
 
     def __init__(
-        self, fitter: ContactFitter, motion: Motion | None = None, repeats: float = np.inf, gain: float = 0.0
+        self,
+        fitter: ContactFitter,
+        motion: Motion | None = None,
+        repeats: float = np.inf,
+        unsure: Unsure | None = None,
     ) -> None:
-        self.fitter, self.motion, self.repeats, self.gain = fitter, motion or Motion(), repeats, gain
+        self.fitter, self.motion, self.repeats, self.unsure = fitter, motion or Motion(), repeats, unsure
         self.bar, self.split_bar = birth_threshold(fitter), revision_threshold(fitter)
 
     def start(self) -> TrackState:
@@ -81,7 +85,7 @@ class ContactFilter:
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
         fitter, motion = self.fitter, self.motion
         before = moved(state, fitter, motion, elapsed)
-        reading = without_drift(before, fitter.table.n_elec, difference, reference, self.gain)
+        reading = without_drift(before, fitter, difference, reference, self.unsure)
         state, seen = self._corrected(before, reading)
         state = self._remembered(before, state, reading, seen, elapsed)
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
