@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import nnls
 
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.likelihood import Data
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.forward.response import effective_change
@@ -700,8 +699,7 @@ def test_a_contact_that_only_raises_conductivity_is_not_fitted_to_a_fall() -> No
     start = np.array([[0.08, 0.12, 1e-4, 0.011**2]])
     for bipolar in (False, True):
         fit = fitter(bipolar=bipolar)
-        data = Data.of(16, difference)
-        assert (fit.refine(data, start, fit.noise_model(data)).params[0, 2] > 0) != bipolar
+        assert (fit.refine(fit.information(difference), start).params[0, 2] > 0) != bipolar
     (contact,) = fit.contacts(fit.fit(difference))
     assert np.linalg.norm(np.subtract(contact.position, (0.08, 0.12))) < 0.002
     assert contact.strength < 0

@@ -1,23 +1,24 @@
-"""Contacts straight from data, in milliseconds: find the place that explains most, refine, look again.
+"""Contacts straight from data, in a millisecond: find the place that explains most, refine, look again.
 
 Whether there is one contact more is a test, not a threshold on an image. At each of a set of places, the score of a
 further contact there is compared with its noise (a generalised likelihood-ratio test); the bar is set by the rate of
 false alarms accepted, summed over all places (Bonferroni: the true rate is lower, as neighbouring places are alike).
+A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
 """
 
 from math import erf, sqrt
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial import cKDTree
+from numba import njit
 from scipy.special import ndtri
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts.finder import Contact
-from ohmskin.contacts.likelihood import Data, NoiseModel, no_directions, responses
-from ohmskin.contacts.solution import Solution, effect_std, nothing, unknown
+from ohmskin.contacts.information import Errors, Information
+from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
+from ohmskin.forward.response import Grid, Spline, respond
 from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.scan import Difference
 
@@ -43,8 +44,11 @@ class ContactFitter:
         false_twos: Rate at which one contact may be taken for two.
         most: Most contacts to look for.
         bipolar: Whether contacts may lower the conductivity, too.
+        gain: Standard deviation of the relative error of a measured current (1).
+        contacts: (n_elec,) of a change of each contact impedance since calibration (ohm); None: they are known.
 
     Attributes:
+        errors: How data err.
         places: (n_places, 2) where new contacts are looked for (m).
         bar: Standard deviations by which the score of a new contact must stand out.
         split_bar: By how much two contacts must explain data better than one, in units of the noise's variance.
@@ -63,6 +67,8 @@ class ContactFitter:
         false_twos: float = 1e-2,
         most: int = 6,
         bipolar: bool = False,
+        gain: float = 0.0,
+        contacts: Floats | None = None,
     ) -> None:
         check_positive(noise=noise)
         check_share(model_error=model_error)
@@ -71,15 +77,12 @@ class ContactFitter:
                 raise ModelError(f"{name} is {rate!r}; it must be a rate above 0 and below 1")
         if most < 1:
             raise ModelError(f"cannot look for {most} contacts; at least 1")
+        self.errors = Errors(noise, gain, contacts, model_error)
         self.table, self.noise, self.model_error, self.bipolar, self.most = table, noise, model_error, bipolar, most
         chosen = _spaced(table.places, 1.25 * table.radius)
         self.places: Floats = table.places[chosen]
-        self._candidates = np.ascontiguousarray(table.responses[chosen].T)
+        self._candidates = np.ascontiguousarray(table.responses[chosen])
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
-        self._low, self._high = table.places.min(axis=0), table.places.max(axis=0)
-        self._tree = cKDTree(table.places)
-        axes = [np.unique(table.places[:, k]) for k in range(2)]
-        self._whole = len(table.places) == len(axes[0]) * len(axes[1])  # a rectangle, not a disc or a polygon in one
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
 
@@ -91,34 +94,25 @@ class ContactFitter:
         """
         return float(ndtri(rate / _HALO) ** 2)
 
-    # --- the model of the noise ---------------------------------------------------------------------------------------
+    # --- what is measured ---------------------------------------------------------------------------------------------
 
-    def data(self, *differences: Difference) -> Data:
-        """The data of one scan, or of several fused.
+    def information(self, *scans: Difference, wary: bool = False) -> Information:
+        """What one scan says, or several fused; `wary` of the model's error.
 
         Raises:
             DataError: If no finite datum is left.
         """
-        return Data.of(self.table.n_elec, *differences).counted(self.noise, self.model_error)
+        return Information.of(self.table.n_elec, self.errors, scans, wary)
 
-    def noise_model(self, data: Data, more: Floats | None = None) -> NoiseModel:
-        """The noise of data; `more` (n_meas, k) are further directions not known (V)."""
-        sigma = float(np.hypot(self.noise, self.model_error * data.root_mean_square))
-        return NoiseModel(sigma, no_directions(data) if more is None else more)
-
-    def _noise_after(self, found: Solution, noise_model: NoiseModel, left: Floats) -> NoiseModel:
-        """The noise of what is `left` (n_meas,) of data (V) after a fit whose contacts are still free to change."""
-        return NoiseModel(self.noise, np.hstack([noise_model.directions, unknown(found.slopes, left)]))
+    def allowance(self, data: Information) -> float:
+        """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
+        return 1 / (1 + (self.model_error * data.signal) ** 2)
 
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
-        inside: Floats = np.minimum(np.maximum(positions, self._low), self._high)
-        if self._whole:
-            return inside
-        distance, closest = self._tree.query(inside)
-        far = distance > self.table.radius
-        if far.any():
-            inside[far] = self.table.places[closest[far]]
+        inside = np.array(positions, float)
+        for position in inside:
+            _onto(position, *self.table.sheet)
         return inside
 
     def within(self, params: Floats) -> Floats:
@@ -128,20 +122,24 @@ class ContactFitter:
         inside[:, 3] = np.clip(params[:, 3], *self.squares)
         return inside
 
+    def responses(self, params: Floats) -> tuple[Floats, Floats]:
+        """What contacts (n, 4) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
+        caused, slopes = _responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
+        return caused, slopes.T
+
     # --- one contact more? --------------------------------------------------------------------------------------------
 
-    def scores(self, data: Data, residual: Floats, noise_model: NoiseModel) -> tuple[Floats, Floats]:
+    def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        return noise_model.gains(data.rows(self._candidates), residual)
+        power = np.einsum("pn,pn->p", self._candidates @ left.matrix, self._candidates)
+        return self._candidates @ left.vector, np.maximum(power, 1e-12 * power.max())
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
         height = score / np.sqrt(power)
         return np.asarray(np.abs(height) if self.bipolar else height)
 
-    def added(
-        self, data: Data, noise_model: NoiseModel, score: Floats, power: Floats, known: Floats | None = None
-    ) -> Solution:
+    def added(self, data: Information, score: Floats, power: Floats, known: Floats | None = None) -> Solution:
         """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
         height = self.heights(score, power)
         taken = np.zeros(len(height), bool)
@@ -153,7 +151,7 @@ class ContactFitter:
             # near an electrode, the truth may lie on its other side
             taken |= np.linalg.norm(self.places - self.places[place], axis=1) < 1.4 * self.table.radius
             start = np.array([[*self.places[place], score[place] / power[place], self.table.radius**2]])
-            found = self.refine(data, start if known is None else np.vstack([known, start]), noise_model)
+            found = self.refine(data, start if known is None else np.vstack([known, start]))
             best = found if best is None or found.cost < best.cost else best
         assert best is not None
         return best
@@ -163,16 +161,14 @@ class ContactFitter:
     @property
     def prior(self) -> tuple[Floats, Floats]:
         """What is known of a contact before any data: mean (4,) and information (4,). Little, except of its size."""
-        square = self.table.radius**2
-        middle = (self._low + self._high) / 2
-        stds = np.array([*(self._high - self._low), 10 * np.pi * square, SQUARE_STD * square])
-        return np.array([*middle, 0.0, square]), stds**-2.0
+        square, (low, high, *_) = self.table.radius**2, self.table.sheet
+        stds = np.array([*(high - low), 10 * np.pi * square, SQUARE_STD * square])
+        return np.array([*(low + high) / 2, 0.0, square]), stds**-2.0
 
     def refine(
         self,
-        data: Data,
+        data: Information,
         start: Floats,
-        noise_model: NoiseModel,
         mean: Floats | None = None,
         information: Floats | None = None,
         rounds: int = 12,
@@ -180,9 +176,8 @@ class ContactFitter:
         """The contacts near `start` (n, 4) that explain the data best (Levenberg and Marquardt).
 
         Args:
-            data: The data.
+            data: What is measured.
             start: Where to start.
-            noise_model: What is not explained.
             mean: (4 n,) believed before, `prior` unless given.
             information: (4 n, 4 n) inverse of its covariance, likewise.
             rounds: Most steps.
@@ -190,46 +185,15 @@ class ContactFitter:
         if mean is None or information is None:
             centre, precision = self.prior
             mean, information = np.tile(centre, len(start)), np.diag(np.tile(precision, len(start)))
-        params, damping = start, 1e-3
-        state = self._linearise(data, params, noise_model, mean, information)
-        for _ in range(rounds):
-            cost, normal, gradient = state[:3]
-            damped = normal.copy()
-            damped[np.diag_indices_from(damped)] *= 1 + damping
-            step = cho_solve(cho_factor(damped, check_finite=False), gradient, check_finite=False).reshape(params.shape)
-            if float(step.ravel() @ gradient) < _ENOUGH:
-                break
-            moved = self._stepped(params, step)
-            trial = self._linearise(data, moved, noise_model, mean, information)
-            gain = cost - trial[0]
-            if gain > 0:
-                params, state, damping = moved, trial, damping / 8
-            else:
-                damping = max(8 * damping, 1e-2)
-            if abs(gain) < _ENOUGH or damping > 1e4:
-                break
-        return Solution(params, *state[:2], *state[3:])
-
-    def _stepped(self, params: Floats, step: Floats) -> Floats:
-        """Parameters (n, 4) after a step, no longer than a radius, that keeps them within what a contact may be."""
-        length = np.linalg.norm(step[:, :2], axis=1, keepdims=True)
-        bounded = step.copy()
-        bounded[:, :2] *= np.minimum(1.0, self.table.radius / np.maximum(length, 1e-300))
-        moved = self.within(params + bounded)
-        if not self.bipolar:
-            moved[:, 2] = np.maximum(moved[:, 2], 1e-3 * self.table.radius**2)
-        return moved
-
-    def _linearise(
-        self, data: Data, params: Floats, noise_model: NoiseModel, mean: Floats, information: Floats
-    ) -> tuple[float, Floats, Floats, Floats, Floats]:
-        """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes."""
-        caused, slopes = responses(self.table, data, params)
-        both = np.column_stack([slopes, data.volts - caused])
-        inner = noise_model.inner(both, both)
-        off = mean - params.ravel()
-        pull = information @ off
-        return float(inner[-1, -1] + off @ pull), inner[:-1, :-1] + information, inner[:-1, -1] + pull, caused, slopes
+        radius = self.table.radius
+        least = -np.inf if self.bipolar else 1e-3 * radius**2
+        params = np.array(start[:, :PER_CONTACT], float)
+        cost, normal, caused, slopes = _refined(
+            params, np.ascontiguousarray(data.matrix), np.ascontiguousarray(data.vector), data.constant,
+            np.asarray(mean, float), np.ascontiguousarray(information), rounds, radius, least, *self.squares,
+            self.table.sheet, self.table.spline,
+        )  # fmt: skip
+        return Solution(params, cost, normal, caused, slopes.T)
 
     def contact(self, params: Floats, covariance: Floats) -> Contact:
         """A contact to report, from its parameters (4,) and their covariance (4, 4)."""
@@ -255,62 +219,58 @@ class ContactFitter:
 
     # --- one frame, nothing known before ------------------------------------------------------------------------------
 
-    def fit(self, *differences: Difference, unsure: Floats | None = None) -> Solution:
+    def fit(self, *scans: Difference) -> Solution:
         """The contacts of one scan, or of several fused, with nothing known before.
-
-        Args:
-            differences: The scans.
-            unsure: (n_meas, k) directions in which their data err beside white noise (V), see `gain_directions`.
 
         Raises:
             DataError: If no finite datum is left.
         """
-        data = self.data(*differences)
-        noise_model = self.noise_model(data, None if unsure is None else unsure[data.known] * data.share[:, None])
-        found = nothing(data)
+        told, data = self.information(*scans), self.information(*scans, wary=True)
+        found = nothing(self.table.responses.shape[1])
         while len(found.params) < self.most:
-            left = data.volts - found.caused
-            score, power = self.scores(data, left, self._noise_after(found, noise_model, left))
-            wrong = self.model_error * float(np.linalg.norm(found.caused)) / self.noise
-            if self.heights(score, power).max() < self.bar + wrong:
+            score, power = self.scores(told.less(found.caused).beside(found.slopes))
+            if self.heights(score, power).max() < self.bar + self.model_error * told.size(found.caused):
                 break
             count = len(found.params)
-            found = self._cleared(data, noise_model, self.added(data, noise_model, score, power, found.params))
+            found = self._cleared(data, self.added(data, score, power, found.params))
             if len(found.params) <= count:
                 break
         for k in range(len(found.params)):
             if len(found.params) < self.most:
-                found = self.split(data, found, k, unsure=noise_model.directions) or found
+                found = self.split(told, data, found, k) or found
         return found
 
-    def _cleared(self, data: Data, noise_model: NoiseModel, found: Solution) -> Solution:
+    def _cleared(self, data: Information, found: Solution) -> Solution:
         """The fit without contacts that turn out not to be needed, now that all have been refined together."""
         while len(found.params) > 1:
             sure = np.abs(found.params[:, 2]) / [effect_std(covariance) for covariance in found.covariances]
             faintest = int(np.argmin(sure))
             if sure[faintest] > FAINT:
                 break
-            found = self.refine(data, np.delete(found.params, faintest, axis=0), noise_model)
+            found = self.refine(data, np.delete(found.params, faintest, axis=0))
         return found
 
     def split(
-        self, data: Data, found: Solution, k: int, bar: float | None = None, unsure: Floats | None = None
+        self, told: Information, data: Information, found: Solution, k: int, bar: float | None = None
     ) -> Solution | None:
         """The data explained with contact number k as two, if that explains them significantly better.
 
-        `bar` is the least gain, in units of the noise's variance; `split_bar` unless given. The pair comes last.
+        Args:
+            told: What is measured.
+            data: The same, wary of the model's error.
+            found: The contacts.
+            k: Which of them; the pair comes last.
+            bar: The least gain, in units of the noise's variance; `split_bar` unless given.
         """
         one = found.params[k]
-        noise_model = self.noise_model(data, unsure)
-        left = data.volts - found.caused
         # an equal pair differs from one contact by the second derivative along its axis: which axis gains most?
         reach = np.sqrt(max(one[3], self.table.radius**2))
         axes = _DIRECTIONS[: _HALO // 2]
         ends = one[:2] + reach * np.concatenate([axes, -axes, [[0.0, 0.0]]])
         values = self.table(self.onto(ends), np.sqrt(one[3])).values
-        bend = data.rows(np.ascontiguousarray((values[:4] + values[4:8] - 2 * values[8]).T))
-        score, power = self._noise_after(found, noise_model, left).gains(bend, left)
-        height = score / np.sqrt(power)
+        bend, left = values[:4] + values[4:8] - 2 * values[8], told.less(found.caused).beside(found.slopes)
+        power = np.einsum("pn,pn->p", bend @ left.matrix, bend)
+        height = bend @ left.vector / np.sqrt(np.maximum(power, 1e-12 * power.max()))
         if height.max() < 1.0:
             return None
         axis = axes[int(np.argmax(height))]
@@ -318,14 +278,94 @@ class ContactFitter:
         pair[:, :2] = self.onto(one[:2] + np.outer([reach, -reach], axis))
         pair[:, 2] /= 2
         pair[:, 3] = self.table.radius**2 / 2
-        two = self.refine(data, np.vstack([np.delete(found.params, k, axis=0), pair]), noise_model, rounds=25)
-        return two if self.gained(data, found, two) > (self.split_bar if bar is None else bar) else None
+        two = self.refine(data, np.vstack([np.delete(found.params, k, axis=0), pair]), rounds=25)
+        return two if self.gained(told, found, two) > (self.split_bar if bar is None else bar) else None
 
-    def gained(self, data: Data, few: Solution, many: Solution) -> float:
+    def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
-        better = (few.cost - many.cost) * self.noise_model(data).sigma ** 2
-        wrong = self.model_error * float(np.linalg.norm(few.caused))
-        return (better - wrong**2) / self.noise**2
+        return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
+
+
+@njit(cache=True, nogil=True)
+def _onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float) -> None:
+    """Moves a position (2,) onto the sheet, in place."""
+    for axis in range(2):
+        position[axis] = min(max(position[axis], low[axis]), high[axis])
+    there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
+    if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
+        position[:] = there
+
+
+@njit(cache=True, nogil=True)
+def _responses(
+    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: np.ndarray, squares: Floats
+) -> tuple[Floats, Floats]:
+    """What contacts (n, 4) cause (n_pairs,), and the slopes (4 n, n_pairs)."""
+    n_pairs = knots.shape[-1]
+    caused, slopes = np.zeros(n_pairs), np.empty((4 * len(params), n_pairs))
+    for k in range(len(params)):
+        x, y, effect, square = params[k]
+        own = slopes[4 * k : 4 * k + 4]
+        respond(x, y, square, knots, low, pitch, steps, squares, own)
+        for p in range(n_pairs):
+            caused[p] += effect * own[2, p]
+            own[0, p] *= effect
+            own[1, p] *= effect
+            own[3, p] *= effect
+    return caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def _refined(
+    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
+    radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
+) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
+    """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes."""
+    damping = 1e-3
+    cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
+    for _ in range(rounds):
+        damped = normal.copy()
+        for i in range(len(damped)):
+            damped[i, i] *= 1 + damping
+        step = np.linalg.solve(damped, gradient)
+        if step @ gradient < _ENOUGH:
+            break
+        moved = params.copy()
+        for k in range(len(params)):
+            length = np.hypot(step[4 * k], step[4 * k + 1])
+            shrunk = min(1.0, radius / max(length, 1e-300))  # no longer than a radius
+            moved[k, 0] += shrunk * step[4 * k]
+            moved[k, 1] += shrunk * step[4 * k + 1]
+            moved[k, 2] = max(moved[k, 2] + step[4 * k + 2], least)
+            moved[k, 3] = min(max(moved[k, 3] + step[4 * k + 3], smallest), largest)
+            _onto(moved[k, :2], *sheet)
+        trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
+        gain = cost - trial[0]
+        if gain > 0:
+            params[:] = moved
+            cost, normal, gradient, caused, slopes = trial
+            damping /= 8
+        else:
+            damping = max(8 * damping, 1e-2)
+        if abs(gain) < _ENOUGH or damping > 1e4:
+            break
+    return cost, normal, caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def _linearised(
+    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, spline: Spline
+) -> tuple[float, Floats, Floats, Floats, Floats]:
+    """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
+    caused, slopes = _responses(params, *spline)
+    seen = slopes @ matrix
+    left = vector.copy()
+    for k in range(len(params)):
+        left -= params[k, 2] * seen[4 * k + 2]
+    off = mean - params.copy().reshape(-1)
+    pull = prior @ off
+    cost = float(constant - caused @ (vector + left) + off @ pull)
+    return cost, seen @ slopes.T + prior, slopes @ left + pull, caused, slopes
 
 
 def _spaced(places: Floats, spacing: float) -> np.ndarray:

@@ -6,7 +6,8 @@ from math import sqrt
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts.likelihood import PER_CONTACT, Data, no_directions
+
+PER_CONTACT = 4  # x, y, effect, squared radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,8 +18,8 @@ class Solution:
         params: (n, 4) x, y (m), effect (m2), squared radius (m2) of each.
         cost: Squared misfit in units of its noise, what is believed beforehand included.
         normal: (4 n, 4 n) curvature: the inverse of their covariance.
-        caused: (n_meas,) what they cause (V).
-        slopes: (n_meas, 4 n) its derivatives by their parameters.
+        caused: (n_pairs,) what they change of the two-terminal resistances (ohm).
+        slopes: (n_pairs, 4 n) its derivatives by their parameters.
     """
 
     params: Floats
@@ -40,15 +41,9 @@ class Solution:
         return [whole[at : at + PER_CONTACT, at : at + PER_CONTACT] for at in starts]
 
 
-def nothing(data: Data) -> Solution:
+def nothing(n_pairs: int) -> Solution:
     """Data explained by no contact. Its cost is not told."""
-    return Solution(np.empty((0, PER_CONTACT)), 0.0, np.empty((0, 0)), np.zeros(len(data.volts)), no_directions(data))
-
-
-def unknown(slopes: Floats, residual: Floats) -> Floats:
-    """Directions (n_meas, k) in which data say nothing: parameters that are fitted to them, with next to no prior."""
-    size = 1e3 * np.linalg.norm(residual)
-    return np.asarray(slopes * (size / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)))
+    return Solution(np.empty((0, PER_CONTACT)), 0.0, np.empty((0, 0)), np.zeros(n_pairs), np.empty((n_pairs, 0)))
 
 
 def inverse(normal: Floats) -> Floats:

@@ -4,24 +4,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.contacts import ContactFitter, Solution
-from ohmskin.contacts.likelihood import Data
 from ohmskin.scan import Difference
 
 
 def best_single(fitter: ContactFitter, *differences: Difference) -> Solution:
     """The one contact that explains scans best, whether it is significant or not."""
-    data = Data.of(fitter.table.n_elec, *differences)
-    noise = fitter.noise_model(data)
-    return fitter.added(data, noise, *fitter.scores(data, data.volts, noise))
+    told = fitter.information(*differences)
+    return fitter.added(told.times(fitter.allowance(told)), *fitter.scores(told))
 
 
 def best_pair(fitter: ContactFitter, one: Solution, *differences: Difference) -> Solution:
     """The two contacts that explain scans best, given the best single one: that one split, or another one beside it, as
     the fitter finds them, whether the second is significant or not."""
-    data = Data.of(fitter.table.n_elec, *differences)
-    noise = fitter.noise_model(data)
-    added = fitter.added(data, noise, *fitter.scores(data, data.volts - one.caused, noise), one.params)
-    split = fitter.split(data, one, 0, bar=-np.inf)
+    told = fitter.information(*differences)
+    added = fitter.added(told.times(fitter.allowance(told)), *fitter.scores(told.less(one.caused)), one.params)
+    split = fitter.split(told, told, one, 0, bar=-np.inf)
     return added if split is None or added.cost < split.cost else split
 
 
@@ -30,7 +27,7 @@ def one_or_two(fitter: ContactFitter, *differences: Difference) -> tuple[float, 
     see `ContactFitter.gained`), and both explanations."""
     one = best_single(fitter, *differences)
     two = best_pair(fitter, one, *differences)
-    return fitter.gained(Data.of(fitter.table.n_elec, *differences), one, two), one, two
+    return fitter.gained(fitter.information(*differences), one, two), one, two
 
 
 def told(found: ArrayLike, truth: ArrayLike) -> bool:

@@ -10,13 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, spline_filter1d
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry.overlap import disc_overlap
+
+Spline = tuple[Floats, Floats, Floats, Ints, Floats]
+Grid = tuple[Floats, Floats, Floats, Floats, float]
 
 _SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5])  # radii kept, as shares of the usual one; one of them is the usual one
 _WHOLE = 0.995  # share of a disc on the sheet that counts as all of it; meshes cut round rims short
@@ -53,6 +57,8 @@ class ContactTable:
     Attributes:
         places: (n_places, 2) in metres, at which responses are kept; all on the sheet.
         responses: (n_places, n_pairs) at the usual radius (ohm/m2).
+        sheet: Which part of the table's rectangle is sheet: its lowest and highest corner (2,), the pitch (2,) of a
+            grid, the place closest to each of its points (n_x, n_y, 2), and how far off that a position may lie (m).
         whole: (n_places,) whether a contact of the usual radius lies wholly on the sheet there.
 
     Raises:
@@ -94,6 +100,15 @@ class ContactTable:
         for axis in (0, 1):
             knots = spline_filter1d(knots, order=3, axis=axis, mode="mirror")
         self._knots = np.pad(knots, ((1, 2), (1, 2), (0, 0), (0, 0)), mode="reflect")
+        off = ~inside.reshape(grid.shape[:2])
+        row, column = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
+        reach = radius if off.any() else np.inf
+        self.sheet: Grid = low, high, self._pitch, np.ascontiguousarray(grid[row, column]), reach
+
+    @property
+    def spline(self) -> Spline:
+        """What `respond` reads."""
+        return self._knots, self._low, self._pitch, self._steps, (_SPREAD * self.radius) ** 2
 
     def __call__(self, positions: ArrayLike, radius: ArrayLike | None = None) -> ContactResponse:
         """Responses of contacts at positions (n, 2) (m) with radii, one or (n,) (m); the usual one unless given.
@@ -101,28 +116,49 @@ class ContactTable:
         Positions off the table's rectangle count as the closest in it, radii beyond twice the usual one as that.
         """
         positions = np.asarray(positions, float).reshape(-1, 2)
-        n = len(positions)
-        at = np.clip((positions - self._low) / self._pitch, 0, self._steps)
-        first = np.minimum(at.astype(int), self._steps - 1)
-        b, d = _cubic(at - first)  # (4, n, 2) each
-        squares = (_SPREAD * self.radius) ** 2
         r = np.minimum(np.asarray(self.radius if radius is None else radius, float), 2 * self.radius)
-        r2 = np.broadcast_to(r**2, n)
-        layer = np.clip(np.searchsorted(squares, r2, side="right") - 1, 0, len(squares) - 2)
-        width = (squares[layer + 1] - squares[layer])[:, None]
-        share = ((r2 - squares[layer])[:, None] / width)[:, None]
-        reach = np.arange(4)
-        rows, columns = (first[:, 0, None] + reach)[:, :, None, None], (first[:, 1, None] + reach)[:, None, :, None]
-        patch = self._knots[rows, columns, (layer[:, None] + np.arange(2))[:, None, None, :]]
-        factors = (
-            (b[..., 0], b[..., 1]),
-            (d[..., 0] / self._pitch[0], b[..., 1]),
-            (b[..., 0], d[..., 1] / self._pitch[1]),
-        )
-        weights = np.stack([np.einsum("in,jn->nij", across, along) for across, along in factors], axis=1)
-        low, high = np.moveaxis((weights.reshape(n, 3, 16) @ patch.reshape(n, 16, -1)).reshape(n, 3, 2, -1), 2, 0)
-        mixed = (1 - share) * low + share * high
-        return ContactResponse(mixed[:, 0], mixed[:, 1:], (high[:, 0] - low[:, 0]) / width)
+        found = np.empty((len(positions), 4, self._knots.shape[-1]))
+        for (x, y), square, own in zip(positions, np.broadcast_to(r**2, len(positions)), found, strict=True):
+            respond(x, y, square, *self.spline, own)
+        return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def respond(
+    x: float, y: float, square: float, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats,
+    out: Floats,
+) -> None:  # fmt: skip
+    """Response of one contact at (x, y) (m) of a squared radius (m2), per square metre of its effect.
+
+    Into `out` (4, n_pairs): the derivatives by x and y (ohm/m3), the values (ohm/m2), and that by the squared radius.
+    """
+    first = np.empty(2, np.int64)
+    weights = np.empty((2, 2, 4))  # of each axis: the four cubic B-splines that reach the place, and their derivatives
+    for axis, place in enumerate((x, y)):
+        at = min(max((place - low[axis]) / pitch[axis], 0.0), float(steps[axis]))
+        first[axis] = min(int(at), steps[axis] - 1)
+        t = at - first[axis]
+        s = 1 - t
+        weights[axis, 0] = np.array([s**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
+        weights[axis, 1] = np.array([-(s**2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / (2 * pitch[axis])
+    layer = 0
+    while layer < len(squares) - 2 and square >= squares[layer + 1]:
+        layer += 1
+    width = squares[layer + 1] - squares[layer]
+    share = (square - squares[layer]) / width
+    out[:] = 0.0
+    for i in range(4):
+        for j in range(4):
+            both = weights[0, 0, i] * weights[1, 0, j]
+            along, across = weights[0, 1, i] * weights[1, 0, j], weights[0, 0, i] * weights[1, 1, j]
+            smaller, larger = knots[first[0] + i, first[1] + j, layer], knots[first[0] + i, first[1] + j, layer + 1]
+            for p in range(out.shape[1]):
+                wider = larger[p] - smaller[p]
+                mixed = smaller[p] + share * wider
+                out[0, p] += along * mixed
+                out[1, p] += across * mixed
+                out[2, p] += both * mixed
+                out[3, p] += both * wider / width
 
 
 def effective_change(log_ratio: ArrayLike, dim: int = 2) -> tuple[Floats, Floats]:
@@ -134,10 +170,3 @@ def effective_change(log_ratio: ArrayLike, dim: int = 2) -> tuple[Floats, Floats
     """
     ratio = np.exp(np.asarray(log_ratio, float))
     return dim * (ratio - 1) / (ratio + dim - 1), dim**2 * ratio / (ratio + dim - 1) ** 2
-
-
-def _cubic(t: Floats) -> tuple[Floats, Floats]:
-    """The four cubic B-splines (4, ...) that reach points t (0 to 1) between two knots, and their derivatives."""
-    b = np.array([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
-    d = np.array([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / 2
-    return b, d

@@ -48,6 +48,16 @@ class Difference:
         loading, reference = (None if a is None else a[kept] for a in (self.source_loading, self.reference))
         return Difference(pattern, self.currents[kept], self.volts[kept], loading, reference)
 
+    def caused_by(self, changes: Floats) -> Floats:
+        """What changes (n_pairs,) of the two-terminal resistances (ohm) cause of it (n_meas,) (V)."""
+        n_elec = round((1 + np.sqrt(1 + 8 * len(changes))) / 2)
+        pairs = np.zeros((n_elec, n_elec))
+        pairs[np.triu_indices(n_elec, k=1)] = changes
+        pairs += pairs.T
+        a, b, c, d = self.pattern.quadruples.T
+        own = 0.0 if self.source_loading is None else self.source_loading * pairs[a, b]
+        return np.asarray(self.currents * (0.5 * (pairs[a, d] + pairs[b, c] - pairs[a, c] - pairs[b, d]) - own))
+
     def combination(self, n_elec: int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) from changes of two-terminal resistances to these volts, per ampere.
 

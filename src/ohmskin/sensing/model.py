@@ -8,7 +8,6 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.likelihood import contact_directions, gain_directions
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.inverse import GaussNewton
@@ -132,7 +131,14 @@ class SkinModel:
         size = self.skin.imaging.mesh_size
         table = ContactTable(self.model, radius=1.5 * size, pitch=0.7 * size)
         floor = max(self.noise / max(self.baseline.difference_noise, 1e-300), 1.0)  # on recordings without noise
-        return ContactFitter(table, self._white * floor, _CONTACT_ERROR, bipolar=self.skin.imaging.bipolar)
+        return ContactFitter(
+            table,
+            self._white * floor,
+            _CONTACT_ERROR,
+            bipolar=self.skin.imaging.bipolar,
+            gain=self.gain,
+            contacts=_CHANGE * np.maximum(self.impedances, _LEAST_CONTACT / self.skin.sheet.conductivity),
+        )
 
     @cached_property
     def impedances(self) -> Floats:
@@ -156,13 +162,6 @@ class SkinModel:
         for number in np.unique(electrodes):
             found[number] += np.nanmedian(excess[electrodes == number])
         return np.asarray(np.fmax(found, described))
-
-    def unsure(self, difference: Difference) -> Floats:
-        """Directions (n_meas, k) in which a scan errs beside white noise (V): its currents, its contacts."""
-        assert difference.reference is not None
-        currents = gain_directions(difference, difference.reference, self.gain)
-        least = _LEAST_CONTACT / self.skin.sheet.conductivity
-        return np.hstack([currents, contact_directions(difference, _CHANGE * np.maximum(self.impedances, least))])
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:

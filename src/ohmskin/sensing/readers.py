@@ -8,8 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from scipy.linalg import block_diag
-
 from ohmskin.contacts import Contact, ContactFinder
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
@@ -126,7 +124,7 @@ class FilterReader:
         state = before.tracks
         assert isinstance(state, TrackState)
         for number, scan in enumerate(new):
-            state = self.filter.update(state, scan, 0.0 if number else elapsed, scan.reference)
+            state = self.filter.update(state, scan, 0.0 if number else elapsed)
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
         return Belief(estimate, state.contacts, state.contacts, state)
@@ -144,15 +142,14 @@ def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     fitter = known.fitter
 
     def detect(_: Estimate, recent: Sequence[Difference]) -> Sequence[Contact]:
-        unsure = block_diag(*[known.unsure(difference) for difference in recent])
-        return fitter.contacts(fitter.fit(*recent, unsure=unsure))
+        return fitter.contacts(fitter.fit(*recent))
 
     return DetectionReader(estimator, detect)
 
 
 def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     """Contacts tracked from frame to frame on the data."""
-    follow = ContactFilter(known.fitter, repeats=known.baseline.repeats, unsure=known.unsure)
+    follow = ContactFilter(known.fitter, repeats=known.baseline.repeats)
     return FilterReader(estimator, follow, known.skin.imaging.pairs)
 
 

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.likelihood import Data, NoiseModel, responses
-from ohmskin.contacts.solution import Solution, unknown
+from ohmskin.contacts.information import Information
+from ohmskin.contacts.solution import Solution
+from ohmskin.tracking.drift import beside_common
 from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
@@ -25,8 +25,7 @@ def birth_threshold(fitter: ContactFitter) -> float:
 
 def scored(residuals: Residuals, fitter: ContactFitter) -> Residuals:
     """The residuals with their scores."""
-    noise_model = NoiseModel(fitter.noise, residuals.unsure)
-    score, power = fitter.scores(residuals.reading.data, residuals.innovation, noise_model)
+    score, power = fitter.scores(residuals.unforeseen)
     return replace(residuals, score=score, power=power)
 
 
@@ -48,7 +47,10 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         moved = speed * (state.time - used[-1].time) / 2
         covariance[[0, 1], [0, 1]] += moved**2
         state = state.with_contact(found.params[0], covariance, speed)
-        state = replace(state, history=tuple(_reviewed(residuals, fitter, found.params) for residuals in state.history))
+        variance = state.common_drift[1]
+        state = replace(
+            state, history=tuple(_reviewed(residuals, fitter, found.params, variance) for residuals in state.history)
+        )
     return state
 
 
@@ -61,25 +63,24 @@ def _found(
     power = np.cumsum([residuals.power for residuals in history], axis=0)[windows - 1]
     energy = np.cumsum([residuals.energy for residuals in history])[windows - 1, None]
     shared = 1 + (windows[:, None] - 1) * common
-    height = fitter.heights(score, power * shared) - fitter.model_error * np.sqrt(energy) / fitter.noise
+    height = fitter.heights(score, power * shared) - fitter.model_error * np.sqrt(energy)
     window, place = np.unravel_index(np.argmax(height), height.shape)
     used = history[: int(windows[window])]
     if height[window, place] < bar:
         return None, used
-    data = Data.together([replace(residuals.reading.data, volts=residuals.innovation) for residuals in used])
-    noise_model = fitter.noise_model(data, block_diag(*[residuals.unsure for residuals in used]))
-    return fitter.added(data, noise_model, score[window], power[window]), used
+    data = Information.together([residuals.unforeseen for residuals in used])
+    return fitter.added(data.times(fitter.allowance(data)), score[window], power[window]), used
 
 
-def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats) -> Residuals:
-    """The residuals after one contact more (1, 4) has been found in them."""
-    caused, slopes = responses(fitter.table, residuals.reading.data, params)
-    free = unknown(slopes, residuals.reading.data.volts)
+def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:
+    """The residuals after one contact more (1, 4) has been found in them, given the variance of the common change."""
+    caused, slopes = fitter.responses(params)
+    innovation = residuals.innovation.less(caused).beside(slopes)
     reviewed = replace(
         residuals,
-        innovation=residuals.innovation - caused,
-        residual=residuals.residual - caused,
-        unsure=np.hstack([free, residuals.unsure]),
-        energy=residuals.energy + float(caused @ caused),
+        innovation=innovation,
+        residual=residuals.residual.less(caused),
+        energy=residuals.energy + residuals.reading.data.size(caused) ** 2,
+        unforeseen=beside_common(innovation, variance),
     )
     return scored(reviewed, fitter)

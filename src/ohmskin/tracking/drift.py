@@ -1,79 +1,67 @@
 """Drift: what changes beside contacts, all resistances together (temperature) or pairs one by one."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from ohmskin.arrays import Floats
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.likelihood import NoiseModel, no_directions, responses
-from ohmskin.contacts.solution import unknown
+from ohmskin.contacts.information import Information
 from ohmskin.scan import Difference
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.residuals import Reading
 from ohmskin.tracking.state import TrackState
 
-Unsure = Callable[[Difference], Floats]
-
-_RIDGE = 0.05  # of the rows of a frame, so that drift is not learned where they say nothing
+_RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where a frame says nothing
 
 
-def without_drift(
-    state: TrackState, fitter: ContactFitter, difference: Difference, reference: Floats | None, unsure: Unsure | None
-) -> Reading:
+def without_drift(state: TrackState, fitter: ContactFitter, difference: Difference) -> Reading:
     """A frame without the drift and the temperature of the state.
-
-    Args:
-        state: Whose drift and temperature.
-        fitter: What counts how much of the data.
-        difference: The frame's change against the untouched skin.
-        reference: (n_meas,) voltages of the untouched skin at its currents (V); None where they are not known.
-        unsure: Gives the directions (n_meas, k) in which the frame errs beside white noise (V).
 
     Raises:
         DataError: If no finite datum is left.
     """
-    whole = fitter.data(difference)
-    known, share = whole.known, whole.share[:, None]
-    common = np.zeros(len(whole.volts)) if reference is None else np.asarray(reference, float)[known] * whole.share
-    data = whole.less(whole.rows(state.drift) + state.common_drift[0] * common)
-    volts = np.full(len(known), np.nan)
-    volts[known] = data.volts / whole.share
-    errors = no_directions(data) if unsure is None else unsure(difference)[known] * share
-    if reference is not None:
-        errors = np.hstack([errors, (np.sqrt(state.common_drift[1]) * common)[:, None]])
-    return Reading(replace(difference, volts=volts), data, common, errors)
+    volts = difference.volts - difference.caused_by(state.drift)
+    if difference.reference is not None:
+        volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
+    corrected = replace(difference, volts=volts)
+    data, wary = fitter.information(corrected), fitter.information(corrected, wary=True)
+    beside = (beside_common(each, state.common_drift[1]) for each in (data, wary))
+    return Reading(corrected, data, *beside)
+
+
+def beside_common(data: Information, variance: float) -> Information:
+    """What data say beside a common relative change of all resistances, of which the variance is known."""
+    direction = np.zeros((data.rows.shape[1] - 1, 1))
+    direction[-1] = np.sqrt(variance)
+    return data.without(direction)
 
 
 def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:
     """The state with the common change of all resistances that its newest frame shows beside all its contacts."""
     newest = state.history[0]
-    common = newest.reading.common
+    common, left = newest.innovation.rows[:, -2:].T
+    share = fitter.allowance(newest.innovation)
     if not common.any():
         return state
-    both = np.column_stack([common, newest.innovation])
-    inner = fitter.noise_model(newest.reading.data, newest.unsure[:, :-1]).inner(both, both)
-    variance = 1 / (1 / state.common_drift[1] + inner[0, 0])
-    rise = float(variance * inner[0, 1])
-    newest = replace(newest, residual=newest.residual - rise * common)
-    common_drift = (state.common_drift[0] + rise, float(variance))
+    variance = 1 / (1 / state.common_drift[1] + share * float(common @ common))
+    rise = variance * share * float(common @ left)
+    change = np.zeros(newest.innovation.rows.shape[1] - 1)
+    change[-1] = rise
+    newest = replace(newest, residual=newest.residual.less(change))
+    common_drift = (state.common_drift[0] + rise, variance)
     return replace(state, common_drift=common_drift, history=(newest, *state.history[1:]))
 
 
 def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
     """The state with part of its newest frame's residual, as much as belongs to a time (s), taken for drift."""
-    newest, data = state.history[0], state.history[0].reading.data
+    newest = state.history[0]
     share, left = elapsed / (elapsed + _time(state, motion)), newest.residual
     if state.held:  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
-        slopes = responses(fitter.table, data, state.params)[1]
-        left = NoiseModel(fitter.noise, unknown(slopes, left)).apply(left)
-        error = fitter.model_error**2 * newest.energy / len(left)
-        share *= fitter.noise**2 / (fitter.noise**2 + error)
-    rows = data.matrix
-    gram = rows @ rows.T
-    gram[np.diag_indices_from(gram)] += _RIDGE
-    return replace(state, drift=state.drift + share * (rows.T @ np.linalg.solve(gram, left / data.currents)))
+        left = left.beside(fitter.responses(state.params)[1])
+        share /= 1 + fitter.model_error**2 * newest.energy / len(left.plain)
+    ridge = _RIDGE * np.sum(left.plain[:, :-2] ** 2) / len(left.plain)
+    drift = np.linalg.solve(left.matrix + ridge * np.eye(len(left.vector)), left.vector)
+    return replace(state, drift=state.drift + share * np.asarray(drift, float))
 
 
 def _time(state: TrackState, motion: Motion) -> float:

@@ -13,12 +13,12 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.likelihood import PER_CONTACT
-from ohmskin.contacts.solution import Solution, inverse, nothing
+from ohmskin.contacts.information import Information
+from ohmskin.contacts.solution import PER_CONTACT, Solution, inverse, nothing
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
 from ohmskin.tracking.birth import LONGEST, birth_threshold, scored, with_births
-from ohmskin.tracking.drift import Unsure, learned, with_common_drift, without_drift
+from ohmskin.tracking.drift import beside_common, learned, with_common_drift, without_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Reading, Residuals
@@ -37,21 +37,14 @@ class ContactFilter:
         fitter: Explains data by contacts; its `false_alarms` are per frame here, `false_twos` per ten seconds or so.
         motion: How contacts and the skin may change.
         repeats: Quiet frames behind the reference, whose noise is the same in all frames.
-        unsure: Gives the directions (n_meas, k) in which a scan errs beside white noise (V), see `SkinModel.unsure`.
 
     Attributes:
         bar: Standard deviations by which the score of a new contact must stand out.
         split_bar: By how much two contacts must explain the last frames better than one.
     """
 
-    def __init__(
-        self,
-        fitter: ContactFitter,
-        motion: Motion | None = None,
-        repeats: float = np.inf,
-        unsure: Unsure | None = None,
-    ) -> None:
-        self.fitter, self.motion, self.repeats, self.unsure = fitter, motion or Motion(), repeats, unsure
+    def __init__(self, fitter: ContactFitter, motion: Motion | None = None, repeats: float = np.inf) -> None:
+        self.fitter, self.motion, self.repeats = fitter, motion or Motion(), repeats
         self.bar, self.split_bar = birth_threshold(fitter), revision_threshold(fitter)
 
     def start(self) -> TrackState:
@@ -65,17 +58,14 @@ class ContactFilter:
         start = self.start()
         return replace(start, common_drift=common_drift, drift=state.drift, echo=state.echo, next_id=state.next_id)
 
-    def update(
-        self, state: TrackState, difference: Difference, elapsed: float, reference: Floats | None = None
-    ) -> TrackState:
+    def update(self, state: TrackState, difference: Difference, elapsed: float) -> TrackState:
         """What is believed after one frame more.
 
         Args:
             state: What was believed after the last one.
-            difference: The frame's change against the untouched skin.
+            difference: The frame's change against the untouched skin. A common change of all resistances
+                (temperature) is followed only where it has a reference.
             elapsed: Time since the last one (s).
-            reference: (n_meas,) voltages of the untouched skin at the currents of this frame (V). A common change of
-                all resistances (temperature) is followed only where they are given.
 
         Raises:
             DataError: If no finite datum is left.
@@ -85,7 +75,7 @@ class ContactFilter:
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
         fitter, motion = self.fitter, self.motion
         before = moved(state, fitter, motion, elapsed)
-        reading = without_drift(before, fitter, difference, reference, self.unsure)
+        reading = without_drift(before, fitter, difference)
         state, seen = self._corrected(before, reading)
         state = self._remembered(before, state, reading, seen, elapsed)
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
@@ -98,12 +88,11 @@ class ContactFilter:
 
     def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
         """The state after a frame, its contacts being those that it holds, and how they explain it."""
-        data, measured = reading.data, state.measured
+        measured = state.measured
         if not state.held:
-            return state, nothing(data)
+            return state, nothing(len(state.drift))
         before = state.covariance[np.ix_(measured, measured)]
-        noise_model = self.fitter.noise_model(data, reading.errors)
-        seen = self.fitter.refine(data, state.params, noise_model, state.params.ravel(), inverse(before), rounds=3)
+        seen = self.fitter.refine(reading.wary, state.params, state.params.ravel(), inverse(before), rounds=3)
         gain = np.linalg.solve(before, state.covariance[measured]).T
         mean = state.mean + (gain @ (seen.params - state.params).ravel()).reshape(state.mean.shape)
         mean[:, :PER_CONTACT] = seen.params
@@ -114,13 +103,16 @@ class ContactFilter:
         self, before: TrackState, after: TrackState, reading: Reading, seen: Solution, elapsed: float
     ) -> TrackState:
         """The state with a frame among its history, from what was believed before and after it."""
-        innovation, directions = _innovation(before, after, reading, seen)
+        innovation = _innovation(before, after, reading, seen)
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
-        energy = max(float(seen.caused @ seen.caused), after.echo * float(np.exp(-2 * elapsed / self.motion.creeping)))
+        faded = after.echo * float(np.exp(-2 * elapsed / self.motion.creeping))
+        energy = max(reading.data.size(seen.caused) ** 2, faded)
         effects = {held.id: float(effect) for held, effect in zip(after.held, after.mean[:, 2], strict=True)}
-        residual, unsure = reading.data.volts - seen.caused, np.hstack([directions, reading.errors])
-        residuals = scored(Residuals(reading, innovation, residual, unsure, energy, effects, after.time), self.fitter)
-        return replace(after, history=(residuals, *after.history[: LONGEST - 1]), echo=energy, turn=after.turn + 1)
+        unforeseen = beside_common(innovation, after.common_drift[1])
+        residual = reading.data.less(seen.caused)
+        newest = Residuals(reading, innovation, residual, energy, effects, after.time, unforeseen)
+        history = (scored(newest, self.fitter), *after.history[: LONGEST - 1])
+        return replace(after, history=history, echo=energy, turn=after.turn + 1)
 
     def _common(self, elapsed: float) -> float:
         """Share of the noise's variance that all frames share: of the reference and its learned drift."""
@@ -136,13 +128,13 @@ class ContactFilter:
         return tuple(sorted(found, key=lambda contact: -abs(contact.strength)))
 
 
-def _innovation(before: TrackState, after: TrackState, reading: Reading, seen: Solution) -> tuple[Floats, Floats]:
-    """What was not foreseen of a frame (n_meas,), and how (n_meas, 4 n) contacts may have caused it (V)."""
-    volts, measured = reading.data.volts, before.measured
+def _innovation(before: TrackState, after: TrackState, reading: Reading, seen: Solution) -> Information:
+    """What a frame says that was not foreseen, beside what its contacts may have caused of it."""
     if not before.held:
-        return volts, seen.slopes
-    spread = np.linalg.cholesky(_balanced(before.covariance[np.ix_(measured, measured)]))
-    return volts - seen.caused + seen.slopes @ (after.params - before.params).ravel(), seen.slopes @ spread
+        return reading.data
+    spread = np.linalg.cholesky(_balanced(before.covariance[np.ix_(before.measured, before.measured)]))
+    foreseen = seen.caused - seen.slopes @ (after.params - before.params).ravel()
+    return reading.data.less(foreseen).without(seen.slopes @ spread)
 
 
 def _balanced(covariance: Floats) -> Floats:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts.likelihood import Data
+from ohmskin.contacts.information import Information
 from ohmskin.scan import Difference
 
 
@@ -15,15 +15,15 @@ class Reading:
 
     Args:
         difference: The frame.
-        data: What is finite of it.
-        common: (n_meas,) what it would change by if all resistances doubled (V); zero where that is not known.
-        errors: (n_meas, k) directions in which it errs (V); the last is that of temperature, where `common` is known.
+        data: What it says, a common change of all resistances included.
+        beside: What it says beside that change, as far as it is not known.
+        wary: The same, wary of the model's error.
     """
 
     difference: Difference
-    data: Data
-    common: Floats
-    errors: Floats
+    data: Information
+    beside: Information
+    wary: Information
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,21 +32,21 @@ class Residuals:
 
     Args:
         reading: The frame.
-        innovation: (n_meas,) what was not foreseen of it (V).
-        residual: (n_meas,) what the contacts known by then do not explain (V).
-        unsure: (n_meas, k) directions in which it is not known any better (V); the reading's errors come last.
-        energy: Squared norm of what they do explain, or did a moment ago (V2).
+        innovation: What it says that was not foreseen, a common change of all resistances included.
+        residual: What it says that the contacts known by then do not explain.
+        energy: Squared size of what they do explain, or did a moment ago, over the noise's variance (1).
         effects: Of each contact known by then, by its name (m2).
         time: When it was taken (s).
+        unforeseen: The innovation beside the common change, as far as that is not known.
         score, power: (n_places,) of a contact more at each place.
     """
 
     reading: Reading
-    innovation: Floats
-    residual: Floats
-    unsure: Floats
+    innovation: Information
+    residual: Information
     energy: float
     effects: dict[int, float]
     time: float
+    unforeseen: Information
     score: Floats = field(default_factory=lambda: np.empty(0))
     power: Floats = field(default_factory=lambda: np.empty(0))

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from ohmskin.arrays import Floats
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.likelihood import PER_CONTACT, Data, NoiseModel, responses
+from ohmskin.contacts.information import Information
+from ohmskin.contacts.solution import PER_CONTACT
 from ohmskin.tracking.state import STATE, TrackState
 
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
@@ -50,10 +50,8 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
 
 def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
     """The state with one contact where the frames since it came want it, if that is elsewhere."""
-    data, errors = _resting(state, fitter, [k])
-    noise_model = fitter.noise_model(data, errors)
-    here = fitter.refine(data, state.params[[k]], noise_model)
-    there = fitter.added(data, noise_model, *fitter.scores(data, data.volts, NoiseModel(fitter.noise, errors)))
+    told, data = _resting(state, fitter, [k])
+    here, there = fitter.refine(data, state.params[[k]]), fitter.added(data, *fitter.scores(told))
     if here.cost - there.cost < _ELSEWHERE:
         return None
     mean, covariance = state.mean.copy(), state.covariance.copy()
@@ -66,9 +64,8 @@ def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> T
 
 def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k: int) -> TrackState:
     """The state with one contact as two, if these explain the last frames better; the closer one keeps the name."""
-    data, errors = _resting(state, fitter, [k])
-    one = fitter.refine(data, state.params[[k]], fitter.noise_model(data, errors))
-    two = fitter.split(data, one, 0, bar, errors)
+    told, data = _resting(state, fitter, [k])
+    two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar)
     if two is None:
         return state
     closer, farther = np.argsort(np.linalg.norm(two.params[:, :2] - state.mean[k, :2], axis=1))
@@ -81,21 +78,20 @@ def _merged(
     state: TrackState, fitter: ContactFitter, bar: float, speed: float, both: tuple[int, int]
 ) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
-    data, errors = _resting(state, fitter, both)
-    noise_model = fitter.noise_model(data, errors)
+    told, data = _resting(state, fitter, both)
     pair = state.params[list(both)]
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
     start = weight @ pair
     start[2] = pair[:, 2].sum()
-    two, one = fitter.refine(data, pair, noise_model), fitter.refine(data, start[None], noise_model)
-    if fitter.gained(data, one, two) > _HYSTERESIS * bar:
+    two, one = fitter.refine(data, pair), fitter.refine(data, start[None])
+    if fitter.gained(told, one, two) > _HYSTERESIS * bar:
         return None
     kept = min(state.held[k].id for k in both)
     return replace(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
-def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) -> tuple[Data, Floats]:
-    """The newest frames in which the chosen contacts rested, less the others, and directions in which they err (V)."""
+def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) -> tuple[Information, Information]:
+    """What the newest frames say in which the chosen contacts rested, less the others; and the same as it is fitted."""
     chosen = list(chosen)
     speed = float(np.linalg.norm(state.mean[chosen, PER_CONTACT:], axis=1).max())
     came = max(state.held[k].since for k in chosen)
@@ -109,6 +105,7 @@ def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) ->
             break
         used.append(residuals.reading)
     used = used or [state.history[0].reading]
-    data = Data.together([reading.data for reading in used])
-    others = responses(fitter.table, data, np.delete(state.params, chosen, axis=0))[0]
-    return data.less(others), block_diag(*[reading.errors for reading in used])
+    others = fitter.responses(np.delete(state.params, chosen, axis=0))[0]
+    told = Information.together([reading.beside for reading in used])
+    data = Information.together([reading.wary for reading in used])
+    return told.less(others), data.less(others)

@@ -7,8 +7,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts.finder import Contact
-from ohmskin.contacts.likelihood import PER_CONTACT
-from ohmskin.contacts.solution import effect_std
+from ohmskin.contacts.solution import PER_CONTACT, effect_std
 from ohmskin.scan import Difference
 from ohmskin.tracking.residuals import Residuals
 
@@ -46,7 +45,7 @@ class TrackState:
         next_id: The name of the next contact.
         turn: Frames so far.
         time: Since the start (s).
-        echo: Squared norm of what contacts cause, or did before the foam forgot it (V2).
+        echo: Squared size of what contacts cause, or did before the foam forgot it, over the noise's variance (1).
         history: The last frames, newest first.
     """
 

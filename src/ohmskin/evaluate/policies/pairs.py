@@ -8,7 +8,6 @@ from scipy.stats import norm
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.likelihood import Data
 from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
@@ -164,13 +163,13 @@ def unlike_one(where: Setup, patterns: Sequence[DrivePattern], truth: Floats, ef
     change = effect * where.table(truth, RADIUS).values.sum(axis=0)
     volts = [CURRENT * pattern.combination(where.table.n_elec) @ change for pattern in patterns]
     scans = [Difference(p, np.full(p.n_meas, CURRENT), v) for p, v in zip(patterns, volts, strict=True)]
-    data = Data.of(where.table.n_elec, *scans)
-    fitter = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0)
-    noise, unknown = fitter.noise_model(data), np.zeros(4)
+    fitter, unknown = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0), np.zeros(4)
+    told = fitter.information(*scans)
     between = np.linspace(truth[0], truth[1], 5)  # the best one may be in the middle, or close to one of the two
     starts = [np.array([[*at, 2 * effect, radius**2]]) for at in between for radius in (RADIUS, 2 * RADIUS)]
-    found = [fitter.refine(data, start, noise, unknown, np.diag(unknown), rounds=40) for start in starts]
-    return np.asarray((data.volts - min(found, key=lambda one: one.cost).caused) / where.noise)
+    found = [fitter.refine(told, start, unknown, np.diag(unknown), rounds=40) for start in starts]
+    best = min(found, key=lambda one: one.cost).caused
+    return np.concatenate([scan.volts - scan.caused_by(best) for scan in scans]) / where.noise
 
 
 def ideal_power(distance: Floats, alpha: float = ALPHA) -> Floats:
