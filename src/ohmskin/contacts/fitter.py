@@ -9,22 +9,20 @@ A contact's parameters are x, y (m), effect (relative conductivity change times 
 from math import erf, sqrt
 
 import numpy as np
-from numba import njit
 from scipy.special import ndtri
 
 from ohmskin.arrays import Floats
+from ohmskin.contacts import kernels
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
-from ohmskin.forward.response import Grid, Spline, respond
 from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.scan import Difference
 
 _LEAST, _MOST = 0.1, 4.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
-_ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a standard deviation
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
 _BLUR = 2.0  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
@@ -112,7 +110,7 @@ class ContactFitter:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
         inside = np.array(positions, float)
         for position in inside:
-            _onto(position, *self.table.sheet)
+            kernels.onto(position, *self.table.sheet)
         return inside
 
     def within(self, params: Floats) -> Floats:
@@ -124,7 +122,7 @@ class ContactFitter:
 
     def responses(self, params: Floats) -> tuple[Floats, Floats]:
         """What contacts (n, 4) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
-        caused, slopes = _responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
+        caused, slopes = kernels.responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
         return caused, slopes.T
 
     # --- one contact more? --------------------------------------------------------------------------------------------
@@ -188,7 +186,7 @@ class ContactFitter:
         radius = self.table.radius
         least = -np.inf if self.bipolar else 1e-3 * radius**2
         params = np.array(start[:, :PER_CONTACT], float)
-        cost, normal, caused, slopes = _refined(
+        cost, normal, caused, slopes = kernels.refined(
             params, np.ascontiguousarray(data.matrix), np.ascontiguousarray(data.vector), data.constant,
             np.asarray(mean, float), np.ascontiguousarray(information), rounds, radius, least, *self.squares,
             self.table.sheet, self.table.spline,
@@ -284,88 +282,6 @@ class ContactFitter:
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
         return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
-
-
-@njit(cache=True, nogil=True)
-def _onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float) -> None:
-    """Moves a position (2,) onto the sheet, in place."""
-    for axis in range(2):
-        position[axis] = min(max(position[axis], low[axis]), high[axis])
-    there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
-    if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
-        position[:] = there
-
-
-@njit(cache=True, nogil=True)
-def _responses(
-    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: np.ndarray, squares: Floats
-) -> tuple[Floats, Floats]:
-    """What contacts (n, 4) cause (n_pairs,), and the slopes (4 n, n_pairs)."""
-    n_pairs = knots.shape[-1]
-    caused, slopes = np.zeros(n_pairs), np.empty((4 * len(params), n_pairs))
-    for k in range(len(params)):
-        x, y, effect, square = params[k]
-        own = slopes[4 * k : 4 * k + 4]
-        respond(x, y, square, knots, low, pitch, steps, squares, own)
-        for p in range(n_pairs):
-            caused[p] += effect * own[2, p]
-            own[0, p] *= effect
-            own[1, p] *= effect
-            own[3, p] *= effect
-    return caused, slopes
-
-
-@njit(cache=True, nogil=True)
-def _refined(
-    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
-    radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
-) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
-    """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes."""
-    damping = 1e-3
-    cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
-    for _ in range(rounds):
-        damped = normal.copy()
-        for i in range(len(damped)):
-            damped[i, i] *= 1 + damping
-        step = np.linalg.solve(damped, gradient)
-        if step @ gradient < _ENOUGH:
-            break
-        moved = params.copy()
-        for k in range(len(params)):
-            length = np.hypot(step[4 * k], step[4 * k + 1])
-            shrunk = min(1.0, radius / max(length, 1e-300))  # no longer than a radius
-            moved[k, 0] += shrunk * step[4 * k]
-            moved[k, 1] += shrunk * step[4 * k + 1]
-            moved[k, 2] = max(moved[k, 2] + step[4 * k + 2], least)
-            moved[k, 3] = min(max(moved[k, 3] + step[4 * k + 3], smallest), largest)
-            _onto(moved[k, :2], *sheet)
-        trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
-        gain = cost - trial[0]
-        if gain > 0:
-            params[:] = moved
-            cost, normal, gradient, caused, slopes = trial
-            damping /= 8
-        else:
-            damping = max(8 * damping, 1e-2)
-        if abs(gain) < _ENOUGH or damping > 1e4:
-            break
-    return cost, normal, caused, slopes
-
-
-@njit(cache=True, nogil=True)
-def _linearised(
-    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, spline: Spline
-) -> tuple[float, Floats, Floats, Floats, Floats]:
-    """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
-    caused, slopes = _responses(params, *spline)
-    seen = slopes @ matrix
-    left = vector.copy()
-    for k in range(len(params)):
-        left -= params[k, 2] * seen[4 * k + 2]
-    off = mean - params.copy().reshape(-1)
-    pull = prior @ off
-    cost = float(constant - caused @ (vector + left) + off @ pull)
-    return cost, seen @ slopes.T + prior, slopes @ left + pull, caused, slopes
 
 
 def _spaced(places: Floats, spacing: float) -> np.ndarray:

@@ -1,0 +1,91 @@
+"""The compiled steps of a fit of contacts (n, 4): x, y (m), effect (m2) and squared radius (m2) of each."""
+
+import numpy as np
+from numba import njit
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.forward.response import Grid, Spline, respond
+
+_ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a standard deviation
+
+
+@njit(cache=True, nogil=True)
+def onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float) -> None:
+    """Moves a position (2,) onto the sheet, in place."""
+    for axis in range(2):
+        position[axis] = min(max(position[axis], low[axis]), high[axis])
+    there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
+    if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
+        position[:] = there
+
+
+@njit(cache=True, nogil=True)
+def responses(
+    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats
+) -> tuple[Floats, Floats]:
+    """What contacts (n, 4) cause (n_pairs,), and the slopes (4 n, n_pairs)."""
+    n_pairs = knots.shape[-1]
+    caused, slopes = np.zeros(n_pairs), np.empty((4 * len(params), n_pairs))
+    for k in range(len(params)):
+        x, y, effect, square = params[k]
+        own = slopes[4 * k : 4 * k + 4]
+        respond(x, y, square, knots, low, pitch, steps, squares, own)
+        for p in range(n_pairs):
+            caused[p] += effect * own[2, p]
+            own[0, p] *= effect
+            own[1, p] *= effect
+            own[3, p] *= effect
+    return caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def refined(
+    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
+    radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
+) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
+    """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes."""
+    damping = 1e-3
+    cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
+    for _ in range(rounds):
+        damped = normal.copy()
+        for i in range(len(damped)):
+            damped[i, i] *= 1 + damping
+        step = np.linalg.solve(damped, gradient)
+        if step @ gradient < _ENOUGH:
+            break
+        moved = params.copy()
+        for k in range(len(params)):
+            length = np.hypot(step[4 * k], step[4 * k + 1])
+            shrunk = min(1.0, radius / max(length, 1e-300))  # no longer than a radius
+            moved[k, 0] += shrunk * step[4 * k]
+            moved[k, 1] += shrunk * step[4 * k + 1]
+            moved[k, 2] = max(moved[k, 2] + step[4 * k + 2], least)
+            moved[k, 3] = min(max(moved[k, 3] + step[4 * k + 3], smallest), largest)
+            onto(moved[k, :2], *sheet)
+        trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
+        gain = cost - trial[0]
+        if gain > 0:
+            params[:] = moved
+            cost, normal, gradient, caused, slopes = trial
+            damping /= 8
+        else:
+            damping = max(8 * damping, 1e-2)
+        if abs(gain) < _ENOUGH or damping > 1e4:
+            break
+    return cost, normal, caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def _linearised(
+    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, spline: Spline
+) -> tuple[float, Floats, Floats, Floats, Floats]:
+    """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
+    caused, slopes = responses(params, *spline)
+    seen = slopes @ matrix
+    left = vector.copy()
+    for k in range(len(params)):
+        left -= params[k, 2] * seen[4 * k + 2]
+    off = mean - params.copy().reshape(-1)
+    pull = prior @ off
+    cost = float(constant - caused @ (vector + left) + off @ pull)
+    return cost, seen @ slopes.T + prior, slopes @ left + pull, caused, slopes
