@@ -7,7 +7,7 @@ from numba import njit
 from numpy.testing import assert_allclose
 
 from ohmskin.forward.cholesky import Elimination
-from ohmskin.forward.tiles import eliminate_dense, tile
+from ohmskin.forward.tiles import tile
 
 
 @njit
@@ -64,19 +64,3 @@ def test_any_graph_at_any_places_is_solved(case: str, columns: int) -> None:
     found = Elimination(matrix, places, held).factorise(matrix.data).solve(load)
     expected = np.linalg.solve(matrix.toarray()[np.ix_(free, free)], load[free])
     assert_allclose(found[free], expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max(initial=0)))
-
-
-@pytest.mark.parametrize("size", [1, 3, 8, 41, 100])
-@pytest.mark.parametrize("panel", [1, 5, 32])
-def test_dense_front_is_a_block_of_cholesky_factors(size: int, panel: int) -> None:
-    half = np.random.default_rng(size).normal(size=(size, size))
-    matrix = half @ half.T + np.eye(size)
-    around = np.full((size + 2, size), 7.0)
-    for own in {1, size // 2, size}:
-        around[1:-1] = matrix
-        assert eliminate_dense(around[1:-1], own, panel) == -1
-        factor = np.linalg.cholesky(matrix)
-        left = factor[own:, own:] @ factor[own:, own:].T
-        assert_allclose(np.tril(around[1:-1])[:, :own], factor[:, :own], atol=1e-12)
-        assert_allclose(np.tril(around[1 + own : -1, own:]), np.tril(left), atol=1e-11)
-        assert (around[[0, -1]] == 7).all()

@@ -47,7 +47,7 @@ def directly(model: TransferModel, at: np.ndarray, joint: np.ndarray, patch: np.
 
     `at` (n_points, n_nodes) interpolates.
     """
-    system = assemble(model.mesh, model.electrodes, model.tensors)
+    system = assemble(model.mesh, model.electrodes, model.conductivity, gradients=model.gradients)
     own = system.matrix.toarray()
     owners, which = np.unique(patch, return_inverse=True)
     n, total = len(own), len(own) + len(owners)

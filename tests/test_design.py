@@ -98,14 +98,12 @@ def test_gains_are_what_each_candidate_would_change(seed: int) -> None:
             assert gains[k, 0, 0] > 0  # knowing more never hurts
 
 
-def test_several_cases_and_goals_are_averaged_and_powers_serve_the_worst() -> None:
+def test_several_cases_and_goals_are_averaged() -> None:
     cases = [problem(seed) for seed in range(1, 5)]
     rows, covariance = np.stack([c[0] for c in cases]), np.stack([c[1] for c in cases])
     goals = np.stack([cases[0][2], cases[1][2]])
-    for power in (1.0, 8.0):
-        sums = np.array([[[variance(after(r, p, (k,)), g) for g in goals] for r, p, _ in cases] for k in range(8)])
-        assert Search(rows, covariance, goals, power).best() == np.argmin((sums**power).mean(axis=(1, 2)))
-    assert np.argmin(sums.mean(axis=(1, 2))) != np.argmin((sums**8).mean(axis=(1, 2)))  # so that the test can tell
+    sums = np.array([[[variance(after(r, p, (k,)), g) for g in goals] for r, p, _ in cases] for k in range(8)])
+    assert Search(rows, covariance, goals).best() == np.argmin(sums.mean(axis=(1, 2)))
 
 
 @pytest.mark.parametrize("seed", range(8))

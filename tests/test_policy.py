@@ -103,7 +103,7 @@ def test_exploring_comes_round(kind: str) -> None:
 def test_two_explore_but_no_more_than_half(injections: int, exploring: int) -> None:
     chosen = InformedPolicy(GRID, lambda: (table(), candidates()), 4).with_injections(injections)
     explored = [k for turn in range(6) for k in numbers(chosen.next([target(0.05, 0.1)], turn))[:exploring]]
-    round_trip = numbers(part_of(chosen.complete, chosen._exploration.drives))
+    round_trip = numbers(part_of(chosen.complete, chosen.drives))
     assert explored == [round_trip[k % 6] for k in range(6 * exploring)]
     assert chosen.explain([target(0.05, 0.1)], 0).explored == exploring
 
@@ -164,8 +164,8 @@ def test_contacts_take_turns_and_one_cell_counts_once() -> None:
     assert isinstance(chosen, InformedPolicy)
     ranking = Ranking(table(), candidates())
     served = np.concatenate([numbers(chosen.next([first, second], turn))[1:] for turn in range(8)])
-    np.testing.assert_array_equal(served[0::2], ranking.at(first.position)[:12])
-    np.testing.assert_array_equal(served[1::2], ranking.at(second.position)[:12])
+    np.testing.assert_array_equal(served[0::2], ranking.order[ranking.cell_of(first.position)][:12])
+    np.testing.assert_array_equal(served[1::2], ranking.order[ranking.cell_of(second.position)][:12])
     close = target(0.052, 0.052)
     assert chosen.next([first, close], 3) == chosen.next([first], 3)
 
@@ -277,11 +277,11 @@ def test_the_second_scan_is_the_ranking_given_the_base_scan() -> None:
     anchors = np.array([[0.07, 0.031], [0.071, 0.03], [0.069, 0.029]])
     ranking = Ranking(table(), candidates(), depth=5, known=known, prior=ContactPrior.usual(8e-3, 2.5))
     pattern = drive.pattern([anchors])
-    assert numbers(pattern) == ranking.at(np.array([0.07, 0.03])).tolist()
+    assert numbers(pattern) == ranking.order[ranking.cell_of(np.array([0.07, 0.03]))].tolist()
     alone = Ranking(table(), candidates(), depth=5, prior=ContactPrior.usual(8e-3, 2.5))
     assert (ranking.order != alone.order).any()  # what is known counts
     two = drive.pattern([anchors, anchors + 0.09])
-    assert numbers(two)[0::2] == ranking.at(np.array([0.07, 0.03]))[:3].tolist()
+    assert numbers(two)[0::2] == ranking.order[ranking.cell_of(np.array([0.07, 0.03]))][:3].tolist()
 
 
 def test_a_press_is_found_in_the_mode() -> None:

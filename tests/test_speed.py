@@ -15,9 +15,9 @@ from ohmskin.contacts import Contact, ContactFinder, find_regions, label_peaks
 from ohmskin.drive import DRIVES, DriveSettings, TwoScans, pair_weights, take_turns
 from ohmskin.errors import DataError, GeometryError, ModelError, PatternError
 from ohmskin.forward import LocalUpdate, TouchTable, TransferModel
-from ohmskin.forward.assembly import assemble, local_stiffness, stiffness
+from ohmskin.forward.assembly import assemble, stiffness
 from ohmskin.forward.cholesky import Elimination
-from ohmskin.forward.sensitivity import pair_sensitivity
+from ohmskin.forward.sensitivity import fill_pairs
 from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain, thicken
 from ohmskin.inverse import GaussNewton, Pixels
 from ohmskin.inverse.modes import combined
@@ -64,13 +64,13 @@ def random_scan(seed: int, count: int = 6) -> DrivePattern:
 def test_assembly_into_known_slots_is_the_sum_over_elements(kind: str) -> None:
     where = thick() if kind == "tetrahedra" else mesh()
     rng = np.random.default_rng(1)
-    sigma = rng.uniform(1, 2, where.n_elem)
-    if kind == "tensors":
-        half = rng.normal(size=(where.n_elem, 2, 2))
-        sigma = half @ half.transpose(0, 2, 1) + np.eye(2)
+    sigma, dim = rng.uniform(1, 2, where.n_elem), where.dim
+    root = np.eye(dim)[None] if kind != "tensors" else rng.normal(size=(where.n_elem, dim, dim))
+    tensors = (sigma * where.measures)[:, None, None] * (root @ root.transpose(0, 2, 1))
+    parts = np.einsum("eik,ekl,ejl->eij", where.gradients, tensors, where.gradients)
     dense = np.zeros((where.n_nodes, where.n_nodes))
-    np.add.at(dense, (where.elements[:, :, None], where.elements[:, None, :]), local_stiffness(where, sigma))
-    found = stiffness(where, sigma)
+    np.add.at(dense, (where.elements[:, :, None], where.elements[:, None, :]), parts)
+    found = stiffness(where, sigma, where.gradients @ root)
     assert_allclose(found.toarray(), dense, rtol=0, atol=1e-13 * np.abs(dense).max())
     assert (np.diff(found.indices)[np.diff(np.repeat(np.arange(where.n_nodes), np.diff(found.indptr))) == 0] > 0).all()
 
@@ -165,8 +165,11 @@ def test_another_conductivity_reuses_the_order_but_not_the_numbers() -> None:
 def test_sensitivity_kernel_is_the_product_of_fields(dim: int) -> None:
     where = mesh() if dim == 2 else thick()
     potentials = np.random.default_rng(4).normal(size=(where.n_nodes, 5))
-    plain = pair_sensitivity(where, potentials, np.broadcast_to(np.eye(dim), (where.n_elem, dim, dim)))
-    quick = pair_sensitivity(where, potentials)
+    field = np.einsum("ekd,ekl->led", where.gradients, potentials[where.elements])
+    i, j = all_pairs(5).T
+    plain = -np.sum((field[i] - field[j]) ** 2, axis=2) * where.measures
+    quick = np.empty_like(plain)
+    fill_pairs(where.elements, where.gradients, where.measures, potentials, quick)
     assert_allclose(quick, plain, rtol=0, atol=1e-12 * np.abs(plain).max())
 
 

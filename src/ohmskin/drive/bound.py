@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
@@ -52,11 +53,9 @@ class ContactPrior:
 
     def covariance(self, targets: Sequence[Target] | None = None) -> Floats:
         """Of one contact (4, 4), or of several (4 n, 4 n) whose positions are known as well as `targets` say."""
-        blocks = [np.eye(2) * self.position**2] if targets is None else [target.covariance for target in targets]
-        covariance = np.diag(np.tile([0, 0, self.effect_spread**2, self.radius_spread**2], len(blocks)).astype(float))
-        for k, block in enumerate(blocks):
-            covariance[PARAMETERS * k : PARAMETERS * k + 2, PARAMETERS * k : PARAMETERS * k + 2] = block
-        return covariance
+        places = [np.eye(2) * self.position**2] if targets is None else [target.covariance for target in targets]
+        rest = np.diag([self.effect_spread**2, self.radius_spread**2])
+        return np.asarray(block_diag(*(block for place in places for block in (place, rest))))
 
     def at(self, places: ArrayLike) -> list[Target]:
         """Usual contacts at places (n, 2) in metres."""
@@ -118,31 +117,23 @@ def position_bound(
     return errors
 
 
-def best_fixed(
-    table: ContactTable,
-    candidates: Candidates,
-    injections: int,
-    places: ArrayLike | None = None,
-    prior: ContactPrior | None = None,
-    power: float = 1.0,
-) -> Ints:
-    """The fixed set of injections (count,) of least squared position bound over the sheet, by greed and exchange.
+def best_fixed(table: ContactTable, candidates: Candidates, injections: int, places: ArrayLike | None = None) -> Ints:
+    """The fixed set of injections (count,) of least mean squared position bound over the sheet, by greed and exchange.
+
+    What is known before is `ContactPrior.usual` of the table's radius.
 
     Args:
         table: Responses of contacts.
-        candidates: The injections to choose from.
-        injections: How many.
+        candidates: What to choose so many `injections` from.
         places: (n, 2) where contacts may be, in metres; all over the sheet unless given.
-        prior: What is known before; `ContactPrior.usual` of the table's radius unless given.
-        power: 1 for the least mean over the places; 8 is close to the least worst one.
 
     Raises:
         PatternError: If there are fewer candidates than that.
     """
-    prior = prior or ContactPrior.usual(table.radius)
+    prior = ContactPrior.usual(table.radius)
     places = spread_places(table) if places is None else np.asarray(places, float)
     rows = candidates.rows(contact_columns(table, prior.at(places)))
-    return exchange(rows, prior.covariance(), injections, position_goals(1), power)
+    return exchange(rows, prior.covariance(), injections, position_goals(1))
 
 
 def spread_places(table: ContactTable, count: int = 150) -> Floats:

@@ -76,10 +76,12 @@ def whitened(pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLi
     if given.shape not in ((), (n_pairs(n_elec),)) or not (np.isfinite(given) & (given > 0)).all():
         allowed = f"give one value or one for each of {n_pairs(n_elec)} electrode pairs, all positive"
         raise ModelError(f"currents of shape {given.shape}, least {given.min(initial=np.inf):.3g} A; {allowed}")
+    if not (np.isfinite(noise) and noise > 0):
+        raise ModelError(f"noise is {noise!r}; it must be finite and positive")
     pattern.check(n_elec)
     source, sink, _, _ = pattern.quadruples.T
     amperes = np.broadcast_to(given, n_pairs(n_elec))[pair_index(source, sink, n_elec)]
-    return sp.csr_array(sp.diags_array(amperes / _positive("noise", noise)) @ pattern.combination(n_elec))
+    return sp.csr_array(sp.diags_array(amperes / noise) @ pattern.combination(n_elec))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,6 @@ class Search:
         covariance: (d, d) or (n_cases, d, d) before.
         goal: (k, d): the sum of the variances of goal @ state is to become small; (n_goals, k, d): several such sums.
             None: the information is to become large.
-        power: Of the sums before the mean over cases and goals; 1 for their mean, 8 is close to their largest.
         repeats: Whether an injection may be chosen again, which averages noise.
 
     Attributes:
@@ -111,14 +112,12 @@ class Search:
         chosen: Numbers so far.
     """
 
-    def __init__(
-        self, rows: Floats, covariance: Floats, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
-    ) -> None:
+    def __init__(self, rows: Floats, covariance: Floats, goal: Floats | None = None, repeats: bool = False) -> None:
         self._rows = rows if rows.ndim == 4 else rows[None]
         shape = (len(self._rows), *covariance.shape[-2:])
         self.covariance: Floats = np.array(np.broadcast_to(covariance, shape), float)
         self._goal = None if goal is None else goal.reshape(-1, *goal.shape[-2:])
-        self._power, self._repeats = power, repeats
+        self._repeats = repeats
         self._seen = self._rows @ self.covariance[:, None]
         self._information = np.zeros(len(self._rows))
         self.chosen: list[int] = []
@@ -141,10 +140,8 @@ class Search:
         return np.asarray(np.moveaxis(less.reshape(*less.shape[:2], goals, k).sum(axis=-1), 1, 0))
 
     def scores(self) -> Floats:
-        """What to make small (n,): minus each candidate's mean gain; with a power, the mean of what would be left."""
-        if self._goal is None or self._power == 1:
-            return np.asarray(-self.gains().mean(axis=(1, 2)))
-        return np.asarray((np.maximum(self.sums - self.gains(), 0.0) ** self._power).mean(axis=(1, 2)))
+        """What to make small (n,): minus each candidate's mean gain."""
+        return np.asarray(-self.gains().mean(axis=(1, 2)))
 
     def best(self) -> int:
         """The candidate to take next, the first of equals; raises PatternError if all are chosen."""
@@ -176,15 +173,13 @@ class Search:
         self._seen -= (self._rows @ across[:, None]) @ gain[:, None]
 
 
-def greedy(
-    rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
-) -> Choice:
+def greedy(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, repeats: bool = False) -> Choice:
     """Choose `count` injections one by one, each the best after those before it; arguments as for `Search`.
 
     Raises:
         PatternError: If there are fewer injections than are to be chosen.
     """
-    search = Search(rows, covariance, goal, power, repeats)
+    search = Search(rows, covariance, goal, repeats)
     values = [search.sums.mean()]
     for _ in range(count):
         search.take(search.best())
@@ -192,15 +187,13 @@ def greedy(
     return Choice(np.array(search.chosen, np.int64), np.array(values))
 
 
-def exchange(
-    rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, power: float = 1.0, repeats: bool = False
-) -> Ints:
+def exchange(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None) -> Ints:
     """Choose `count` injections greedily, then exchange single ones as long as that helps; arguments as for `Search`.
 
     Raises:
         PatternError: If there are fewer injections than are to be chosen.
     """
-    search = Search(rows, covariance, goal, power, repeats)
+    search = Search(rows, covariance, goal)
     for _ in range(count):
         search.take(search.best())
     kept = 0
@@ -222,9 +215,3 @@ def pair_currents(model: TransferModel, source: VoltageSource, limit: float = np
         ModelError: If an electrode is a point, whose own resistance is that of the mesh.
     """
     return np.asarray(np.minimum(source.currents(model, complete_pattern(model.electrodes)), limit))
-
-
-def _positive(name: str, value: float) -> float:
-    if not (np.isfinite(value) and value > 0):
-        raise ModelError(f"{name} is {value!r}; it must be finite and positive")
-    return value

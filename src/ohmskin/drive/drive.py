@@ -1,15 +1,18 @@
 """What a drive is: it says what to measure next, from what is believed of the contacts."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
+from ohmskin.drive.patterns import complete_pattern, opposite_pairs, part_of
 from ohmskin.errors import PatternError
-from ohmskin.scan import DrivePattern
+from ohmskin.geometry import Electrodes
+from ohmskin.scan import DrivePattern, pair_index
 
 _SMALL = 2e-3  # m: the triangle about a place when no element of a mesh is given, about the size of one
 
@@ -73,41 +76,53 @@ class Drive(Protocol):
         """
 
 
-class SecondScan(Protocol):
-    """Chooses a pattern for the contacts at hand, always `pairs` injections out of `complete`."""
-
-    complete: DrivePattern
-    pairs: int
-
-    def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
-        """The pattern for one or several regions, each given by its anchors (n, 2) in metres."""
-
-
 @dataclass(frozen=True)
 class Fixed:
-    """Always the same pattern."""
+    """Always the same pattern, whatever is believed; the number of its injections is no choice."""
 
     pattern: DrivePattern
-    scans: int = field(default=1, init=False)
-    adjustable: bool = field(default=False, init=False)
+    scans, adjustable = 1, False
 
     @property
     def patterns(self) -> tuple[DrivePattern, ...]:
-        """The pattern."""
         return (self.pattern,)
 
     @property
     def injections(self) -> int:
-        """Of the pattern."""
         return self.pattern.n_inj
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The pattern, whatever is believed."""
         return self.pattern
 
     def with_injections(self, count: int) -> Drive:
-        """Refused."""
         raise PatternError(f"a fixed pattern has no choice of injections; it has {self.injections}")
+
+
+class SecondScan:
+    """Chooses a pattern for the contacts at hand, always `pairs` injections out of `complete`, all pairs.
+
+    Args:
+        electrodes: Electrode layout.
+        pairs: Number of injections in a pattern (K).
+
+    Raises:
+        PatternError: If `pairs` is not between 1 and the number of electrode pairs.
+    """
+
+    repeats = False  # whether an injection may be chosen again
+
+    def __init__(self, electrodes: Electrodes, pairs: int = 16) -> None:
+        self.electrodes, self.pairs, self.complete = electrodes, pairs, complete_pattern(electrodes)
+        if not 1 <= pairs <= (np.inf if self.repeats else self.complete.n_inj):
+            raise PatternError(f"{pairs} injections in the second scan; there are 1..{self.complete.n_inj} pairs")
+
+    def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
+        """The pattern for one or several regions, each given by its anchors (n, 2) in metres. A part of `complete`."""
+        return part_of(self.complete, self.choose([np.asarray(anchors, float) for anchors in regions]))
+
+    def choose(self, regions: Sequence[Floats]) -> Ints:
+        """The numbers (pairs,) of the injections of `complete` for regions, each given by its anchors (n, 2) (m)."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -121,8 +136,7 @@ class TwoScans:
 
     base: DrivePattern
     second: SecondScan
-    scans: int = field(default=2, init=False)
-    adjustable: bool = field(default=False, init=False)
+    scans, adjustable = 2, False
 
     @property
     def patterns(self) -> tuple[DrivePattern, ...]:
@@ -131,7 +145,6 @@ class TwoScans:
 
     @property
     def injections(self) -> int:
-        """Of both scans."""
         return self.base.n_inj + self.second.pairs
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
@@ -139,7 +152,6 @@ class TwoScans:
         return self.second.pattern([target.anchors for target in targets]) if turn % 2 and targets else self.base
 
     def with_injections(self, count: int) -> Drive:
-        """Refused."""
         raise PatternError(f"a drive of two scans has no choice of injections; it has {self.injections}")
 
 
@@ -180,3 +192,50 @@ class WithDriven:
     def with_injections(self, count: int) -> "WithDriven":
         """The same with another number of injections a frame; raises PatternError as the drive does."""
         return WithDriven(self.drive.with_injections(count))
+
+
+class Exploration:
+    """Goes round a fixed set of injections, whatever is believed: finds contacts wherever they appear.
+
+    Args:
+        electrodes: Electrode layout.
+        injections: Injections per frame.
+        drives: (n, 2) source and sink of the set; opposite electrodes of the rim unless given. All are measured.
+
+    Raises:
+        PatternError: If there are no injections, or an electrode is not there.
+    """
+
+    scans, adjustable = 1, True
+
+    def __init__(self, electrodes: Electrodes, injections: int = 4, drives: Ints | None = None) -> None:
+        self.complete, n_elec = complete_pattern(electrodes), len(electrodes)
+        self._set_injections(injections)
+        pairs = opposite_pairs(electrodes) if drives is None else np.asarray(drives)
+        if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.min() < 0 or pairs.max() >= n_elec:
+            raise PatternError(f"drives of shape {pairs.shape}; give (n, 2) numbers of the {n_elec} electrodes")
+        self.drives = pair_index(pairs[:, 0], pairs[:, 1], n_elec)
+
+    def _set_injections(self, count: int) -> None:
+        if not 1 <= count <= self.complete.n_inj:
+            raise PatternError(f"{count} injections per frame; there are 1..{self.complete.n_inj} pairs to choose from")
+        self.injections = count
+
+    @property
+    def patterns(self) -> tuple[DrivePattern, ...]:
+        """All pairs: each of its patterns is a part of them."""
+        return (self.complete,)
+
+    def with_injections(self, count: int) -> Self:
+        """The same round, and tables if it has such, with another number of injections a frame."""
+        other = copy(self)
+        other._set_injections(count)
+        return other
+
+    def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
+        """The next injections of the round."""
+        return part_of(self.complete, self.numbers(turn, self.injections))
+
+    def numbers(self, turn: int, count: int) -> Ints:
+        """The numbers in `complete` of the next `count`, if each of the `turn` frames before took as many."""
+        return np.asarray(self.drives[(turn * count + np.arange(count)) % len(self.drives)])

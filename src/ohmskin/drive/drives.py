@@ -9,16 +9,15 @@ from dataclasses import dataclass
 
 from ohmskin.drive.bound import best_fixed
 from ohmskin.drive.design import Candidates
-from ohmskin.drive.drive import Drive, Fixed, TwoScans
+from ohmskin.drive.drive import Drive, Exploration, Fixed, SecondScan, TwoScans
 from ohmskin.drive.informed import InformedPolicy, PositionDrive
-from ohmskin.drive.local import LocalDrive
-from ohmskin.drive.optimal import OptimalDrive, part_of
-from ohmskin.drive.patterns import Exploration, base_pattern
+from ohmskin.drive.optimal import LocalDrive, OptimalDrive
+from ohmskin.drive.patterns import base_pattern, part_of
 from ohmskin.errors import PatternError
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Electrodes
 from ohmskin.registry import Registry
-from ohmskin.scan import adjacent
+from ohmskin.scan import DrivePattern, adjacent
 
 _TRACKED = 4  # injections a frame that suffice to follow contacts
 
@@ -45,19 +44,19 @@ class DriveSettings:
 
 def rim(s: DriveSettings, injections: int) -> Drive:
     """Adjacent electrodes of the rim."""
-    return _all_of(Fixed(adjacent([s.electrodes.rings[0]])), injections)
+    return _fixed(adjacent([s.electrodes.rings[0]]), injections)
 
 
 def rings(s: DriveSettings, injections: int) -> Drive:
     """Adjacent electrodes of the rim and of the inner ring."""
     if len(s.electrodes.rings) < 2:
         raise PatternError("drive 'rings' needs electrodes inside the sheet; this skin has them on the rim alone")
-    return _all_of(Fixed(adjacent(s.electrodes.rings)), injections)
+    return _fixed(adjacent(s.electrodes.rings), injections)
 
 
 def opposite(s: DriveSettings, injections: int) -> Drive:
     """Opposite electrodes of the rim, measured at all others."""
-    return _all_of(Fixed(base_pattern(s.electrodes)), injections)
+    return _fixed(base_pattern(s.electrodes), injections)
 
 
 def best(s: DriveSettings, injections: int) -> Drive:
@@ -68,21 +67,18 @@ def best(s: DriveSettings, injections: int) -> Drive:
 
 def eq7(s: DriveSettings, injections: int) -> Drive:
     """Adjacent base scan of the rim, then the pairs closest to the contacts (paper, eq. 7)."""
-    base = adjacent([s.electrodes.rings[0]])
-    return TwoScans(base, OptimalDrive(s.electrodes, _second(injections, base.n_inj, s.pairs)))
+    return _two_scans(s, injections, adjacent([s.electrodes.rings[0]]), OptimalDrive)
 
 
 def local(s: DriveSettings, injections: int) -> Drive:
     """Adjacent base scan of the rim, then short pairs near the contacts (the paper's reference [14])."""
-    base = adjacent([s.electrodes.rings[0]])
-    return TwoScans(base, LocalDrive(s.electrodes, _second(injections, base.n_inj, s.pairs)))
+    return _two_scans(s, injections, adjacent([s.electrodes.rings[0]]), LocalDrive)
 
 
 def position(s: DriveSettings, injections: int) -> Drive:
     """Opposite base scan, then the pairs that are most informative about the contacts' positions."""
     base = base_pattern(s.electrodes)
-    pairs = _second(injections, base.n_inj, s.pairs)
-    return TwoScans(base, PositionDrive(s.electrodes, s.design, pairs, base.injections))
+    return _two_scans(s, injections, base, lambda e, pairs: PositionDrive(e, s.design, pairs, base.injections))
 
 
 def tracking(s: DriveSettings, injections: int) -> Drive:
@@ -95,17 +91,17 @@ def rotating(s: DriveSettings, injections: int) -> Drive:
     return Exploration(s.electrodes, injections or _TRACKED)
 
 
-def _all_of(drive: Fixed, injections: int) -> Drive:
-    if injections not in (0, drive.injections):
-        return drive.with_injections(injections)
-    return drive
+def _fixed(pattern: DrivePattern, injections: int) -> Drive:
+    drive = Fixed(pattern)
+    return drive if injections in (0, drive.injections) else drive.with_injections(injections)
 
 
-def _second(injections: int, base: int, usual: int) -> int:
-    """Injections left for the second scan."""
-    if injections and injections <= base:
-        raise PatternError(f"{injections} injections a frame; the base scan alone has {base}, so give more")
-    return injections - base if injections else usual
+def _two_scans(
+    s: DriveSettings, injections: int, base: DrivePattern, second: Callable[[Electrodes, int], SecondScan]
+) -> Drive:
+    if injections and injections <= base.n_inj:
+        raise PatternError(f"{injections} injections a frame; the base scan alone has {base.n_inj}, so give more")
+    return TwoScans(base, second(s.electrodes, injections - base.n_inj if injections else s.pairs))
 
 
 DRIVES: Registry[Callable[[DriveSettings, int], Drive]] = Registry(

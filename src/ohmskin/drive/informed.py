@@ -5,20 +5,17 @@ somewhere in that cell. A frame takes the next ones of that order, so that frame
 """
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
 from ohmskin.drive.design import Candidates, Search, greedy
-from ohmskin.drive.drive import Target
-from ohmskin.drive.optimal import part_of
-from ohmskin.drive.patterns import Exploration, complete_pattern
+from ohmskin.drive.drive import Exploration, SecondScan, Target
+from ohmskin.drive.patterns import part_of
 from ohmskin.errors import PatternError
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Electrodes
@@ -81,11 +78,6 @@ class Ranking:
                 covariance = np.asarray(np.linalg.inv(information), float)
             self.order[at], self.values[at] = _ranked(rows, covariance, depth)
 
-    def at(self, position: Floats) -> Ints:
-        """The ranked injections (depth,) for a contact at a position (2,) in metres."""
-        x, y = self.cell_of(position)
-        return np.asarray(self.order[x, y])
-
     def cell_of(self, position: Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
         x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
@@ -127,27 +119,21 @@ class Plan:
         return f"{pairs} ({self.explored} exploring); position error {errors or 'of no contact'}"
 
 
-class InformedPolicy:
+class InformedPolicy(Exploration):
     """Spends a frame's injections where they say most about the contacts, and keeps exploring.
 
     Args:
-        electrodes: Electrode layout.
+        electrodes, injections, drives: As `Exploration`.
         design: Gives the responses of contacts and all pairs with their currents and noise (`Candidates` of
             `complete_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
-        injections: Per frame.
-        explore: How many of them go round the exploring set, but no more than half. With two of four, 95 % of new
-            contacts and more are found within three frames (docs/policies.md).
+        explore: How many of a frame's injections go round the exploring set, but no more than half. With two of four,
+            95 % of new contacts and more are found within three frames (docs/policies.md).
         exact: Weigh all candidates against what is believed now, contacts together and the ellipses of their positions
             included; in about a millisecond. Otherwise contacts take turns at their cell's ranking, in a tenth of that.
-        drives: (n, 2) source and sink of the exploring set; opposite electrodes of the rim unless given.
-        prior: What is known of a contact's effect and radius; as much as a tracker knows unless given.
-        cell: Width of the tables' cells, about (m), see `Ranking`.
 
     Raises:
         PatternError: If the counts are out of range. Later, if the candidates are not complete.
     """
-
-    scans, adjustable = 1, True
 
     def __init__(
         self,
@@ -157,39 +143,22 @@ class InformedPolicy:
         explore: int = 2,
         exact: bool = False,
         drives: Ints | None = None,
-        prior: ContactPrior | None = None,
-        cell: float | None = None,
     ) -> None:
         if explore < 1:
             raise PatternError(f"{explore} injections explore; at least one must, or new contacts are never found")
-        self._exploration = Exploration(electrodes, injections, drives)
-        self.complete, self.injections = self._exploration.complete, injections
-        self.explore, self.exact = explore, exact
-        self._design, self._given_prior, self._cell = design, prior, cell
-
-    @property
-    def patterns(self) -> tuple[DrivePattern, ...]:
-        """All pairs: each of its patterns is a part of them."""
-        return (self.complete,)
-
-    def with_injections(self, count: int) -> "InformedPolicy":
-        """The same policy with another number of injections a frame; it keeps its tables."""
-        other = copy(self)
-        other._exploration = self._exploration.with_injections(count)
-        other.injections = count
-        return other
+        super().__init__(electrodes, injections, drives)
+        self.explore, self.exact, self._design = explore, exact, design
 
     @cached_property
-    def _known(self) -> tuple[ContactTable, Candidates, ContactPrior]:
+    def _known(self) -> tuple[ContactTable, Candidates]:
         table, candidates = self._design()
         if candidates.pattern != self.complete:
             raise PatternError("the candidates must be all injections of complete_pattern(electrodes), in its order")
-        return table, candidates, self._given_prior or ContactPrior.usual(table.radius, _TRACKED, _EFFECT)
+        return table, candidates
 
     @cached_property
     def _ranking(self) -> Ranking | None:
-        table, candidates, prior = self._known
-        return None if self.exact else Ranking(table, candidates, prior=prior, cell=self._cell)
+        return None if self.exact else Ranking(*self._known)
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
         """The pattern of frame number `turn` (from 0), given what is believed of the contacts."""
@@ -214,8 +183,8 @@ class InformedPolicy:
 
     def _choose(self, targets: Sequence[Target], turn: int) -> Ints:
         if not targets:
-            return self._exploration.numbers(turn, self.injections)
-        explored = self._exploration.numbers(turn, self._exploring)
+            return self.numbers(turn, self.injections)
+        explored = self.numbers(turn, self._exploring)
         wanted = self.injections - self._exploring
         if self._ranking is not None:
             return np.append(explored, _in_turn(self._ranking, [target.position for target in targets], wanted, turn))
@@ -227,28 +196,28 @@ class InformedPolicy:
         return np.array(search.chosen, np.int64)
 
     def _search(self, targets: Sequence[Target]) -> Search:
-        table, candidates, prior = self._known
-        rows, covariance = candidates.rows(np.hstack(list(contact_columns(table, targets)))), prior.covariance(targets)
+        table, candidates = self._known
+        covariance = ContactPrior.usual(table.radius, _TRACKED, _EFFECT).covariance(targets)
+        rows = candidates.rows(np.hstack(list(contact_columns(table, targets))))
         return Search(rows, covariance, position_goals(len(targets)), repeats=True)
 
 
-class PositionDrive:
+class PositionDrive(SecondScan):
     """The second scan of mode ``16P``: what says most about where contacts are, given the base scan.
 
     Args:
-        electrodes: Electrode layout.
+        electrodes, pairs: As `SecondScan`; an injection may be chosen more than once.
         design: Gives the responses of contacts and the candidates; called when the first pattern is asked for.
-        pairs: Injections of the second scan.
         base: (n, 2) source and sink of the base scan.
 
     Raises:
         PatternError: If there are no injections.
     """
 
+    repeats = True
+
     def __init__(self, electrodes: Electrodes, design: Design, pairs: int, base: Ints) -> None:
-        if pairs < 1:
-            raise PatternError(f"{pairs} injections in the second scan; at least 1")
-        self.complete, self.pairs = complete_pattern(electrodes), pairs
+        super().__init__(electrodes, pairs)
         self._design = design
         self._base = pair_index(base[:, 0], base[:, 1], len(electrodes))
 
@@ -259,10 +228,8 @@ class PositionDrive:
         prior = ContactPrior.usual(table.radius, _BASED)
         return Ranking(table, candidates, depth=self.pairs, known=[int(k) for k in self._base], prior=prior)
 
-    def pattern(self, regions: Sequence[ArrayLike]) -> DrivePattern:
-        """The pattern for one or several regions, each given by its anchors (n, 2) in metres. A part of `complete`."""
-        centres = [np.mean(np.asarray(anchors, float), axis=0) for anchors in regions]
-        return part_of(self.complete, _in_turn(self.ranking, centres, self.pairs, turn=0))
+    def choose(self, regions: Sequence[Floats]) -> Ints:
+        return _in_turn(self.ranking, [anchors.mean(axis=0) for anchors in regions], self.pairs, turn=0)
 
 
 def _in_turn(ranking: Ranking, positions: Sequence[Floats], count: int, turn: int) -> Ints:

@@ -100,8 +100,7 @@ class LayoutSearch:
         i, j = all_pairs(n_elec).T
         a, b = chosen[i], chosen[j]
         columns = self._products[a, a] + self._products[b, b] - 2 * self._products[a, b]  # (n_pairs, n_places, 4)
-        scale = self._prior.effect
-        columns = np.moveaxis(columns, 0, 1) * scale
+        columns = np.moveaxis(columns, 0, 1) * self._prior.effect
         information = columns.swapaxes(1, 2) @ (self._gram(n_elec) @ columns) + np.linalg.inv(self._prior.covariance())
         return np.asarray(np.sqrt(np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2)))
 
@@ -157,16 +156,13 @@ class LayoutSearch:
 
     def _farthest(self, taken: list[int], among: Ints) -> int:
         """The orbit whose closest electrode, of itself or of those taken, is farthest; the rim's first."""
-        best, apart = -1, -1.0
-        for k in among:
-            if k in taken:
-                continue
-            points = self.sites[np.concatenate([self.orbits[m] for m in [*taken, int(k)]])]
+
+        def apart(k: int) -> float:
+            points = self.sites[np.concatenate([self.orbits[m] for m in [*taken, k]])]
             gaps = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(len(points), np.inf))
-            nearest = float(gaps.min(initial=1e9)) + (1e-6 if self.on_rim[self.orbits[k][0]] else 0.0)
-            if nearest > apart:
-                best, apart = int(k), nearest
-        return best
+            return float(gaps.min(initial=1e9)) + (1e-6 if self.on_rim[self.orbits[k][0]] else 0.0)
+
+        return max((int(k) for k in among if k not in taken), key=apart)
 
     def _exchanged(self, orbits: list[int]) -> tuple[float, Ints]:
         score, kept, at = self._score(orbits), 0, 0

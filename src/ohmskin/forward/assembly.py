@@ -14,26 +14,23 @@ from ohmskin.forward.quadrature import ElectrodeQuadrature, quadratures
 from ohmskin.geometry import Electrodes, Mesh
 
 
-def stiffness(mesh: Mesh, conductivity: Floats) -> sp.csc_array:
+def stiffness(mesh: Mesh, conductivity: Floats, gradients: Floats | None = None) -> sp.csc_array:
     """The conductance matrix K (n_nodes, n_nodes) of the skin, K_ij = sum_e |e| grad(N_i) . sigma_e grad(N_j) (S).
 
     Args:
         mesh: Triangles or tetrahedra, in any space.
-        conductivity: (n_elem,), or (n_elem, dim, dim) tensors in the coordinates of the nodes; of a sheet in siemens
-            (per square), of a thick skin in siemens per metre.
+        conductivity: (n_elem,); of a sheet in siemens (per square), of a thick skin in siemens per metre.
+        gradients: Of the shape functions, in coordinates in which the skin is isotropic; the mesh's unless given.
     """
-    stencil = mesh.stencil
-    values = np.zeros(len(stencil.indices))
-    if conductivity.ndim == 1:
-        fill(stencil.slots, mesh.gradients, conductivity * mesh.measures, values)
-    else:
-        np.add.at(values, stencil.slots, local_stiffness(mesh, conductivity))
-    return sp.csc_array((values, stencil.indices, stencil.indptr), shape=(mesh.n_nodes, mesh.n_nodes))
+    indptr, indices, slots = mesh.stencil
+    values = np.zeros(len(indices))
+    fill(slots, mesh.gradients if gradients is None else gradients, conductivity * mesh.measures, values)
+    return sp.csc_array((values, indices, indptr), shape=(mesh.n_nodes, mesh.n_nodes))
 
 
 @njit(cache=True, nogil=True)
 def fill(slots: NDArray[np.int32], gradients: Floats, weights: Floats, values: Floats) -> None:
-    """Add weights_e grad(N_i).grad(N_j) of every element to the entries of `slots`. Twin of `local_stiffness`."""
+    """Add weights_e grad(N_i).grad(N_j) of every element to the entries of `slots`."""
     n_elem, corners, dim = gradients.shape
     for e in range(n_elem):
         for i in range(corners):
@@ -44,12 +41,19 @@ def fill(slots: NDArray[np.int32], gradients: Floats, weights: Floats, values: F
                 values[slots[e, i, j]] += weights[e] * product
 
 
-def local_stiffness(mesh: Mesh, conductivity: Floats, elements: Ints | slice = slice(None)) -> Floats:
-    """The part (n, dim + 1, dim + 1) of each of given elements in the conductance matrix (siemens); see `stiffness`."""
-    gradients = mesh.gradients[elements]
-    tensors = conductivity if conductivity.ndim == 3 else conductivity[:, None, None] * np.eye(gradients.shape[2])
-    flux = np.einsum("ecd,ejd->ejc", tensors, gradients)
-    return np.asarray(np.einsum("eik,ejk->eij", gradients, flux) * mesh.measures[elements][:, None, None])
+def local_stiffness(gradients: Floats, weights: Floats, elements: Ints) -> tuple[Ints, Floats]:
+    """What elements (n,) add to the conductance matrix: the nodes (m,) concerned and the matrix (m, m) in siemens.
+
+    Args:
+        gradients: (n, dim + 1, d) of their shape functions, in coordinates in which the skin is isotropic (1/m).
+        weights: (n,) conductivity times area or volume of each.
+        elements: (n, dim + 1) nodes of each.
+    """
+    nodes, at = np.unique(elements, return_inverse=True)
+    at, count = at.reshape(elements.shape).astype(np.int32), len(nodes)
+    values = np.zeros(count**2)
+    fill(at[:, :, None] * count + at[:, None, :], gradients, weights, values)
+    return nodes, values.reshape(count, count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +67,11 @@ class System:
     Args:
         matrix: (n_unknowns, n_unknowns) in siemens; constants are its null space.
         terminals: (n_elec,) the unknown that is each electrode's potential.
-        quadratures: That of each area electrode, by its number.
         places: (n_unknowns, dim of space) where each unknown is (m).
     """
 
     matrix: sp.csc_array
     terminals: Ints
-    quadratures: dict[int, ElectrodeQuadrature]
     places: Floats
 
     def elimination(self, known: Elimination | None = None) -> Elimination:
@@ -84,17 +86,21 @@ class System:
 
 
 def assemble(
-    mesh: Mesh, electrodes: Electrodes, conductivity: Floats, touching: dict[int, ElectrodeQuadrature] | None = None
+    mesh: Mesh,
+    electrodes: Electrodes,
+    conductivity: Floats,
+    touching: dict[int, ElectrodeQuadrature] | None = None,
+    gradients: Floats | None = None,
 ) -> System:
-    """The system of a skin and its electrodes; conductivity as in `stiffness`, contacts `touching` if known."""
+    """The system of a skin and its electrodes; skin as in `stiffness`, contacts `touching` if known."""
     touching = quadratures(mesh, electrodes) if touching is None else touching
     points = [k for k in range(len(electrodes)) if k not in touching]
     terminals = np.empty(len(electrodes), np.int64)
     terminals[points] = mesh.nodes_at(electrodes.positions[points])
     terminals[list(touching)] = mesh.n_nodes + np.arange(len(touching))
-    system = stiffness(mesh, conductivity)
+    system = stiffness(mesh, conductivity, gradients)
     if not touching:
-        return System(system, terminals, touching, mesh.nodes)
+        return System(system, terminals, mesh.nodes)
     loads, totals = [], []
     for k, contact in touching.items():
         joint = contact.weights / electrodes.contact_impedances[k]
@@ -105,7 +111,7 @@ def assemble(
     load = sp.vstack(loads)
     places = np.vstack([mesh.nodes, electrodes.positions[list(touching)]])
     matrix = sp.block_array([[system, -load.T], [-load, sp.diags_array(totals)]], format="csc")
-    return System(matrix, terminals, touching, places)
+    return System(matrix, terminals, places)
 
 
 def factorise(matrix: sp.csc_array, places: Floats | None = None) -> Factor | SuperLU:

@@ -12,7 +12,6 @@ from ohmskin.forward.transfer import TransferModel
 from ohmskin.scan import DrivePattern
 
 BACKGROUNDS = {"scale": 0, "linear": 1, "quadratic": 2}  # degree of the polynomial that the log-conductivity changes by
-CONTACTS = ("keep", "common", "each")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,18 +78,18 @@ def fit_background(
         ModelError: If an option is unknown, the data do not determine a parameter, or the fit does not converge.
     """
     basis, names = _basis(model, background)
-    if contacts not in CONTACTS:
-        raise ModelError(f"contacts is {contacts!r}; choose from {', '.join(CONTACTS)}")
     areas = np.flatnonzero(model.electrodes.are_areas)
+    own = np.eye(len(model.electrodes))[:, areas]
+    kinds = {
+        "keep": (own[:, :0], ()),
+        "common": (own.sum(axis=1, keepdims=True), ("contacts",)),
+        "each": (own, tuple(f"contact {k}" for k in areas)),
+    }
+    if contacts not in kinds:
+        raise ModelError(f"contacts is {contacts!r}; choose from {', '.join(kinds)}")
     if contacts != "keep" and not len(areas):
         raise ModelError("point electrodes have no contact impedance to fit; use contacts='keep', or area electrodes")
-    spread = np.zeros((len(model.electrodes), {"keep": 0, "common": 1, "each": len(areas)}[contacts]))
-    if contacts == "each":
-        spread[areas, np.arange(len(areas))] = 1.0
-        names = (*names, *(f"contact {k}" for k in areas))
-    elif contacts == "common":
-        spread[areas, 0] = 1.0
-        names = (*names, "contacts")
+    spread, names = kinds[contacts][0], names + kinds[contacts][1]
     measured = np.asarray(voltages, float)
     if measured.shape != (pattern.n_meas,):
         raise ModelError(f"voltages have shape {measured.shape}; the pattern needs ({pattern.n_meas},)")

@@ -1,7 +1,5 @@
 """Conductivity as given, checked: one value, one per element, or tensors."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,29 +8,15 @@ from ohmskin.errors import ModelError
 from ohmskin.geometry import Mesh
 
 
-@dataclass(frozen=True, eq=False)
-class Conductivity:
-    """The conductivity of each element: how much, and in which directions.
-
-    Args:
-        values: (n_elem,) geometric mean of the principal conductivities; of a sheet in siemens (per square), of a
-            thick skin in siemens per metre.
-        shape: (n_elem, dim, dim) tensors of determinant 1 that `values` multiplies; None if isotropic.
-    """
-
-    values: Floats
-    shape: Floats | None = None
-
-    @property
-    def tensors(self) -> Floats:
-        """(n_elem,) values or (n_elem, dim, dim) tensors, as assembly takes them."""
-        return self.values if self.shape is None else self.values[:, None, None] * self.shape
-
-
-def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
+def conductivity_of(mesh: Mesh, given: ArrayLike) -> tuple[Floats, Floats | None]:
     """Check what was given: one value, (n_elem,) values, one (dim, dim) tensor or (n_elem, dim, dim) tensors.
 
     Tensors are in the coordinates of the nodes; on a surface in space only their part tangential to it counts.
+
+    Returns:
+        (n_elem,) geometric mean of the principal conductivities; of a sheet in siemens (per square), of a thick skin in
+            siemens per metre. For tensors also roots (n_elem, dim of space, dim): root root^T has determinant 1, and
+            the mean times it is the tensor.
 
     Raises:
         ModelError: If a value is not positive, a tensor not symmetric positive definite, or the shape is wrong.
@@ -46,7 +30,7 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
         if len(bad := np.flatnonzero(~(np.isfinite(sigma) & (sigma > 0)))):
             one = f"conductivity of {mesh.noun} {bad[0]} is {sigma[bad[0]]}"
             raise ModelError(f"{one}; it must be positive ({_unit(mesh)})")
-        return Conductivity(sigma)
+        return sigma, None
     if sigma.shape != (n, dim, dim):
         tensors = f"tensors ({dim}, {dim}) or ({n}, {dim}, {dim})"
         one_each = f"one value or ({n},), one per {mesh.noun}"
@@ -60,12 +44,12 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> Conductivity:
     frames = np.linalg.qr(edges.transpose(0, 2, 1))[0]
     with np.errstate(invalid="ignore"):
         within = np.einsum("eda,edc,ecb->eab", frames, np.where(finite[:, None, None], sigma, -1), frames)
-        principal = np.linalg.eigvalsh(within)
+        principal, directions = np.linalg.eigh(within)
     if len(bad := np.flatnonzero(~(finite & symmetric & (principal[:, 0] > 0)))):
         tensor = f"conductivity tensor of {mesh.noun} {bad[0]} is {sigma[bad[0]].tolist()}"
         raise ModelError(f"{tensor}; it must be symmetric positive definite ({_unit(mesh)})")
     values = np.exp(np.log(principal).mean(axis=1))
-    return Conductivity(values, sigma / values[:, None, None])
+    return values, frames @ (directions * np.sqrt(principal / values[:, None])[:, None])
 
 
 def _unit(mesh: Mesh) -> str:

@@ -17,7 +17,7 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
     n, dim = places.shape
     order = np.array([v for v in range(n) if v != without])
     count = len(order)
-    buffer, part_of, parent = np.empty(count, np.int64), np.full(n, -1), np.empty(2 * count + 1, np.int64)
+    buffer, part_of, parent = np.empty_like(order), np.full(n, -1), np.empty(2 * count + 1, np.int64)
     low_of, high_of, above = np.empty(count + 1, np.int64), np.empty(count + 1, np.int64), np.empty(count + 1, np.int64)
     low_of[0], high_of[0], above[0] = 0, count, -1
     waiting, parts = 1, 0
@@ -55,13 +55,8 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
             low_of[waiting], high_of[waiting], above[waiting] = first, last, part
             waiting += 1
     # the edges across each cut, in a linked list
-    left, right, following = (
-        np.empty(len(indices), np.int64),
-        np.empty(len(indices), np.int64),
-        np.empty(len(indices), np.int64),
-    )
-    newest = np.full(parts, -1)
-    edges = 0
+    left, right, following = np.empty_like(indices), np.empty_like(indices), np.empty_like(indices)
+    newest, edges = np.full(parts, -1), 0
     for v in range(n):
         for at in range(indptr[v], indptr[v + 1]):
             one, other = part_of[v], part_of[indices[at]]

@@ -166,13 +166,9 @@ class VoltageSource:
 
         J_V = I (J_m - R_m / (R_pair + resistance) J_pair). Times `TransferModel.pair_sensitivity` it is dV/dsigma.
         """
-        currents = self.currents(model, pattern)
-        n_elec, which = len(model.electrodes), pattern.measurements[:, 0]
-        share = model.voltages(pattern) * currents[which] / self.amplitude
-        a, b = pattern.injections.T
-        own = DrivePattern(pattern.injections, np.column_stack([np.arange(pattern.n_inj), a, b])).combination(n_elec)
-        rows: Floats = pattern.combination(n_elec).toarray() - share[:, None] * own.toarray()[which]
-        return rows * currents[which, None]
+        nothing = np.zeros(pattern.n_meas)
+        known = self.unmeasured(model, Difference(pattern, nothing, nothing))
+        return np.asarray(known.combination(len(model.electrodes)).toarray() * known.currents[:, None])
 
     def unmeasured(self, model: TransferModel, difference: Difference) -> Difference:
         """A difference whose currents were not measured but taken from `currents`, with the effect of source loading.

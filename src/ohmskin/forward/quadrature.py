@@ -1,6 +1,7 @@
 """Where area electrodes touch the skin: quadratures over discs on it and over stretches of its rim."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -9,6 +10,8 @@ from scipy.spatial import cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry import ElectrodeKind, Electrodes, Mesh
+from ohmskin.geometry.mesh import normals
+from ohmskin.geometry.polygon import ClosedLine
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,21 +41,19 @@ def quadratures(mesh: Mesh, electrodes: Electrodes) -> dict[int, ElectrodeQuadra
     if electrodes.positions.shape[1] != mesh.nodes.shape[1]:
         counts = f"electrodes have {electrodes.positions.shape[1]} coordinates, mesh nodes {mesh.nodes.shape[1]}"
         raise GeometryError(f"{counts}; move both with mapped()")
+    numbers = {kind: [k for k, own in enumerate(electrodes.kinds) if own == kind] for kind in ElectrodeKind}
+    places, extents = electrodes.positions, electrodes.extents.tolist()
     found: dict[int, ElectrodeQuadrature] = {}
-    by_kind = {kind: [k for k, own in enumerate(electrodes.kinds) if own == kind] for kind in ElectrodeKind}
-    if by_kind[ElectrodeKind.RIM]:
+    if numbers[ElectrodeKind.RIM]:
         rim = Rim(mesh)
-        for k in by_kind[ElectrodeKind.RIM]:
-            found[k] = rim.contact(electrodes.positions[k], float(electrodes.extents[k]), k)
-        rim.check_overlap()
-    on_flat = mesh.nodes.shape[1] == 2
-    surface = Surface(mesh) if by_kind[ElectrodeKind.DISC] and not on_flat else None
-    for k in by_kind[ElectrodeKind.DISC]:
-        centre, radius = electrodes.positions[k], float(electrodes.extents[k])
-        contact = flat_disc(mesh, centre, radius) if surface is None else surface.disc(centre, radius)
-        if not len(contact.weights):
-            raise GeometryError(f"electrode {k}, a disc of {radius:g} m at {centre}, does not lie on the mesh; move it")
-        found[k] = contact
+        found |= {k: rim.contact(places[k], extents[k], k) for k in numbers[ElectrodeKind.RIM]}
+    if numbers[ElectrodeKind.DISC]:
+        disc = partial(flat_disc, mesh) if mesh.nodes.shape[1] == 2 else Surface(mesh).disc
+        for k in numbers[ElectrodeKind.DISC]:
+            found[k] = disc(places[k], extents[k])
+            if not len(found[k].weights):
+                which = f"electrode {k}, a disc of {extents[k]:g} m at {places[k]}"
+                raise GeometryError(f"{which}, does not lie on the mesh; move it")
     return found
 
 
@@ -80,11 +81,7 @@ def flat_disc(mesh: Mesh, centre: Floats, radius: float) -> ElectrodeQuadrature:
 
 
 class Surface:
-    """The triangles that can be touched: those of a surface in space, or the faces of a thick skin.
-
-    Args:
-        mesh: A mesh in space.
-    """
+    """The triangles of a mesh in space that can be touched: those of a surface, or the faces of a thick skin."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
@@ -103,17 +100,17 @@ class Surface:
         if not len(near):
             return ElectrodeQuadrature(sp.csr_array((0, self.mesh.n_nodes)), np.empty(0))
         corners = self.mesh.nodes[self.triangles[near]]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        measures = np.linalg.norm(normals, axis=1) / 2
+        across = normals(self.mesh.nodes, self.triangles[near])
+        measures = np.linalg.norm(across, axis=1) / 2
         distance, _ = closest_on_triangles(centre[None], corners)
         first = int(distance[0].argmin())
         middle = np.flatnonzero(distance[0] <= distance[0, first] + 1e-9 * radius)
-        units = normals / (2 * measures[:, None])
+        units = across / (2 * measures[:, None])
         found: list[ElectrodeQuadrature] = []
         while len(middle):  # at an edge of a body several faces meet; the disc lies on the one that has most of it
             along = units[middle] @ units[middle[0]]
             own = np.abs(along) > 0.7
-            normal = (normals[middle] * np.sign(along)[:, None])[own].sum(axis=0)
+            normal = (across[middle] * np.sign(along)[:, None])[own].sum(axis=0)
             normal /= np.linalg.norm(normal)
             found.append(self._across(centre, radius, normal, near, float(np.sqrt(measures[middle[0]]))))
             middle = middle[~own]
@@ -124,55 +121,39 @@ class Surface:
 
     def _across(self, centre: Floats, radius: float, normal: Floats, near: Ints, spacing: float) -> ElectrodeQuadrature:
         """A disc across `normal`, pressed on the triangles `near`; what hangs over an edge is cut off."""
-        corners = self.mesh.nodes[self.triangles[near]]
         first_axis = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         first_axis /= np.linalg.norm(first_axis)
         frame = np.stack([first_axis, np.cross(normal, first_axis)])
         points, areas = disc_points(radius, spacing)
         points = centre + points @ frame
-        chosen, weights = self._project(points, corners)
-        landed = np.einsum("pk,pkd->pd", weights, corners[chosen])
-        offset = points - landed
+        nodes, weights, _ = self.project(points, near)
+        offset = points - np.einsum("pk,pkd->pd", weights, self.mesh.nodes[nodes])
         sideways = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1)
         inside = sideways <= np.abs(offset @ normal) + 1e-9 * radius
-        count = int(inside.sum())
-        column = self.triangles[near[chosen[inside]]].ravel()
-        entries = (weights[inside].ravel(), (np.repeat(np.arange(count), 3), column))
-        return ElectrodeQuadrature(sp.csr_array(entries, shape=(count, self.mesh.n_nodes)), areas[inside])
+        return ElectrodeQuadrature(self.mesh.weighted(nodes[inside], weights[inside]), areas[inside])
 
-    def project(self, points: Floats) -> tuple[Ints, Floats, Floats]:
-        """The closest surface point of each point (n, 3): triangle (n,), barycentric coordinates (n, 3), distance (n,).
+    def project(self, points: Floats, among: Ints | None = None) -> tuple[Ints, Floats, Floats]:
+        """The closest surface point of each point (n, 3): nodes (n, 3), barycentric coordinates (n, 3), distance (n,).
 
-        Looks at the 24 triangles with the closest centroids; meant for meshes without slivers.
+        Looks at the triangles `among` (m,), or at the 24 with the closest centroids, which serves without slivers.
         """
-        near = self._tree.query(points, k=min(24, len(self.triangles)))[1].reshape(len(points), -1)
         chosen, weights, distance = np.empty(len(points), np.int64), np.empty((len(points), 3)), np.empty(len(points))
-        for start in range(0, len(points), 4096):  # in blocks, to save memory
-            block = slice(start, min(start + 4096, len(points)))
-            away, barycentric = closest_on_triangles(points[block], self.mesh.nodes[self.triangles[near[block]]])
+        size = 4096 if among is None else 64
+        for start in range(0, len(points), size):  # in blocks, to save memory
+            block = slice(start, start + size)
+            count = min(24, len(self.triangles))
+            near = among if among is not None else self._tree.query(points[block], k=range(1, count + 1))[1]
+            away, barycentric = closest_on_triangles(points[block], self.mesh.nodes[self.triangles[near]])
             row, best = np.arange(len(away)), away.argmin(axis=1)
-            chosen[block], weights[block] = near[block][row, best], barycentric[row, best]
-            distance[block] = away[row, best]
-        return chosen, weights, distance
-
-    @staticmethod
-    def _project(points: Floats, corners: Floats) -> tuple[Ints, Floats]:
-        """The triangle (n,) closest to each point, of all given, and the barycentric coordinates (n, 3) there."""
-        chosen, weights = np.empty(len(points), np.int64), np.empty((len(points), 3))
-        for start in range(0, len(points), 64):  # in blocks, to save memory
-            block = slice(start, min(start + 64, len(points)))
-            distance, barycentric = closest_on_triangles(points[block], corners)
-            chosen[block] = distance.argmin(axis=1)
-            weights[block] = barycentric[np.arange(len(distance)), chosen[block]]
-        return chosen, weights
+            chosen[block] = np.broadcast_to(near, away.shape)[row, best]
+            weights[block], distance[block] = barycentric[row, best], away[row, best]
+        return self.triangles[chosen], weights, distance
 
 
 def closest_on_triangles(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
     """Distances (n, m) of points (n, 3) from triangles, and barycentric coordinates (n, m, 3) of the closest points.
 
-    Args:
-        points: (n, 3).
-        corners: (m, 3, 3) of the same triangles for all, or (n, m, 3, 3).
+    The corners are (m, 3, 3) of the same triangles for all, or (n, m, 3, 3).
     """
     corners = corners if corners.ndim == 4 else corners[None]
     edges = corners[:, :, 1:] - corners[:, :, :1]
@@ -195,10 +176,7 @@ def closest_on_triangles(points: Floats, corners: Floats) -> tuple[Floats, Float
 
 
 class Rim:
-    """The rim of a sheet as closed walks along its edges.
-
-    Args:
-        mesh: Triangles, flat or in space.
+    """The rim of a sheet, flat or in space, as closed walks along its edges.
 
     Raises:
         GeometryError: If the mesh is not a sheet, has no rim, or its rim touches itself.
@@ -211,43 +189,26 @@ class Rim:
             raise GeometryError("the surface is closed and has no rim; use Electrodes.with_discs()")
         self.mesh = mesh
         self._walks = _walks(mesh.boundary)
-        self._knots = []
-        for walk in self._walks:
-            steps = np.linalg.norm(np.diff(mesh.nodes[walk], axis=0), axis=1)
-            self._knots.append(np.concatenate([[0.0], np.cumsum(steps)]))
+        self._lines = [ClosedLine(mesh.nodes[walk]) for walk in self._walks]
         self._taken: list[tuple[int, float, float, int]] = []
 
     def contact(self, centre: Floats, length: float, number: int) -> ElectrodeQuadrature:
         """The stretch of `length` (m) about the point of the rim that is closest to `centre`."""
-        best = (np.inf, 0, 0.0)
-        for k, walk in enumerate(self._walks):
-            points, knots = self.mesh.nodes[walk], self._knots[k]
-            step = np.diff(points, axis=0)
-            share = np.clip(np.einsum("sd,sd->s", centre - points[:-1], step) / np.sum(step**2, axis=1), 0.0, 1.0)
-            distance = np.linalg.norm(points[:-1] + share[:, None] * step - centre, axis=1)
-            side = int(distance.argmin())
-            arc = float(knots[side] + share[side] * (knots[side + 1] - knots[side]))
-            best = min(best, (float(distance[side]), k, arc))
-        distance_off, k, arc = best
-        walk, knots = self._walks[k], self._knots[k]
-        if distance_off > length / 2:
-            away = f"electrode {number} at {centre} is {distance_off:.3g} m off the rim"
+        closest = [line.closest(centre[None]) for line in self._lines]
+        off, k, arc = min((float(away[0]), k, float(at[0])) for k, (away, at) in enumerate(closest))
+        walk, knots = self._walks[k], self._lines[k].knots
+        if off > length / 2:
+            away = f"electrode {number} at {centre} is {off:.3g} m off the rim"
             raise GeometryError(f"{away}; move it or use with_discs()")
         if length > knots[-1]:
             raise GeometryError(f"electrode {number} is {length:.3g} m long, its rim {knots[-1]:.3g} m; shorten it")
+        for walk_taken, other_arc, other_length, other in self._taken:
+            apart = abs((arc - other_arc + knots[-1] / 2) % knots[-1] - knots[-1] / 2)
+            if walk_taken == k and apart < (length + other_length) / 2 - 1e-9 * knots[-1]:
+                both = f"electrodes {other} and {number} overlap: {apart:.3g} m apart on the rim"
+                raise GeometryError(f"{both} with lengths {other_length:.3g} and {length:.3g} m; make them shorter")
         self._taken.append((k, arc, length, number))
         return self._stretch(walk, knots, arc - length / 2, arc + length / 2)
-
-    def check_overlap(self) -> None:
-        """Raise GeometryError if two of the stretches asked for overlap."""
-        for i, (walk, arc, length, number) in enumerate(self._taken):
-            for other_walk, other_arc, other_length, other in self._taken[:i]:
-                around = self._knots[walk][-1]
-                apart = abs((arc - other_arc + around / 2) % around - around / 2)
-                if walk == other_walk and apart < (length + other_length) / 2 - 1e-9 * around:
-                    lengths = f"{other_length:.3g} and {length:.3g} m; make them shorter"
-                    both = f"electrodes {other} and {number} overlap: {apart:.3g} m apart on the rim"
-                    raise GeometryError(f"{both} with lengths {lengths}")
 
     def _stretch(self, walk: Ints, knots: Floats, start: float, end: float) -> ElectrodeQuadrature:
         """Two Gauss points on each edge or part of an edge: exact for products of linear functions."""
@@ -260,33 +221,27 @@ class Rim:
         centre = (np.mod(middle, around) - knots[side]) / step
         offset = half / step / np.sqrt(3)
         share = np.concatenate([centre - offset, centre + offset])
-        row = np.arange(len(share))
-        column = np.concatenate([walk[side], walk[side], walk[side + 1], walk[side + 1]])
-        entries = (np.concatenate([1 - share, share]), (np.concatenate([row, row]), column))
-        at = sp.csr_array(entries, shape=(len(share), self.mesh.n_nodes))
+        nodes = np.column_stack([walk[side], walk[side + 1]])
+        at = self.mesh.weighted(np.tile(nodes, (2, 1)), np.column_stack([1 - share, share]))
         return ElectrodeQuadrature(at, np.concatenate([half, half]))
 
 
 def _walks(edges: Ints) -> list[Ints]:
-    """Closed walks along edges (n, 2), each as node numbers with the first repeated at its end."""
+    """Closed walks along edges (n, 2), each as node numbers with the first repeated at its end.
+
+    They begin in the direction of their first edge, which is counterclockwise round a flat sheet.
+    """
     beside: dict[int, list[int]] = {}
     for a, b in edges.tolist():
         beside.setdefault(a, []).append(b)
         beside.setdefault(b, []).append(a)
     if pinched := [node for node, others in beside.items() if len(others) != 2]:
         raise GeometryError(f"the rim touches itself at node {pinched[0]}; part the mesh there")
-    walks, left = [], dict.fromkeys(edges[:, 0].tolist() + edges[:, 1].tolist())
-    while left:
-        first = next(iter(left))
-        # in the direction of its edge, which is counterclockwise round a flat sheet
-        walk = [first]
-        previous, here = None, first
-        while True:
-            left.pop(here, None)
-            ahead = [node for node in beside[here] if node != previous] or [first]
-            previous, here = here, ahead[0]
-            walk.append(here)
-            if here == first:
-                break
+    walks = []
+    while beside:
+        walk = [next(iter(beside))]
+        while walk[-1] in beside:
+            ahead = [node for node in beside.pop(walk[-1]) if node in beside]
+            walk.append(ahead[0] if ahead else walk[0])
         walks.append(np.array(walk, np.int64))
     return walks

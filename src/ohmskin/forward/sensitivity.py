@@ -5,43 +5,23 @@ and j depends on the conductivity of an element e as dR_ij/dsigma_e = -|e| |E_i 
 """
 
 import numpy as np
-import scipy.sparse as sp
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.geometry import Mesh
-from ohmskin.scan import all_pairs
-from ohmskin.scan.pairs import n_pairs
 
 _BLOCK = 128  # elements whose fields are kept in the fastest cache
 
 
-def pair_sensitivity(mesh: Mesh, potentials: Floats, shape: Floats | None = None) -> Floats:
-    """dR_ij/dsigma (n_pairs, n_elem) in ohm/siemens.
-
-    Args:
-        mesh: The skin.
-        potentials: (n_nodes, n_elec) for 1 A into each electrode and out of the first (V).
-        shape: (n_elem, dim, dim) tensors of which the conductivity is the factor; None if isotropic.
-    """
-    if shape is None:
-        sensitivity = np.empty((n_pairs(potentials.shape[1]), mesh.n_elem))
-        fill_pairs(mesh.elements, mesh.gradients, mesh.measures, potentials, sensitivity)
-        return sensitivity
-    field = np.einsum("ekd,ekl->led", mesh.gradients, potentials[mesh.elements])
-    flux = np.einsum("ecd,led->lec", shape, field)
-    i, j = all_pairs(potentials.shape[1]).T
-    sensitivity = np.empty((len(i), mesh.n_elem))
-    for first in range(potentials.shape[1] - 1):
-        rows = np.flatnonzero(i == first)
-        difference, other = field[first] - field[j[rows]], flux[first] - flux[j[rows]]
-        sensitivity[rows] = -np.einsum("ped,ped->pe", difference, other) * mesh.measures
-    return sensitivity
-
-
 @njit(cache=True, nogil=True, fastmath=True)
 def fill_pairs(elements: Ints, gradients: Floats, measures: Floats, potentials: Floats, sensitivity: Floats) -> None:
-    """`pair_sensitivity` of an isotropic skin, block by block; twin of its last loop."""
+    """dR_ij/dsigma (n_pairs, n_elem) in ohm/siemens, to `sensitivity`, block by block.
+
+    Args:
+        elements: (n_elem, dim + 1) nodes of each.
+        gradients: (n_elem, dim + 1, d) of the shape functions, in coordinates in which the skin is isotropic (1/m).
+        measures: (n_elem,) areas (m2) or volumes (m3).
+        potentials: (n_nodes, n_elec) for 1 A into each electrode and out of the first (V).
+    """
     n_elem, corners, dim = gradients.shape
     n_elec = potentials.shape[1]
     field = np.empty((n_elec, dim, _BLOCK))
@@ -75,32 +55,18 @@ def fill_pairs(elements: Ints, gradients: Floats, measures: Floats, potentials: 
                 pair += 1
 
 
-def grouped_sensitivity(mesh: Mesh, potentials: Floats, shares: sp.csc_array) -> Floats:
-    """dR_ij (n_pairs, n_groups) when element e changes by `shares`[e, g] siemens: sensitivity @ shares.
-
-    The sensitivity of single elements is never stored, which for many electrodes and elements no memory would hold:
-    each group takes a product of a matrix (n_elec, n_fields) with its transpose. Isotropic skins only.
-
-    Args:
-        mesh: The skin.
-        potentials: (n_nodes, n_elec) for 1 A into each electrode and out of the first (V).
-        shares: (n_elem, n_groups) sparse, not negative.
-    """
-    grouped = np.zeros((n_pairs(potentials.shape[1]), shares.shape[1]))
-    columns = sp.csc_array(shares)
-    fill_groups(
-        mesh.elements, mesh.gradients, mesh.measures, potentials,
-        columns.indptr.astype(np.int64), columns.indices.astype(np.int64), columns.data, grouped,
-    )  # fmt: skip
-    return grouped
-
-
 @njit(cache=True, nogil=True)
 def fill_groups(
     elements: Ints, gradients: Floats, measures: Floats, potentials: Floats,
     indptr: Ints, indices: Ints, shares: Floats, grouped: Floats,
 ) -> None:  # fmt: skip
-    """`grouped_sensitivity`; eight groups at a time, so that rows of the result are written in lines of the cache."""
+    """dR_ij (n_pairs, n_groups) when groups of elements change by `shares` siemens each, to `grouped`, zero before.
+
+    The sensitivity of single elements is never stored, which for many electrodes and elements no memory would hold:
+    each group takes a product of a matrix (n_elec, n_fields) with its transpose. Eight groups at a time, so that rows
+    of the result are written in lines of the cache. Skin as in `fill_pairs`; shares in compressed columns (n_elem,
+    n_groups), not negative.
+    """
     corners, dim = gradients.shape[1], gradients.shape[2]
     n_elec, n_groups = potentials.shape[1], len(indptr) - 1
     grams = np.empty((8, n_elec, n_elec))

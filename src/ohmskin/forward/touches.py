@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import local_stiffness
-from ohmskin.forward.tiles import eliminate_dense
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 
@@ -35,7 +34,6 @@ class TouchTable:
         touches: Elements (n,) of each place; all of a place change by the same factor.
 
     Attributes:
-        model: The untouched skin.
         coupling: Y (n_places, n_modes, n_elec) of each place, those felt from outside first, rows of zeros at the end.
         spread: a (n_places, n_modes).
 
@@ -44,8 +42,7 @@ class TouchTable:
     """
 
     def __init__(self, model: TransferModel, touches: Sequence[ArrayLike]) -> None:
-        mesh = model.mesh
-        chosen = [np.asarray(touch) for touch in touches]
+        mesh, chosen = model.mesh, [np.asarray(touch) for touch in touches]
         for k, elements in enumerate(chosen):
             good = elements.ndim == 1 and elements.dtype.kind in "iu" and len(elements) == len(np.unique(elements)) > 0
             if not good or elements.min() < 0 or elements.max() >= mesh.n_elem:
@@ -55,30 +52,20 @@ class TouchTable:
         self.model = model
         update = LocalUpdate(model, np.unique(np.concatenate([mesh.elements[elements].ravel() for elements in chosen])))
         self._green = update.green
-        found = [self._modes_of(update, elements) for elements in chosen]
-        most = max(len(spread) for spread, _, _, _, _ in found)
-        widest = max(len(nodes) for _, _, _, nodes, _ in found)
+        modes = [self._modes_of(update, elements) for elements in chosen]
         member = np.zeros((len(chosen), mesh.n_elem), np.float32)
         for k, elements in enumerate(chosen):
             member[k, elements] = 1
         self._overlap = member @ member.T > 0
-        self.spread: Floats = np.zeros((len(found), most))
-        self.coupling: Floats = np.zeros((len(found), most, len(model.electrodes)))
-        self._basis: Floats = np.zeros((len(found), most, widest))
-        self._nodes: Ints = np.zeros((len(found), widest), np.int64)
-        self._felt: Ints = np.array([felt for _, _, _, _, felt in found])
-        self._all: Ints = np.array([len(spread) for spread, _, _, _, _ in found])
-        for k, (spread, coupling, basis, nodes, _) in enumerate(found):
-            self.spread[k, : len(spread)], self.coupling[k, : len(spread)] = spread, coupling
-            self._basis[k, : len(spread), : len(nodes)], self._nodes[k, : len(nodes)] = basis, nodes
+        self._all: Ints = np.array([len(spread) for spread, *_ in modes])
+        self._felt: Ints = np.array([felt for *_, felt in modes])
+        self.spread, self.coupling, self._basis, self._nodes = map(stacked, list(zip(*modes, strict=True))[:4])
 
     @staticmethod
     def _modes_of(update: LocalUpdate, elements: Ints) -> tuple[Floats, Floats, Floats, Ints, int]:
         mesh, model = update.model.mesh, update.model
-        nodes, at = np.unique(mesh.elements[elements], return_inverse=True)
-        at = at.reshape(len(elements), -1)
-        stiffness = np.zeros((len(nodes), len(nodes)))
-        np.add.at(stiffness, (at[:, :, None], at[:, None, :]), local_stiffness(mesh, model.tensors[elements], elements))
+        weights = model.conductivity[elements] * mesh.measures[elements]
+        nodes, stiffness = local_stiffness(model.gradients[elements], weights, mesh.elements[elements])
         strength, vectors = np.linalg.eigh(stiffness)
         kept = strength > 1e-12 * strength[-1]
         factor = (vectors[:, kept] * np.sqrt(strength[kept])).T
@@ -122,9 +109,7 @@ class TouchTable:
         if where.ndim != 2 or where.dtype.kind not in "iu" or where.shape != change.shape:
             raise ModelError(f"places and changes have shapes {where.shape} and {change.shape}; give both (n, k)")
         if where.size and not (where.min() >= -1 and where.max() < len(self)):
-            raise ModelError(
-                f"places {where.min()}..{where.max()}; there are {len(self)} (0..{len(self) - 1}), -1 for none"
-            )
+            raise ModelError(f"places {where.min()}..{where.max()}; there are {len(self)} (from 0), -1 for none")
         if not ((change >= 0) & (change < np.inf)).all():
             raise ModelError("a conductivity change is negative or not finite; use LocalUpdate to lower it")
         where, change = np.ascontiguousarray(where, dtype=np.int64), np.ascontiguousarray(change)
@@ -136,13 +121,18 @@ class TouchTable:
             known = (self._basis, self._nodes, self._felt, self._all, self._overlap, self._green)
             touched(untouched, self.coupling, self.spread, *known, where[share], change[share], out[share])
 
-        if threads == 1:
-            part(slice(None))
-            return out
         cuts = np.linspace(0, len(where), threads + 1).astype(int)
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(part, [slice(low, high) for low, high in pairwise(cuts)]))
         return out
+
+
+def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays of different lengths in one, the shorter ones filled up with zeros."""
+    whole = np.zeros((len(arrays), *np.max([array.shape for array in arrays], axis=0)), arrays[0].dtype)
+    for k, array in enumerate(arrays):
+        whole[k][tuple(slice(n) for n in array.shape)] = array
+    return whole
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -172,11 +162,8 @@ def touched(
         counts = felt
         for k in range(places.shape[1]):
             for other in range(k):
-                if (
-                    places[scene, k] >= 0
-                    and places[scene, other] >= 0
-                    and overlap[places[scene, k], places[scene, other]]
-                ):
+                one, two = places[scene, k], places[scene, other]
+                if one >= 0 and two >= 0 and overlap[one, two]:
                     counts = every
         size = 0
         for k in range(places.shape[1]):
@@ -202,12 +189,12 @@ def touched(
                 system[first : first + counts[p], second : second + counts[q]] = scale * between
                 second += counts[q]
             first += counts[p]
-        eliminate_dense(system, size, 32)
+        lower = np.linalg.cholesky(system)
         for i in range(size):
             for m in range(i):
                 for c in range(n_elec):
-                    load[i, c] -= system[i, m] * load[m, c]
-            load[i] /= system[i, i]
+                    load[i, c] -= lower[i, m] * load[m, c]
+            load[i] /= lower[i, i]
         here[:] = untouched - np.dot(load.T, load)
 
 

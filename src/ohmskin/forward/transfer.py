@@ -1,7 +1,7 @@
 """The forward model: from conductivity to what any drive pattern measures, and how that changes."""
 
-import copy
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,9 +11,9 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble
 from ohmskin.forward.cholesky import Elimination
-from ohmskin.forward.conductivity import Conductivity, conductivity_of
-from ohmskin.forward.quadrature import ElectrodeQuadrature
-from ohmskin.forward.sensitivity import grouped_sensitivity, pair_sensitivity
+from ohmskin.forward.conductivity import conductivity_of
+from ohmskin.forward.quadrature import quadratures
+from ohmskin.forward.sensitivity import fill_groups, fill_pairs
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.scan import DrivePattern, n_pairs, two_terminal
 
@@ -35,6 +35,7 @@ class TransferModel:
         potentials: (n_nodes, n_elec) potential for 1 A into each electrode and out of the first (V).
         electrode_potentials: (n_elec, n_elec) potential of each electrode (rows), likewise (V).
         quadratures: Where each area electrode touches the skin, by its number.
+        gradients: (n_elem, dim + 1, d) of the shape functions (1/m), in coordinates in which the skin is isotropic.
 
     Raises:
         ModelError: If the conductivity is not positive (a tensor: positive definite), or has the wrong shape.
@@ -42,40 +43,34 @@ class TransferModel:
     """
 
     def __init__(self, mesh: Mesh, electrodes: Electrodes, conductivity: ArrayLike) -> None:
-        self._solve(mesh, electrodes, conductivity_of(mesh, conductivity))
+        self.mesh, self.electrodes = mesh, electrodes
+        self.conductivity, self._root = conductivity_of(mesh, conductivity)
+        self.quadratures = quadratures(mesh, electrodes)
+        self._elimination: Elimination | None = None
+        self._solve()
 
-    def _solve(
-        self,
-        mesh: Mesh,
-        electrodes: Electrodes,
-        sigma: Conductivity,
-        touching: dict[int, ElectrodeQuadrature] | None = None,
-        known: Elimination | None = None,
-    ) -> None:
-        self.mesh, self.electrodes, self.conductivity, self._shape = mesh, electrodes, sigma.values, sigma.shape
-        system = assemble(mesh, electrodes, sigma.tensors, touching)
-        self._elimination = system.elimination(known)
-        load = np.zeros((system.matrix.shape[0], len(electrodes)))
-        load[system.terminals[1:], np.arange(1, len(electrodes))] = 1.0
+    def _solve(self) -> None:
+        mesh, n_elec = self.mesh, len(self.electrodes)
+        self.gradients = mesh.gradients if self._root is None else mesh.gradients @ self._root
+        system = assemble(mesh, self.electrodes, self.conductivity, self.quadratures, self.gradients)
+        self._elimination = system.elimination(self._elimination)
+        load = np.zeros((system.matrix.shape[0], n_elec))
+        load[system.terminals[1:], np.arange(1, n_elec)] = 1.0
         solution = self._elimination.factorise(system.matrix.data).solve(load)
         self.potentials: Floats = solution[: mesh.n_nodes]
         self.electrode_potentials: Floats = solution[system.terminals]
-        self.quadratures = system.quadratures
 
     def with_conductivity(self, conductivity: ArrayLike) -> "TransferModel":
         """The same skin with another conductivity. (n_elem,) values keep the directions of a sheet that has such."""
-        sigma = conductivity_of(self.mesh, conductivity)
-        other = object.__new__(TransferModel)
-        shape = self._shape if sigma.shape is None else sigma.shape
-        other._solve(self.mesh, self.electrodes, Conductivity(sigma.values, shape), self.quadratures, self._elimination)
+        values, root = conductivity_of(self.mesh, conductivity)
+        other = self._with(conductivity=values, _root=self._root if root is None else root)
+        other._solve()
         return other
 
     def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
         """The same skin with other contact impedances, see `Electrodes.with_contact_impedances`."""
-        other = object.__new__(TransferModel)
-        electrodes = self.electrodes.with_contact_impedances(values)
-        sigma = Conductivity(self.conductivity, self._shape)
-        other._solve(self.mesh, electrodes, sigma, self.quadratures, self._elimination)
+        other = self._with(electrodes=self.electrodes.with_contact_impedances(values))
+        other._solve()
         return other
 
     def scaled(self, factor: float) -> "TransferModel":
@@ -85,19 +80,26 @@ class TransferModel:
         """
         if not (np.isfinite(factor) and factor > 0):
             raise ModelError(f"conductivity factor is {factor}; it must be positive")
-        other = copy.copy(self)
-        for cached in ("transfer_resistance", "pair_resistances", "pair_sensitivity", "pair_contact_sensitivity"):
-            other.__dict__.pop(cached, None)
-        other.conductivity = self.conductivity * factor
-        other.electrodes = self.electrodes.with_contact_impedances(self.electrodes.contact_impedances / factor)
-        other.potentials = self.potentials / factor
-        other.electrode_potentials = self.electrode_potentials / factor
+        return self._with(
+            conductivity=self.conductivity * factor,
+            electrodes=self.electrodes.with_contact_impedances(self.electrodes.contact_impedances / factor),
+            potentials=self.potentials / factor,
+            electrode_potentials=self.electrode_potentials / factor,
+        )
+
+    def _with(self, **changed: Any) -> "TransferModel":
+        """A copy with other attributes, without what was computed from them."""
+        other, own = object.__new__(TransferModel), vars(TransferModel)
+        kept = {name: value for name, value in vars(self).items() if not isinstance(own.get(name), cached_property)}
+        vars(other).update(kept | changed)
         return other
 
     @property
     def tensors(self) -> Floats:
         """Conductivity (n_elem,), or (n_elem, dim, dim) if the skin conducts better in some directions."""
-        return Conductivity(self.conductivity, self._shape).tensors
+        if self._root is None:
+            return self.conductivity
+        return self.conductivity[:, None, None] * (self._root @ self._root.swapaxes(1, 2))
 
     @cached_property
     def transfer_resistance(self) -> Floats:
@@ -129,17 +131,20 @@ class TransferModel:
         Every sensitivity is a combination of these rows (`DrivePattern.combination`). Where the conductivity is a
         tensor, against its factor `conductivity`: the directions stay.
         """
-        return pair_sensitivity(self.mesh, self.potentials, self._shape)
+        sensitivity = np.empty((n_pairs(len(self.electrodes)), self.mesh.n_elem))
+        fill_pairs(self.mesh.elements, self.gradients, self.mesh.measures, self.potentials, sensitivity)
+        return sensitivity
 
     def grouped_sensitivity(self, shares: sp.csc_array) -> Floats:
-        """`pair_sensitivity @ shares`, (n_pairs, n_groups), without the memory of the former.
+        """`pair_sensitivity @ shares`, (n_pairs, n_groups) in ohms, without the memory of the former.
 
         Args:
             shares: (n_elem, n_groups) sparse, not negative: how a group's unknown changes each element's conductivity.
         """
-        if self._shape is not None:
-            return np.asarray(self.pair_sensitivity @ shares)
-        return grouped_sensitivity(self.mesh, self.potentials, shares)
+        grouped = np.zeros((n_pairs(len(self.electrodes)), shares.shape[1]))
+        columns, skin = sp.csc_array(shares), (self.mesh.elements, self.gradients, self.mesh.measures, self.potentials)
+        fill_groups(*skin, columns.indptr.astype(np.int64), columns.indices.astype(np.int64), columns.data, grouped)
+        return grouped
 
     @cached_property
     def pair_contact_sensitivity(self) -> Floats:
@@ -181,19 +186,10 @@ class TransferModel:
         """Current density (n_elem, dim), of a sheet in A/m, for a current (A) from electrode `source` to `sink`."""
         DrivePattern(np.array([[source, sink]]), np.array([[0, source, sink]])).check(len(self.electrodes))
         potential = (self.potentials[:, source] - self.potentials[:, sink])[self.mesh.elements] * current
-        field = np.einsum("ekd,ek->ed", self.mesh.gradients, potential)
-        if self._shape is not None:
-            # on a surface only the tangential part flows; `field` is tangential, its flux need not be
-            field = np.einsum("ecd,ed->ec", self._shape, field)
-            if self.mesh.nodes.shape[1] != self.mesh.dim:
-                field = self._tangential(field)
+        field = np.einsum("ekd,ek->ed", self.gradients, potential)
+        if self._root is not None:
+            field = np.einsum("ecd,ed->ec", self._root, field)
         return np.asarray(-self.conductivity[:, None] * field)
-
-    def _tangential(self, vectors: Floats) -> Floats:
-        corners = self.mesh.nodes[self.mesh.elements]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return np.asarray(vectors - np.sum(vectors * normal, axis=1, keepdims=True) * normal)
 
     def _driven(self, pattern: DrivePattern, currents: ArrayLike) -> Floats:
         """The current (n_meas,) that flows during each measurement."""

@@ -29,8 +29,7 @@ class LocalUpdate:
         nodes: (n,) nodes at which it may change; all unless given. Memory is 8 n^2 bytes.
 
     Attributes:
-        model: The unchanged skin.
-        nodes: (n,) the nodes.
+        nodes: (n,) the nodes, rising.
         green: (n, n) potential at each node for 1 A into each node and out of the first electrode (V).
         caused: (n, n_elec) potential at each node for 1 A into each electrode and out of the first, less its mean over
             the electrodes (V).
@@ -45,7 +44,7 @@ class LocalUpdate:
         if chosen.dtype.kind not in "iu" or not len(chosen) or chosen[0] < 0 or chosen[-1] >= mesh.n_nodes:
             raise ModelError(f"nodes to update must be integers within 0..{mesh.n_nodes - 1}, one at least")
         self.model, self.nodes = model, chosen.astype(np.int64)
-        system = assemble(mesh, model.electrodes, model.tensors, model.quadratures)
+        system = assemble(mesh, model.electrodes, model.conductivity, model.quadratures, model.gradients)
         count = system.matrix.shape[0]
         factor = system.factorise()
         self.green: Floats = np.empty((len(chosen), len(chosen)))
@@ -57,7 +56,6 @@ class LocalUpdate:
         # for currents that sum to zero any multiple of ones may be taken off; this makes the result zero-mean as S is
         caused = model.potentials[self.nodes]
         self.caused: Floats = np.ascontiguousarray(caused - caused.mean(axis=1, keepdims=True))
-        self._resistance = model.transfer_resistance
 
     def transfer_resistance(self, nodes: Ints, change: Floats) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms, as `TransferModel.transfer_resistance`.
@@ -74,13 +72,19 @@ class LocalUpdate:
             raise ModelError("some nodes to change are not among those chosen for the update; choose them there")
         if change.shape != (len(rows), len(rows)) or len(np.unique(rows)) != len(rows):
             raise ModelError(f"change has shape {change.shape}; need ({len(rows)}, {len(rows)}) for distinct nodes")
-        scale = np.abs(change).max(initial=0.0)
-        if (
-            not np.isfinite(scale)
-            or max(np.abs(change - change.T).max(), np.abs(change.sum(axis=0)).max()) > 1e-9 * scale
-        ):
+        off = max(np.abs(change - change.T).max(initial=0.0), np.abs(change.sum(axis=0)).max(initial=0.0))
+        if not off <= 1e-9 * np.abs(change).max(initial=0.0) < np.inf:
             raise ModelError("change must be finite and symmetric, with rows that sum to zero")
-        return self._resistance - low_rank_change(self.green[np.ix_(rows, rows)], self.caused[rows], change)
+        return self.after(rows, change)
+
+    def after(self, rows: Ints, change: Floats) -> Floats:
+        """As `transfer_resistance`, unchecked: `rows` (m,) are places in `nodes`."""
+        green, caused = self.green[np.ix_(rows, rows)], self.caused[rows]
+        try:
+            drop = caused.T @ change @ np.linalg.solve(np.eye(len(change)) + green @ change, caused)
+        except np.linalg.LinAlgError:
+            raise ModelError("the change leaves a part of the skin without conductance; change it less") from None
+        return np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
 
     def with_conductivity(self, elements: ArrayLike, conductivity: ArrayLike) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms when some elements (m,) get another conductivity (m,), siemens.
@@ -99,23 +103,9 @@ class LocalUpdate:
         given = np.array(np.broadcast_to(given, where.shape)) if given.size == 1 else given
         if given.shape != where.shape or not (np.isfinite(given) & (given > 0)).all():
             raise ModelError(f"give one positive conductivity or ({len(where)},), one for each element to change")
-        tensors = self.model.tensors[where]
-        factor = given / self.model.conductivity[where] - 1
-        local = local_stiffness(mesh, tensors, where) * factor[:, None, None]
-        nodes, at = np.unique(mesh.elements[where], return_inverse=True)
-        at = at.reshape(len(where), -1)
-        change = np.zeros((len(nodes), len(nodes)))
-        np.add.at(change, (at[:, :, None], at[:, None, :]), local)
+        weights = (given - self.model.conductivity[where]) * mesh.measures[where]
+        nodes, change = local_stiffness(self.model.gradients[where], weights, mesh.elements[where])
         return self.transfer_resistance(nodes, change)
-
-
-def low_rank_change(green: Floats, caused: Floats, change: Floats) -> Floats:
-    """X^T M (I + G M)^-1 X for Green's matrix G (m, m), potentials X (m, n_elec) and change M (m, m)."""
-    try:
-        drop = caused.T @ change @ np.linalg.solve(np.eye(len(change)) + green @ change, caused)
-    except np.linalg.LinAlgError:
-        raise ModelError("the change leaves a part of the skin without conductance; change it less") from None
-    return np.asarray((drop + drop.T) / 2)
 
 
 class FloatingPatches:
@@ -178,9 +168,7 @@ class FloatingPatches:
         if not len(touching):
             return self.model.transfer_resistance
         corners, weights = self._corners[touching], self._weights[touching]
-        rows, change = patch_change(corners, weights, joint[touching], self.patches[touching])
-        green = self.update.green[np.ix_(rows, rows)]
-        return self.model.transfer_resistance - low_rank_change(green, self.update.caused[rows], change)
+        return self.update.after(*patch_change(corners, weights, joint[touching], self.patches[touching]))
 
 
 def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, NDArray[np.bool_]]:
@@ -188,9 +176,7 @@ def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, NDArray[np.bool_
     if mesh.nodes.shape[1] == 2:
         element, weights = mesh.locate(points)
         return mesh.elements[element], weights, element >= 0
-    surface = Surface(mesh)
-    triangle, weights, distance = surface.project(points)
-    nodes = surface.triangles[triangle]
+    nodes, weights, distance = Surface(mesh).project(points)
     corners = mesh.nodes[nodes]
     edge = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     return nodes, weights, distance <= edge / 4

@@ -102,7 +102,6 @@ class Electrodes:
         Args:
             radius: One value or one for each of `which` (m).
             contact_impedance: Resistance times area of the contact, likewise (ohm m2).
-            which: Electrode numbers.
         """
         return self._with(ElectrodeKind.DISC, radius, contact_impedance, which)
 
@@ -114,7 +113,6 @@ class Electrodes:
         Args:
             length: Along the rim, one value or one for each of `which` (m).
             contact_impedance: Resistance times length of the contact, likewise (ohm m).
-            which: Electrode numbers.
         """
         return self._with(ElectrodeKind.RIM, length, contact_impedance, which)
 

@@ -16,7 +16,7 @@ from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.extra import optional
 from ohmskin.geometry.mesh import Mesh
-from ohmskin.geometry.meshing import key_points
+from ohmskin.geometry.meshing import key_points, rim_loops
 
 _FEWEST = 8  # edges along an electrode
 _CREASE = np.pi / 4  # angle between triangles from which an edge of a surface is kept
@@ -40,17 +40,16 @@ def mesh_graded(
         GeometryError: If gmsh is not installed, a size is not positive or above half of the domain, `growth` is not
             within 0.01 to 1, or an electrode lies outside the domain.
     """
-    sizes = _Sizes(domain, size, electrodes, fine, growth)
+    x0, y0, x1, y1 = domain.bounds
+    sizes = _Sizes(size, electrodes, fine, growth, min(x1 - x0, y1 - y0))
     keys = key_points(domain, electrodes)
     depth = domain.depth(keys)
     tolerance = 1e-9 * domain.perimeter
     if len(outside := np.flatnonzero(depth < -tolerance)):
         raise GeometryError(f"electrode at {keys[outside[0]]} lies outside the domain {domain}; move it inside")
     with _gmsh() as gmsh:
-        loops = []
-        for loop in (domain, *domain.holes):
-            own = keys[np.linalg.norm(loop.rim(loop.arc(keys)) - keys, axis=1) < tolerance]
-            loops.append(gmsh.model.geo.addCurveLoop(_closed(gmsh, _graded_loop(loop, own, sizes))))
+        rims = rim_loops(domain, keys, tolerance, sizes.divide)
+        loops = [gmsh.model.geo.addCurveLoop(_closed(gmsh, rim)) for rim in rims]
         surface = gmsh.model.geo.addPlaneSurface(loops)
         points = [gmsh.model.geo.addPoint(x, y, 0.0) for x, y in keys[depth >= tolerance]]
         lines: list[int] = []
@@ -87,7 +86,7 @@ def mesh_surface(
         raise GeometryError("mesh_surface() meshes triangles in space anew; for a flat domain use mesh_graded()")
     if electrodes.positions.shape[1] != 3:
         raise GeometryError("electrodes of a surface in space need three coordinates; move them with mapped()")
-    sizes = _Sizes(None, size, electrodes, fine, growth, float(np.ptp(surface.nodes, axis=0).max()))
+    sizes = _Sizes(size, electrodes, fine, growth, float(np.ptp(surface.nodes, axis=0).max()))
     with _gmsh() as gmsh:
         tag = gmsh.model.addDiscreteEntity(2)
         gmsh.model.mesh.addNodes(2, tag, np.arange(1, surface.n_nodes + 1), surface.nodes.ravel())
@@ -118,18 +117,7 @@ def mesh_surface(
 class _Sizes:
     """Edge lengths that grow from the electrodes outwards."""
 
-    def __init__(
-        self,
-        domain: Domain | None,
-        size: float,
-        electrodes: Electrodes,
-        fine: float | None,
-        growth: float,
-        extent: float = 0.0,
-    ) -> None:
-        if domain is not None:
-            x0, y0, x1, y1 = domain.bounds
-            extent = min(x1 - x0, y1 - y0)
+    def __init__(self, size: float, electrodes: Electrodes, fine: float | None, growth: float, extent: float) -> None:
         for name, value in (("size", size), ("fine", size if fine is None else fine)):
             if not (np.isfinite(value) and 1e-5 * extent <= value <= extent / 2):
                 raise GeometryError(f"mesh {name} {value!r} m; it must be {1e-5 * extent:.3g} to {extent / 2:.3g} m")
@@ -150,6 +138,15 @@ class _Sizes:
         distance, nearest = self._tree.query(points, k=count)
         beyond = np.maximum(0.0, distance - self.reach[nearest])
         return np.asarray(np.minimum(self.size, (self.fine[nearest] + self.growth * beyond).min(axis=1)))
+
+    def divide(self, loop: Domain, start: float, end: float) -> Floats:
+        """Arc lengths (n,) of points along a rim from `start` until before `end`, an edge length apart (m)."""
+        # the integral of 1 / size along the arc counts edges; at equal shares of it lie the points
+        fine = np.linspace(start, end, max(16, int(np.ceil(4 * (end - start) / self.fine.min()))) + 1)
+        density = 1 / self.at(loop.rim((fine[1:] + fine[:-1]) / 2))
+        edges = np.concatenate([[0.0], np.cumsum(density * np.diff(fine))])
+        count = max(1, round(float(edges[-1])))
+        return np.asarray(np.interp(edges[-1] * np.arange(count) / count, edges, fine))
 
     def set(self, gmsh: Any) -> None:
         """Tell gmsh."""
@@ -185,25 +182,6 @@ def _gmsh() -> Iterator[Any]:
             gmsh.model.setCurrent(before)
         else:
             gmsh.finalize()
-
-
-def _graded_loop(loop: Domain, fixed: Floats, sizes: _Sizes) -> Floats:
-    """Points along a rim: corners and the fixed ones exactly, steps between them as long as `sizes` says."""
-    perimeter = loop.perimeter
-    arcs = np.concatenate([loop.corners, loop.arc(fixed) if len(fixed) else [0.0]])
-    arcs = np.unique(np.round(arcs / perimeter, 12) % 1.0) * perimeter
-    steps = []
-    for start, end in zip(arcs, np.append(arcs[1:], arcs[0] + perimeter), strict=True):
-        # the integral of 1 / size along the arc counts edges; at equal shares of it lie the points
-        fine = np.linspace(start, end, max(16, int(np.ceil(4 * (end - start) / sizes.fine.min()))) + 1)
-        density = 1 / sizes.at(loop.rim((fine[1:] + fine[:-1]) / 2))
-        edges = np.concatenate([[0.0], np.cumsum(density * np.diff(fine))])
-        count = max(1, round(float(edges[-1])))
-        steps.append(np.interp(edges[-1] * np.arange(count) / count, edges, fine))
-    rim = loop.rim(np.concatenate(steps))
-    if len(fixed):
-        rim[cKDTree(rim).query(fixed)[1]] = fixed
-    return rim
 
 
 def _closed(gmsh: Any, points: ArrayLike) -> list[int]:

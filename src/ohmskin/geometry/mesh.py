@@ -7,7 +7,6 @@ from math import factorial
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -109,7 +108,7 @@ class Mesh:
         edges = _edges(self.nodes, self.elements)
         if edges.shape[1] == edges.shape[2]:
             return np.asarray(np.abs(_determinants(edges)) / factorial(self.dim))
-        return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2)
+        return np.asarray(np.linalg.norm(normals(self.nodes, self.elements), axis=1) / 2)
 
     @cached_property
     def centroids(self) -> Floats:
@@ -128,16 +127,14 @@ class Mesh:
         facets = np.sort(self._facets.reshape(-1, self.dim), axis=1)
         facet = facets @ (self.n_nodes ** np.arange(self.dim, dtype=np.int64))  # one number for each: quick to sort
         order = np.argsort(facet, kind="stable")
-        first = np.flatnonzero(np.diff(facet[order], prepend=-1))
-        count = np.diff(first, append=len(facet))
-        if count.max() > 2:
+        same = np.diff(facet[order]) == 0
+        if (same[1:] & same[:-1]).any():
             _, nouns, facet_name, _ = _NOUNS[self.dim]
             name = ("an " if self.dim == 2 else "a ") + facet_name
             raise GeometryError(f"{name} belongs to more than two {nouns}; remove repeated or crossing {nouns}")
-        two = first[count == 2]
+        one, other = order[:-1][same], order[1:][same]
         neighbours = np.full(len(facets), -1, dtype=np.int64)
-        neighbours[order[two]] = order[two + 1] // (self.dim + 1)
-        neighbours[order[two + 1]] = order[two] // (self.dim + 1)
+        neighbours[one], neighbours[other] = other // (self.dim + 1), one // (self.dim + 1)
         return neighbours.reshape(-1, self.dim + 1)
 
     @cached_property
@@ -150,9 +147,16 @@ class Mesh:
         return sp.csr_array((ones, (row[inside], column[inside])), shape=(self.n_elem, self.n_elem))
 
     @cached_property
-    def stencil(self) -> "Stencil":
-        """Where each element's part goes in a matrix of the nodes; made once for all conductivities."""
-        return Stencil(*_stencil(self.elements, self.n_nodes))
+    def stencil(self) -> tuple[Ints, Ints, NDArray[np.int32]]:
+        """The pattern of a sparse matrix that ties the nodes of each element; made once for all conductivities.
+
+        In compressed columns: where each begins (n_nodes + 1,), the row of each entry (n_entries,), rising within a
+        column, and the entry (n_elem, dim + 1, dim + 1) of each row and column of an element's own matrix.
+        """
+        entries = self.elements[:, None, :] * self.n_nodes + self.elements[:, :, None]
+        entries, slots = np.unique(entries, return_inverse=True)
+        indptr = np.searchsorted(entries, np.arange(self.n_nodes + 1) * self.n_nodes)
+        return indptr, entries % self.n_nodes, slots.astype(np.int32).reshape(*self.elements.shape, -1)
 
     @cached_property
     def boundary(self) -> Ints:
@@ -222,70 +226,18 @@ class Mesh:
         """
         element, barycentric = self.locate(points)
         inside = element >= 0
-        count = int(inside.sum())
-        row = np.repeat(np.arange(count), self.dim + 1)
-        column = self.elements[element[inside]].ravel()
-        return sp.csr_array((barycentric[inside].ravel(), (row, column)), shape=(count, self.n_nodes)), inside
+        return self.weighted(self.elements[element[inside]], barycentric[inside]), inside
+
+    def weighted(self, nodes: Ints, weights: Floats) -> sp.csr_array:
+        """Rows (n, n_nodes) that sum the values of nodes (n, k) with weights (n, k)."""
+        row = np.repeat(np.arange(len(nodes)), nodes.shape[1])
+        return sp.csr_array((weights.ravel(), (row, nodes.ravel())), shape=(len(nodes), self.n_nodes))
 
     def _points(self, points: ArrayLike) -> Floats:
         given = np.asarray(points, float)
         if given.ndim != 2 or given.shape[1] != self.nodes.shape[1]:
             raise GeometryError(f"points have shape {given.shape}; this mesh needs (n, {self.nodes.shape[1]})")
         return given
-
-
-@dataclass(frozen=True, eq=False)
-class Stencil:
-    """The pattern of a sparse matrix (n_nodes, n_nodes) that ties the nodes of each element, in compressed columns.
-
-    Args:
-        indptr: (n_nodes + 1,) where each column begins.
-        indices: (n_entries,) row of each entry, rising within a column.
-        slots: (n_elem, dim + 1, dim + 1) the entry of each row and column of an element's own matrix.
-    """
-
-    indptr: Ints
-    indices: Ints
-    slots: NDArray[np.int32]
-
-
-@njit(cache=True, nogil=True)
-def _stencil(elements: Ints, n_nodes: int) -> tuple[Ints, Ints, NDArray[np.int32]]:
-    n_elem, corners = elements.shape
-    first = np.zeros(n_nodes + 2, np.int64)
-    for e in range(n_elem):
-        for k in range(corners):
-            first[elements[e, k] + 2] += 1
-    first = np.cumsum(first)
-    around = np.empty(n_elem * corners, np.int64)  # the elements round each node
-    for e in range(n_elem):
-        for k in range(corners):
-            node = elements[e, k]
-            around[first[node + 1]] = e * corners + k
-            first[node + 1] += 1
-    indptr = np.zeros(n_nodes + 1, np.int64)
-    indices = np.empty(n_elem * corners * corners, np.int64)
-    slots = np.empty((n_elem, corners, corners), np.int32)
-    place = np.full(n_nodes, -1, np.int64)
-    count = 0
-    for node in range(n_nodes):
-        begin = count
-        for at in range(first[node], first[node + 1]):
-            e = around[at] // corners
-            for k in range(corners):
-                if place[elements[e, k]] < begin:
-                    place[elements[e, k]] = begin
-                    indices[count] = elements[e, k]
-                    count += 1
-        indices[begin:count].sort()
-        for at in range(begin, count):
-            place[indices[at]] = at
-        for at in range(first[node], first[node + 1]):
-            e, column = around[at] // corners, around[at] % corners
-            for row in range(corners):
-                slots[e, row, column] = place[elements[e, row]]
-        indptr[node + 1] = count
-    return indptr, indices[:count].copy(), slots
 
 
 def _determinants(edges: Floats) -> Floats:
@@ -299,3 +251,9 @@ def _edges(nodes: Floats, elements: Ints) -> Floats:
     """Vectors (n_elem, dim, dim of space) from the first corner to the others."""
     corners = nodes[elements]
     return np.asarray(corners[:, 1:] - corners[:, :1])
+
+
+def normals(nodes: Floats, triangles: Ints) -> Floats:
+    """Normals (n, 3) of triangles in space by the right-hand rule, twice as long as their areas."""
+    edges = _edges(nodes, triangles)
+    return np.asarray(np.cross(edges[:, 0], edges[:, 1]))

@@ -1,5 +1,7 @@
 """Meshing of flat domains in even triangles, with chosen points exactly at nodes."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, cKDTree
@@ -40,7 +42,12 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
     if len(outside := np.flatnonzero(~(depth >= -tolerance))):
         raise GeometryError(f"point {outside[0]} at {fixed[outside[0]]} lies outside {domain}; move it inside")
     on_rim = depth < tolerance
-    rim = _rim_points(domain, size, fixed, tolerance)
+
+    def evenly(_: Domain, start: float, end: float) -> Floats:
+        count = max(1, round((end - start) / size))
+        return start + (end - start) * np.arange(count) / count
+
+    rim = np.vstack(rim_loops(domain, fixed, tolerance, evenly))
     inner = fixed[~on_rim]
     kept = np.vstack([rim, inner])
     gap = cKDTree(kept).query(kept, k=2)[0][:, 1]
@@ -58,12 +65,9 @@ def mesh_domain(domain: Domain, size: float, points: ArrayLike | Electrodes | No
     nodes = np.vstack([kept, lattice])
     triangles = _triangulate(nodes, size, domain)
     for _ in range(smoothing):
-        edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-        ends = np.concatenate([edges, edges[:, ::-1]])
-        degree = np.bincount(ends[:, 0], minlength=len(nodes))
-        sums = [np.bincount(ends[:, 0], nodes[ends[:, 1], k], len(nodes)) for k in range(2)]
-        mean = np.stack(sums, axis=1) / degree[:, None]
-        nodes[len(kept) :] = mean[len(kept) :]
+        start, end = triangles[:, [0, 1, 2, 1, 2, 0]].T.ravel(), triangles[:, [1, 2, 0, 0, 1, 2]].T.ravel()
+        sums = [np.bincount(start, weights, len(nodes)) for weights in (nodes[end, 0], nodes[end, 1], None)]
+        nodes[len(kept) :] = np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
         triangles = _triangulate(nodes, size, domain)
     return _checked(nodes, triangles, domain, size) if isinstance(domain, Polygon) else Mesh(nodes, triangles)
 
@@ -111,28 +115,30 @@ def _checked(nodes: Floats, triangles: Ints, domain: Polygon, size: float) -> Me
     raise GeometryError(f"{unlike}; choose a finer one, or mesh_graded() (gmsh)")
 
 
-def _rim_points(domain: Domain, size: float, fixed: Floats, tolerance: float) -> Floats:
-    """Points along rim and holes: the fixed ones that lie there exactly, steps of about `size` between them."""
+def rim_loops(
+    domain: Domain, fixed: Floats, tolerance: float, divide: Callable[[Domain, float, float], Floats]
+) -> list[Floats]:
+    """Points along the rim and along each hole: corners and the fixed ones that lie there exactly, others between.
+
+    Args:
+        domain: The sheet.
+        fixed: (n, 2) in metres.
+        tolerance: How far off a rim a point may be that lies on it (m).
+        divide: Gives arc lengths (n,) of points of a loop between two, the first included, the second not (m).
+    """
     loops = []
     for loop in (domain, *domain.holes):
-        own = fixed[np.linalg.norm(loop.rim(loop.arc(fixed)) - fixed, axis=1) < tolerance] if len(fixed) else fixed
-        loops.append(_loop_points(loop, size, own))
-    return np.vstack(loops)
-
-
-def _loop_points(loop: Domain, size: float, fixed: Floats) -> Floats:
-    arcs = np.concatenate([loop.corners, loop.arc(fixed) if len(fixed) else [], [0.0] if not len(fixed) else []])
-    arcs = np.unique(np.round(arcs / loop.perimeter, 12) % 1.0) * loop.perimeter  # a full turn is the start
-    steps = []
-    for start, end in zip(arcs, np.append(arcs[1:], arcs[0] + loop.perimeter), strict=True):
-        count = max(1, round((end - start) / size))
-        steps.append(start + (end - start) * np.arange(count) / count)
-    rim = loop.rim(np.concatenate(steps))
-    if len(fixed):  # the arc length of a fixed point is rounded; the point itself must not be
-        distance, nearest = cKDTree(rim).query(fixed)
-        assert distance.max() < 1e-8 * loop.perimeter
-        rim[nearest] = fixed
-    return rim
+        own = fixed[np.linalg.norm(loop.rim(loop.arc(fixed)) - fixed, axis=1) < tolerance]
+        arcs = np.append(loop.corners, loop.arc(own) if len(own) else 0.0)
+        arcs = np.unique(np.round(arcs / loop.perimeter, 12) % 1.0) * loop.perimeter  # a full turn is the start
+        ends = np.append(arcs[1:], arcs[0] + loop.perimeter)
+        rim = loop.rim(np.concatenate([divide(loop, start, end) for start, end in zip(arcs, ends, strict=True)]))
+        if len(own):  # the arc length of a fixed point is rounded; the point itself must not be
+            distance, nearest = cKDTree(rim).query(own)
+            assert distance.max() < 1e-8 * loop.perimeter
+            rim[nearest] = own
+        loops.append(rim)
+    return loops
 
 
 def _hexagonal(bounds: tuple[float, float, float, float], size: float) -> Floats:

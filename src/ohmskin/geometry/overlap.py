@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.geometry.mesh import Mesh
 
 _STEPS = 4  # subdivisions of a cell's edges, where it is sampled
@@ -20,7 +20,6 @@ def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:
     what lies beyond the disc as sectors. The sum over the three edges is the area in common.
 
     Args:
-        mesh: The mesh.
         centres: (n_discs, 2), or 3 in space, in metres.
         radius: Of all discs (m).
     """
@@ -29,9 +28,7 @@ def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:
         return _sampled(mesh, centres, radius)
     corners = mesh.nodes[mesh.elements]
     reach = np.linalg.norm(corners - mesh.centroids[:, None], axis=2).max()
-    near = cKDTree(mesh.centroids).query_ball_point(centres, radius + reach)
-    row = np.repeat(np.arange(len(centres)), [len(found) for found in near])
-    element = np.concatenate([np.asarray(found, np.int64) for found in near])
+    row, element = _near(centres, mesh.centroids, radius + reach)
     p = corners[element] - centres[row][:, None]
     area = sum(_edge(p[:, k], p[:, (k + 1) % 3], radius) for k in range(3))
     area = np.clip(area, 0.0, mesh.measures[element])
@@ -44,11 +41,15 @@ def _sampled(mesh: Mesh, centres: Floats, radius: float) -> sp.csr_array:
     lattice = np.array([c for c in product(range(_STEPS), repeat=corners) if sum(c) == _STEPS - 1])
     weights = (lattice + 1 / corners) / _STEPS
     points = np.einsum("qc,ecd->eqd", weights, mesh.nodes[mesh.elements]).reshape(-1, mesh.nodes.shape[1])
-    near = cKDTree(points).query_ball_point(centres, radius)
-    row = np.repeat(np.arange(len(centres)), [len(found) for found in near])
-    element = np.concatenate([np.asarray(found, np.int64) for found in near]) // len(weights)
-    share = mesh.measures[element] / len(weights)
-    return sp.coo_array((share, (row, element)), shape=(len(centres), mesh.n_elem)).tocsr()
+    row, point = _near(centres, points, radius)
+    share = mesh.measures[point // len(weights)] / len(weights)
+    return sp.csr_array((share, (row, point // len(weights))), shape=(len(centres), mesh.n_elem))
+
+
+def _near(centres: Floats, points: Floats, radius: float) -> tuple[Ints, Ints]:
+    """The centre and the point of each pair (n,) that is no further apart than `radius`."""
+    pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius, output_type="ndarray")
+    return pairs["i"], pairs["j"]
 
 
 def _edge(a: Floats, b: Floats, radius: float) -> Floats:

@@ -10,6 +10,29 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
 
 
+class ClosedLine:
+    """A line through points in the plane or in space, the last of which is the first.
+
+    Args:
+        points: (n + 1, dim) in metres.
+
+    Attributes:
+        knots: (n + 1,) arc length of each point (m).
+    """
+
+    def __init__(self, points: Floats) -> None:
+        self.points, self._steps = points, np.diff(points, axis=0)
+        self.knots: Floats = np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._steps, axis=1))])
+
+    def closest(self, points: ArrayLike) -> tuple[Floats, Floats]:
+        """Distances (n,) of points (n, dim) from the line, and the arc lengths (n,) at which it is closest (m)."""
+        offset = np.asarray(points, float)[:, None] - self.points[:-1]
+        share = np.clip(np.einsum("psd,sd->ps", offset, self._steps) / np.sum(self._steps**2, axis=1), 0.0, 1.0)
+        squared = np.sum((offset - share[..., None] * self._steps) ** 2, axis=2)
+        row, side = np.arange(len(offset)), squared.argmin(axis=1)
+        return np.sqrt(squared[row, side]), self.knots[side] + share[row, side] * np.diff(self.knots)[side]
+
+
 class Polygon:
     """A polygon, perhaps with polygonal holes. The rim is the outline, counterclockwise from the first corner given.
 
@@ -41,17 +64,19 @@ class Polygon:
             vertices = np.roll(vertices[::-1], 1, axis=0)
         vertices.setflags(write=False)
         self.vertices: Floats = vertices
+        self._line = ClosedLine(np.vstack([vertices, vertices[:1]]))
         if (crossing := _first_crossing(self._sides, self._sides)) is not None:
             raise GeometryError(f"polygon sides {crossing[0]} and {crossing[1]} cross; order corners along the outline")
-        self.holes: tuple[Polygon, ...] = tuple(Polygon(hole) for hole in holes)
-        for k, hole in enumerate(self.holes):
-            outside = (Polygon.depth(_without_holes(self), hole.vertices) <= 0).any()
-            if outside or _first_crossing(self._sides, hole._sides):
+        self.holes: tuple[Polygon, ...] = ()  # until they are known to lie inside
+        within = tuple(Polygon(hole) for hole in holes)
+        for k, hole in enumerate(within):
+            if (self.depth(hole.vertices) <= 0).any() or _first_crossing(self._sides, hole._sides):
                 raise GeometryError(f"hole {k} is not inside the outline; move it")
-            for j, other in enumerate(self.holes[:k]):
+            for j, other in enumerate(within[:k]):
                 apart = not _first_crossing(other._sides, hole._sides)
                 if not apart or other.depth(hole.vertices[:1])[0] > 0 or hole.depth(other.vertices[:1])[0] > 0:
                     raise GeometryError(f"holes {j} and {k} overlap; join them to one")
+        self.holes = within
 
     def __repr__(self) -> str:
         return f"Polygon({len(self.vertices)} corners, {len(self.holes)} holes)"
@@ -59,12 +84,7 @@ class Polygon:
     @cached_property
     def _sides(self) -> Floats:
         """Ends (n, 2, 2) of the outline's sides."""
-        return np.stack([self.vertices, np.roll(self.vertices, -1, axis=0)], axis=1)
-
-    @cached_property
-    def _knots(self) -> Floats:
-        """Arc lengths (n + 1,) of the corners, from 0 to the perimeter."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._sides[:, 1] - self._sides[:, 0], axis=1))])
+        return np.stack([self._line.points[:-1], self._line.points[1:]], axis=1)
 
     @property
     def area(self) -> float:
@@ -74,7 +94,7 @@ class Polygon:
     @property
     def perimeter(self) -> float:
         """Length of the outer rim (m)."""
-        return float(self._knots[-1])
+        return float(self._line.knots[-1])
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -83,11 +103,11 @@ class Polygon:
 
     @property
     def corners(self) -> Floats:
-        return self._knots[:-1]
+        return self._line.knots[:-1]
 
     def depth(self, points: ArrayLike) -> Floats:
         points = np.asarray(points, float)
-        distance = np.sqrt(_squared_distances(points, self._sides)[0].min(axis=1))
+        distance = self._line.closest(points)[0]
         depth: Floats = np.where(_inside(points, self._sides), distance, -distance)
         for hole in self.holes:
             depth = np.minimum(depth, -hole.depth(points))
@@ -95,34 +115,15 @@ class Polygon:
 
     def rim(self, arc: ArrayLike) -> Floats:
         s = np.mod(np.asarray(arc, float), self.perimeter)
-        closed = np.vstack([self.vertices, self.vertices[:1]])
-        return np.column_stack([np.interp(s, self._knots, closed[:, k]) for k in range(2)])
+        return np.column_stack([np.interp(s, self._line.knots, across) for across in self._line.points.T])
 
     def arc(self, points: ArrayLike) -> Floats:
-        squared, along = _squared_distances(np.asarray(points, float), self._sides)
-        side = squared.argmin(axis=1)
-        share = along[np.arange(len(side)), side]
-        arc: Floats = np.mod(self._knots[side] + share * np.diff(self._knots)[side], self.perimeter)
-        return arc
-
-
-def _without_holes(polygon: Polygon) -> Polygon:
-    bare = object.__new__(Polygon)
-    bare.vertices, bare.holes = polygon.vertices, ()
-    return bare
+        return np.asarray(np.mod(self._line.closest(points)[1], self.perimeter))
 
 
 def _signed_area(vertices: Floats) -> float:
     (x, y), (u, v) = vertices.T, np.roll(vertices, -1, axis=0).T
     return float(np.sum(x * v - u * y) / 2)
-
-
-def _squared_distances(points: Floats, sides: Floats) -> tuple[Floats, Floats]:
-    """Squared distances (n_points, n_sides), and the share (0 to 1) of the side at which its closest point is."""
-    start, step = sides[:, 0], sides[:, 1] - sides[:, 0]
-    offset = points[:, None] - start
-    share = np.clip(np.einsum("psd,sd->ps", offset, step) / np.sum(step**2, axis=1), 0.0, 1.0)
-    return np.sum((offset - share[..., None] * step) ** 2, axis=2), share
 
 
 def _inside(points: Floats, sides: Floats) -> np.ndarray:

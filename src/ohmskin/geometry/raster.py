@@ -41,9 +41,8 @@ class Raster:
         element, barycentric = mesh.locate(centres)
         inside = element >= 0
         self.inside = inside.reshape(ny, nx)
-        row = np.repeat(np.flatnonzero(inside), 3)
-        column = mesh.elements[element[inside]].ravel()
-        from_nodes = sp.csr_array((barycentric[inside].ravel(), (row, column)), shape=(nx * ny, mesh.n_nodes))
+        from_nodes = mesh.weighted(mesh.elements[element], barycentric * inside[:, None])
+        from_nodes.eliminate_zeros()
         self.weights = sp.csr_array(from_nodes @ node_means(mesh))
 
     def __call__(self, values: ArrayLike) -> Floats:
@@ -54,6 +53,5 @@ class Raster:
 
 def node_means(mesh: Mesh) -> sp.csr_array:
     """Area-weighted means of element values at the nodes: a sparse matrix (n_nodes, n_elem)."""
-    row, column = mesh.elements.ravel(), np.repeat(np.arange(mesh.n_elem), 3)
-    sums = sp.csr_array((np.repeat(mesh.measures, 3), (row, column)), shape=(mesh.n_nodes, mesh.n_elem))
+    sums = mesh.weighted(mesh.elements, np.repeat(mesh.measures[:, None], 3, axis=1)).T
     return sp.csr_array(sp.diags_array(1 / sums.sum(axis=1)) @ sums)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ohmskin.errors import GeometryError
-from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.mesh import Mesh, normals
 
 
 def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) -> Mesh:
@@ -34,11 +34,11 @@ def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) ->
     edges = np.concatenate([sheet.elements[:, [0, 1]], sheet.elements[:, [1, 2]], sheet.elements[:, [2, 0]]])
     if len(np.unique(edges, axis=0)) != len(edges):
         raise GeometryError("the triangles of this surface are not ordered alike, so it has no below; turn some round")
-    normals = np.zeros_like(top)
-    np.add.at(normals, sheet.elements, _normals(top, sheet.elements)[:, None])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.zeros_like(top)
+    np.add.at(up, sheet.elements, normals(top, sheet.elements)[:, None])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
     depths = np.concatenate([[0.0], np.cumsum(shares)]) * thickness
-    nodes = (top - depths[:, None, None] * normals).reshape(-1, 3)
+    nodes = (top - depths[:, None, None] * up).reshape(-1, 3)
 
     # each side of a prism is cut from its lower number on top: neighbours agree
     a, b, c = np.sort(sheet.elements, axis=1).T
@@ -48,14 +48,8 @@ def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) ->
     elements = np.concatenate([tetrahedra + k * n for k in range(len(shares))])
     # whichever way its three nodes are numbered, a tetrahedron lies below its triangle unless the prism folds
     turn = np.linalg.det(nodes[elements[:, 1:]] - nodes[elements[:, :1]])
-    ordered = np.column_stack([a, b, c])
-    facing = np.sign(np.einsum("ed,ed->e", _normals(top, ordered), normals[a]))
+    facing = np.sign(np.einsum("ed,ed->e", normals(top, np.column_stack([a, b, c])), up[a]))
     if (np.sign(turn) != np.tile(np.concatenate([-facing, facing, -facing]), len(shares))).any():
         raise GeometryError(f"a body {thickness:.3g} m thick folds where the surface bends tightly; make it thinner")
     elements[turn < 0, 2:] = elements[turn < 0, 2:][:, ::-1]
     return Mesh(nodes, elements)
-
-
-def _normals(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    corners = nodes[triangles]
-    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

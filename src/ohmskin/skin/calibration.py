@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import SkinError
-from ohmskin.skin.checks import number, numbers
+from ohmskin.skin.checks import check_table, number, numbers
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,7 @@ class Calibration:
     hysteresis: float = number(0.0, 0, 1e3, "")
 
     def __post_init__(self) -> None:
-        both = (self.strengths, self.forces)
-        if not all(isinstance(v, tuple) and all(isinstance(x, int | float) for x in v) for v in both):
-            return  # `Skin` says what is wrong with the type
+        check_table("calibration", self)
         if len(self.strengths) != len(self.forces) or len(self.strengths) == 1:
             counts = f"{len(self.strengths)} strengths and {len(self.forces)} forces"
             raise SkinError(f"calibration has {counts}; as many of both, two or more")
@@ -69,7 +67,7 @@ class Calibration:
             raise SkinError("this skin is not calibrated to newtons; run `ohmskin calibrate` and load its file")
         from scipy.interpolate import PchipInterpolator  # takes a third of a second, which few skins need to wait
 
-        known = np.concatenate([[0.0], self.strengths]) if self.strengths[0] > 0 else np.array(self.strengths)
-        newtons = np.concatenate([[0.0], self.forces]) if self.strengths[0] > 0 else np.array(self.forces)
+        nothing = [0.0] if self.strengths[0] > 0 else []
+        known, newtons = np.array([*nothing, *self.strengths]), np.array([*nothing, *self.forces])
         clipped = np.clip(np.asarray(strength, float), known[0], known[-1])
         return np.asarray(PchipInterpolator(known, newtons)(clipped), float)

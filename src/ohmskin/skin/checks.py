@@ -3,10 +3,14 @@
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import field, fields
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from ohmskin.errors import SkinError
+
+_TYPES = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
+_PLACES = "[x, y] in metres"
 
 
 def read_text(path: Path, most: int, what: str) -> str:
@@ -60,30 +64,28 @@ def choice(default: str, *choices: str) -> Any:
 
 
 def check_table(table: str, values: Any) -> None:
-    """Hold each value against the type of its default and the range in its metadata.
+    """Hold each value of a dataclass against its type and the range or the choices in its metadata.
 
     Raises:
         SkinError: If one is not like that; it names the entry.
     """
     for entry in fields(values):
         value, name, told = getattr(values, entry.name), f"{table}.{entry.name}", entry.metadata
-        expected: Any = type(entry.default)
-        if expected is tuple and "low" not in told:
-            if not (isinstance(value, tuple) and all(_is_place(place) for place in value)):
-                raise SkinError(f"{name} must be a list of [x, y] in metres")
-        elif expected is tuple:
-            low, high = told["low"], told["high"]
-            if not (isinstance(value, tuple) and all(is_number(v) and low <= v <= high for v in value)):
-                raise SkinError(f"{name} must be a list of numbers, each {_range(told)}")
-        elif expected in (bool, str):
-            if not isinstance(value, expected):
-                raise SkinError(f"{name} is {value!r}; it must be {'true or false' if expected is bool else 'text'}")
-            if value not in (choices := told.get("choices", (value,))):
-                raise SkinError(f"{name} is {value!r}; choose from {', '.join(choices)}")
-        elif not is_number(value) or (expected is int and not isinstance(value, int)):
-            raise SkinError(f"{name} is {value!r}; it must be {'a whole number' if expected is int else 'a number'}")
-        elif not told["low"] <= value <= told["high"]:  # false for nan, too
+        expected: Any = get_origin(entry.type) or entry.type
+        if expected is tuple:
+            fits, what = (partial(_within, told), f"numbers, each {_range(told)}") if told else (_is_place, _PLACES)
+            if not (isinstance(value, tuple) and all(map(fits, value))):
+                raise SkinError(f"{name} must be a list of {what}")
+        elif not (is_number(value) if expected is float else type(value) is expected):
+            raise SkinError(f"{name} is {value!r}; it must be {_TYPES[expected]}")
+        elif value not in (choices := told.get("choices", (value,))):
+            raise SkinError(f"{name} is {value!r}; choose from {', '.join(choices)}")
+        elif "low" in told and not _within(told, value):
             raise SkinError(f"{name} is {value}; it must be {_range(told)}")
+
+
+def _within(told: Any, value: Any) -> bool:
+    return is_number(value) and bool(told["low"] <= value <= told["high"])  # false for nan, too
 
 
 def _range(told: Any) -> str:

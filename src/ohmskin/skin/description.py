@@ -18,7 +18,7 @@ from ohmskin.drive import Candidates, complete_pattern, pair_currents
 from ohmskin.errors import SkinError
 from ohmskin.forward import ContactTable, TransferModel, VoltageSource
 from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Rectangle, mesh_domain
-from ohmskin.scan import Cost
+from ohmskin.scan import Cost, n_pairs
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.checks import check_names, check_table, choice, number, read_text, read_toml
 from ohmskin.skin.layout import ElectrodeLayout
@@ -155,6 +155,8 @@ class Skin:
             for key, value in data.items():
                 kind: Any = type(known[key].default)
                 if kind is str:
+                    if not isinstance(value, str):
+                        raise SkinError(f"{key} is {value!r}; it must be text")
                     tables[key] = value
                 elif key == "modes":
                     tables[key] = modes_of(value)
@@ -165,8 +167,6 @@ class Skin:
                     tables[key] = kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in value.items()})
                 else:
                     raise SkinError(f"{key} is {value!r}; it must be a table [{key}]")
-            if not isinstance(tables.get("name", ""), str):
-                raise SkinError(f"name is {tables['name']!r}; it must be text")
             return cls(**tables)
         except SkinError as error:
             raise SkinError(f"{origin}: {error}") from None
@@ -221,8 +221,7 @@ class Skin:
         """The current (n_pairs,) through each electrode pair of the untouched skin, as described (A)."""
         source, limit = self.source, self.excitation.current_limit
         if source is None:
-            n_elec = len(self.electrodes)
-            return np.full(n_elec * (n_elec - 1) // 2, min(self.excitation.amplitude, limit))
+            return np.full(n_pairs(len(self.electrodes)), min(self.excitation.amplitude, limit))
         return pair_currents(self.electrode_model(), source, limit)
 
     @property

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from ohmskin.errors import SkinError
-from ohmskin.skin.checks import check_names
+from ohmskin.skin.checks import check_names, check_table, number
 
 
 @dataclass(frozen=True)
@@ -31,27 +31,20 @@ class Mode:
     estimator: str = "gauss-newton"
     prior: str = "paper"
     rule: str = "physical"
-    injections: int = 0
+    injections: int = number(0, 0, 10**6)
     fuse: bool = True
     driven: bool = False
     title: str = ""
     summary: str = ""
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value, expected = getattr(self, entry.name), entry.type
-            if type(value) is not expected:
-                kind = "text" if expected is str else "a whole number" if expected is int else "true or false"
-                raise SkinError(f"modes.{self.name}.{entry.name} is {value!r}; it must be {kind}")
-        if self.injections < 0:
-            raise SkinError(f"modes.{self.name}.injections is {self.injections}; it must be 0 (as usual) or more")
+        check_table(f"modes.{self.name}", self)
 
     @property
     def entries(self) -> dict[str, Any]:
         """What a skin file or a recording says of it: all but the name, and what is as usual."""
-        told = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "name"}
-        usual = {entry.name: entry.default for entry in fields(self)}
-        return {name: value for name, value in told.items() if value != usual[name]}
+        told = {entry: getattr(self, entry.name) for entry in fields(self) if entry.name != "name"}
+        return {entry.name: value for entry, value in told.items() if value != entry.default}
 
     @property
     def label(self) -> str:

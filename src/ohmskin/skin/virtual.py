@@ -72,7 +72,7 @@ class VirtualSkin:
 
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
-        return pattern.n_inj * (self.skin.converter.settle + self.skin.converter.conversion)
+        return self.skin.cost.time(pattern)
 
     def scan(self, pattern: DrivePattern) -> Frame:
         """Scan the skin as it is now; returns at once, with the device time advanced by `duration`."""
