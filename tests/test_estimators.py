@@ -25,6 +25,7 @@ from ohmskin.inverse import (
     noise_figure,
 )
 from ohmskin.inverse.choice import small_target
+from ohmskin.inverse.modes import pair_system
 from ohmskin.inverse.priors import graph_laplacian, penalty_of
 from ohmskin.inverse.variation import Variation
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, measure_others, opposite
@@ -408,9 +409,9 @@ def test_greit_attains_its_noise_figure_under_real_noise(goal: float) -> None:
 def test_greit_is_the_trained_matrix() -> None:
     """Y D^T (D D^T + w^2 I)^-1 with the responses D and desired images Y of its training."""
     greit, difference = made("GREIT"), touch((*AT, 0.012, 0.5))
-    data = CURRENT * PATTERN.combination(16) @ greit.training.responses
+    data = CURRENT * PATTERN.combination(16) @ greit.responses
     weight = greit._weight((difference,))
-    matrix = greit.training.desired @ data.T @ np.linalg.inv(data @ data.T + weight**2 * np.eye(len(data)))
+    matrix = greit.desired @ data.T @ np.linalg.inv(data @ data.T + weight**2 * np.eye(len(data)))
     expected = matrix @ difference.volts
     np.testing.assert_allclose(greit.reconstruct(difference).values, expected, atol=1e-6 * np.abs(expected).max())
 
@@ -487,15 +488,14 @@ def test_the_absolute_image_is_where_the_cost_is_least(settings: dict) -> None:
     """No direction in log conductivity lowers |V - V(x)|^2 / noise^2 + penalty, with the forward model solved anew."""
     estimator = AbsoluteGaussNewton(model(), 3e-3, amplitude=0.5, tolerance=1e-9, rounds=60, **settings)
     data = frame(voltages((*AT, 0.02, 1.0)) - voltages() + model().voltages(PATTERN, CURRENT))
-    rows, volts = estimator._equations((data,))
+    pairs = pair_system(16, estimator._as_absolute(data))
     image = estimator.reconstruct(data).values
     w = np.log1p(image)
-    if estimator._to_image is not None:
-        w = np.linalg.lstsq(estimator._to_image.toarray(), w, rcond=None)[0]
-    least, rng = estimator._at(w, rows, volts, 3e-3).cost, np.random.default_rng(0)
+    w = np.linalg.lstsq(estimator._to_image.toarray(), w, rcond=None)[0]
+    least, rng = estimator._at(w, pairs, 3e-3).cost, np.random.default_rng(0)
     for way in [rng.normal(size=len(w)) for _ in range(6)] + [w, np.ones(len(w))]:
         for step in (1e-2, -1e-2):
-            assert estimator._at(w + step * way / np.abs(way).max(), rows, volts, 3e-3).cost > least - 1e-6
+            assert estimator._at(w + step * way / np.abs(way).max(), pairs, 3e-3).cost > least - 1e-6
 
 
 def test_a_baseline_takes_off_what_the_model_gets_wrong() -> None:
@@ -708,7 +708,6 @@ def test_a_contact_that_only_raises_conductivity_is_not_fitted_to_a_fall() -> No
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Greit(model(), NOISE, blur=0.5), "blur is 0.5; .* at least 1"),
         (
             lambda: Greit(model(), NOISE, noise_figure=1e4).reconstruct(touch()),
             "noise figure 10000 cannot be had with this scan; choose",

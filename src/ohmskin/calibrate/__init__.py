@@ -1,11 +1,10 @@
 """Before a skin is used: the self-test of its wiring and instrument, and its calibration to newtons."""
 
-from ohmskin.calibrate.findings import Diagnosis, Finding
 from ohmskin.calibrate.force import ForceCurve, PressSample, fit_force
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
 from ohmskin.calibrate.self_test import SelfTest, self_test
-from ohmskin.calibrate.wiring import diagnose, terminal_pattern
+from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
 
 __all__ = [
     "GRAVITY",

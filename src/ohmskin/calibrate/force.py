@@ -51,8 +51,8 @@ class ForceCurve:
 
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this curve."""
-        described = replace(calibration, force_error=self.error, hysteresis=self.hysteresis)
-        return replace(described, strengths=self.strengths, forces=self.forces)
+        points = replace(calibration, strengths=self.strengths, forces=self.forces)
+        return replace(points, force_error=self.error, hysteresis=self.hysteresis)
 
 
 def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
@@ -66,31 +66,22 @@ def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
     if len(levels) < 2 or levels[0] <= 0:
         told = f"{len(felt)} of {len(samples)} presses were felt, at {len(levels)} forces"
         raise DataError(f"{told}; press harder, at two forces or more")
-    groups = [np.array([sample.strength for sample in felt if sample.force == level]) for level in levels]
+    strength, force = (np.array([getattr(sample, name) for sample in felt]) for name in ("strength", "force"))
+    loading = np.array([sample.loading for sample in felt])
+    groups = [strength[force == level] for level in levels]
     counts = np.array([len(group) for group in groups], float)
     monotone = isotonic_regression([float(group.mean()) for group in groups], weights=counts).x
-    strengths: list[float] = []
-    forces: list[float] = []
-    flat = []
-    for strength, force in zip(monotone.tolist(), levels, strict=True):
-        if strengths and strength <= strengths[-1] * (1 + 1e-6):
-            flat.append(force)  # the lower force stays: a saturated skin tells the least that presses it
-        else:
-            strengths.append(strength)
-            forces.append(force)
+    # where it does not rise the lower force stays: a saturated skin tells the least that presses it
+    rises = np.diff(monotone, prepend=0.0) > 1e-6 * monotone
+    strengths, forces = tuple(monotone[rises].tolist()), tuple(np.array(levels)[rises].tolist())
     if len(strengths) < 2:
         span = f"{levels[0]:.3g} to {levels[-1]:.3g} N"
         raise DataError(f"strength does not rise with force over {span}; is the skin pressed where told?")
-    curve = Calibration(strengths=tuple(strengths), forces=tuple(forces))
-    errors = curve.force([sample.strength for sample in felt]) - [sample.force for sample in felt]
-    gaps = [
-        np.mean([s.strength for s in felt if s.force == level and not s.loading])
-        - np.mean([s.strength for s in felt if s.force == level and s.loading])
-        for level in levels
-        if len({s.loading for s in felt if s.force == level}) == 2
-    ]
+    errors = Calibration(strengths=strengths, forces=forces).force(strength) - force
+    ways = [(strength[(force == level) & ~loading], strength[(force == level) & loading]) for level in levels]
+    gaps = [falling.mean() - rising.mean() for falling, rising in ways if len(falling) and len(rising)]
     spreads = [float(group.std(ddof=1) / group.mean()) for group in groups if len(group) > 1]
     error, scatter = float(np.sqrt(np.mean(errors**2))), float(np.mean(spreads)) if spreads else 0.0
     hysteresis = float(np.max(np.abs(gaps), initial=0.0)) / strengths[-1]
-    missed = len(samples) - len(felt)
-    return ForceCurve(tuple(strengths), tuple(forces), error, hysteresis, scatter, missed, tuple(flat))
+    flat = tuple(np.array(levels)[~rises].tolist())
+    return ForceCurve(strengths, forces, error, hysteresis, scatter, len(samples) - len(felt), flat)

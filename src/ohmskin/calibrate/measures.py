@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
+from ohmskin.calibrate.wiring import potentials
 from ohmskin.device import Device, Link
 from ohmskin.errors import DeviceError
-from ohmskin.scan import DrivePattern, Frame, FrameFlag, all_pairs
+from ohmskin.scan import DrivePattern, Frame, FrameFlag, pair_index
+from ohmskin.scan.repeats import known_mean, rms
 from ohmskin.sensing import drive_of, mode_named, modes
 from ohmskin.skin import Skin
 
@@ -150,46 +152,44 @@ def scan_whole(device: Device, pattern: DrivePattern) -> Frame:
 def mean_frame(frames: list[Frame]) -> Frame:
     """The mean of scans of one pattern; a value that is mostly missing or clipped stays so."""
     volts = np.stack([frame.voltages for frame in frames])
-    finite = np.isfinite(volts)
-    mean = np.where(finite, volts, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
-    mean = np.where(finite.mean(axis=0) > 0.5, mean, np.nan)
+    mean = np.where(np.isfinite(volts).mean(axis=0) > 0.5, known_mean(volts), np.nan)
     currents = np.mean([frame.currents for frame in frames], axis=0)
     return Frame(frames[0].pattern, mean, currents, frames[-1].time, frames[-1].sequence, frames[-1].flags)
 
 
-def measure_noise(frames: list[Frame], useless: list[int], skin: Skin) -> Noise:
+def measure_noise(frames: list[Frame], alive: list[int], skin: Skin) -> Noise:
     """From repeated scans (at least two); differences of successive ones, so that slow drift is no noise."""
     pattern = frames[0].pattern
     volts = np.stack([frame.voltages for frame in frames])
-    usable = np.flatnonzero(~pattern.uses(useless) & np.isfinite(volts).all(axis=0))
+    usable = np.flatnonzero(np.isin(pattern.quadruples, alive).all(axis=1) & np.isfinite(volts).all(axis=0))
     squares = np.mean(np.diff(volts[:, usable], axis=0) ** 2, axis=0) / 2
     n_elec = len(skin.electrodes)
     plus = pattern.measurements[usable, 1]
     sums, counts = np.bincount(plus, squares, n_elec), np.bincount(plus, minlength=n_elec)
     by_electrode = np.sqrt(sums / np.maximum(counts, 1))
     worst = int(np.argmax(by_electrode))
-    amperes = np.stack([frame.currents for frame in frames])[:, ~np.isin(pattern.injections, useless).any(axis=1)]
+    amperes = np.stack([frame.currents for frame in frames])[:, np.isin(pattern.injections, alive).all(axis=1)]
     share = float(np.sqrt(np.mean(np.diff(amperes, axis=0) ** 2) / 2) / np.mean(amperes))
     return Noise(float(np.sqrt(np.median(squares))), float(by_electrode[worst]), worst, skin.converter.noise, share)
 
 
-def measure_offset(device: Device, noise: Noise, useless: list[int], repeats: int = 8) -> Offset:
+def _against_last(injections: Ints, alive: list[int]) -> DrivePattern:
+    """Drives `injections` (n, 2), and measures all other electrodes in order against the last of these."""
+    others = [[e for e in alive if e not in pair] for pair in injections.tolist()]
+    return DrivePattern(injections, np.array([(k, e, rest[-1]) for k, rest in enumerate(others) for e in rest[:-1]]))
+
+
+def measure_offset(device: Device, noise: Noise, alive: list[int], repeats: int = 8) -> Offset:
     """Drive neighbours both ways and see what does not turn with the current."""
-    alive = [e for e in range(device.capabilities.n_electrodes) if e not in useless]
-    pairs = np.array([(a, b) for a, b in zip(alive, alive[1:] + alive[:1], strict=True)])
-    both = np.stack([pairs, pairs[:, ::-1]], axis=1).reshape(-1, 2)
-    rest = [[e for e in alive if e not in pair] for pair in both]
-    rows = [(k, e, other[-1]) for k, other in enumerate(rest) for e in other[:-1]]
-    pattern = DrivePattern(both, np.array(rows))
+    pairs = np.column_stack([alive, np.roll(alive, -1)])
+    pattern = _against_last(np.stack([pairs, pairs[:, ::-1]], axis=1).reshape(-1, 2), alive)
     frame = mean_frame([scan_whole(device, pattern) for _ in range(repeats)])
     volts, amperes = frame.voltages.reshape(len(pairs), 2, -1), frame.currents.reshape(len(pairs), 2, 1)
     offsets = (volts[:, 0] * amperes[:, 1] + volts[:, 1] * amperes[:, 0]) / amperes.sum(axis=1)
     # each is the plus terminal's less the minus terminal's
-    n_elec = device.capabilities.n_electrodes
-    terminals = pattern.measurements[pattern.measurements[:, 0] % 2 == 0, 1:]
-    design = np.zeros((len(terminals) + 1, n_elec))
-    design[np.arange(len(terminals)), terminals[:, 0]], design[np.arange(len(terminals)), terminals[:, 1]] = 1.0, -1.0
-    design[-1] = 1.0
+    _, plus, minus = pattern.measurements[pattern.measurements[:, 0] % 2 == 0].T
+    terminal = np.eye(device.capabilities.n_electrodes)
+    design = np.vstack([terminal[plus] - terminal[minus], np.ones(len(terminal))])
     values = np.append(np.nan_to_num(offsets.ravel()), 0.0)
     own = np.linalg.lstsq(design, values, rcond=None)[0]
     worst = int(np.argmax(np.abs(own)))
@@ -198,49 +198,36 @@ def measure_offset(device: Device, noise: Noise, useless: list[int], repeats: in
     return Offset(float(np.sqrt(np.nanmean(offsets**2))), expected, float(own[worst]), worst)
 
 
-def measure_linearity(frame: Frame, repeats: int, noise: Noise, useless: list[int], contradiction: float) -> Linearity:
+def measure_linearity(frame: Frame, repeats: int, noise: Noise, alive: list[int], contradiction: float) -> Linearity:
     """From a mean scan of all pairs against the sink: loops of three injections seen between two other electrodes."""
     n_elec = int(frame.pattern.quadruples.max()) + 1
-    alive = [e for e in range(n_elec) if e not in useless]
-    number = {tuple(pair): k for k, pair in enumerate(all_pairs(n_elec).tolist())}
-    volts = np.zeros((len(number), n_elec))
-    volts[frame.pattern.measurements[:, 0], frame.pattern.measurements[:, 1]] = frame.voltages
-    ohms = volts / np.where(frame.currents > 0, frame.currents, np.inf)[:, None]  # useless pairs are not looked at
-    errors, signals, noises = [], [], []
-    for at in range(len(alive)):
-        *three, d, e = (alive[(at + k) % len(alive)] for k in range(5))
-        a, b, c = sorted(three)
-        seen = [ohms[number[pair], d] - ohms[number[pair], e] for pair in ((a, b), (b, c), (a, c))]
-        errors.append(seen[0] + seen[1] - seen[2])
-        signals.append(seen[2])
-        own = [np.hypot(np.sqrt(2) * noise.typical / frame.currents[number[pair]], r * noise.current)
-               for pair, r in zip(((a, b), (b, c), (a, c)), seen, strict=True)]  # fmt: skip
-        noises.append(float(np.sqrt(np.sum(np.square(own)) / repeats)))
-    signal = float(np.sqrt(np.nanmean(np.square(signals))))
-    error, expected = float(np.sqrt(np.nanmean(np.square(errors)))), float(np.sqrt(np.nanmean(np.square(noises))))
+    # useless pairs are not looked at
+    ohms = potentials(frame, n_elec) / np.where(frame.currents > 0, frame.currents, np.inf)[:, None]
+    *three, d, e = (np.roll(alive, -k) for k in range(5))  # each (n_alive,)
+    a, b, c = np.sort(three, axis=0)
+    pairs = pair_index([a, b, a], [b, c, c], n_elec)
+    seen = ohms[pairs, d] - ohms[pairs, e]
+    own = np.hypot(np.sqrt(2) * noise.typical / frame.currents[pairs], seen * noise.current)
+    signal, error = rms(seen[2]), rms(seen[0] + seen[1] - seen[2])
+    expected = rms(np.sqrt(np.sum(own**2, axis=0) / repeats))
     return Linearity(error / signal, expected / signal, contradiction)
 
 
-def measure_settling(device: Device, noise: Noise, useless: list[int], repeats: int = 12) -> Settling:
+def measure_settling(device: Device, noise: Noise, alive: list[int], repeats: int = 12) -> Settling:
     """Inject at two far pairs in turn, each several times: the first sample after a change against the last one."""
-    alive = [e for e in range(device.capabilities.n_electrodes) if e not in useless]
     half = len(alive) // 2
     pairs = [(alive[k], alive[(k + half) % len(alive)]) for k in range(min(_SWITCHES, half))]
     injections = np.repeat([pair for one in pairs for pair in (one, one[::-1])], 1 + _STEADY, axis=0)
-    others = [[e for e in alive if e not in pair] for pair in injections.tolist()]
-    pattern = DrivePattern(injections, np.array([(k, e, rest[-1]) for k, rest in enumerate(others) for e in rest[:-1]]))
+    pattern = _against_last(injections, alive)
     frames = [scan_whole(device, pattern) for _ in range(repeats)]
     able = device.capabilities
     per_piece = min(able.max_injections, able.max_measurements // (len(alive) - 3))
-    volts = mean_frame(frames).voltages.reshape(len(injections), -1)
-    steps, lefts = [], []
-    for first in range(0, len(injections), 1 + _STEADY):
-        if first == 0 or first // per_piece != (first - 1) // per_piece or others[first] != others[first - 1]:
-            continue  # what went before is not known, or was measured elsewhere
-        final = volts[first + 1 : first + 1 + _STEADY].mean(axis=0)
-        steps.append(volts[first - 1] - final)
-        lefts.append(volts[first] - final)
-    step, left = np.concatenate(steps or [np.zeros(1)]), np.concatenate(lefts or [np.zeros(1)])
+    blocks = mean_frame(frames).voltages.reshape(-1, 1 + _STEADY, len(alive) - 3)  # of one injection each
+    final, number = blocks[:, 1:].mean(axis=1), np.arange(1, len(blocks))
+    first = (1 + _STEADY) * number
+    # what went before must be of the same scan, and measured at the same electrodes: those of a pair's other direction
+    told = number[(first // per_piece == (first - 1) // per_piece) & (number % 2 == 1)]
+    step, left = (blocks[told - 1, -1] - final[told]).ravel(), (blocks[told, 0] - final[told]).ravel()
     known = np.isfinite(step) & np.isfinite(left)
     energy = max(float(step[known] @ step[known]), 1e-30)
     share = float(step[known] @ left[known]) / energy
@@ -252,9 +239,9 @@ def measure_settling(device: Device, noise: Noise, useless: list[int], repeats: 
     return Settling(share, float(spread), wait, needed)
 
 
-def measure_link(device: Device, base: DrivePattern, useless: list[int]) -> LinkBudget:
+def measure_link(device: Device, base: DrivePattern, alive: list[int]) -> LinkBudget:
     """Time small and whole scans, and count their bytes where the driver does."""
-    a, b, c, d = [e for e in range(device.capabilities.n_electrodes) if e not in useless][:4]
+    a, b, c, d = alive[:4]
     smallest = DrivePattern(np.array([[a, b]]), np.array([[0, c, d]]))
     link: Link | None = getattr(device, "link", None)
     retries = device.dropped

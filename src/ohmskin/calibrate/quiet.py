@@ -42,7 +42,7 @@ def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = 
         raise DataError(f"the wiring is not in order: {wrong}; mend it, see `ohmskin self-test`, and calibrate again")
     beyond = float(np.median(diagnosis.series))
     told = beyond > _TELLING * float(np.median(diagnosis.pair_resistances))
-    noise = measure_noise(frames, [], skin)
+    noise = measure_noise(frames, list(range(n_elec)), skin)
     return Calibration(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         version=version,

@@ -5,15 +5,16 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 
 import numpy as np
 
 from ohmskin.arrays import as_plain
 from ohmskin.calibrate import measures
-from ohmskin.calibrate.findings import Diagnosis, Finding
-from ohmskin.calibrate.wiring import diagnose, terminal_pattern
+from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
 from ohmskin.device import Device
 from ohmskin.errors import DeviceError
+from ohmskin.scan.quality import in_words
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
@@ -56,49 +57,48 @@ class SelfTest:
         found = []
         if (n := self.noise) and n.described > 0 and n.typical > _LOUD * n.described:
             times = f"{n.typical / n.described:.0f} times what the skin's description says"
-            found.append(f"noise is {_si(n.typical, 'V')}, {times}; check shields, supply and ground")
+            found.append(f"noise is {in_words(n.typical)}, {times}; check shields, supply and ground")
         if (n := self.noise) and n.worst > _LOUD * 2 * n.typical:
             noisiest = f"electrode {n.worst_electrode} is noisier than the others"
-            found.append(f"{noisiest}: {_si(n.worst, 'V')}; check its contact")
+            found.append(f"{noisiest}: {in_words(n.worst)}; check its contact")
         if (o := self.offset) and o.rms > 5 * o.noise:
-            most = f"{_si(o.rms, 'V')} rms, most at electrode {o.worst_electrode}"
+            most = f"{in_words(o.rms)} rms, most at electrode {o.worst_electrode}"
             found.append(f"voltages have an offset of {most}; differences cancel it")
         if (lin := self.linearity) and lin.error > max(_BENT, 5 * lin.noise):
             found.append(f"currents do not add up by {100 * lin.error:.2g} %: out of range, or a touched skin?")
         if (s := self.settling) and not s.settled:
-            instead = f"{_si(s.needed, 's')} instead of {_si(s.settle_time, 's')}"
+            instead = f"{in_words(s.needed, 's')} instead of {in_words(s.settle_time, 's')}"
             more = f"wait {instead if s.needed > s.settle_time else 'longer'}"
             found.append(f"{100 * s.left:.2g} % of a step is left when voltages are sampled; {more}")
         return tuple(found)
 
     def table(self) -> list[tuple[str, str]]:
         """What was measured, as rows of name and value in words."""
-        d = self.diagnosis
-        rows = []
+        rows, d = [], self.diagnosis
         if math.isfinite(d.conductivity):
             rows.append(("sheet conductivity that fits", f"{1e3 * d.conductivity:.4g} mS per square"))
             rows.append(("measured against the model", f"{100 * d.misfit:.2g} % rms"))
-        if (n := self.noise) is not None:
-            rows.append(("noise of a voltage", f"{_si(n.typical, 'V')} (described {_si(n.described, 'V')})"))
-        if (o := self.offset) is not None:
-            rows.append(("offset", f"{_si(o.rms, 'V')} rms (noise alone {_si(o.noise, 'V')})"))
-        if (lin := self.linearity) is not None:
-            left = f"{100 * lin.error:.2g} % of the signal (noise alone {100 * lin.noise:.2g} %)"
-            rows.append(("R(ab) + R(bc) - R(ac)", left))
-            rows.append(("against any network", f"{100 * lin.reciprocity:.2g} % of the signal"))
-        if (s := self.settling) is not None:
-            left = f"{100 * s.left:.2g} +- {100 * s.noise:.1g} % of a step left after {_si(s.settle_time, 's')}"
-            rows.append(("settling", left))
-        if (k := self.link) is not None:
-            rows.append(("round trip", f"{_si(k.round_trip, 's')} median, {_si(k.worst_round_trip, 's')} longest"))
-            moved = f", {k.bytes_per_scan:.0f} bytes" if k.bytes_per_scan else ""
-            rows.append(("base scan", f"{_si(k.scan_time, 's')}{moved} (the device says {_si(k.own_time, 's')})"))
-            rows.append(("requests sent again", str(k.retries)))
-        if (r := self.rates) is not None:
-            rows += [(f"{name} cycles", f"{rate:.4g} per second") for name, rate in r.cycles.items()]
-            name, best = list(r.proposed.items())[-1]
-            rows.append(("best with this wiring", f"{name} at {best:.4g} a second, waiting {_si(r.settle_time, 's')}"))
-        return rows
+        n, o, lin, s, k, r = self.noise, self.offset, self.linearity, self.settling, self.link, self.rates
+        if not (n and o and lin and s and k and r):
+            return rows
+        seconds = partial(in_words, unit="s")
+        network = f"{100 * lin.error:.2g} % of the signal (noise alone {100 * lin.noise:.2g} %)"
+        left = f"{100 * s.left:.2g} +- {100 * s.noise:.1g} % of a step left after {seconds(s.settle_time)}"
+        moved = f", {k.bytes_per_scan:.0f} bytes" if k.bytes_per_scan else ""
+        name, best = list(r.proposed.items())[-1]
+        return [
+            *rows,
+            ("noise of a voltage", f"{in_words(n.typical)} (described {in_words(n.described)})"),
+            ("offset", f"{in_words(o.rms)} rms (noise alone {in_words(o.noise)})"),
+            ("R(ab) + R(bc) - R(ac)", network),
+            ("against any network", f"{100 * lin.reciprocity:.2g} % of the signal"),
+            ("settling", left),
+            ("round trip", f"{seconds(k.round_trip)} median, {seconds(k.worst_round_trip)} longest"),
+            ("base scan", f"{seconds(k.scan_time)}{moved} (the device says {seconds(k.own_time)})"),
+            ("requests sent again", str(k.retries)),
+            *((f"{mode} cycles", f"{rate:.4g} per second") for mode, rate in r.cycles.items()),
+            ("best with this wiring", f"{name} at {best:.4g} a second, waiting {seconds(r.settle_time)}"),
+        ]
 
     def to_json(self) -> str:
         """All of it as JSON text; what is not known is null."""
@@ -127,26 +127,16 @@ def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lamb
     diagnosis = diagnose(skin, mean)
     date = datetime.now(UTC).isoformat(timespec="seconds")
     untested = SelfTest(skin.name, device.capabilities.name, date, diagnosis)
-    useless = [e for e in range(n_elec) if np.isnan(diagnosis.series[e])]
-    if n_elec - len(useless) < 6:
+    alive = np.flatnonzero(~np.isnan(diagnosis.series)).tolist()
+    if len(alive) < 6:
         return untested
-    noise = measures.measure_noise(frames, useless, skin)
+    noise = measures.measure_noise(frames, alive, skin)
     progress("reversing currents")
-    offset = measures.measure_offset(device, noise, useless)
-    linearity = measures.measure_linearity(mean, len(frames), noise, useless, diagnosis.contradiction)
+    offset = measures.measure_offset(device, noise, alive)
+    linearity = measures.measure_linearity(mean, len(frames), noise, alive, diagnosis.contradiction)
     progress("switching and waiting")
-    settling = measures.measure_settling(device, noise, useless)
+    settling = measures.measure_settling(device, noise, alive)
     progress("timing the link")
-    link = measures.measure_link(device, drive_of(mode_named(skin, ""), skin).next((), 0), useless)
+    link = measures.measure_link(device, drive_of(mode_named(skin, ""), skin).next((), 0), alive)
     rates = measures.propose_rates(device, skin, link, settling)
     return replace(untested, noise=noise, offset=offset, linearity=linearity, settling=settling, link=link, rates=rates)
-
-
-def _si(value: float, unit: str) -> str:
-    """A value in words, such as "205 uV"."""
-    if not math.isfinite(value) or value == 0:
-        return f"{value:g} {unit}"
-    for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "u")):
-        if abs(value) >= 0.9995 * factor:
-            return f"{value / factor:.3g} {prefix}{unit}"
-    return f"{value / 1e-9:.3g} n{unit}"

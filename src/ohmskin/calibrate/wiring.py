@@ -11,12 +11,14 @@ that explains most of what is left over is put into the model, until nothing exp
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from ohmskin.arrays import Floats
-from ohmskin.calibrate.findings import Diagnosis, Finding
 from ohmskin.calibrate.wiring_fit import EXPLAINS, MOST_FAULTS, WiringFit, WiringSearch, typical_resistance
 from ohmskin.errors import DataError
 from ohmskin.scan import DrivePattern, Frame, all_pairs, n_pairs
@@ -30,6 +32,49 @@ _SHORT = 0.1  # share of a pair's modelled resistance below which a bridge is ca
 _POOR = 0.03  # series resistance above the others', as a share of a typical pair's, that makes a contact poor
 _SPREAD = 5.0  # the same relative to what the sheet adds round the electrode, in standard deviations of the others
 _UNEVEN = 150.0  # share by which conductivity close to an electrode may be off, in misfits; found on uneven sheets
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong with the wiring.
+
+    Args:
+        kind: "open", "shorted", "bridged", "swapped", "high", "contradicts", "out of range" or "silent".
+        electrodes: Those concerned.
+        text: The finding in plain words.
+        value: Of a short or bridge its resistance, of a poor contact the resistance above the others' (ohm); else NaN.
+    """
+
+    kind: str
+    electrodes: tuple[int, ...]
+    text: str
+    value: float = float("nan")
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a scan of all pairs says about the wiring and the sheet.
+
+    Args:
+        findings: What is wrong, by electrode.
+        pair_resistances: (n_pairs,) measured two-terminal resistances (ohm), NaN where an electrode is of no use.
+        modelled: (n_pairs,) what the model says of a skin wired like this (ohm), NaN likewise.
+        conductivity: Sheet conductivity that fits (S per square).
+        series: (n_elec,) series resistance at each electrode beyond the model's (ohm), NaN likewise.
+        misfit: Root mean square of measured less modelled, as a share of the modelled resistance.
+        contradiction: Root mean square voltage that no resistive network explains, as a share of the signal.
+    """
+
+    findings: tuple[Finding, ...]
+    pair_resistances: Floats
+    modelled: Floats
+    conductivity: float
+    series: Floats
+    misfit: float
+    contradiction: float
 
 
 def terminal_pattern(n_elec: int) -> DrivePattern:
@@ -73,7 +118,7 @@ def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
     return Diagnosis(findings, measured, modelled, conductivity, series, fit.misfit, contradiction)
 
 
-def _potentials(frame: Frame, n_elec: int) -> Floats:
+def potentials(frame: Frame, n_elec: int) -> Floats:
     """Potential (n_inj, n_elec) of every terminal against the sink (V); NaN where it is not known."""
     which, plus, _ = frame.pattern.measurements.T
     volts = np.zeros((frame.pattern.n_inj, n_elec))
@@ -85,7 +130,7 @@ def _unreached(frame: Frame, skin: Skin) -> tuple[Finding, ...]:
     """Electrodes that give no current to any other: driving them, all the rest of the sheet is at one potential."""
     injections, n_elec = frame.pattern.injections, len(skin.electrodes)
     signal = np.full(len(injections), np.nan)
-    for k, (row, driven) in enumerate(zip(_potentials(frame, n_elec), injections, strict=True)):
+    for k, (row, driven) in enumerate(zip(potentials(frame, n_elec), injections, strict=True)):
         rest = np.delete(row, driven)
         rest = rest[np.isfinite(rest)]
         if len(rest) > n_elec / 2:  # the median, as a loose wire among the rest may pick up anything
@@ -114,7 +159,7 @@ def _described_current(skin: Skin) -> float:
 
 def _out_of_range(frame: Frame, useless: list[int], n_elec: int) -> Iterator[Finding]:
     """Electrodes that leave the converter's range whenever they are driven."""
-    volts, injections = _potentials(frame, n_elec), frame.pattern.injections
+    volts, injections = potentials(frame, n_elec), frame.pattern.injections
     clipped = ~np.isfinite(volts[np.arange(len(injections)), injections[:, 0]])
     usable = ~np.isin(injections, useless).any(axis=1)
     shares = {e: clipped[usable & (injections == e).any(axis=1)] for e in range(n_elec) if e not in useless}
@@ -163,19 +208,16 @@ def _network(frame: Frame, useless: list[int], n_elec: int) -> tuple[list[Findin
 
 def _misplaced(fit: WiringFit, alive: NDArray[np.int64]) -> Iterator[Finding]:
     """Exchanged wires, bridges and poor contacts; `alive` (n,) names the electrodes of the fit."""
-    order, seen = fit.wiring.order, set[int]()
-    for terminal in range(len(order)):
-        cycle = [terminal]
-        while (following := order[cycle[-1]]) != terminal:
-            cycle.append(following)
-        names = tuple(sorted(int(alive[k]) for k in cycle))
-        if len(cycle) == 1 or terminal in seen:
+    order = fit.wiring.order
+    count, cycle_of = connected_components(sp.eye_array(len(order), format="csr")[list(order)])
+    for cycle in (np.flatnonzero(cycle_of == k) for k in range(count)):
+        names = tuple(alive[cycle].tolist())
+        if len(names) == 1:
             continue
-        seen.update(cycle)
         if len(names) == 2:
             words = f"electrodes {names[0]} and {names[1]} are swapped"
         else:
-            goes = ", ".join(f"wire {alive[k]} is on electrode {alive[order[k]]}" for k in sorted(cycle))
+            goes = ", ".join(f"wire {alive[k]} is on electrode {alive[order[k]]}" for k in cycle)
             words = f"electrodes {', '.join(map(str, names))} are mixed up: {goes}"
         yield Finding("swapped", names, words)
     typical = float(np.median(fit.unbridged))

@@ -129,11 +129,10 @@ class WiringSearch:
 
     def _bridged_more(self, wiring: WiringHypothesis) -> Iterator[WiringHypothesis]:
         """The same wiring with one bridge more, the likeliest."""
-        free = ~np.isin(self.pairs, wiring.bridges).any(axis=1) & (self._ratios < _BRIDGED)
-        for k in [k for k in np.argsort(self._ratios).tolist() if free[k]][:_CANDIDATES]:
+        free = np.flatnonzero(self._not_bridged(wiring) & (self._ratios < _BRIDGED))
+        for k in free[np.argsort(self._ratios[free])][:_CANDIDATES]:
             a, b = self.pairs[k].tolist()
-            ohms = (*wiring.ohms, float(self.measured[k]))
-            yield replace(wiring, bridges=(*wiring.bridges, (a, b)), ohms=ohms)
+            yield replace(wiring, bridges=(*wiring.bridges, (a, b)), ohms=(*wiring.ohms, float(self.measured[k])))
 
     def _exchanged(self, fit: WiringFit) -> list[WiringHypothesis]:
         """The same wiring with two wires exchanged, the likeliest if what the bridges do stays as it is."""

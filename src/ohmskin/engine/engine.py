@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
+from ohmskin.calibrate.measures import check_fit
 from ohmskin.closing import Closing
 from ohmskin.device import Device
 from ohmskin.drive import Drive, Fixed
@@ -16,17 +17,7 @@ from ohmskin.engine.quiet import needed, quiet_frames
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import DeviceError, DeviceLost, ModelError, PatternError
 from ohmskin.scan import DrivePattern, Frame
-from ohmskin.sensing import (
-    RECORDED,
-    Belief,
-    Sensor,
-    SensorState,
-    SkinModel,
-    build,
-    default_mode,
-    drive_of,
-    modes,
-)
+from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
@@ -258,12 +249,11 @@ class Engine(Closing):
 
     def _opened(self) -> Device:
         device = self._open_device()
-        found, expected = device.capabilities.n_electrodes, len(self.skin.electrodes)
-        if found != expected:
+        try:
+            check_fit(device, self.skin)
+        except DeviceError:
             device.close()
-            raise DeviceError(
-                f"the device has {found} electrodes, skin {self.skin.name!r} has {expected}; choose the skin that fits"
-            )
+            raise
         return device
 
     def _others(self, known: SkinModel, progress: Callable[[float], None]) -> dict[Mode, Sensor]:

@@ -51,13 +51,8 @@ class Notices:
         self._unread = bool(why)
 
     def pace(self, mode: Mode, seconds: float, rate: float) -> None:
-        """Say when an estimator is why the loop is slow.
-
-        Args:
-            mode: The mode.
-            seconds: Time that an image takes (s).
-            rate: Cycles per second of the loop; 0 while it is not known.
-        """
+        """Say when an estimator is why the loop is slow, by the time that an image takes (s) and the loop's cycles per
+        second, 0 while these are not known."""
         if mode != self._slow and seconds > SLOW and 0 < rate < 1 / SLOW:
             self._slow = mode
             self.say(

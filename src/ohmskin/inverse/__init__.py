@@ -19,17 +19,7 @@ from ohmskin.inverse.image import Image
 from ohmskin.inverse.kalman import Belief, Kalman
 from ohmskin.inverse.modes import ImageModes
 from ohmskin.inverse.pixels import Pixels
-from ohmskin.inverse.priors import (
-    PRIORS,
-    Penalty,
-    Prior,
-    graph_laplacian,
-    matern,
-    named_prior,
-    noser,
-    paper_laplacian,
-    tikhonov,
-)
+from ohmskin.inverse.priors import PRIORS, Penalty, Prior, graph_laplacian, matern, noser, paper_laplacian, tikhonov
 from ohmskin.inverse.quality import ModelMatch, match_model
 from ohmskin.inverse.sparse import SparseBayes
 from ohmskin.inverse.variation import TotalVariation
@@ -66,7 +56,6 @@ __all__ = [
     "l_curve",
     "match_model",
     "matern",
-    "named_prior",
     "noise_figure",
     "noser",
     "paper_laplacian",

@@ -1,7 +1,8 @@
 """How strongly to regularise: rules that choose the prior amplitude of a `GaussNewton` estimator, each with its curve.
 
-One singular value decomposition of the data's rows in image modes makes every image of every amplitude a matter of
-filter factors, so that a whole curve costs as much as one image.
+Each takes the estimator, the data, and the amplitudes to try (n,), a wide range unless given. One singular value
+decomposition of the data's rows in image modes makes every image of every amplitude a matter of filter factors, so that
+a whole curve costs as much as one image.
 """
 
 from collections.abc import Callable
@@ -48,7 +49,7 @@ class _Spectrum:
     def __init__(self, estimator: GaussNewton, scans: tuple[Difference, ...], amplitudes: ArrayLike | None) -> None:
         system = estimator.modes.system(*scans)
         self.left, self.singular, self.right = np.linalg.svd(system.rows, full_matrices=False)
-        self.noise = float(np.hypot(estimator.noise, estimator.model_error * system.root_mean_square))
+        self.noise = system.noise(estimator.noise, estimator.model_error)
         self.data = self.left.T @ system.volts
         self.rest = max(float(system.volts @ system.volts - self.data @ self.data), 0.0)
         self.n_data = len(system.volts)
@@ -64,9 +65,6 @@ class _Spectrum:
         self.residuals = np.sqrt((((1 - self.filters) * self.data) ** 2).sum(axis=1) + self.rest)
         self.norms = np.sqrt(((s / (s**2 + w**2) * self.data) ** 2).sum(axis=1))
 
-    def lowest(self, rule: str, curve: Floats, meaning: str) -> Choice:
-        return self.choice(rule, float(self.amplitudes[np.nanargmin(curve)]), curve, meaning)
-
     def crossing(self, curve: Floats, level: float) -> float:
         """The amplitude at which a curve first crosses a level, coming from strong regularisation."""
         above = curve > level
@@ -74,8 +72,10 @@ class _Spectrum:
         x, y = np.log(self.amplitudes[k - 1 : k + 1]), np.log(curve[k - 1 : k + 1])
         return float(np.exp(x[0] + (x[1] - x[0]) * (np.log(level) - y[0]) / (y[1] - y[0])))
 
-    def choice(self, rule: str, amplitude: float, curve: Floats, meaning: str) -> Choice:
-        return Choice(rule, amplitude, self.amplitudes, curve, meaning, self.residuals, self.norms)
+    def choice(self, rule: str, curve: Floats, meaning: str, amplitude: float | None = None) -> Choice:
+        """What a rule chooses: where its curve is lowest, unless given."""
+        chosen = float(self.amplitudes[np.nanargmin(curve)]) if amplitude is None else amplitude
+        return Choice(rule, chosen, self.amplitudes, curve, meaning, self.residuals, self.norms)
 
 
 def physical(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
@@ -87,14 +87,14 @@ def physical(estimator: GaussNewton, *differences: Difference, amplitudes: Array
     s, w = at.singular[None, :], at.weights[:, None]
     unseen = (len(estimator.modes.modes) - len(at.singular)) * estimator.amplitude**2
     error = ((1 - at.filters) ** 2 * estimator.amplitude**2 + (at.noise * s / (s**2 + w**2)) ** 2).sum(axis=1) + unseen
-    return at.choice("physical", estimator.amplitude, error, "expected squared error of the modes; smallest")
+    return at.choice("physical", error, "expected squared error of the modes; smallest", estimator.amplitude)
 
 
 def cross_validation(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
     """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data are foretold. Knows no noise."""
     at = _Spectrum(estimator, differences, amplitudes)
     curve = at.n_data * at.residuals**2 / (at.n_data - at.filters.sum(axis=1)) ** 2
-    return at.lowest("cross-validation", curve, "squared error of foretelling data left out (V2); smallest")
+    return at.choice("cross-validation", curve, "squared error of foretelling data left out (V2); smallest")
 
 
 def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
@@ -106,7 +106,7 @@ def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayL
     bend = (dx * np.gradient(dy, t) - np.gradient(dx, t) * dy) / np.maximum((dx**2 + dy**2) ** 1.5, 1e-300)
     bend[:2], bend[-2:] = -np.inf, -np.inf  # differences at the ends are one-sided
     best = float(at.amplitudes[np.argmax(bend)])
-    return at.choice("l-curve", best, bend, "curvature of log image norm over log residual; largest")
+    return at.choice("l-curve", bend, "curvature of log image norm over log residual; largest", best)
 
 
 def discrepancy(
@@ -114,11 +114,7 @@ def discrepancy(
 ) -> Choice:
     """The discrepancy principle (Morozov): the smoothest image that fits the data as well as their noise allows.
 
-    Args:
-        estimator: Knows the noise.
-        differences: The data.
-        safety: How many times the noise the residual may be.
-        amplitudes: Amplitudes to try (n,).
+    The residual may be `safety` times the noise.
 
     Raises:
         ModelError: If no amplitude fits the data so well: noise or model error is set too low.
@@ -131,9 +127,8 @@ def discrepancy(
     if curve[-1] > level:
         best = f"the data cannot be fitted to {level:.3g} V: {curve[-1]:.3g} V are left at best"
         raise ModelError(f"{best}; raise noise, model_error or safety")
-    if curve[0] <= level:  # there is nothing in the data but noise
-        return at.choice("discrepancy", float(at.amplitudes[0]), curve, meaning)
-    return at.choice("discrepancy", at.crossing(curve, level), curve, meaning)
+    only_noise = curve[0] <= level
+    return at.choice("discrepancy", curve, meaning, at.amplitudes[0] if only_noise else at.crossing(curve, level))
 
 
 def evidence(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
@@ -141,67 +136,60 @@ def evidence(estimator: GaussNewton, *differences: Difference, amplitudes: Array
     at = _Spectrum(estimator, differences, amplitudes)
     share = (at.singular[None, :] * at.amplitudes[:, None] / at.noise) ** 2
     curve = ((at.data / at.noise) ** 2 / (1 + share) + np.log1p(share)).sum(axis=1) + at.rest / at.noise**2
-    return at.lowest("evidence", curve, "-2 log probability of the data, up to a constant; smallest")
+    return at.choice("evidence", curve, "-2 log probability of the data, up to a constant; smallest")
 
 
 def noise_figure(
-    estimator: GaussNewton,
-    *differences: Difference,
-    goal: float = 1.0,
-    target: ArrayLike | None = None,
-    amplitudes: ArrayLike | None = None,
+    estimator: GaussNewton, *differences: Difference, goal: float = 1.0, amplitudes: ArrayLike | None = None
 ) -> Choice:
     """The amplitude with a wanted noise figure (Adler and Guardo 1996; Adler et al. 2009), whatever the data's values.
 
-    Args:
-        estimator: Whose regularisation to choose.
-        differences: Scans whose patterns and currents count.
-        goal: Noise figure wanted: signal-to-noise ratio of the data over that of the image.
-        target: Where the small target is (dim,) in metres; the middle of the sheet unless given.
-        amplitudes: Amplitudes to try (n,).
+    The noise figure, wanted to be `goal`, is the signal-to-noise ratio of the data over that of the image.
 
     Raises:
         ModelError: If no amplitude has this noise figure; the message says which can be had.
     """
     check_positive(goal=goal)
     at = _Spectrum(estimator, differences, amplitudes)
-    mesh = estimator.model.mesh
-    signal = signal_of(estimator.model, small_target(mesh, target), differences)
-    curve = noise_figures(estimator.modes, at.left, at.singular, at.right, signal, mesh.measures, at.weights)
+    decomposition = at.left, at.singular, at.right
+    curve = noise_figures(estimator.model, estimator.modes, decomposition, differences)(at.weights)
     meaning = f"noise figure of a small target; {goal:g}"
     if not curve.min() <= goal <= curve.max():
         raise ModelError(f"noise figure {goal:g} cannot be had here; choose {curve.min():.3g} to {curve.max():.3g}")
-    return at.choice("noise figure", at.crossing(curve, goal), curve, meaning)
+    return at.choice("noise figure", curve, meaning, at.crossing(curve, goal))
 
 
 def noise_figures(
-    modes: ImageModes, left: Floats, singular: Floats, right: Floats, signal: Floats, areas: Floats, weights: Floats
-) -> Floats:
-    """Noise figures (n,) of images with regularisation `weights` (n,), from the decomposition of the data's rows.
+    model: TransferModel,
+    modes: ImageModes,
+    decomposition: tuple[Floats, Floats, Floats],
+    differences: tuple[Difference, ...],
+) -> Callable[[ArrayLike], Floats]:
+    """Noise figures (n,) of a small central target's images as a function of regularisation weights (n,).
 
-    SNR of the data: mean magnitude of `signal` (n_meas,) over the noise. SNR of the image: mean magnitude of its image
-    over the mean standard deviation that noise gives it, both weighted by area.
+    SNR of the data: mean magnitude of the target's signal over the noise. SNR of the image: mean magnitude of its image
+    over the mean standard deviation that noise gives it, both weighted by area. `decomposition` is the singular value
+    decomposition of the finite data's rows in the modes.
     """
+    pairs = (model.pair_sensitivity * model.conductivity) @ small_target(model.mesh)
+    volts = [(d.combination(len(model.electrodes)) @ pairs) * d.currents for d in differences]
+    known = [np.isfinite(d.volts) & np.isfinite(d.currents) for d in differences]
+    signal = np.concatenate(volts)[np.concatenate(known)]
+    left, singular, right = decomposition
     basis, data = right @ modes.modes, left.T @ signal
-    share = areas / areas.sum()
-    figures = np.empty(len(weights))
-    for k, weight in enumerate(weights):
+    share = model.mesh.measures / model.mesh.measures.sum()
+
+    def figure(weight: float) -> float:
         gain = singular / (singular**2 + weight**2)
         image, noise = (gain * data) @ basis, np.sqrt(gain**2 @ basis**2)
-        figures[k] = np.mean(np.abs(signal)) * (share @ noise) / (share @ np.abs(image))
-    return figures
+        return float(np.mean(np.abs(signal)) * (share @ noise) / (share @ np.abs(image)))
+
+    return lambda weights: np.array([figure(weight) for weight in np.atleast_1d(weights)])
 
 
-def signal_of(model: TransferModel, change: Floats, differences: tuple[Difference, ...]) -> Floats:
-    """What a small relative change (n_elem,) does to the finite channels (n_known,) of scans (V)."""
-    pairs = (model.pair_sensitivity * model.conductivity) @ change
-    volts = np.concatenate([(d.combination(len(model.electrodes)) @ pairs) * d.currents for d in differences])
-    return np.asarray(volts[np.concatenate([np.isfinite(d.volts) & np.isfinite(d.currents) for d in differences])])
-
-
-def small_target(mesh: Mesh, position: ArrayLike | None = None) -> Floats:
-    """A change of one (n_elem,) about a point, within 5 % of half the longest side; three triangles at least."""
-    centre = mesh.measures @ mesh.centroids / mesh.measures.sum() if position is None else np.asarray(position, float)
+def small_target(mesh: Mesh) -> Floats:
+    """A change of one (n_elem,) about the middle, within 5 % of half the longest side; three triangles at least."""
+    centre = mesh.measures @ mesh.centroids / mesh.measures.sum()
     change = np.zeros(mesh.n_elem)
     change[mesh.closest_elements(centre[None], 3)[0]] = 1.0
     change[np.linalg.norm(mesh.centroids - centre, axis=1) < 0.025 * np.ptp(mesh.nodes, axis=0).max()] = 1.0

@@ -18,7 +18,7 @@ from ohmskin.inverse.absolute import AbsoluteGaussNewton
 from ohmskin.inverse.choice import RULES, choose
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
-from ohmskin.inverse.image import Image
+from ohmskin.inverse.image import Image, Reconstructs
 from ohmskin.inverse.kalman import Belief, Kalman
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.priors import PRIORS
@@ -40,14 +40,11 @@ class Estimate(Protocol):
 
 
 class Estimator(Protocol):
-    """Makes images of scans that follow each other.
-
-    Attributes:
-        cells: What its images are made of.
-    """
+    """Makes images of scans that follow each other."""
 
     @property
-    def cells(self) -> Cells: ...
+    def cells(self) -> Cells:
+        """What its images are made of."""
 
     def start(self) -> Estimate:
         """Nothing is known yet."""
@@ -61,12 +58,6 @@ class Estimator(Protocol):
             recent: These, and the ones before that belong to the same moment where a frame has few injections.
             elapsed: Time since the last frame (s).
         """
-
-
-class Reconstructs(Protocol):
-    """Makes an image of some scans, whatever came before."""
-
-    def reconstruct(self, *differences: Difference) -> Image: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +96,7 @@ class FrameWise:
 
 @dataclass(frozen=True, eq=False)
 class Recursive:
-    """A Kalman filter as an estimator.
-
-    Args:
-        filter: The filter.
-        cells: What its images are made of.
-    """
+    """A Kalman filter as an estimator."""
 
     filter: Kalman
     cells: Cells
@@ -127,12 +113,7 @@ class Recursive:
 
 @dataclass(frozen=True, eq=False)
 class ByRule:
-    """Gauss-Newton images whose amplitude a rule chooses anew for each (`RULES`).
-
-    Args:
-        estimator: Gauss-Newton at the usual amplitude.
-        rule: Name of the rule.
-    """
+    """Gauss-Newton images whose amplitude a rule chooses anew for each (`RULES`)."""
 
     estimator: GaussNewton
     rule: str
@@ -230,10 +211,7 @@ def absolute_variation(s: Settings) -> Estimator:
 
 _ESTIMATORS = (gauss_newton, positive, kalman, greit, total_variation, sparse_bayes, absolute, absolute_variation)
 ESTIMATORS: Registry[Callable[[Settings], Estimator]] = Registry(
-    "estimator",
-    "ohmskin.estimators",
-    {make.__name__.replace("_", "-"): make for make in _ESTIMATORS},
-    ModelError,
+    "estimator", "ohmskin.estimators", {make.__name__.replace("_", "-"): make for make in _ESTIMATORS}, ModelError
 )
 """Estimators by name."""
 

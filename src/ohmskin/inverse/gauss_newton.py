@@ -12,6 +12,7 @@ which is the same image (push-through identity) from a system of at most L (L - 
 """
 
 import copy
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -21,15 +22,16 @@ from scipy.linalg import cho_factor, cho_solve
 from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Cells
-from ohmskin.inverse.image import Image, NoiseStd
-from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system
+from ohmskin.inverse.image import Image, NoiseStd, Reconstructs
+from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system, regularised
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.positivity import nonnegative
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
 from ohmskin.scan import Difference
 
 
-class GaussNewton:
+@dataclass(eq=False, repr=False)
+class GaussNewton(Reconstructs):
     """One-step Gauss-Newton reconstruction with a fixed linearisation (paper, section III-A).
 
     The regularisation follows one physical rule for all patterns: noise in volts and prior amplitude, the relative
@@ -54,23 +56,20 @@ class GaussNewton:
         ModelError: If noise or amplitude is not positive, `model_error` is negative, or the prior is unknown.
     """
 
-    def __init__(
-        self,
-        model: TransferModel,
-        noise: float,
-        prior: Prior | str = paper_laplacian,
-        amplitude: float = 1.0,
-        model_error: float = 0.0,
-        positive: bool = False,
-        pixels: Pixels | None = None,
-    ) -> None:
-        check_positive(noise=noise, amplitude=amplitude)
-        check_share(model_error=model_error)
-        self.model, self.noise, self.amplitude, self.model_error = model, noise, amplitude, model_error
-        self.positive, self.pixels = positive, pixels
-        self.cells: Cells = model.mesh if pixels is None else pixels
-        self._penalty = penalty_of(model, prior) if pixels is None else pixels.penalty
-        self.modes = ImageModes.of_relative(self._relative(), self._penalty, len(model.electrodes))
+    model: TransferModel
+    noise: float
+    prior: Prior | str = paper_laplacian
+    amplitude: float = 1.0
+    model_error: float = 0.0
+    positive: bool = False
+    pixels: Pixels | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(noise=self.noise, amplitude=self.amplitude)
+        check_share(model_error=self.model_error)
+        self.cells: Cells = self.model.mesh if self.pixels is None else self.pixels
+        self._penalty = penalty_of(self.model, self.prior) if self.pixels is None else self.pixels.penalty
+        self.modes = ImageModes.of_relative(self._relative(), self._penalty, len(self.model.electrodes))
 
     def with_amplitude(self, amplitude: float) -> "GaussNewton":
         """The same estimator with another prior amplitude; costs nothing."""
@@ -80,22 +79,15 @@ class GaussNewton:
         return other
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one scan, or of several fused. Channels that are not finite are left out.
-
-        Raises:
-            DataError: If no finite datum is left.
-        """
         system = self.modes.system(*differences)
-        u, noise_std = solve_modes(self.modes, system, self._weight(system), self.noise)
+        weight = system.noise(self.noise, self.model_error) / self.amplitude
+        u, noise_std = solve_modes(self.modes, system, weight, self.noise)
         if not self.positive:
             return Image(u @ self.modes.modes, noise_std)
         pairs = pair_system(len(self.model.electrodes), *differences)
         rows = pairs.rows @ self._penalty.to_unknowns(self._relative())
-        w = nonnegative(self._penalty.normalised, rows, pairs.volts, self._weight(system))
+        w = nonnegative(self._penalty.normalised, rows, pairs.volts, weight)
         return Image(self._penalty.to_image(w), noise_std)
-
-    def _weight(self, system: System) -> float:
-        return float(np.hypot(self.noise, self.model_error * system.root_mean_square)) / self.amplitude
 
     def _relative(self) -> Floats:
         """Change of two-terminal resistances with the relative change of each value of the image (ohm)."""
@@ -108,19 +100,12 @@ def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) 
     """The u of least |volts - rows u|^2 + weight^2 |u|^2, and the image's standard deviation from noise (V)."""
     rows, few = system.rows, len(system.rows) < len(modes.modes)
     # the smaller of two systems with the same solution (push-through identity)
-    normal = rows @ rows.T if few else rows.T @ rows
-    # below a ten-millionth of the data, noise drowns in the rounding of the normal matrix
-    normal[np.diag_indices_from(normal)] += max(weight**2, 1e-14 * normal.trace())
-    factor = cho_factor(normal, lower=True, overwrite_a=True, check_finite=False)
-    u: Floats
-    if few:
-        u = rows.T @ cho_solve(factor, system.volts, check_finite=False)
-    else:
-        u = cho_solve(factor, rows.T @ system.volts, check_finite=False)
+    normal = regularised(rows @ rows.T if few else rows.T @ rows, weight)
+    solve = partial(cho_solve, cho_factor(normal, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
+    u: Floats = rows.T @ solve(system.volts) if few else solve(rows.T @ system.volts)
 
     def noise_std(elements: ArrayLike) -> Floats:
         some = modes.modes[:, np.atleast_1d(elements)]
-        solve = partial(cho_solve, factor, check_finite=False)
         response = solve(rows @ some) if few else rows @ solve(some)
         return np.asarray(noise * np.linalg.norm(response, axis=0))
 

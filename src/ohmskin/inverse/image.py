@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats
+from ohmskin.scan import Difference
 
 NoiseStd = Callable[[ArrayLike], Floats]
 
@@ -37,3 +39,14 @@ class Image:
         """Standard deviations (n,) that measurement noise gives the contrast of some elements (n,)."""
         std = self.noise_std(elements)
         return std / (1 + self.values[np.atleast_1d(elements)]) if self.logarithmic else std
+
+
+class Reconstructs(Protocol):
+    """Makes an image of some scans, whatever came before."""
+
+    def reconstruct(self, *differences: Difference) -> Image:
+        """The image of one scan, or of several fused. Channels that are not finite are left out.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """

@@ -14,7 +14,7 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.inverse.image import Image
-from ohmskin.inverse.modes import ImageModes, check_positive, check_share
+from ohmskin.inverse.modes import ImageModes, check_positive, check_share, regularised
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
 from ohmskin.scan import Difference
 
@@ -47,6 +47,7 @@ class Belief:
         return Image(self.mean @ self.modes.modes, noise_std)
 
 
+@dataclass(eq=False, repr=False)
 class Kalman:
     """Kalman filter on images of relative conductivity change.
 
@@ -66,24 +67,22 @@ class Kalman:
         ModelError: If a setting is out of range or the prior is unknown.
     """
 
-    def __init__(
-        self,
-        model: TransferModel,
-        noise: float,
-        prior: Prior | str = paper_laplacian,
-        amplitude: float = 1.0,
-        time_constant: float = np.inf,
-        walk: float = 0.0,
-        period: float = 1.0,
-        model_error: float = 0.0,
-    ) -> None:
-        check_positive(noise=noise, amplitude=amplitude, period=period)
-        check_share(walk=walk, model_error=model_error)
-        if not time_constant > 0:
-            raise ModelError(f"time_constant is {time_constant!r}; it must be positive (s), or infinite")
-        self.model, self.noise, self.amplitude, self.model_error = model, noise, amplitude, model_error
-        self.time_constant, self.walk, self.period = time_constant, walk, period
-        self.modes = ImageModes.of_prior(model, penalty_of(model, prior))
+    model: TransferModel
+    noise: float
+    prior: Prior | str = paper_laplacian
+    amplitude: float = 1.0
+    time_constant: float = np.inf
+    walk: float = 0.0
+    period: float = 1.0
+    model_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_positive(noise=self.noise, amplitude=self.amplitude, period=self.period)
+        check_share(walk=self.walk, model_error=self.model_error)
+        if not self.time_constant > 0:
+            raise ModelError(f"time_constant is {self.time_constant!r}; it must be positive (s), or infinite")
+        relative = self.model.pair_sensitivity * self.model.conductivity
+        self.modes = ImageModes.of_relative(relative, penalty_of(self.model, self.prior), len(self.model.electrodes))
 
     def start(self) -> Belief:
         """The belief before anything is measured: the prior."""
@@ -113,15 +112,11 @@ class Kalman:
         """
         before = self.predict(belief, self.period if elapsed is None else elapsed)
         system = self.modes.system(*differences)
+        deviation = system.noise(self.noise, self.model_error)
+        system = system.compressed()
         rows, volts = system.rows, system.volts
-        if len(rows) > rows.shape[1]:
-            basis, rows = np.linalg.qr(rows)
-            volts = basis.T @ volts
-        variance = self.noise**2 + (self.model_error * system.root_mean_square) ** 2
         cross = rows @ before.covariance
-        innovation = cross @ rows.T
-        innovation[np.diag_indices_from(innovation)] += max(variance, 1e-14 * innovation.trace())
-        factor = cho_factor(innovation, lower=True)
+        factor = cho_factor(regularised(cross @ rows.T, deviation), lower=True)
         gain = cho_solve(factor, cross).T
         root = solve_triangular(factor[0], cross, lower=True)
         rest = np.eye(len(before.mean)) - gain @ rows

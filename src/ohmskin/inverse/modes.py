@@ -5,6 +5,7 @@ covariance Gamma, G Gamma G^T = C C^T is factored once, and Gamma G^T = B^T C^T.
 priori, and data are I A C u: whatever the pattern A and the mesh, a problem has at most L (L - 1) / 2 unknowns.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +13,6 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError, ModelError
-from ohmskin.forward import TransferModel
 from ohmskin.inverse.priors import Penalty
 from ohmskin.scan import Difference, DrivePattern
 
@@ -31,10 +31,16 @@ class System:
     rows: Floats
     volts: Floats
 
-    @property
-    def root_mean_square(self) -> float:
-        """Of the data (V)."""
-        return float(np.sqrt(np.mean(self.volts**2)))
+    def noise(self, noise: float, model_error: float) -> float:
+        """Standard deviation (V) of data with this noise (V) and a model error as a share of their root mean square."""
+        return float(np.hypot(noise, model_error * np.sqrt(np.mean(self.volts**2))))
+
+    def compressed(self) -> "System":
+        """The same least squares problem in no more equations than unknowns."""
+        if len(self.rows) <= self.rows.shape[1]:
+            return self
+        basis, triangle = np.linalg.qr(self.rows)
+        return System(triangle, basis.T @ self.volts)
 
 
 @dataclass(frozen=True)
@@ -53,18 +59,10 @@ class ImageModes:
     _rows: dict[DrivePattern, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of_prior(cls, model: TransferModel, penalty: Penalty) -> "ImageModes":
-        """The modes of images on a model's own elements under a prior, of average variance one over the sheet."""
-        return cls.of_relative(model.pair_sensitivity * model.conductivity, penalty, len(model.electrodes))
-
-    @classmethod
     def of_relative(cls, relative: Floats, penalty: Penalty, n_elec: int) -> "ImageModes":
-        """The modes under a prior, of average variance one over the sheet, of any image.
+        """The modes of any image under a prior, of average variance one over the sheet.
 
-        Args:
-            relative: (n_pairs, n_image) change of two-terminal resistances with each value's relative change (ohm).
-            penalty: Of the image.
-            n_elec: Number of electrodes.
+        `relative` (n_pairs, n_image): change of two-terminal resistances with each value's relative change (ohm).
         """
         if len(relative) > relative.shape[1] and penalty.image is None and penalty.places is not None:
             # more pairs than unknowns: the modes are the unknowns, whitened, and no matrix (n_pairs, n_pairs) is formed
@@ -99,11 +97,11 @@ class ImageModes:
         Raises:
             DataError: If no finite datum is left.
         """
-        rows = [
-            self.rows(d.pattern) if d.source_loading is None else d.combination(self.n_elec) @ self.mixing
-            for d in differences
-        ]
-        return finite_system([row * d.currents[:, None] for row, d in zip(rows, differences, strict=True)], differences)
+
+        def rows(d: Difference) -> Floats:
+            return self.rows(d.pattern) if d.source_loading is None else d.combination(self.n_elec) @ self.mixing
+
+        return finite_system(rows, differences)
 
 
 @njit(cache=True, nogil=True)
@@ -121,14 +119,15 @@ def combined(quadruples: Ints, pairs: Floats, n_elec: int) -> Floats:
     return rows
 
 
-def finite_system(rows: list[Floats], differences: tuple[Difference, ...]) -> System:
-    """The equations of scans with known rows (n_meas, n_unknowns) in volts; channels that are not finite are left out.
+def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Difference, ...]) -> System:
+    """The equations of scans with known rows (n_meas, n_unknowns) in volts per ampere, but for channels not finite.
 
     Raises:
         DataError: If no finite datum is left.
     """
     if not differences:
         raise DataError("no scan to make an image of; give at least one")
+    rows = [rows_of(difference) * difference.currents[:, None] for difference in differences]
     stacked = rows[0] if len(rows) == 1 else np.vstack(rows)
     volts = differences[0].volts if len(rows) == 1 else np.concatenate([d.volts for d in differences])
     known = np.isfinite(volts) & np.isfinite(stacked[:, 0])  # a current that is not finite spoils its whole row
@@ -145,11 +144,16 @@ def pair_system(n_elec: int, *differences: Difference) -> System:
     Raises:
         DataError: If no finite datum is left.
     """
-    system = finite_system([d.combination(n_elec).toarray() * d.currents[:, None] for d in differences], differences)
-    if len(system.rows) <= system.rows.shape[1]:
-        return system
-    basis, triangle = np.linalg.qr(system.rows)
-    return System(triangle, basis.T @ system.volts)
+    return finite_system(lambda difference: difference.combination(n_elec).toarray(), differences).compressed()
+
+
+def regularised(normal: Floats, noise: float) -> Floats:
+    """A normal matrix with the noise's variance added to its diagonal, in place.
+
+    Below a ten-millionth of the data, noise drowns in the rounding of the matrix; it is taken for that much.
+    """
+    normal[np.diag_indices_from(normal)] += max(noise**2, 1e-14 * normal.trace())
+    return normal
 
 
 def check_positive(**settings: float) -> None:

@@ -117,12 +117,6 @@ class Pixels:
         """Change (n_pairs, n_pixels) of two-terminal resistances with each pixel's relative change (ohm)."""
         return model.grouped_sensitivity(sp.csc_array(sp.diags_array(model.conductivity) @ self.shares))
 
-    def picture(self, values: Floats) -> Floats:
-        """An image (n_pixels,) as a grid (ny, nx), NaN off the mesh."""
-        grid = np.full(len(self.x) * len(self.y), np.nan)
-        grid[self.cells] = values
-        return grid.reshape(len(self.y), len(self.x))
-
 
 @njit(cache=True, nogil=True)
 def sample(

@@ -1,10 +1,11 @@
-"""Quadratic problems with images that are nowhere negative."""
+"""Quadratic problems in the space of the data, also with images that are nowhere negative."""
 
 import numpy as np
 import scipy.sparse as sp
 
 from ohmskin.arrays import Bools, Floats
 from ohmskin.forward.assembly import factorise
+from ohmskin.inverse.modes import regularised
 
 
 def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, free: Bools | None = None) -> Floats:
@@ -20,12 +21,21 @@ def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, f
     free = np.ones(rows.shape[1], bool) if free is None else free
     w = np.zeros(rows.shape[1])
     if free.any():
-        some = rows[:, free]
-        smoothed = factorise(sp.csc_array(matrix[free][:, free])).solve(np.ascontiguousarray(some.T))
-        normal = some @ smoothed
-        normal[np.diag_indices_from(normal)] += max(noise**2, 1e-14 * normal.trace())
+        smoothed, normal = _data_space(sp.csc_array(matrix[free][:, free]), rows[:, free], noise)
         w[free] = smoothed @ np.linalg.solve(normal, volts)
     return w
+
+
+def sway(matrix: sp.csc_array, rows: Floats, noise: float, image: sp.csr_array) -> Floats:
+    """How far noise of one volt moves some values (n,) of the image, `image` (n, n_unknowns) times `penalised`."""
+    smoothed, normal = _data_space(matrix, rows, noise)
+    return np.asarray(np.linalg.norm(np.linalg.solve(normal, (image @ smoothed).T), axis=0))
+
+
+def _data_space(matrix: sp.csc_array, rows: Floats, noise: float) -> tuple[Floats, Floats]:
+    """matrix^-1 rows^T (n, n_meas), and the covariance (n_meas, n_meas) of the data under this prior."""
+    smoothed: Floats = factorise(matrix).solve(np.ascontiguousarray(rows.T))
+    return smoothed, regularised(rows @ smoothed, noise)
 
 
 def nonnegative(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, rounds: int = 40) -> Floats:

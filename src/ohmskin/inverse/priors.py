@@ -2,17 +2,8 @@
 
 A prior is a function from a mesh to the penalty of an image. The simplest penalty is a sparse symmetric positive
 definite matrix R (n_elem, n_elem), the penalty of an image x being x^T R x. `Penalty` also takes images that hang on
-other unknowns than one per triangle. Functions such as ``matern(0.03)`` return a prior with settings.
-
-=============  =================================================================================================
-name           what it believes
-=============  =================================================================================================
-``paper``      neighbours are alike, and all is near zero (paper, eq. 5)
-``laplacian``  neighbours are alike (EIDORS' ``prior_laplace``); the mean of the image is free
-``tikhonov``   all is near zero, triangles know nothing of each other; the same on every mesh
-``noser``      triangles that the data hardly feel are near zero (NOSER; EIDORS' ``prior_noser``)
-``matern``     a smooth random field with a correlation length in metres; the same on every mesh
-=============  =================================================================================================
+other unknowns than one per triangle. Functions such as ``matern(0.03)`` return a prior with settings. What each of
+them believes is told in docs/guide/priors.md.
 
 Total variation and sparsity are not quadratic: they have estimators of their own.
 """
@@ -31,7 +22,7 @@ from ohmskin.forward.assembly import factorise, stiffness
 from ohmskin.forward.cholesky import Elimination
 from ohmskin.geometry import Mesh
 from ohmskin.registry import Registry
-from ohmskin.scan import DrivePattern, adjacent
+from ohmskin.scan import adjacent
 
 
 @dataclass(frozen=True)
@@ -136,30 +127,20 @@ def graph_laplacian(mesh: Mesh) -> Penalty:
     return Penalty(laplacian, free_mean=True, places=mesh.centroids)
 
 
-def tikhonov(mesh: Mesh, patch: float = 0.01) -> Penalty:
+def tikhonov(mesh: Mesh) -> Penalty:
     """The integral of the squared image: triangles count by their area and are independent of each other.
 
-    The variance of a single triangle has no limit as the mesh is refined, so that the mean over a patch is what has
-    variance one: then the same image comes out on every mesh.
-
-    Args:
-        mesh: The mesh.
-        patch: Area of the patch as a share of the sheet.
-
-    Raises:
-        ModelError: If the patch is not a share above 0 and up to 1.
+    The variance of a single triangle has no limit as the mesh is refined, so that the mean over a hundredth of the
+    sheet is what has variance one: then the same image comes out on every mesh.
     """
-    if not 0 < patch <= 1:
-        raise ModelError(f"patch is {patch}; it must be a share of the sheet above 0 and up to 1")
-    return Penalty(sp.csc_array(sp.diags_array(mesh.measures / (patch * mesh.measures.sum()))), mean_variance=1.0)
+    return Penalty(sp.csc_array(sp.diags_array(mesh.measures / (0.01 * mesh.measures.sum()))), mean_variance=1.0)
 
 
-def noser(model: TransferModel, pattern: DrivePattern | None = None, exponent: float = 0.5) -> Prior:
+def noser(model: TransferModel, exponent: float = 0.5) -> Prior:
     """NOSER (Cheney et al. 1990; EIDORS' ``prior_noser``): a power of J^T J's diagonal, all triangles seen alike.
 
     Args:
-        model: The untouched sheet.
-        pattern: Whose J; adjacent drive round each ring unless given.
+        model: The untouched sheet. J is that of adjacent drive round each of its rings.
         exponent: Of the diagonal: 0 weighs all triangles alike, 1 is the original, 0.5 the usual compromise.
 
     Raises:
@@ -171,7 +152,7 @@ def noser(model: TransferModel, pattern: DrivePattern | None = None, exponent: f
     def prior(mesh: Mesh) -> sp.csc_array:
         if mesh is not model.mesh:
             raise ModelError("this NOSER prior belongs to another model; make it with the model it is used on")
-        rows = model.sensitivity(pattern or adjacent(model.electrodes.rings)) * model.conductivity
+        rows = model.sensitivity(adjacent(model.electrodes.rings)) * model.conductivity
         diagonal = np.einsum("me,me->e", rows, rows)
         # a triangle that no datum feels must not be free to take any value
         return sp.csc_array(sp.diags_array(np.maximum(diagonal / diagonal.max(), 1e-12) ** exponent))
@@ -204,7 +185,10 @@ def matern(length: float) -> Prior:
         smoothness = 2 - dim / 2
         kappa = np.sqrt(8 * smoothness) / length
         mass = np.bincount(cells.ravel(), np.repeat(mesh.measures / (dim + 1), dim + 1), mesh.n_nodes)
-        leak = np.bincount(mesh.boundary.ravel(), np.repeat(_rim_sizes(mesh) / dim, dim), mesh.n_nodes) * kappa / 1.42
+        rim = mesh.nodes[mesh.boundary]
+        side, other = rim[:, 1] - rim[:, 0], rim[:, -1] - rim[:, 0]
+        sizes = np.linalg.norm(side if dim == 2 else np.cross(side, other) / 2, axis=1)  # lengths, or areas in space
+        leak = np.bincount(mesh.boundary.ravel(), np.repeat(sizes / dim, dim), mesh.n_nodes) * kappa / 1.42
         operator = sp.csc_array(stiffness(mesh, np.ones(mesh.n_elem)) + sp.diags_array(kappa**2 * mass + leak))
         variance = 1 / (4 * np.pi * kappa**2) if dim == 2 else 1 / (8 * np.pi * kappa)  # far from the rim
         precision = sp.csc_array(operator @ sp.diags_array(variance / mass) @ operator)
@@ -219,15 +203,6 @@ def triangle_means(mesh: Mesh) -> sp.csr_array:
     row = np.repeat(np.arange(mesh.n_elem), corners)
     share = np.full(mesh.elements.size, 1 / corners)
     return sp.csr_array((share, (row, mesh.elements.ravel())), shape=(mesh.n_elem, mesh.n_nodes))
-
-
-def _rim_sizes(mesh: Mesh) -> Floats:
-    """Lengths, or areas in space, (n_facets,) of the facets of `Mesh.boundary`."""
-    corners = mesh.nodes[mesh.boundary]
-    side = corners[:, 1] - corners[:, 0]
-    if mesh.dim == 2:
-        return np.asarray(np.linalg.norm(side, axis=1))
-    return np.asarray(np.linalg.norm(np.cross(side, corners[:, 2] - corners[:, 0]), axis=1) / 2)
 
 
 def _matern(model: TransferModel) -> Prior:
@@ -251,16 +226,11 @@ PRIORS: Registry[Callable[[TransferModel], Prior]] = Registry(
 """Priors by name; other packages add theirs with an entry point of the group ``ohmskin.priors``."""
 
 
-def named_prior(name: str, model: TransferModel) -> Prior:
-    """A prior by its name, with its usual settings (Matern: correlation over 15 % of the sheet's longest side).
+def penalty_of(model: TransferModel, prior: "Prior | str") -> Penalty:
+    """The penalty of a prior, given as a function or by name, on a model's mesh.
 
     Raises:
         ModelError: If there is no such prior; the message lists those there are.
     """
-    return PRIORS[name](model)
-
-
-def penalty_of(model: TransferModel, prior: "Prior | str") -> Penalty:
-    """The penalty of a prior, given as a function or by name, on a model's mesh."""
-    found = (named_prior(prior, model) if isinstance(prior, str) else prior)(model.mesh)
+    found = (PRIORS[prior](model) if isinstance(prior, str) else prior)(model.mesh)
     return found if isinstance(found, Penalty) else Penalty(sp.csc_array(found), places=model.mesh.centroids)

@@ -1,5 +1,7 @@
 """Sparse Bayesian images: as few compact contacts as explain the data."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
@@ -7,15 +9,15 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats
-from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh
-from ohmskin.inverse.image import Image
-from ohmskin.inverse.modes import check_positive, check_share, pair_system
+from ohmskin.inverse.image import Image, Reconstructs
+from ohmskin.inverse.modes import check_positive, check_share, pair_system, regularised
 from ohmskin.scan import Difference
 
 
-class SparseBayes:
+@dataclass(eq=False, repr=False)
+class SparseBayes(Reconstructs):
     """Sparse Bayesian learning (relevance determination, Tipping 2001; made to converge as in Wipf and Nagarajan 2008).
 
     An image is a sum of round blobs, one about each triangle, each with a prior variance of its own. The variances are
@@ -34,34 +36,26 @@ class SparseBayes:
         ModelError: If a setting is out of range.
     """
 
-    def __init__(
-        self,
-        model: TransferModel,
-        noise: float,
-        amplitude: float = 1.0,
-        radius: float | None = None,
-        model_error: float = 0.0,
-        positive: bool = True,
-        rounds: int = 60,
-    ) -> None:
-        radius = 0.05 * float(np.ptp(model.mesh.nodes, axis=0).max()) if radius is None else radius
-        check_positive(noise=noise, amplitude=amplitude, radius=radius)
-        check_share(model_error=model_error)
-        if rounds < 1:
-            raise ModelError(f"rounds is {rounds}; it must be at least 1")
-        self.model, self.noise, self.amplitude, self.radius = model, noise, amplitude, radius
-        self.model_error, self.positive, self.rounds = model_error, positive, rounds
-        self._blobs = blobs(model.mesh, radius)
-        self._response: Floats = (model.pair_sensitivity * model.conductivity) @ self._blobs  # (n_pairs, n_elem)
+    model: TransferModel
+    noise: float
+    amplitude: float = 1.0
+    radius: float | None = None
+    model_error: float = 0.0
+    positive: bool = True
+    rounds: int = 60
+
+    def __post_init__(self) -> None:
+        if self.radius is None:
+            self.radius = 0.05 * float(np.ptp(self.model.mesh.nodes, axis=0).max())
+        check_positive(noise=self.noise, amplitude=self.amplitude, radius=self.radius, rounds=self.rounds)
+        check_share(model_error=self.model_error)
+        self._blobs = blobs(self.model.mesh, self.radius)
+        relative = self.model.pair_sensitivity * self.model.conductivity
+        self._response: Floats = relative @ self._blobs  # (n_pairs, n_elem)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one scan, or of several fused. Channels that are not finite are left out.
-
-        Raises:
-            DataError: If no finite datum is left.
-        """
         pairs = pair_system(len(self.model.electrodes), *differences)
-        noise = float(np.hypot(self.noise, self.model_error * pairs.root_mean_square))
+        noise = pairs.noise(self.noise, self.model_error)
         rows = pairs.rows @ self._response
         kept = np.arange(rows.shape[1])
         variance = np.full(len(kept), self.amplitude**2)
@@ -73,10 +67,9 @@ class SparseBayes:
             size = np.maximum(weights, 0.0) if self.positive else np.abs(weights)
             variance = size / relevance
             alive = variance > 1e-6 * max(float(variance.max()), 1e-12 * self.amplitude**2)
-            if not alive.any():
-                kept, variance = kept[:0], variance[:0]
-                break
             kept, variance = kept[alive], variance[alive]
+            if not len(kept):
+                break
         return self._image(rows[:, kept], kept, variance, noise, pairs.volts)
 
     def _image(self, some: Floats, kept: np.ndarray, variance: Floats, noise: float, volts: Floats) -> Image:
@@ -106,6 +99,5 @@ def blobs(mesh: Mesh, radius: float) -> sp.csr_array:
 
 
 def _factor(rows: Floats, variance: Floats, noise: float) -> tuple[Floats, bool]:
-    covariance = (rows * variance) @ rows.T
-    covariance[np.diag_indices_from(covariance)] += max(noise**2, 1e-14 * covariance.trace())
+    covariance = regularised((rows * variance) @ rows.T, noise)
     return tuple(cho_factor(covariance, lower=True, overwrite_a=True, check_finite=False))

@@ -1,19 +1,19 @@
 """Total variation: images of few, sharp edges."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats
-from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.forward.assembly import factorise, stiffness
+from ohmskin.forward.assembly import stiffness
 from ohmskin.geometry import Mesh
-from ohmskin.inverse.image import Image, NoiseStd
+from ohmskin.inverse.image import Image, Reconstructs
 from ohmskin.inverse.modes import System, check_positive, check_share, pair_system
-from ohmskin.inverse.positivity import penalised
+from ohmskin.inverse.positivity import penalised, sway
 from ohmskin.inverse.priors import triangle_means
 from ohmskin.scan import Difference
 
@@ -36,11 +36,12 @@ class Variation:
     mesh: Mesh
     amplitude: float
     outline: float
-    _step: float = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def _step(self) -> float:
+        """The slope below which gradients are rounded off (1/m)."""
         edge = float(np.sqrt(np.mean(1 / np.einsum("ekd,ekd->ek", self.mesh.gradients, self.mesh.gradients))))
-        object.__setattr__(self, "_step", _ROUNDED * self.amplitude / edge)
+        return _ROUNDED * self.amplitude / edge
 
     def _slopes(self, w: Floats) -> Floats:
         """Length of the gradient in each triangle (n_elem,), rounded off (1/m)."""
@@ -56,16 +57,15 @@ class Variation:
         flat = stiffness(self.mesh, 1 / (self.amplitude * self.outline * self._slopes(w)))
         return sp.csc_array(flat + sp.diags_array(self._ridge))
 
-    @property
+    @cached_property
     def _ridge(self) -> Floats:
         """A sheet that is all at the amplitude costs one: variation alone leaves the mean free."""
-        corners = self.mesh.elements.shape[1]
-        each = np.repeat(self.mesh.measures / corners, corners)
-        shares = np.bincount(self.mesh.elements.ravel(), each, self.mesh.n_nodes)
+        shares = self.mesh.measures @ triangle_means(self.mesh)
         return np.asarray(shares / (shares.sum() * self.amplitude**2))
 
 
-class TotalVariation:
+@dataclass(eq=False, repr=False)
+class TotalVariation(Reconstructs):
     """Total-variation images: the x of least |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
 
     Solved by lagged diffusivity (Vogel and Oman 1996): each round is a quadratic problem in the space of the data, the
@@ -86,35 +86,26 @@ class TotalVariation:
         ModelError: If a setting is out of range.
     """
 
-    def __init__(
-        self,
-        model: TransferModel,
-        noise: float,
-        amplitude: float = 1.0,
-        outline: float | None = None,
-        model_error: float = 0.0,
-        positive: bool = False,
-        rounds: int = 30,
-    ) -> None:
-        check_positive(noise=noise, amplitude=amplitude)
-        check_share(model_error=model_error)
-        if outline is not None:
-            check_positive(outline=outline)
-        if rounds < 1:
-            raise ModelError(f"rounds is {rounds}; it must be at least 1")
-        self.model, self.noise, self.amplitude, self.outline = model, noise, amplitude, outline
-        self.model_error, self.positive, self.rounds = model_error, positive, rounds
-        self._means = triangle_means(model.mesh)
-        self._relative: Floats = (model.pair_sensitivity * model.conductivity) @ self._means  # (n_pairs, n_nodes)
+    model: TransferModel
+    noise: float
+    amplitude: float = 1.0
+    outline: float | None = None
+    model_error: float = 0.0
+    positive: bool = False
+    rounds: int = 30
+
+    def __post_init__(self) -> None:
+        check_positive(noise=self.noise, amplitude=self.amplitude, rounds=self.rounds)
+        check_share(model_error=self.model_error)
+        if self.outline is not None:
+            check_positive(outline=self.outline)
+        self._means = triangle_means(self.model.mesh)
+        relative = self.model.pair_sensitivity * self.model.conductivity
+        self._relative: Floats = relative @ self._means  # (n_pairs, n_nodes)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one scan, or of several fused. Channels that are not finite are left out.
-
-        Raises:
-            DataError: If no finite datum is left.
-        """
         pairs = pair_system(len(self.model.electrodes), *differences)
-        noise = float(np.hypot(self.noise, self.model_error * pairs.root_mean_square))
+        noise = pairs.noise(self.noise, self.model_error)
         system = System(pairs.rows @ self._relative, pairs.volts)
         w = np.zeros(self.model.mesh.n_nodes)
         if self.outline is not None:
@@ -122,7 +113,12 @@ class TotalVariation:
             w = self._solve(system, noise, variation, w)
         else:
             w, variation = self._by_discrepancy(system, noise, w)
-        return Image(self._means @ w, self._noise_std(variation.matrix(w), system, noise))
+
+        def noise_std(elements: ArrayLike) -> Floats:
+            """With the edges of the image held as they are."""
+            return self.noise * sway(variation.matrix(w), system.rows, noise, self._means[np.atleast_1d(elements)])
+
+        return Image(self._means @ w, noise_std)
 
     def _by_discrepancy(self, system: System, noise: float, w: Floats) -> tuple[Floats, Variation]:
         """Bisection over the logarithm of the outline; each image starts from the last."""
@@ -151,15 +147,3 @@ class TotalVariation:
             if np.abs(w - old).max() < 3e-3 * max(float(np.abs(w).max()), 1e-3 * self.amplitude):
                 break
         return w
-
-    def _noise_std(self, matrix: sp.csc_array, system: System, weight: float) -> NoiseStd:
-        """How noise moves the image, its edges held as they are."""
-
-        def noise_std(elements: ArrayLike) -> Floats:
-            smoothed = factorise(matrix).solve(np.ascontiguousarray(system.rows.T))
-            normal = system.rows @ smoothed
-            normal[np.diag_indices_from(normal)] += weight**2
-            response = np.linalg.solve(normal, (self._means[np.atleast_1d(elements)] @ smoothed).T)
-            return np.asarray(self.noise * np.linalg.norm(response, axis=0))
-
-        return noise_std

@@ -10,7 +10,7 @@ return adds.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, combinations
 
 import numpy as np
@@ -21,7 +21,7 @@ from ohmskin.scan import consistency
 from ohmskin.scan.consistency import ABSENT, FLOOR, NOISE_SHARE
 from ohmskin.scan.frame import Frame
 from ohmskin.scan.pattern import DrivePattern
-from ohmskin.scan.quality import Quality, Verdict, volts_in_words
+from ohmskin.scan.quality import Quality, Verdict, in_words
 from ohmskin.scan.repeats import Repeats, by_pattern, finite, known_mean, rms
 
 _SCATTER = 5.0  # times the others' scatter or drift above which an electrode counts less
@@ -45,7 +45,7 @@ def assess(quiet: Sequence[Frame], frames: Sequence[Frame] = ()) -> Quality:
     n_elec = 1 + max(int(pattern.quadruples.max()) for pattern in [*groups, *touched])
     found: dict[int, Verdict] = {}
 
-    def add(verdicts: list[Verdict]) -> None:
+    def add(verdicts: Iterable[Verdict]) -> None:
         for verdict in verdicts:
             if verdict.electrode not in found or verdict.weight < found[verdict.electrode].weight:
                 found[verdict.electrode] = verdict
@@ -54,11 +54,9 @@ def assess(quiet: Sequence[Frame], frames: Sequence[Frame] = ()) -> Quality:
         return [e for e, verdict in found.items() if verdict.weight == 0]
 
     for group in chain(groups.values(), touched.values()):
-        add(_unmeasured(group))
-        add(_silent(group))
+        add(chain(_unmeasured(group), _silent(group)))
     for group in groups.values():
-        add(_scatter(group))
-        add(_drift(group))
+        add(chain(_scatter(group), _drift(group)))
     for pattern, group in groups.items():
         for volts, changes in consistency.data_columns(group, touched[pattern].frames if pattern in touched else []):
             add(consistency.inconsistent(group, volts, changes, bad()))
@@ -81,43 +79,41 @@ def _blame(pattern: DrivePattern, squares: Floats, factor: float, floor: float) 
     """
     used = [int(e) for e in np.unique(pattern.quadruples)]
     involved = {e: pattern.uses(e) for e in used}
-    kept = np.isfinite(squares)
+    kept = known = np.isfinite(squares)
     out: list[int] = []
     for _ in range(max(1, len(used) // 4)):
         # the most significant: high squares, and many of them; a neighbour shares some, and has good ones besides
         scores = {e: squares[own].sum() / np.sqrt(own.sum()) for e in used if (own := kept & involved[e]).any()}
-        if not scores or not (rest := kept & ~involved[max(scores, key=lambda e: scores[e])]).any():
+        worst = max(scores, key=lambda e: scores[e], default=None)
+        if worst is None or not (rest := kept & ~involved[worst]).any():
             break
-        out.append(max(scores, key=lambda e: scores[e]))
+        out.append(worst)
         kept = rest
     core = float(np.sqrt(np.mean(squares[kept]))) if kept.any() else 0.0
     guilty = {}
     for e in reversed(out):  # the least guilty first
-        others = pattern.uses([other for other in out if other != e])
-        own = np.isfinite(squares) & involved[e] & ~others
-        rms = float(np.sqrt(np.mean(squares[own]))) if own.any() else 0.0
-        if rms > max(factor * core, floor):
-            guilty[e] = rms
+        own = known & involved[e] & ~pattern.uses([other for other in out if other != e])
+        level = float(np.sqrt(np.mean(squares[own]))) if own.any() else 0.0
+        if level > max(factor * core, floor):
+            guilty[e] = level
         else:
             out.remove(e)
     return guilty, core
 
 
-def _unmeasured(group: Repeats) -> list[Verdict]:
+def _unmeasured(group: Repeats) -> Iterator[Verdict]:
     """Electrodes most of whose values are NaN or infinite."""
     volts = np.stack([frame.voltages for frame in group.frames])
     guilty, _ = _blame(group.pattern, (~np.isfinite(volts)).mean(axis=0) ** 2, 0.0, _MISSING)
-    verdicts = []
     for e in guilty:
         own = volts[:, group.pattern.uses(e)]
         clipped, missing = np.isinf(own).mean(), np.isnan(own).mean()
         kind, what = ("clipped", "at the end of the converter's range") if clipped > missing else ("missing", "missing")
         words = f"{kind}: {100 * max(clipped, missing):.0f} % of its values are {what}; left out"
-        verdicts.append(Verdict(e, kind, 0.0, words))
-    return verdicts
+        yield Verdict(e, kind, 0.0, words)
 
 
-def _silent(group: Repeats) -> list[Verdict]:
+def _silent(group: Repeats) -> Iterator[Verdict]:
     """Electrodes that no current or no voltage reaches, and pairs that are at one potential."""
     pattern = group.pattern
     used = [int(e) for e in np.unique(pattern.quadruples)]
@@ -129,13 +125,11 @@ def _silent(group: Repeats) -> list[Verdict]:
         own = involved[electrode] & ~pattern.uses(without)
         return float(np.sqrt(known_mean(squares[own]))) if own.any() else float("nan")
 
-    verdicts = []
     typical = float(np.nanmedian(currents)) if np.isfinite(currents).any() else 0.0
-    for e in used:
-        own = currents[(pattern.injections == e).any(axis=1)]
-        if own.size and np.nanmax(own, initial=0.0) < ABSENT * typical:
-            words = "open: hardly any current flows when it is driven; check its wire; left out"
-            verdicts.append(Verdict(e, "open", 0.0, words))
+    driven = {e: currents[(pattern.injections == e).any(axis=1)] for e in used}
+    idle = [e for e, own in driven.items() if own.size and np.nanmax(own, initial=0.0) < ABSENT * typical]
+    words = "open: hardly any current flows when it is driven; check its wire; left out"
+    yield from (Verdict(e, "open", 0.0, words) for e in idle)
     levels = {e: level(e) for e in used}
     middle = float(np.nanmedian(list(levels.values()))) if np.isfinite(list(levels.values())).any() else 0.0
     quiet = [e for e in used if levels[e] < ABSENT * middle]
@@ -150,11 +144,12 @@ def _silent(group: Repeats) -> list[Verdict]:
             break
     for e in quiet:
         share = f"its voltages are {100 * levels[e] / middle:.2g} % of the others'"
-        verdicts.append(Verdict(e, "open", 0.0, f"open: {share}, as if nothing were connected; left out"))
-    return verdicts or _shorted(pattern, squares)
+        yield Verdict(e, "open", 0.0, f"open: {share}, as if nothing were connected; left out")
+    if not idle and not quiet:
+        yield from _shorted(pattern, squares)
 
 
-def _shorted(pattern: DrivePattern, squares: Floats) -> list[Verdict]:
+def _shorted(pattern: DrivePattern, squares: Floats) -> Iterator[Verdict]:
     """Pairs between which no voltage is ever measured, and that drive nothing, while each alone does its work."""
     pairs: dict[tuple[int, int], list[float]] = defaultdict(list)
     for (a, b, c, d), square in zip(pattern.quadruples.tolist(), squares.tolist(), strict=True):
@@ -163,48 +158,42 @@ def _shorted(pattern: DrivePattern, squares: Floats) -> list[Verdict]:
             pairs[min(c, d), max(c, d)].append(square)
     level = {pair: float(np.sqrt(np.mean(own))) for pair, own in pairs.items() if len(own) >= 3}
     middle = float(np.median(list(level.values()))) if level else 0.0
-    verdicts = []
     for (a, b), own in level.items():
         if own < 0.02 * middle:
             for e, other in ((a, b), (b, a)):
                 words = f"shorted to electrode {other}: their voltages are always equal; check for a bridge; left out"
-                verdicts.append(Verdict(e, "shorted", 0.0, words))
-    return verdicts
+                yield Verdict(e, "shorted", 0.0, words)
 
 
-def _scatter(group: Repeats) -> list[Verdict]:
+def _scatter(group: Repeats) -> Iterator[Verdict]:
     """Electrodes whose values scatter more than the others' while nothing touches the skin."""
     if len(group.frames) < 2:
-        return []
+        return
     floor = FLOOR * rms(group.voltages)
     guilty, core = _blame(group.pattern, group.scatter, _SCATTER, _SCATTER * floor)
-    verdicts = []
     for e, scatter in guilty.items():
         excess = scatter / max(core, floor)
-        words = f"its values scatter by {volts_in_words(scatter)} at rest, {excess:.0f} times the others'"
+        words = f"its values scatter by {in_words(scatter)} at rest, {excess:.0f} times the others'"
         if scatter > NOISE_SHARE * rms(group.voltages[:, group.pattern.uses(e)]):
             words = f"open: {words}, and carry nothing else; check its contact; left out"
-            verdicts.append(Verdict(e, "open", 0.0, words))
+            yield Verdict(e, "open", 0.0, words)
         else:
-            verdicts.append(Verdict(e, "noisy", 1 / excess, f"noisy: {words}; counts less"))
-    return verdicts
+            yield Verdict(e, "noisy", 1 / excess, f"noisy: {words}; counts less")
 
 
-def _drift(group: Repeats) -> list[Verdict]:
+def _drift(group: Repeats) -> Iterator[Verdict]:
     """Electrodes whose values wander from the first to the last third of the quiet frames."""
     volts = group.voltages
     if len(volts) < _REPEATS:
-        return []
+        return
     third = len(volts) // 3
     change = known_mean(volts[-third:]) - known_mean(volts[:third])
     noise = 2 * group.scatter / third  # of such a change squared, were there only noise
     floor = FLOOR * rms(volts)
     guilty, core = _blame(group.pattern, change**2, _SCATTER, _SCATTER * floor)
-    verdicts = []
     for e, wander in guilty.items():
         if wander <= _SCATTER * rms(np.sqrt(noise[group.pattern.uses(e)])):
             continue  # a noisy electrode, not a drifting one
         excess = wander / max(core, floor)
-        words = f"drifting: its values wander by {volts_in_words(wander)} at rest, {excess:.0f} times the others'"
-        verdicts.append(Verdict(e, "drifting", 1 / excess, words + "; counts less"))
-    return verdicts
+        words = f"drifting: its values wander by {in_words(wander)} at rest, {excess:.0f} times the others'"
+        yield Verdict(e, "drifting", 1 / excess, words + "; counts less")

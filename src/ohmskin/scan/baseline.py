@@ -123,9 +123,8 @@ class Baseline:
         if freedom > 0 and scatter > 0:
             noise = float(np.sqrt(scatter / freedom))
         else:
-            blank = cls(keys, resistances, 0.0, 1)
             one_each = {frame.pattern: frame for frame in frames}.values()
-            noise = float(np.mean([blank.reciprocity_error(frame) for frame in one_each]))
+            noise = float(np.mean([_reciprocity_error(frame) for frame in one_each]))
         return cls(keys, resistances, noise, int(max(1, repeats.min())))
 
     @property
@@ -159,28 +158,27 @@ class Baseline:
         volts = frame.voltages - reference
         return Difference(frame.pattern, currents, np.where(np.isfinite(volts), volts, np.nan), reference=reference)
 
-    def reciprocity_error(self, frame: Frame) -> float:
-        """Noise (V) told from one frame: R(ab, cd) and R(cd, ab) must be equal, their difference is noise.
 
-        Raises:
-            DataError: If no measurement of the frame has its reciprocal in it.
-        """
-        quadruples = frame.pattern.quadruples
-        current = frame.measurement_currents
-        codes, signs = _codes(quadruples)
-        mirrored, mirrored_signs = _codes(quadruples[:, [2, 3, 0, 1]])
-        order = np.argsort(codes)
-        at = np.minimum(np.searchsorted(codes[order], mirrored), len(codes) - 1)
-        partner = order[at]
-        paired = (codes[partner] == mirrored) & (codes != mirrored)  # a two-terminal measurement is its own mirror
-        known = np.isfinite(frame.voltages) & np.isfinite(current) & (current != 0)
-        ohms = np.divide(frame.voltages, current, out=np.full(len(current), np.nan), where=known)
-        errors = ((signs * ohms)[partner] - mirrored_signs * ohms)[paired] * current[paired]
-        finite = errors[np.isfinite(errors)]
-        if len(finite) < 4:
-            why = "the noise cannot be told from one quiet frame without reciprocal measurements"
-            raise DataError(f"{why}; record at least two")
-        return float(np.sqrt(np.mean(finite**2) / 2))
+def _reciprocity_error(frame: Frame) -> float:
+    """Noise (V) told from one frame: R(ab, cd) and R(cd, ab) must be equal, their difference is noise.
+
+    Raises:
+        DataError: If no measurement of the frame has its reciprocal in it.
+    """
+    quadruples, current = frame.pattern.quadruples, frame.measurement_currents
+    codes, signs = _codes(quadruples)
+    mirrored, mirrored_signs = _codes(quadruples[:, [2, 3, 0, 1]])
+    order = np.argsort(codes)
+    partner = order[np.minimum(np.searchsorted(codes, mirrored, sorter=order), len(codes) - 1)]
+    paired = (codes[partner] == mirrored) & (codes != mirrored)  # a two-terminal measurement is its own mirror
+    known = np.isfinite(frame.voltages) & np.isfinite(current) & (current != 0)
+    ohms = np.divide(frame.voltages, current, out=np.full(len(current), np.nan), where=known)
+    errors = ((signs * ohms)[partner] - mirrored_signs * ohms)[paired] * current[paired]
+    finite = errors[np.isfinite(errors)]
+    if len(finite) < 4:
+        why = "the noise cannot be told from one quiet frame without reciprocal measurements"
+        raise DataError(f"{why}; record at least two")
+    return float(np.sqrt(np.mean(finite**2) / 2))
 
 
 def _codes(quadruples: Ints) -> tuple[Ints, Ints]:

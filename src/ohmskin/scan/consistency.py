@@ -1,13 +1,13 @@
 """Which electrodes contradict every resistive network (`NetworkFit`), and how far the data of the others do."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.scan.frame import Frame
 from ohmskin.scan.network import NetworkFit
-from ohmskin.scan.quality import Verdict, volts_in_words
+from ohmskin.scan.quality import Verdict, in_words
 from ohmskin.scan.repeats import Repeats, finite, known_mean, rms
 
 ABSENT = 0.08  # share of the typical signal below which nothing arrives
@@ -28,23 +28,21 @@ def data_columns(quiet: Repeats, touched: Sequence[Frame]) -> list[tuple[Floats,
     mean = quiet.mean[:, None]
     if not touched:
         return [(mean, False)]
-    columns = []
-    for k in np.unique(np.linspace(0, len(touched) - 1, _MOST_COLUMNS).astype(int)):
-        own = touched[k].measurement_currents
-        with np.errstate(invalid="ignore", divide="ignore"):  # as if driven by the quiet frames' currents
-            factor = np.where(own != 0, quiet.currents / own, np.nan)
-        columns.append(finite(touched[k].voltages * factor))
-    values = np.column_stack(columns)
+    some = [touched[k] for k in np.unique(np.linspace(0, len(touched) - 1, _MOST_COLUMNS).astype(int))]
+    own = np.column_stack([frame.measurement_currents for frame in some])
+    with np.errstate(invalid="ignore", divide="ignore"):  # as if driven by the quiet frames' currents
+        factor = np.where(own != 0, quiet.currents[:, None] / own, np.nan)
+        values = finite(np.column_stack([frame.voltages for frame in some]) * factor)
     return [(mean, False), (values, False), (values - mean, True)]
 
 
-def inconsistent(quiet: Repeats, volts: Floats, changes: bool, bad: list[int]) -> list[Verdict]:
+def inconsistent(quiet: Repeats, volts: Floats, changes: bool, bad: list[int]) -> Iterator[Verdict]:
     """Electrodes whose values contradict every network; `bad` ones are known already."""
     fit = NetworkFit(quiet.pattern, quiet.currents, volts)
     used = [int(e) for e in np.unique(quiet.pattern.quadruples) if e not in bad]
     out = list(bad)
     if not _worth_a_look(fit, volts, changes, bad, used):
-        return []
+        return
 
     def gain(electrode: int) -> tuple[float, int]:
         """What the electrode adds to the misfit of those that are not `out`: squares and degrees of freedom."""
@@ -61,9 +59,8 @@ def inconsistent(quiet: Repeats, volts: Floats, changes: bool, bad: list[int]) -
         out.append(max(scores, key=lambda e: scores[e]))
     core = fit.misfit(fit.without(out))
     if core.freedom <= 0:
-        return []
+        return
     floor = max(core.rms, FLOOR * rms(quiet.mean))
-    verdicts = []
     for e in [e for e in reversed(out) if e not in bad]:  # the least guilty first
         squares, freedom = gain(e)
         error = float(np.sqrt(squares / freedom)) if freedom > 0 else 0.0
@@ -74,12 +71,11 @@ def inconsistent(quiet: Repeats, volts: Floats, changes: bool, bad: list[int]) -
         times = f"{error / floor:.0f} times the others'"
         if error > NOISE_SHARE * own and (not changes or error > ABSENT * at_rest):
             noise = f"its {'changes' if changes else 'values'} are noise"
-            why = f"({volts_in_words(error)} fit no resistive sheet, {times})"
-            verdicts.append(Verdict(e, "open", 0.0, f"open: {noise} {why}; check its contact; left out"))
+            why = f"({in_words(error)} fit no resistive sheet, {times})"
+            yield Verdict(e, "open", 0.0, f"open: {noise} {why}; check its contact; left out")
         elif changes and error > _UNEVEN * floor:
-            words = f"noisy: its changes break reciprocity by {volts_in_words(error)}, {times}; counts less"
-            verdicts.append(Verdict(e, "noisy", floor / error, words))
-    return verdicts
+            words = f"noisy: its changes break reciprocity by {in_words(error)}, {times}; counts less"
+            yield Verdict(e, "noisy", floor / error, words)
 
 
 def _worth_a_look(fit: NetworkFit, volts: Floats, changes: bool, bad: list[int], used: list[int]) -> bool:

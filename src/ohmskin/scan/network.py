@@ -74,19 +74,16 @@ class NetworkFit:
 
     def misfit(self, kept: np.ndarray) -> Misfit:
         """The misfit of the `kept` measurements (n_meas,). Quick: no residual is formed, and it is remembered."""
-        key = kept.tobytes()
-        if key not in self._known_misfits:
-            self._known_misfits[key] = self._misfit(kept)
-        return self._known_misfits[key]
-
-    def _misfit(self, kept: np.ndarray) -> Misfit:
+        if (key := kept.tobytes()) in self._known_misfits:
+            return self._known_misfits[key]
         rows, volts = self._rows[kept], self._volts[kept]
         values, vectors = np.linalg.eigh(rows.T @ rows)
         spanned = values > 1e-10 * max(float(values[-1]), 1e-300)
         explained = vectors[:, spanned].T @ (rows.T @ volts)
         squares = float((volts**2).sum() - (explained**2 / values[spanned][:, None]).sum())
         floor = 1e-13 * float((volts**2).sum())  # what rounding leaves
-        return Misfit(max(squares, floor), volts.shape[1] * int(kept.sum() - spanned.sum()))
+        found = self._known_misfits[key] = Misfit(max(squares, floor), volts.shape[1] * int(kept.sum() - spanned.sum()))
+        return found
 
 
 def reciprocity_residuals(pattern: DrivePattern, currents: Floats, volts: Floats) -> Floats:

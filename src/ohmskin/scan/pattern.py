@@ -13,6 +13,8 @@ from ohmskin.arrays import Ints
 from ohmskin.errors import PatternError
 from ohmskin.scan.pairs import n_pairs, pair_index
 
+_SIGNS = np.array([0.5, 0.5, -0.5, -0.5])  # of F_ad, F_bc, F_ac and F_bd in a measurement
+
 
 @dataclass(frozen=True)
 class DrivePattern:
@@ -99,17 +101,13 @@ class DrivePattern:
             PatternError: If the pattern names an electrode that is not there.
         """
         self.check(n_elec)
-        a, b, c, d = self.quadruples.T
-        signs = ((a, d, 0.5), (b, c, 0.5), (a, c, -0.5), (b, d, -0.5))
-        row = np.arange(self.n_meas)
-        rows, columns, values = [], [], []
-        for i, j, sign in signs:
-            distinct = i != j  # a driven electrode that is also measured: F_ii = 0
-            rows.append(row[distinct])
-            columns.append(pair_index(i[distinct], j[distinct], n_elec))
-            values.append(np.full(int(distinct.sum()), sign))
-        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        return sp.csr_array(entries, shape=(self.n_meas, n_pairs(n_elec)))
+        i, j = self.quadruples[:, [0, 1, 0, 1]], self.quadruples[:, [3, 2, 2, 3]]
+        distinct = i != j  # of a driven electrode that is also measured, F_ii = 0
+        signs, columns = np.broadcast_to(_SIGNS, i.shape)[distinct], pair_index(i, j, n_elec)[distinct]
+        ends = np.append(0, distinct.sum(axis=1).cumsum())
+        rows = sp.csr_array((signs, columns, ends), shape=(self.n_meas, n_pairs(n_elec)))
+        rows.sum_duplicates()
+        return rows
 
     def check(self, n_elec: int) -> None:
         """Raise PatternError unless every electrode named is one of `n_elec`."""

@@ -86,10 +86,10 @@ class Quality:
         used = [v.electrode for v in self.verdicts]
         all_well = f"all {self.n_elec} electrodes in order"
         state = f"{len(used)} of {self.n_elec} electrodes not in order" if used else all_well
-        noise = [f"noise {volts_in_words(self.noise)} from repeats"] if np.isfinite(self.noise) else []
+        noise = [f"noise {in_words(self.noise)} from repeats"] if np.isfinite(self.noise) else []
         if np.isfinite(self.reciprocity):
             share = f" ({100 * self.reciprocity / self.signal:.2g} % of the signal)" if self.signal > 0 else ""
-            noise.append(f"reciprocity error {volts_in_words(self.reciprocity)}{share}")
+            noise.append(f"reciprocity error {in_words(self.reciprocity)}{share}")
         else:
             noise.append("reciprocity unknown: the pattern measures nothing twice")
         lines = ["data quality: " + "; ".join([state, *noise])]
@@ -113,9 +113,10 @@ def left_out(difference: Difference) -> str:
     return f"{int(unknown.sum())} of {len(unknown)} measurements left out, most at {which}"
 
 
-def volts_in_words(value: float) -> str:
-    """A voltage with a unit that suits it."""
-    for factor, unit in ((1.0, "V"), (1e3, "mV"), (1e6, "uV")):
-        if value * factor >= 1:
-            return f"{value * factor:.3g} {unit}"
-    return f"{value * 1e9:.3g} nV"
+def in_words(value: float, unit: str = "V") -> str:
+    """A value with a prefix to its unit that suits it, such as "205 uV"."""
+    if not np.isfinite(value) or value == 0:
+        return f"{value:g} {unit}"
+    sizes = ((1.0, ""), (1e-3, "m"), (1e-6, "u"))
+    size, prefix = next((one for one in sizes if abs(value) >= 0.9995 * one[0]), (1e-9, "n"))
+    return f"{value / size:.3g} {prefix}{unit}"

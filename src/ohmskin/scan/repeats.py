@@ -15,12 +15,7 @@ from ohmskin.scan.pattern import DrivePattern
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """Frames of one pattern.
-
-    Args:
-        pattern: The pattern driven.
-        frames: One at least.
-    """
+    """Frames of one pattern, one at least."""
 
     pattern: DrivePattern
     frames: list[Frame]
