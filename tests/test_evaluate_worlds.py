@@ -73,7 +73,7 @@ def test_round_contacts_on_the_twin_are_presses() -> None:
 
 
 def test_a_disc_changes_resistances_as_the_estimators_linear_model_says() -> None:
-    model = bench("discs", 60, 0.1).model("grid")
+    model = bench("discs", 60, 0.1).setup("grid").model
     weak = worlds.contact("discs", 0.07, 0.12, strength=1e-3)
     change = worlds.touched("discs", "grid", (weak,)) - worlds.sheet("discs", "grid").untouched
     pattern = adjacent(Skin.load("paper").electrodes.rings)
@@ -86,15 +86,16 @@ def test_a_disc_changes_resistances_as_the_estimators_linear_model_says() -> Non
 
 def test_noise_is_one_absolute_level_for_all_methods() -> None:
     table = bench("discs", 40, 0.1)
+    noise = table.setup("grid").noise
     rim = Skin.load("paper").electrodes.rings[0]
     largest = np.abs(worlds.voltages(worlds.sheet("discs", "grid").untouched, adjacent([rim]))).max()
-    assert table.noise == pytest.approx(0.01 * largest, rel=1e-12)
+    assert noise == pytest.approx(0.01 * largest, rel=1e-12)
     contacts = (worlds.contact("discs", 0.05, 0.15),)
     for key in METHODS:
         differences = table.see(key, contacts, 3).differences
         exact = [_exact(key, contacts, d.pattern) for d in differences]
         left = np.concatenate([d.volts - e for d, e in zip(differences, exact, strict=True)])
-        assert np.std(left) == pytest.approx(table.noise, rel=4 / np.sqrt(2 * len(left)))
+        assert np.std(left) == pytest.approx(noise, rel=4 / np.sqrt(2 * len(left)))
 
 
 def _exact(key, contacts, pattern):

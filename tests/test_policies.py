@@ -16,13 +16,13 @@ from ohmskin.evaluate import policies, worlds
 from ohmskin.evaluate.cache import describe, key
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.flaws import Flaw, misplaced, waves
-from ohmskin.evaluate.policies.detection import apart as far_apart
 from ohmskin.evaluate.policies.goals import QUIET, pair_rates
-from ohmskin.evaluate.policies.moving import FASTEST, path
 from ohmskin.evaluate.policies.pairs import RADIUS, apart, best_of, ideal_power, pair_places, single_places, unlike_one
 from ohmskin.evaluate.policies.plan import FLAWS
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS, instrument_cost, scheme, within
 from ohmskin.evaluate.policies.static import RADIUS_FACTOR, bound_of
+from ohmskin.evaluate.policies.tracked import FASTEST, path
+from ohmskin.evaluate.policies.tracked import apart as far_apart
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.setup import Setup, View, repeated, setup
 from ohmskin.evaluate.shapes import disc

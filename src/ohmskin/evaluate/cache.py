@@ -23,8 +23,7 @@ _AFTER |= {"runner", "statistics", "study", "verdict"}
 
 @lru_cache(maxsize=1)
 def fingerprint() -> str:
-    """The version of ohmskin and a checksum of the source that results depend on: change it, and they are computed
-    anew."""
+    """The version of ohmskin and a checksum of the source that results depend on: another one computes them anew."""
     root = Path(ohmskin.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(p for pattern in ("*/**/*.py", "*/**/*.toml") for p in root.glob(pattern)):

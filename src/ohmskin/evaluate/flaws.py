@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.evaluate import worlds
+from ohmskin.evaluate.worlds import LAYOUTS
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Mesh, mesh_domain
 from ohmskin.skin import Skin
@@ -39,20 +39,14 @@ SOUND = Flaw()
 
 def believed(layout: str = "grid", flaw: Flaw = SOUND) -> TransferModel:
     """The estimator's model of the untouched sheet, with the electrodes where they are believed to be."""
-    skin, random = Skin.load(worlds.LAYOUTS[layout]), np.random.default_rng([flaw.draw, 7])
+    skin, random = Skin.load(LAYOUTS[layout]), np.random.default_rng([flaw.draw, 7])
     electrodes = misplaced(skin, flaw.misplaced, random) if flaw.misplaced else skin.electrodes
     mesh = mesh_domain(skin.domain, skin.imaging.mesh_size, electrodes.positions)
     return TransferModel(mesh, electrodes, skin.sheet.conductivity * (1 + flaw.uneven * waves(mesh, random)))
 
 
-def untouched(world: str, layout: str, flaw: Flaw) -> Floats:
-    """Transfer resistances (n_elec, n_elec) of the sheet when it was calibrated (ohm)."""
-    return worlds.sheet(world, layout, 1.0 if flaw.since else flaw.wear).untouched
-
-
 def misplaced(skin: Skin, distance: float, random: np.random.Generator) -> Electrodes:
-    """The electrodes of a rectangular skin, each moved by a distance (m): inner ones anywhere, those on the rim along
-    it."""
+    """The electrodes of a rectangular skin, each moved by a distance (m): inner ones anywhere, others along the rim."""
     true = skin.electrodes
     angle = random.uniform(0, 2 * np.pi, len(true))
     moves = distance * np.column_stack([np.cos(angle), np.sin(angle)])

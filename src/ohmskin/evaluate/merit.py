@@ -71,9 +71,8 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
     """
     image, x, y = np.asarray(pixels, float), np.asarray(x, float), np.asarray(y, float)
     if image.shape != (len(y), len(x)) or min(image.shape) < 2:
-        raise DataError(
-            f"the image has shape {image.shape}; its {len(y)} x {len(x)} pixel centres need that shape, 2 x 2 or more"
-        )
+        text = f"the image has shape {image.shape}; its {len(y)} x {len(x)} pixel centres"
+        raise DataError(f"{text} need that shape, 2 x 2 or more")
     if not targets:
         raise DataError("no target to hold the image against; give at least one")
     pixel = float((x[-1] - x[0]) / (len(x) - 1) * (y[-1] - y[0]) / (len(y) - 1))
@@ -82,19 +81,15 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
     values = image[inside]
     centres = np.array([target.position for target in targets])
     owner = np.argmin((px[:, None] - centres[:, 0]) ** 2 + (py[:, None] - centres[:, 1]) ** 2, axis=1)
-    return [
-        _merit(values[mine], px[mine], py[mine], target, pixel, len(values))
-        for number, target in enumerate(targets)
-        for mine in [owner == number]
-    ]
+    cells = ((target, owner == number) for number, target in enumerate(targets))
+    return [_merit(values[own], px[own], py[own], target, pixel, len(values)) for target, own in cells]
 
 
 def _merit(values: Floats, x: Floats, y: Floats, target: Target, pixel: float, in_domain: int) -> Merit:
     peak = float(values.max(initial=-np.inf))
     if not peak > 0:
-        raise DataError(
-            f"nothing positive in the image about the target at {target.position}; there is no figure of merit"
-        )
+        where = f"about the target at {target.position}"
+        raise DataError(f"nothing positive in the image {where}; there is no figure of merit")
     q = values >= _QUARTER * peak
     count = int(q.sum())
     cx, cy = float(x[q].mean()), float(y[q].mean())

@@ -1,14 +1,18 @@
-"""The drive methods that the reproduction compares, and the bench on which they all see the same contact under the same
-noise."""
+"""The drive methods of the reproduction, and the bench on which all see the same contact under the same noise."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import Setup, View, setup
 from ohmskin.evaluate.worlds import Contacts
-from ohmskin.forward import TransferModel
 from ohmskin.skin import Mode
+
+Reading = Callable[[View, Contacts], dict[str, Any]]  # named numbers or arrays from the view of a case
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,6 @@ _ALL = (
     Method("16O fused", "16_Electrodes_O, fused", "12B, then pairs by eq. (7); image of both scans", "grid", "eq7", 28),
 )
 METHODS = tuple(each.key for each in _ALL)
-BEST = METHODS[-1]
 
 
 def all_methods() -> dict[str, Method]:
@@ -87,27 +90,22 @@ class Bench:
         """The set-up with an electrode layout."""
         return setup(self.world, self.decibels, self.amplitude, layout)
 
-    @property
-    def noise(self) -> float:
-        """Standard deviation of a voltage (V)."""
-        return self.setup("grid").noise
-
-    def model(self, layout: str) -> TransferModel:
-        """The estimator's model of a layout, its conductivity scaled to the untouched sheet."""
-        return self.setup(layout).model
-
     def see(self, key: str, contacts: Contacts, seed: int) -> View:
         """What a method sees of contacts. Methods that share a scan share its noise; another seed, other noise."""
         chosen = method(key)
         return self.setup(chosen.layout).see(chosen.mode, contacts, seed, 0)
 
-    def see_all(self, keys: Sequence[str], contacts: Contacts, seeds: int) -> Iterator[tuple[int, int, View]]:
-        """What each of some methods sees under each of so many seeds: number of the method, seed, view."""
-        for number, key in enumerate(keys):
-            for seed in range(seeds):
-                yield number, seed, self.see(key, contacts, seed)
+    def read(
+        self,
+        keys: Sequence[str],
+        cases: Sequence[Contacts],
+        seeds: int,
+        what: Callable[[View, Contacts], dict[str, Any]],
+    ) -> Result:
+        """What is read from the views of each method, case and seed: arrays (n_methods, n_cases, n_seeds, ...)."""
+        found = [what(self.see(key, case, seed), case) for key in keys for case in cases for seed in range(seeds)]
+        shape = (len(keys), len(cases), seeds)
+        return {name: np.reshape([row[name] for row in found], shape + np.shape(found[0][name])) for name in found[0]}
 
 
-def bench(world: str, decibels: float, amplitude: float) -> Bench:
-    """The bench of that world, noise and amplitude."""
-    return Bench(world, decibels, amplitude)
+bench = Bench

@@ -27,12 +27,5 @@ SAYS = {
     "apart below 17 mm, adaptive drive can above 12 mm.",
     "sweep": "The paper gives no noise level and no regularisation parameter.",
 }  # in our words
-TESTED_ON = {  # the way of making data that is like the paper's own
-    "fig3": "discs",
-    "fig4": "discs",
-    "fig5": "discs",
-    "table1": "discs",
-    "fig6": "pressed",
-    "fig7": "pressed",
-    "fig8": "pressed",
-}
+TESTED_ON = dict.fromkeys(("fig3", "fig4", "fig5", "table1"), "discs")  # data made as in the paper
+TESTED_ON |= dict.fromkeys(("fig6", "fig7", "fig8"), "pressed")

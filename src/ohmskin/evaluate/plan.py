@@ -1,22 +1,15 @@
 """Which experiments make up the reproduction: one place that names every position, size, noise level and count."""
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Self
 
 from ohmskin.errors import OhmskinError
-from ohmskin.evaluate.experiments import (
-    Discrimination,
-    Localisation,
-    MatchedLocalisation,
-    Merits,
-    PressedShapes,
-    Sections,
-    Touches,
-)
+from ohmskin.evaluate import experiments
 from ohmskin.evaluate.experiments.discrimination import areas
-from ohmskin.evaluate.result import Groups
+from ohmskin.evaluate.result import Groups, chosen
 from ohmskin.evaluate.shapes import SHAPES, Shape
-from ohmskin.evaluate.worlds import WORLDS, Contacts, contact
+from ohmskin.evaluate.worlds import WORLDS, contact
 
 FIGURES = ("fig3", "fig4", "fig5", "table1", "fig6", "fig7", "fig8", "sweep")
 
@@ -71,43 +64,31 @@ class Settings:
         return cls(noise=(45.0, 35.0, 55.0), amplitude=(0.1,), seeds=5, distances=DISTANCES_QUICK)
 
 
-def cases(world: str, places: dict[str, tuple[float, float]]) -> tuple[Contacts, ...]:
-    """One contact at each of the places (m)."""
-    return tuple((contact(world, *place),) for place in places.values())
-
-
 def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     """The experiments of each figure by name: ``world``, ``world/area/dB`` or, in the sweep,
-    ``what/world/dB/amplitude``.
-
-    Args:
-        settings: How thoroughly.
-        only: Figures wanted, of `FIGURES`; all unless given.
+    ``what/world/dB/amplitude``; all unless some are named.
 
     Raises:
         OhmskinError: If a figure is unknown.
     """
-    if unknown := [name for name in only if name not in FIGURES]:
-        raise OhmskinError(f"no figure {unknown[0]!r}; choose from {', '.join(FIGURES)}")
     db, s, n = settings.noise[0], settings.amplitude[0], settings.seeds
     found: Groups = {name: {} for name in FIGURES}
     for world in WORLDS:
-        single = cases(world, SINGLE)
+        single = tuple((contact(world, *place),) for place in SINGLE.values())
         several = tuple(tuple(contact(world, *place) for place in places) for places in SEVERAL.values())
-        found["fig3"][world] = Touches(world, db, s, n, single)
-        found["fig4"][world] = Touches(world, db, s, n, several)
-        found["fig5"][world] = Sections(world, db, s, 10 * n, single[0][0])
-        found["table1"][world] = Merits(world, db, s, 10 * n, single[0][0])
-        found["fig7"][world] = MatchedLocalisation(world, s, n, side=settings.side)
+        found["fig3"][world] = experiments.Touches(world, db, s, n, single)
+        found["fig4"][world] = experiments.Touches(world, db, s, n, several)
+        found["fig5"][world] = experiments.Sections(world, db, s, 10 * n, single[0][0])
+        found["table1"][world] = experiments.Merits(world, db, s, 10 * n, single[0][0])
+        found["fig7"][world] = experiments.MatchedLocalisation(world, s, n, side=settings.side)
         for level in dict.fromkeys((db, settings.fine_noise)):
             for number, area in enumerate(areas()):
                 name = f"{world}/{level:g}/{number}"
-                found["fig8"][name] = Discrimination(world, level, s, n, area, settings.distances)
-        for level in settings.noise:
-            for amplitude in settings.amplitude:
-                where = f"{world}/{level:g}/{amplitude:g}"
-                found["sweep"][f"localisation/{where}"] = Localisation(world, level, amplitude, n, settings.side)
-                found["sweep"][f"merits/{where}"] = Merits(world, level, amplitude, 10 * n, single[0][0])
+                found["fig8"][name] = experiments.Discrimination(world, level, s, n, area, settings.distances)
+        for at in product((world,), settings.noise, settings.amplitude):
+            where = "{}/{:g}/{:g}".format(*at)
+            found["sweep"][f"localisation/{where}"] = experiments.Localisation(*at, n, settings.side)
+            found["sweep"][f"merits/{where}"] = experiments.Merits(*at, 10 * n, single[0][0])
     shapes = tuple(Shape(kind, SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE) for kind in SHAPES)
-    found["fig6"]["pressed"] = PressedShapes(db, s, n, shapes)
-    return {name: found[name] for name in FIGURES if not only or name in only}
+    found["fig6"]["pressed"] = experiments.PressedShapes(db, s, n, shapes)
+    return chosen(found, only, "figure")

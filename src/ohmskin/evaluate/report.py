@@ -41,9 +41,8 @@ class Folded:
     blocks: Sequence["Block"]
 
 
-Block = (
-    str | Table | Image | Folded
-)  # a text is a paragraph of Markdown: *emphasis*, **strong**, > quotation, ### heading
+# a text is a paragraph of Markdown: *emphasis*, **strong**, > quotation, ### heading
+Block = str | Table | Image | Folded
 
 
 @dataclass(frozen=True)

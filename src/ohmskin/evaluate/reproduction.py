@@ -8,7 +8,7 @@ from ohmskin.evaluate import paper
 from ohmskin.evaluate.claims import assess
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.experiments.touches import COLUMNS, EIDORS_COLUMNS
-from ohmskin.evaluate.figures import curves, images, places, sweeps
+from ohmskin.evaluate.figures import curves, images
 from ohmskin.evaluate.figures.drawing import Picture
 from ohmskin.evaluate.methods import METHODS, all_methods
 from ohmskin.evaluate.plan import Settings, plan
@@ -19,25 +19,15 @@ from ohmskin.evaluate.study import Study
 from ohmskin.evaluate.verdict import NO, OPEN, YES, Claim
 from ohmskin.evaluate.worlds import CURRENT, WORLD_NAMES, described
 
-TITLES = {
-    "fig3": ("Fig. 3", "Single touches"),
-    "fig4": ("Fig. 4", "Several touches"),
-    "fig5": ("Fig. 5", "Cross-sections"),
-    "table1": ("Table I", "Figures of merit of one touch"),
-    "fig6": ("Fig. 6", "Contact shapes"),
-    "fig7": ("Fig. 7", "Localisation at 81 places"),
-    "fig8": ("Fig. 8", "Two-point discrimination"),
-    "sweep": ("Sweep", "What depends on noise and prior amplitude"),
-}
-PAINTERS = {
-    "fig3": images.single,
-    "fig4": images.several,
-    "fig5": curves.sections,
-    "table1": curves.merits,
-    "fig6": images.shapes,
-    "fig7": places.localisation,
-    "fig8": curves.discrimination,
-    "sweep": sweeps.sweep,
+SHOWN = {
+    "fig3": ("Fig. 3", "Single touches", images.single),
+    "fig4": ("Fig. 4", "Several touches", images.several),
+    "fig5": ("Fig. 5", "Cross-sections", curves.sections),
+    "table1": ("Table I", "Figures of merit of one touch", curves.merits),
+    "fig6": ("Fig. 6", "Contact shapes", images.shapes),
+    "fig7": ("Fig. 7", "Localisation at 81 places", curves.localisation),
+    "fig8": ("Fig. 8", "Two-point discrimination", curves.discrimination),
+    "sweep": ("Sweep", "What depends on noise and prior amplitude", curves.sweep),
 }
 MISS = 30e-3  # metres; a touch seen further away counts as missed
 Done = Outcome[Settings]
@@ -54,15 +44,10 @@ def sections(done: Done, claims: Sequence[Claim], pictures: Mapping[str, Sequenc
 def _method(done: Done, claims: Sequence[Claim]) -> list[Block]:
     settings = done.settings
     verdicts = (YES, OPEN, NO)
-    counts = [
-        (TITLES[figure][0], *(str(sum(c.verdict == v and c.figure == figure for c in claims)) for v in verdicts))
-        for figure in done.results
-        if any(c.figure == figure for c in claims)
-    ]
-    methods = [
-        (m.key, m.label, m.title, str(m.injections), "the paper's, all data used" if m.key == METHODS[-1] else "")
-        for m in all_methods().values()
-    ]
+    found = {figure: [c.verdict for c in claims if c.figure == figure] for figure in done.results}
+    counts = [(SHOWN[name][0], *(str(mine.count(v)) for v in verdicts)) for name, mine in found.items() if mine]
+    notes = {METHODS[-1]: "the paper's, all data used"}
+    methods = [(m.key, m.label, m.title, str(m.injections), notes.get(m.key, "")) for m in all_methods().values()]
     text = (
         "Data come from two models of a touched sheet, both on meshes unlike the estimator's, with white noise of one "
         f"standard deviation for all methods and {1e3 * CURRENT:g} mA in every injection. All images are one-step "
@@ -71,17 +56,16 @@ def _method(done: Done, claims: Sequence[Claim]) -> list[Block]:
         f"otherwise). {settings.seeds} noise seeds, {10 * settings.seeds} for Fig. 5 and Table I. Where the paper "
         "gives no position, size, noise or regularisation, they were chosen beforehand and are stated."
     )
-    head = ("data", "contact", "largest 12B voltage", "noise")
     return [
         text,
-        Table(head, described(settings.noise[:1])),
+        Table(("data", "contact", "largest 12B voltage", "noise"), described(settings.noise[:1])),
         Table(("key", "label", "what is driven and imaged", "injections", ""), methods),
         Folded("How many claims of each figure come out", [Table(("", *verdicts), counts)]),
     ]
 
 
 def _figure(done: Done, figure: str, claims: Sequence[Claim], pictures: Sequence[Picture]) -> Section:
-    label, title = TITLES[figure]
+    label, title, _ = SHOWN[figure]
     own = paper.TESTED_ON.get(figure, "")
     other = "pressed" if own == "discs" else "discs"
     mine = [c for c in claims if c.figure == figure]
@@ -93,14 +77,13 @@ def _figure(done: Done, figure: str, claims: Sequence[Claim], pictures: Sequence
     blocks = [f"> **The paper:** {paper.SAYS[figure]}", *shown[:apart]]
     blocks += tables[figure](done, own) if figure in tables else []
     blocks += _claims([c for c in mine if c.world == own])
-    return Section(
-        title, [*blocks, Folded(f"The same on the {WORLD_NAMES[other]}", aside)] if aside else blocks, label, figure
-    )
+    blocks += [Folded(f"The same on the {WORLD_NAMES[other]}", aside)] if aside else []
+    return Section(title, blocks, label, figure)
 
 
 def _claims(claims: Sequence[Claim]) -> list[Block]:
     rows = [
-        (c.verdict, f"{c.claim}\n{TITLES[c.figure][0]}, {WORLD_NAMES[c.world]}", c.paper, f"{c.here}\n{c.note}")
+        (c.verdict, f"{c.claim}\n{SHOWN[c.figure][0]}, {WORLD_NAMES[c.world]}", c.paper, f"{c.here}\n{c.note}")
         for c in claims
     ]
     return [Table(("verdict", "claim", "paper", "here"), rows, numbers=False)] if rows else []
@@ -108,16 +91,14 @@ def _claims(claims: Sequence[Claim]) -> list[Block]:
 
 def _merits(done: Done, world: str) -> list[Block]:
     result, lengths = done.results["table1"][world], ("PE", "localisation")
-    modern, eidors = [], []
+    modern, eidors, scales = [], [], [1e3 if name in lengths else 1 for name in COLUMNS]
     for m, (key, method) in enumerate(all_methods().items()):
-        values = [median(result["modern"][m, :, k]) for k in range(len(COLUMNS))]
-        scales = [1e3 if name in lengths else 1 for name in COLUMNS]
-        modern.append((method.label, *(v.text(scale) for v, scale in zip(values, scales, strict=True))))
+        values = zip(result["modern"][m].T, scales, strict=True)
+        modern.append((method.label, *(median(column).text(scale) for column, scale in values)))
         theirs = paper.TABLE.get(key.removesuffix(" fused"))
-        cells = [method.label]
-        for k in range(len(EIDORS_COLUMNS)):
-            cells += [median(result["eidors"][m, :, k]).text(), f"{theirs[k]:g}" if theirs else ""]
-        eidors.append(cells)
+        published = [f"{value:g}" for value in theirs] if theirs else [""] * len(EIDORS_COLUMNS)
+        pairs = zip(result["eidors"][m].T, published, strict=True)
+        eidors.append([method.label, *(cell for column, other in pairs for cell in (median(column).text(), other))])
     both = [cell for name in paper.TABLE_COLUMNS for cell in (name, f"{name}, paper")]
     return [
         f"### Modern definition, {WORLD_NAMES[world]}",
@@ -134,19 +115,16 @@ def _errors(done: Done, _: str) -> list[Block]:
     for world, task, result in done.of("fig7"):
         for key, error in zip(task.methods, errors(result), strict=True):
             theirs = paper.LOCALISATION.get(key.removesuffix(" fused"))
-            rows.append(
-                (
-                    f"{WORLD_NAMES[world]}, {float(result['decibels']):g} dB",
-                    all_methods()[key].label,
-                    *(f"{1e3 * v:.2f}" for v in (error.mean(), np.median(error))),
-                    f"{1e3 * np.quantile(error, 0.95):.1f}",
-                    f"{100 * np.mean(error > MISS):.1f} %",
-                    f"{theirs * 1e3:.2f}" if theirs else "",
-                )
-            )
+            data = f"{WORLD_NAMES[world]}, {float(result['decibels']):g} dB"
+            typical = f"{1e3 * error.mean():.2f}", f"{1e3 * np.median(error):.2f}"
+            worst = f"{1e3 * np.quantile(error, 0.95):.1f}", f"{100 * np.mean(error > MISS):.1f} %"
+            published = f"{theirs * 1e3:.2f}" if theirs else ""
+            rows.append((data, all_methods()[key].label, *typical, *worst, published))
     head = ("data", "method", "mean / mm", "median / mm", "95th percentile / mm", f"off by over {1e3 * MISS:.0f} mm")
     return [Table((*head, "paper, mean / mm"), rows)]
 
 
-REPRODUCTION = Study(Settings, plan, assess, PAINTERS, sections, "report.html", "claims")
+REPRODUCTION = Study(
+    Settings, plan, assess, {name: paint for name, (*_, paint) in SHOWN.items()}, sections, "report.html", "claims"
+)
 reproduce = REPRODUCTION.run

@@ -54,13 +54,10 @@ def successes(areas: Sequence[Result], how: str) -> tuple[Floats, Floats]:
         areas: Results of `Discrimination`, one per area, of the same methods and distances.
         how: ``dip``; ``test`` with the `threshold` above; ``nominal``, the test with chi-square's quantile alone.
     """
-    if how == "dip":
-        return np.stack([a["dip"] for a in areas]).astype(float), np.stack([a["single_dip"] for a in areas]).astype(
-            float
-        )
     cut = threshold(areas) if how == "test" else np.full((1, 1, 1), chi2.isf(ALPHA, _FREEDOM))
-    right = np.stack([(a["statistic"] > cut) & a["near"].astype(bool) for a in areas]).astype(float)
-    return right, np.stack([a["single_statistic"] > cut for a in areas]).astype(float)
+    right = [a["dip"] if how == "dip" else (a["statistic"] > cut) & a["near"].astype(bool) for a in areas]
+    wrong = [a["single_dip"] if how == "dip" else a["single_statistic"] > cut for a in areas]
+    return np.stack(right).astype(float), np.stack(wrong).astype(float)
 
 
 def limits(distances: Sequence[float], areas: Sequence[Result], how: str) -> Limits:
@@ -69,18 +66,13 @@ def limits(distances: Sequence[float], areas: Sequence[Result], how: str) -> Lim
     by_seed = right.mean(axis=0)  # (n_methods, n_distances, n_seeds)
     drawn = np.random.default_rng(0).integers(0, by_seed.shape[2], (RESAMPLES, by_seed.shape[2]))
     rates = np.stack([by_seed[:, :, seeds].mean(axis=2) for seeds in drawn], axis=1)
-    return Limits(
-        by_seed.mean(axis=2),
-        smallest(distances, by_seed.mean(axis=2)),
-        smallest(distances, rates),
-        smallest(distances, right.mean(axis=3)).T,
-        wrong.mean(axis=(0, 2, 3)),
-    )
+    rate = by_seed.mean(axis=2)
+    overall, resampled, by_area = (smallest(distances, each) for each in (rate, rates, right.mean(axis=3)))
+    return Limits(rate, overall, resampled, by_area.T, wrong.mean(axis=(0, 2, 3)))
 
 
 def smallest(distances: Sequence[float], rate: Floats) -> Floats:
-    """The smallest distance at which and beyond which the success rate (..., n_distances) is at least `HALF`; infinite
-    if there is none."""
+    """The smallest distance from which on the success rate (..., n_distances) is at least `HALF`; infinite if none."""
     falling = np.argsort(distances)[::-1]
     held = np.logical_and.accumulate(rate[..., falling] >= HALF, axis=-1).sum(axis=-1)
     reached: Floats = np.append(np.inf, np.asarray(distances)[falling])[held]

@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import Any, TypeVar
@@ -49,8 +49,9 @@ def run_experiments(
         if cache and not fresh and (kept := cache.load(task)) is not None:
             results[task] = kept
             progress(task, True)
-    missing = [task for task in wanted if task not in results]
-    for task, result in spread(missing, jobs or os.cpu_count() or 1, scheduler):
+    for task, result in spread(
+        [task for task in wanted if task not in results], jobs or os.cpu_count() or 1, scheduler
+    ):
         if cache:
             cache.save(task, result)
         results[task] = result
@@ -59,8 +60,7 @@ def run_experiments(
 
 
 def spread(tasks: list[Task], jobs: int, scheduler: str = "") -> Iterator[tuple[Task, Result]]:
-    """Run tasks in `jobs` processes (1: in this one) or on the workers of a Dask scheduler; results as they come, in
-    any order."""
+    """Run tasks in `jobs` processes (1: in this one) or on a Dask scheduler's workers; results in any order."""
     if not tasks:
         return iter(())
     if scheduler:
@@ -73,18 +73,15 @@ def spread(tasks: list[Task], jobs: int, scheduler: str = "") -> Iterator[tuple[
 def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers inherit it; each has one core
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    pool = ProcessPoolExecutor(
-        min(jobs, len(tasks)), multiprocessing.get_context("spawn"), initializer=_die_with_parent
-    )
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(jobs, len(tasks)), spawn, initializer=_die_with_parent)
     try:
-        futures: dict[Future[Result], Task] = {}
-        waiting = iter(tasks)
-        while True:
-            futures |= {pool.submit(_run, task): task for task in islice(waiting, _AHEAD * jobs - len(futures))}
-            if not futures:
-                return
+        submitted = ((pool.submit(_run, task), task) for task in tasks)
+        futures = dict(islice(submitted, _AHEAD * jobs))
+        while futures:
             for future in wait(futures, return_when=FIRST_COMPLETED).done:
                 yield futures.pop(future), future.result()
+                futures |= dict(islice(submitted, 1))
     except BrokenProcessPool as error:
         raise OhmskinError(
             "a worker process died. From the command line it may want memory: run again with fewer --jobs to go on. "
@@ -126,25 +123,19 @@ def _on_cluster(tasks: list[Task], scheduler: str) -> Iterator[tuple[Task, Resul
         try:
             versions = client.run(fingerprint)
         except ImportError as error:
-            raise OhmskinError(
-                f"a worker of {scheduler} cannot import ohmskin: {error}; install this version there"
-            ) from error
+            text = f"a worker of {scheduler} cannot import ohmskin: {error}; install this version there"
+            raise OhmskinError(text) from error
         if not versions:
             raise OhmskinError(f"the Dask scheduler at {scheduler} has no workers; start some: dask worker {scheduler}")
         for worker, version in versions.items():
             if version != fingerprint():
-                raise OhmskinError(
-                    f"worker {worker} has ohmskin {version}, here is {fingerprint()}; install the same version there"
-                )
-
-        def submit(task: Task) -> Any:
-            return client.submit(_run, task, key=key(task), pure=False)
-
-        waiting = iter(tasks)
-        futures = {submit(task): task for task in islice(waiting, _AHEAD * sum(client.nthreads().values()))}
+                text = f"worker {worker} has ohmskin {version}, here is {fingerprint()}"
+                raise OhmskinError(f"{text}; install the same version there")
+        waiting = ((client.submit(_run, task, key=key(task), pure=False), task) for task in tasks)
+        futures = dict(islice(waiting, _AHEAD * sum(client.nthreads().values())))
         arriving = dask.as_completed(list(futures), loop=client.loop)
         for future in arriving:
             yield futures.pop(future), future.result()
-            for task in islice(waiting, 1):
-                futures[following := submit(task)] = task
+            for following, task in islice(waiting, 1):
+                futures[following] = task
                 arriving.add(following)

@@ -7,26 +7,18 @@ given seed has the same noise whoever drives it, so that all sensors meet the sa
 
 import zlib
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
+from ohmskin import drive as drives
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact, ContactFitter, find_regions
-from ohmskin.drive import (
-    DRIVES,
-    Candidates,
-    Drive,
-    DriveSettings,
-    Fixed,
-    Target,
-    base_pattern,
-    complete_pattern,
-    part_of,
-)
+from ohmskin.drive import DRIVES, Drive, DriveSettings, complete_pattern
 from ohmskin.evaluate import worlds
-from ohmskin.evaluate.flaws import SOUND, Flaw, believed, untouched
+from ohmskin.evaluate.flaws import SOUND, Flaw, believed
 from ohmskin.evaluate.worlds import CURRENT, Contacts
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Mesh, Raster
@@ -49,11 +41,17 @@ class View:
         setup: What was measured.
         mode: How.
         percept: What was seen.
+        mesh: Mesh of the image.
+        raster: Its raster of `PIXELS` pixels.
+        contacts: All contacts that the frame shows, strongest first.
     """
 
     setup: "Setup" = field(repr=False)
     mode: Mode
     percept: Percept
+    mesh: Mesh
+    raster: Raster
+    contacts: tuple[Contact, ...]
 
     @property
     def differences(self) -> tuple[Difference, ...]:
@@ -67,24 +65,9 @@ class View:
         return self.percept.image
 
     @property
-    def mesh(self) -> Mesh:
-        """Mesh of the image."""
-        return self.setup.model.mesh
-
-    @property
-    def raster(self) -> Raster:
-        """Its raster of `PIXELS` pixels."""
-        return self.setup.raster
-
-    @property
     def pixels(self) -> Floats:
         """The image on pixels (ny, nx); NaN off the sheet."""
         return self.raster(self.image.values)
-
-    @property
-    def contacts(self) -> tuple[Contact, ...]:
-        """All contacts that the frame shows, strongest first."""
-        return self.percept.detections
 
     @property
     def place(self) -> Floats:
@@ -127,22 +110,23 @@ class Setup:
             skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
         model = believed(layout, flaw)
         rings = model.electrodes.rings
-        patterns = [adjacent(rings[:1]), adjacent(rings), base_pattern(model.electrodes)]
+        patterns = [adjacent(rings[:1]), adjacent(rings), drives.base_pattern(model.electrodes)]
         patterns.append(complete_pattern(model.electrodes))
-        scans = [self._device(untouched(world, layout, flaw), (_CALIBRATION, k)) for k in range(QUIET)]
+        self._calm = worlds.sheet(world, layout, 1.0 if flaw.since else flaw.wear).untouched  # at calibration
+        scans = [self._device(self._calm, (_CALIBRATION, k)) for k in range(QUIET)]
         self.known = SkinModel(skin, model, [scan(pattern) for pattern in patterns for scan in scans])
         if amplitude is not None:  # the reference of the paper's study is free of noise
-            exact = self._device(untouched(world, layout, flaw), (), noise=0.0)
+            exact = self._device(self._calm, (), noise=0.0)
             baseline = Baseline.learn([exact(pattern) for pattern in patterns for _ in range(2)])
             self.known.baseline = replace(self.known.baseline, resistances=baseline.resistances)
         self.model, self.electrodes, self.skin = self.known.model, model.electrodes, skin
         self._sensors: dict[Mode, Sensor] = {}
 
     @cached_property
-    def design(self) -> tuple[ContactTable, Candidates]:
+    def design(self) -> tuple[ContactTable, drives.Candidates]:
         """What informed drives choose from: the responses of contacts, and all injections at `CURRENT`."""
         complete = complete_pattern(self.electrodes)
-        return self.table, Candidates.at_currents(complete, len(self.electrodes), self.noise, CURRENT)
+        return self.table, drives.Candidates.at_currents(complete, len(self.electrodes), self.noise, CURRENT)
 
     @cached_property
     def raster(self) -> Raster:
@@ -156,8 +140,7 @@ class Setup:
 
     @cached_property
     def trusting_fitter(self) -> ContactFitter:
-        """Fits contacts without allowance for errors of the model, for tests whose threshold is learned and covers
-        them."""
+        """Fits contacts without allowance for errors of the model: for tests whose learned threshold covers them."""
         return ContactFitter(self.table, self.known.fitter.noise, model_error=0.0)
 
     def drive(self, mode: Mode) -> Drive:
@@ -170,25 +153,37 @@ class Setup:
         settings = DriveSettings(self.electrodes, lambda: self.design, self.skin.imaging.pairs)
         if mode.drive in ("rim", "rings"):
             (pattern,) = DRIVES[mode.drive](settings, 0).patterns
-            return Fixed(repeated(pattern, mode.injections or pattern.n_inj))
+            return drives.Fixed(repeated(pattern, mode.injections or pattern.n_inj))
         return DRIVES[mode.drive](settings, mode.injections)
 
     def sensor(self, mode: Mode) -> Sensor:
         """The sensor of a mode; made once."""
         if mode not in self._sensors:
             drive = self.drive(mode)
-            drive.next([Target(self.model.mesh.centroids.mean(axis=0), 1e-6 * np.eye(2), 1e-4, 8e-3)], 1)  # its tables
+            drive.next(
+                [drives.Target(self.model.mesh.centroids.mean(axis=0), 1e-6 * np.eye(2), 1e-4, 8e-3)], 1
+            )  # its tables
             self._sensors[mode] = build(mode, self.known, drive)
         return self._sensors[mode]
 
     def see(self, mode: Mode, contacts: Contacts, *seed: int) -> View:
         """What a mode makes of one frame under contacts, with nothing known before."""
         sensor = self.sensor(mode)
-        return View(self, mode, sensor.step(sensor.start(), self.scan(contacts, *seed))[1])
+        _, percept = sensor.step(sensor.start(), self.scan(contacts, *seed))
+        return View(self, mode, percept, self.model.mesh, self.raster, percept.detections)
+
+    def follow(self, mode: Mode, frames: Iterable[Contacts], *seed: int, turn: int = 0) -> Iterator[Percept]:
+        """What a mode makes of frames, each under its contacts, with what is known from those before. Frame k has the
+        noise of ``(*seed, k)``; the round of exploring injections starts at a turn."""
+        sensor = self.sensor(mode)
+        state = replace(sensor.start(), turn=turn)
+        for k, contacts in enumerate(frames):
+            state, percept = sensor.step(state, self.scan(contacts, *seed, k, time=PERIOD * k))
+            yield percept
 
     def scan(self, contacts: Contacts, *seed: int, time: float = 0.0) -> Scan:
         """A device that measures the sheet under contacts at `CURRENT`, with noise of its seed, at a time (s)."""
-        now = untouched(self.world, self.layout, self.flaw)
+        now = self._calm
         if contacts or self.flaw.since:
             now = worlds.touched(self.world, self.layout, contacts, self.flaw.wear)
         return self._device(now, (*seed, zlib.crc32(repr(contacts).encode())), time)
@@ -209,12 +204,7 @@ class Setup:
 
 def repeated(pattern: DrivePattern, injections: int) -> DrivePattern:
     """A pattern driven over and over until there are so many injections; the last round may be a part of it."""
-    return part_of(pattern, np.arange(injections) % pattern.n_inj)
+    return drives.part_of(pattern, np.arange(injections) % pattern.n_inj)
 
 
-@lru_cache(maxsize=12)
-def setup(
-    world: str, decibels: float, amplitude: float | None = None, layout: str = "grid", flaw: Flaw = SOUND
-) -> Setup:
-    """The set-up of that world, noise and so on; made once per process."""
-    return Setup(world, decibels, amplitude, layout, flaw)
+setup = lru_cache(maxsize=12)(Setup)  # made once per process for each world, noise and so on

@@ -9,6 +9,8 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import OhmskinError
 
 SHAPES = ("disc", "square", "ring", "cross", "L")
+_BAR = 1 / 3  # width of the bars of a cross or an L, as a share of the side of its bounding square
+_HOLE = 1 / 2  # radius of the hole of a ring, as a share of its own
 
 
 @dataclass(frozen=True)
@@ -39,37 +41,25 @@ class Shape:
     @property
     def area(self) -> float:
         """Area of the shape (m2)."""
-        r = self.radius
-        return {
-            "disc": np.pi * r**2,
-            "square": 4 * r**2,
-            "ring": np.pi * (r**2 - _inner(r) ** 2),
-            "cross": 4 * r**2 * (2 * _bar - _bar**2),
-            "L": 4 * r**2 * (2 * _bar - _bar**2),
-        }[self.kind]
+        bars = 4 * (2 * _BAR - _BAR**2)
+        shares = {"disc": np.pi, "square": 4.0, "ring": np.pi * (1 - _HOLE**2), "cross": bars, "L": bars}
+        return shares[self.kind] * self.radius**2
 
     def distance(self, points: ArrayLike) -> Floats:
         """How far outside the shape points (n, 2) are (m); zero or negative inside. Exact outside, but for corners."""
         u, v = (np.asarray(points, float) - self.position).T
-        r, half = self.radius, _bar * self.radius
+        r, half = self.radius, _BAR * self.radius
         if self.kind == "disc":
             away: Floats = np.hypot(u, v) - r
         elif self.kind == "square":
             away = _box(u, v, -r, r, -r, r)
         elif self.kind == "ring":
-            away = np.maximum(np.hypot(u, v) - r, _inner(r) - np.hypot(u, v))
+            away = np.maximum(np.hypot(u, v) - r, _HOLE * r - np.hypot(u, v))
         elif self.kind == "cross":
             away = np.minimum(_box(u, v, -r, r, -half, half), _box(u, v, -half, half, -r, r))
         else:
             away = np.minimum(_box(u, v, -r, -r + 2 * half, -r, r), _box(u, v, -r, r, -r, -r + 2 * half))
         return away
-
-
-_bar = 1 / 3  # width of the bars of a cross or an L, as a share of the side of its bounding square
-
-
-def _inner(radius: float) -> float:
-    return radius / 2  # of a ring
 
 
 def _box(u: Floats, v: Floats, left: float, right: float, low: float, high: float) -> Floats:

@@ -1,6 +1,7 @@
 """Medians, means and shares over noise seeds, with intervals."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,10 +21,9 @@ class Estimate:
     low: float
     high: float
 
-    def text(self, scale: float = 1.0, digits: int = 3) -> str:
-        """The three numbers times `scale`, such as ``1.23 (1.1-1.4)``."""
-        numbers = [f"{value * scale:.{digits}g}" for value in (self.value, self.low, self.high)]
-        return f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
+    def text(self, scale: float = 1.0) -> str:
+        """The three numbers times `scale`, such as ``1.23 (1.1 to 1.4)``."""
+        return f"{self.value * scale:.3g} ({self.low * scale:.3g} to {self.high * scale:.3g})"
 
 
 def median(values: ArrayLike) -> Estimate:
@@ -31,20 +31,19 @@ def median(values: ArrayLike) -> Estimate:
     values = np.where(np.isfinite(v := np.asarray(values, float)), v, np.inf)
     if not len(values) or not np.isfinite(values).any():
         return Estimate(np.nan, np.nan, np.nan)
-    middles = _medians(values)
-    low, high = np.quantile(middles, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], method="nearest")
-    return Estimate(float(np.quantile(values, 0.5, method="averaged_inverted_cdf")), float(low), float(high))
-
-
-def _medians(values: Floats) -> Floats:
     drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
-    middles: Floats = np.quantile(values[drawn], 0.5, axis=1, method="nearest")
-    return middles
+    middles = np.quantile(values[drawn], 0.5, axis=1, method="nearest")
+    return _estimate(np.quantile(values, 0.5, method="averaged_inverted_cdf"), middles, "nearest")
+
+
+def _estimate(value: float, resampled: Floats, method: Literal["linear", "nearest"] = "linear") -> Estimate:
+    """A value with its interval, from values resampled."""
+    low, high = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], method=method)
+    return Estimate(float(value), float(low), float(high))
 
 
 def fewer(a: ArrayLike, b: ArrayLike) -> float:
-    """How sure it is that the median of a (n_seeds,) is below that of b, paired by seed: share of bootstrap
-    resamples."""
+    """Share of bootstrap resamples, paired by seed, in which the median of a (n_seeds,) is below that of b."""
     a, b = (np.where(np.isfinite(v := np.asarray(values, float)), v, 1e300) for values in (a, b))
     drawn = np.random.default_rng(0).integers(0, len(a), (RESAMPLES, len(a)))
     return float(np.mean(np.median(a[drawn], axis=1) < np.median(b[drawn], axis=1)))
@@ -53,15 +52,13 @@ def fewer(a: ArrayLike, b: ArrayLike) -> float:
 def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
     """The mean of a over the mean of b, and its interval; shapes as for `mean`, seeds and places drawn in pairs."""
     a, b = np.asarray(a, float), np.asarray(b, float)
-    low, high = np.quantile(_means(a) / _means(b), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Estimate(float(a.mean() / b.mean()), float(low), float(high))
+    return _estimate(a.mean() / b.mean(), _means(a) / _means(b))
 
 
 def mean(values: ArrayLike) -> Estimate:
     """The mean of values and its interval, over seeds (n_seeds,), or over seeds and places (n_seeds, n_places)."""
     values = np.asarray(values, float)
-    low, high = np.quantile(_means(values), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Estimate(float(values.mean()), float(low), float(high))
+    return _estimate(values.mean(), _means(values))
 
 
 def _means(values: Floats) -> Floats:

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.cache import Cache, describe, fingerprint
@@ -14,18 +14,8 @@ from ohmskin.evaluate.result import Experiment, Groups, Outcome, Progress, plain
 from ohmskin.evaluate.runner import run_experiments
 
 S = TypeVar("S")
+V = TypeVar("V")
 Pictures = Mapping[str, Sequence[Picture]]
-
-
-class Verdict(Protocol):
-    """What a study concludes about one claim or goal."""
-
-    def record(self) -> dict[str, Any]:
-        """Its fields, as JSON can hold them."""
-        ...
-
-
-V = TypeVar("V", bound=Verdict)
 
 
 def assign(experiments: Groups) -> dict[Experiment, str]:
@@ -49,6 +39,7 @@ class Study(Generic[S, V]):
         dpi: Of the pictures.
         alone: Groups that tell how long something takes: they run last, in this process, nothing beside them, and are
             not kept.
+        record: The fields of a verdict, as JSON can hold them.
     """
 
     settings: Callable[[], S]
@@ -61,6 +52,7 @@ class Study(Generic[S, V]):
     option: str = "--output"
     dpi: int = 200
     alone: tuple[str, ...] = ()
+    record: Callable[[V], dict[str, Any]] = asdict  # type: ignore[assignment]
 
     def run(
         self,
@@ -97,53 +89,28 @@ class Study(Generic[S, V]):
         except OSError as error:
             text = f"cannot make the output folder {folder}: {error}; give another with {self.option}"
             raise OhmskinError(text) from error
-        kept = Cache(Path(cache) if cache else folder / "cache")
-        done = self.measure(settings, experiments, kept, jobs, scheduler, fresh, progress)
+        kept, wanted_by = Cache(Path(cache) if cache else folder / "cache"), assign(experiments)
+
+        def ran(task: Experiment, cached: bool) -> None:
+            progress(wanted_by[task], task, cached)
+
+        together = [task for task, group in wanted_by.items() if group not in self.alone]
+        results = run_experiments(together, kept, jobs, scheduler, fresh, ran)
+        for task in [task for task in wanted_by if task not in results]:
+            results[task] = task.run()
+            ran(task, False)
+        found = {group: {name: results[task] for name, task in wanted.items()} for group, wanted in experiments.items()}
+        done = Outcome(settings, experiments, found)
         verdicts = self.assess(done)
         try:
             pictures = save_pictures(done, self.painters, folder / "figures", self.dpi)
-            _write_data(folder / "data", done)
-            summary = {
-                "ohmskin": fingerprint(),
-                "settings": asdict(settings),  # type: ignore[call-overload]
-                self.verdicts: [verdict.record() for verdict in verdicts],
-            }
+            for group in found:
+                told = {name: {"parameters": describe(t), "results": plain(r)} for name, t, r in done.of(group)}
+                text = json.dumps({"ohmskin": fingerprint(), "experiments": told})
+                (folder / "data" / f"{group}.json").write_text(text, encoding="utf-8")
+            summary = {"ohmskin": fingerprint(), "settings": asdict(settings)}  # type: ignore[call-overload]
+            summary[self.verdicts] = [self.record(verdict) for verdict in verdicts]
             (folder / f"{self.verdicts}.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
             return write_report(self.sections(done, verdicts, pictures), folder / self.report)
         except OSError as error:
             raise OhmskinError(f"cannot write the report to {folder}: {error}") from error
-
-    def measure(
-        self,
-        settings: S,
-        experiments: Groups,
-        cache: Cache | None = None,
-        jobs: int | None = None,
-        scheduler: str = "",
-        fresh: bool = False,
-        progress: Progress = lambda group, task, cached: None,
-    ) -> Outcome[S]:
-        """Run experiments by group and name; see `run_experiments` for the arguments."""
-        wanted_by = assign(experiments)
-
-        def done(task: Experiment, cached: bool) -> None:
-            progress(wanted_by[task], task, cached)
-
-        together = [task for task, group in wanted_by.items() if group not in self.alone]
-        results = run_experiments(together, cache, jobs, scheduler, fresh, done)
-        for task, group in wanted_by.items():
-            if group in self.alone:
-                results[task] = task.run()
-                done(task, False)
-        found = {group: {name: results[task] for name, task in wanted.items()} for group, wanted in experiments.items()}
-        return Outcome(settings, experiments, found)
-
-
-def _write_data(folder: Path, done: Outcome[Any]) -> None:
-    """Write ``GROUP.json`` for every group: parameters and results of its experiments."""
-    for group in done.results:
-        told = {
-            name: {"parameters": describe(task), "results": plain(result, 4)} for name, task, result in done.of(group)
-        }
-        text = json.dumps({"ohmskin": fingerprint(), "experiments": told})
-        (folder / f"{group}.json").write_text(text, encoding="utf-8")

@@ -1,7 +1,7 @@
 """Verdicts on claims and goals, computed from values over noise seeds. None is written down here."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -39,10 +39,6 @@ class Claim:
     note: str = ""
     key: bool = False
 
-    def record(self) -> dict[str, Any]:
-        """All fields."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Goal:
@@ -74,9 +70,7 @@ class Goal:
     def verdict(self) -> str:
         """`MET` or `MISSED` if the whole interval says so, otherwise `OPEN`."""
         sign = 1 if self.at_most else -1
-        inside = [
-            sign * value <= sign * self.limit for value in (self.measured.low, self.measured.value, self.measured.high)
-        ]
+        inside = [sign * value <= sign * self.limit for value in astuple(self.measured)]
         return MET if all(inside) else OPEN if any(inside) else MISSED
 
     @property
@@ -88,9 +82,8 @@ class Goal:
     def found(self) -> str:
         """The value with its interval, as text."""
         m = self.measured
-        if m.low == m.value == m.high:
-            return self._number(m.value)
-        return f"{self._number(m.value)} ({self._number(m.low)} to {self._number(m.high)})"
+        value, low, high = map(self._number, (m.value, m.low, m.high))
+        return value if m.low == m.value == m.high else f"{value} ({low} to {high})"
 
     @property
     def margin(self) -> str:
@@ -112,11 +105,14 @@ class Goal:
 
 
 def ordered(values: Sequence[Floats], lower_is_better: bool = True) -> bool:
-    """Whether the median of each (n_seeds,) is better than that of the one before; missing values count as the
-    worst."""
-    sign = 1 if lower_is_better else -1
-    middles = [float(np.median(np.where(np.isfinite(v), sign * v, np.inf))) for v in values]
+    """Whether the median of each (n_seeds,) is better than that of the one before; missing values are the worst."""
+    middles = [float(np.median(cost)) for cost in _costs(values, lower_is_better)]
     return all(after < before for before, after in pairwise(middles))
+
+
+def _costs(values: Sequence[Floats], lower_is_better: bool) -> list[Floats]:
+    """The same, less being better, and missing ones infinite."""
+    return [np.where(np.isfinite(v), v if lower_is_better else -v, np.inf) for v in values]
 
 
 def ladder(values: Sequence[Floats], lower_is_better: bool = True) -> tuple[str, list[Estimate]]:
@@ -124,9 +120,8 @@ def ladder(values: Sequence[Floats], lower_is_better: bool = True) -> tuple[str,
     middles = [median(v) for v in values]
     if not ordered(values, lower_is_better):
         return NO, middles
-    sign = 1 if lower_is_better else -1
-    worst = [np.where(np.isfinite(v), sign * np.asarray(v, float), np.inf) for v in values]
-    return YES if min(fewer(after, before) for before, after in pairwise(worst)) >= SURE else OPEN, middles
+    sure = min(fewer(after, before) for before, after in pairwise(_costs(values, lower_is_better)))
+    return YES if sure >= SURE else OPEN, middles
 
 
 def above(estimate: Estimate, limit: float) -> str:

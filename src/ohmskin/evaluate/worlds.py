@@ -12,16 +12,15 @@ the untouched sheet of the same world. The untouched reference is taken as free 
 frames).
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import OhmskinError
-from ohmskin.evaluate.shapes import Shape
+from ohmskin.evaluate.shapes import Shape, disc
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh, mesh_domain
 from ohmskin.geometry.overlap import disc_overlap
@@ -38,69 +37,48 @@ CONTACT_RADIUS = {"discs": 10e-3, "pressed": 8e-3}  # metres
 Contacts = tuple[Shape, ...]
 
 
-class Sheet(Protocol):
-    """One touched sheet with one electrode layout."""
-
-    untouched: Floats
-
-    def touched(self, contacts: Contacts) -> Floats:
-        """Transfer resistances (n_elec, n_elec) in ohms under contacts."""
-        ...
-
-
-class DiscSheet:
-    """Discs of raised conductivity on a sheet with point electrodes.
+@dataclass(frozen=True)
+class Sheet:
+    """One touched sheet with one electrode layout.
 
     Args:
-        skin: Sheet and electrodes.
-
-    Attributes:
-        untouched: (n_elec, n_elec) transfer resistances of the sheet without discs (ohm).
+        mesh: That of its model.
+        untouched: Transfer resistances (n_elec, n_elec) in ohms without contacts.
+        touched: Those under contacts.
     """
 
-    def __init__(self, skin: Skin) -> None:
-        self.skin = skin
-        self.mesh: Mesh = mesh_domain(skin.domain, 0.48 * skin.imaging.mesh_size, skin.electrodes.positions)
-        self.untouched = TransferModel(self.mesh, skin.electrodes, skin.sheet.conductivity).transfer_resistance
+    mesh: Mesh
+    untouched: Floats
+    touched: Callable[[Contacts], Floats]
 
-    def touched(self, contacts: Contacts) -> Floats:
-        """Transfer resistances under contacts; where discs overlap their changes add up."""
-        change = np.zeros(self.mesh.n_elem)
+
+def _discs(skin: Skin) -> Sheet:
+    """Discs of raised conductivity on a sheet with point electrodes; where discs overlap their changes add up."""
+    mesh = mesh_domain(skin.domain, 0.48 * skin.imaging.mesh_size, skin.electrodes.positions)
+
+    def touched(contacts: Contacts) -> Floats:
+        change = np.zeros(mesh.n_elem)
         for contact in contacts:
             if contact.kind != "disc":
                 raise OhmskinError(f"the world of discs has no {contact.kind}; press it on the world 'pressed'")
-            change += (
-                contact.strength
-                * disc_overlap(self.mesh, contact.position, contact.radius).toarray()[0]
-                / self.mesh.measures
-            )
-        conductivity = self.skin.sheet.conductivity * (1 + change)
-        return TransferModel(self.mesh, self.skin.electrodes, conductivity).transfer_resistance
+            share = disc_overlap(mesh, contact.position, contact.radius).toarray()[0]
+            change += contact.strength * share / mesh.measures
+        return TransferModel(mesh, skin.electrodes, skin.sheet.conductivity * (1 + change)).transfer_resistance
+
+    return Sheet(mesh, touched(()), touched)
 
 
-class TwinSheet:
-    """Contacts pressed on the contact-layer twin.
+def _pressed(skin: Skin) -> Sheet:
+    """Contacts pressed on the contact-layer twin; the foam spreads their edges, and pressures add up."""
+    twin, spread = PressedSheet(skin), max(skin.contact_layer.foam_spread, 1e-12)
 
-    Args:
-        skin: What to press on.
-
-    Attributes:
-        untouched: (n_elec, n_elec) transfer resistances of the untouched skin (ohm).
-    """
-
-    def __init__(self, skin: Skin) -> None:
-        self._twin = PressedSheet(skin)
-        self._spread = skin.contact_layer.foam_spread
-        self.untouched = self._twin.untouched
-
-    def touched(self, contacts: Contacts) -> Floats:
-        """Transfer resistances under contacts; the foam spreads their edges, and pressures add up."""
-        points = self._twin.contact_points
-        pressure = np.zeros(len(points))
+    def touched(contacts: Contacts) -> Floats:
+        pressure = np.zeros(len(twin.contact_points))
         for contact in contacts:
-            share = 1 - contact.distance(points) / max(self._spread, 1e-12)
-            pressure += contact.strength * np.clip(share, 0.0, 1.0)
-        return self._twin.under_pressure(pressure)
+            pressure += contact.strength * np.clip(1 - contact.distance(twin.contact_points) / spread, 0.0, 1.0)
+        return twin.under_pressure(pressure)
+
+    return Sheet(twin.mesh, twin.untouched, touched)
 
 
 @lru_cache(maxsize=8)
@@ -115,15 +93,11 @@ def sheet(world: str, layout: str, wear: float = 1.0) -> Sheet:
     Raises:
         OhmskinError: If there is no such world.
     """
+    if world not in WORLDS:
+        raise OhmskinError(f"no world {world!r}; choose from {', '.join(WORLDS)}")
     skin = Skin.load(LAYOUTS[layout])
-    skin = replace(
-        skin, electrode=replace(skin.electrode, contact_resistivity=wear * skin.electrode.contact_resistivity)
-    )
-    if world == "discs":
-        return DiscSheet(skin)
-    if world == "pressed":
-        return TwinSheet(skin)
-    raise OhmskinError(f"no world {world!r}; choose from {', '.join(WORLDS)}")
+    electrode = replace(skin.electrode, contact_resistivity=wear * skin.electrode.contact_resistivity)
+    return (_discs if world == "discs" else _pressed)(replace(skin, electrode=electrode))
 
 
 @lru_cache(maxsize=20_000)
@@ -161,12 +135,8 @@ def noise_volts(world: str, decibels: float) -> float:
 
 def contact(world: str, x: float, y: float, radius: float | None = None, strength: float | None = None) -> Shape:
     """The usual contact of a world at (x, y) in metres: see `CONTACT_RADIUS` and `CONTACT_STRENGTH`."""
-    return Shape(
-        "disc",
-        (float(x), float(y)),
-        CONTACT_RADIUS[world] if radius is None else radius,
-        CONTACT_STRENGTH[world] if strength is None else strength,
-    )
+    radius = CONTACT_RADIUS[world] if radius is None else radius
+    return disc(x, y, radius, CONTACT_STRENGTH[world] if strength is None else strength)
 
 
 def described(levels: Sequence[float]) -> list[tuple[str, str, str, str]]:

@@ -1,11 +1,13 @@
 """Figure 8: how close two contacts may be and still be told from one."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ohmskin.evaluate.methods import bench
+from ohmskin.evaluate.methods import Bench
 from ohmskin.evaluate.result import Result
+from ohmskin.evaluate.setup import View
 from ohmskin.evaluate.shapes import Shape, disc
 from ohmskin.evaluate.two_points import one_or_two, told
 from ohmskin.evaluate.worlds import Contacts
@@ -40,53 +42,45 @@ def areas(count: int = 3, seed: int = 2022, width: float = 0.2, margin: float = 
 
 
 @dataclass(frozen=True)
-class Discrimination:
+class Discrimination(Bench):
     """Two contacts at falling distances in one area, and single contacts there for the rate of false twos.
 
     Args:
         distances: Between the two contacts (m).
     """
 
-    world: str
-    decibels: float
-    amplitude: float
     seeds: int
     area: Area
     distances: tuple[float, ...]
     methods: tuple[str, ...] = ("16I", "16O", "16O fused")
 
     def run(self) -> Result:
-        """Results, for pairs (n_methods, n_distances, n_seeds) and, with prefix ``single_``, for the four `singles`
-        (n_methods, 4, n_seeds): ``dip``, whether the image has two contacts, parted by a dip, each closer to its own
-        true contact than half their distance (for singles: whether there is more than one contact at all);
-        ``statistic``, how much better two fitted contacts explain the data than one (`one_or_two`); ``near``, whether
-        the two are each closer to its own true contact than half their distance; ``chi_square``, what the fit with as
-        many contacts as there are leaves, over its degrees of freedom.
+        """Results, for pairs (n_methods, n_distances, n_seeds) and, with prefix ``single_``, for single ones
+        (n_methods, 4, n_seeds), two in the middle and one 15 mm either way: ``dip``, whether the image has two
+        contacts, parted by a dip, each closer to its own true contact than half their distance (for singles: whether
+        there is more than one contact at all); ``statistic``, how much better two fitted contacts explain the data than
+        one (`one_or_two`); ``near``, whether the two are each closer to its own true contact than half their distance;
+        ``chi_square``, what the fit with as many contacts as there are leaves, over its degrees of freedom.
         """
-        pairs = self._rates([tuple(self._press(at) for at in self.area.pair(d)) for d in self.distances])
-        return pairs | {f"single_{name}": array for name, array in self._rates(self._singles()).items()}
+        middle, (left, right) = self.area.position, self.area.pair(30e-3)
+        singles = ((middle, 1.0), (middle, 2.0), (left, 1.0), (right, 1.0))  # with the strength of one and of two
+        cases = [tuple(self._press(at) for at in self.area.pair(d)) for d in self.distances]
+        pairs = self.read(self.methods, cases, self.seeds, _rates)
+        alone = self.read(self.methods, [(self._press(*single),) for single in singles], self.seeds, _rates)
+        return pairs | {f"single_{name}": array for name, array in alone.items()}
 
     def _press(self, at: tuple[float, float], times: float = 1.0) -> Shape:
         return disc(*at, RADIUS, times * STRENGTH[self.world])
 
-    def _singles(self) -> list[Contacts]:
-        """In the middle, with the strength of one and of two, and 15 mm either way."""
-        middle, (left, right) = self.area.position, self.area.pair(30e-3)
-        return [(self._press(middle),), (self._press(middle, 2.0),), (self._press(left),), (self._press(right),)]
 
-    def _rates(self, cases: list[Contacts]) -> Result:
-        table = bench(self.world, self.decibels, self.amplitude)
-        shape = (len(self.methods), len(cases), self.seeds)
-        dip, near = np.zeros(shape, bool), np.zeros(shape, bool)
-        statistic, chi_square = np.zeros(shape), np.zeros(shape)
-        for c, contacts in enumerate(cases):
-            truth = [contact.position for contact in contacts]
-            for m, seed, seen in table.see_all(self.methods, contacts, self.seeds):
-                places = [found.position for found in seen.contacts]
-                dip[m, c, seed] = len(places) > 1 if len(truth) == 1 else told(places, truth)
-                statistic[m, c, seed], one, two = one_or_two(seen.setup.trusting_fitter, *seen.differences)
-                near[m, c, seed] = len(truth) == 2 and told(two.params[:, :2], truth)
-                volts = np.concatenate([d.volts for d in seen.differences])
-                left = (volts - (one if len(truth) == 1 else two).caused) / table.noise
-                chi_square[m, c, seed] = left @ left / (len(left) - 4 * len(truth))
-        return {"dip": dip, "statistic": statistic, "near": near, "chi_square": chi_square}
+def _rates(seen: View, contacts: Contacts) -> dict[str, Any]:
+    truth, places = ([contact.position for contact in each] for each in (contacts, seen.contacts))
+    statistic, one, two = one_or_two(seen.setup.trusting_fitter, *seen.differences)
+    volts = np.concatenate([d.volts for d in seen.differences])
+    left = (volts - (one if len(truth) == 1 else two).caused) / seen.setup.noise
+    return {
+        "dip": len(places) > 1 if len(truth) == 1 else told(places, truth),
+        "statistic": statistic,
+        "near": len(truth) == 2 and told(two.params[:, :2], truth),
+        "chi_square": left @ left / (len(left) - 4 * len(truth)),
+    }

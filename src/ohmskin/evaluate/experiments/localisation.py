@@ -1,11 +1,12 @@
 """Figure 7: where single contacts seem to be, at 81 places."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.evaluate.methods import METHODS, bench
+from ohmskin.evaluate.methods import METHODS, Bench
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.worlds import contact
 
@@ -13,26 +14,19 @@ CENTRE = 0.1  # metres; the middle of the sheet, the best guess for a place when
 
 
 @dataclass(frozen=True)
-class Localisation:
+class Localisation(Bench):
     """Single contacts on a lattice of side x side places over the sheet, in steps of its width over side + 1."""
 
-    world: str
-    decibels: float
-    amplitude: float
     seeds: int
     side: int = 9
     methods: tuple[str, ...] = METHODS
 
     def run(self) -> Result:
-        """Results: ``truth`` (n_places, 2) and ``estimate`` (n_methods, n_seeds, n_places, 2) in metres
-        (`View.place`)."""
-        table = bench(self.world, self.decibels, self.amplitude)
+        """Results: ``truth`` (n_places, 2) and `View.place`, ``estimate`` (n_methods, n_seeds, n_places, 2) (m)."""
         truth = places(self.side)
-        estimate = np.empty((len(self.methods), self.seeds, len(truth), 2))
-        for p, (x, y) in enumerate(truth):
-            for m, seed, seen in table.see_all(self.methods, (contact(self.world, x, y),), self.seeds):
-                estimate[m, seed, p] = seen.place
-        return {"truth": truth, "estimate": estimate}
+        cases = [(contact(self.world, x, y),) for x, y in truth]
+        seen = self.read(self.methods, cases, self.seeds, lambda view, _: {"estimate": view.place})
+        return {"truth": truth, "estimate": np.ascontiguousarray(seen["estimate"].swapaxes(1, 2))}
 
 
 @dataclass(frozen=True)
@@ -54,19 +48,17 @@ class MatchedLocalisation:
     def run(self) -> Result:
         """Results of `Localisation`, and ``decibels`` () and ``matched`` (), the level and the mean error there (m)."""
         trial = Localisation(self.world, 0.0, self.amplitude, self.seeds, self.side, (self.by,))
-        seen: dict[int, float] = {}
 
+        @cache
         def mean(level: int) -> float:
-            if level not in seen:
-                seen[level] = float(np.mean(errors(replace(trial, decibels=level * self.step).run())))
-            return seen[level]
+            return float(np.mean(errors(replace(trial, decibels=level * self.step).run())))
 
         low, high = round(10 / self.step), round(80 / self.step)
         while high - low > 1:  # the error falls as the noise does
             middle = (low + high) // 2
             low, high = (middle, high) if mean(middle) > self.error else (low, middle)
         level = min(low, high, key=lambda k: abs(mean(k) - self.error))
-        result = Localisation(self.world, level * self.step, self.amplitude, self.seeds, self.side, self.methods).run()
+        result = replace(trial, decibels=level * self.step, methods=self.methods).run()
         return result | {"decibels": np.array(level * self.step), "matched": np.array(mean(level))}
 
 

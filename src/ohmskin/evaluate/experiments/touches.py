@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,9 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError
 from ohmskin.evaluate.merit import Target, eidors_figures, figures_of_merit
-from ohmskin.evaluate.methods import METHODS, bench
+from ohmskin.evaluate.methods import METHODS, Bench
 from ohmskin.evaluate.result import Result
-from ohmskin.evaluate.setup import PIXELS
+from ohmskin.evaluate.setup import View
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.evaluate.worlds import Contacts
 from ohmskin.geometry import Raster
@@ -24,21 +25,15 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Touches:
+class Touches(Bench):
     """Images and contacts of several cases (figures 3 and 4).
 
     Args:
-        world: One of `worlds.WORLDS`.
-        decibels: Noise level (dB).
-        amplitude: Prior amplitude (1).
         seeds: Number of noise seeds; the images are those of the first.
         cases: The contacts of each case.
         methods: Which methods.
     """
 
-    world: str
-    decibels: float
-    amplitude: float
     seeds: int
     cases: tuple[Contacts, ...]
     methods: tuple[str, ...] = METHODS
@@ -49,23 +44,18 @@ class Touches:
         matched to them, NaN where fewer are found than there are; ``place`` (n_cases, n_methods, n_seeds, 2), see
         `View.place`.
         """
-        shape = (len(self.cases), len(self.methods), self.seeds)
-        pixels = np.empty((*shape[:2], PIXELS, PIXELS))
-        count, error, place = np.zeros(shape, np.int64), np.full(shape, np.nan), np.full((*shape, 2), np.nan)
-        table = bench(self.world, self.decibels, self.amplitude)
-        for c, contacts in enumerate(self.cases):
-            for m, seed, seen in table.see_all(self.methods, contacts, self.seeds):
-                if seed == 0:
-                    pixels[c, m] = seen.pixels
-                found = seen.contacts
-                count[c, m, seed], place[c, m, seed] = len(found), seen.place
-                error[c, m, seed] = matched_error(found, contacts)
-        return {"pixels": pixels, "count": count, "error": error, "place": place}
+
+        def look(seen: View, contacts: Contacts) -> dict[str, Any]:
+            error = matched_error(seen.contacts, contacts)
+            return {"pixels": seen.pixels, "count": len(seen.contacts), "error": error, "place": seen.place}
+
+        found = self.read(self.methods, self.cases, self.seeds, look)
+        found = {name: np.ascontiguousarray(array.swapaxes(0, 1)) for name, array in found.items()}
+        return found | {"pixels": found["pixels"][:, :, 0]}
 
 
 def matched_error(found: Sequence[Contact], contacts: Contacts) -> float:
-    """Mean distance (m) of the best one-to-one match from true contacts to found ones; NaN if there are too few
-    found."""
+    """Mean distance (m) of the best one-to-one match from true contacts to found ones; NaN if too few are found."""
     if len(found) < len(contacts):
         return float("nan")
     distance = np.array([[np.hypot(*np.subtract(f.position, c.position)) for f in found] for c in contacts])
@@ -73,12 +63,9 @@ def matched_error(found: Sequence[Contact], contacts: Contacts) -> float:
 
 
 @dataclass(frozen=True)
-class Sections:
+class Sections(Bench):
     """Horizontal cross-sections through the centre of one contact, for each method and seed (figure 5)."""
 
-    world: str
-    decibels: float
-    amplitude: float
     seeds: int
     contact: Shape
     methods: tuple[str, ...] = METHODS
@@ -87,14 +74,15 @@ class Sections:
         """Results: ``x`` (nx,) in metres; ``profile`` (n_methods, n_seeds, nx), relative change; ``peak`` and ``width``
         (n_methods, n_seeds), the profile's largest value and its width at half of that (m); ``at`` (same), where (m).
         """
-        table = bench(self.world, self.decibels, self.amplitude)
-        profile = np.empty((len(self.methods), self.seeds, PIXELS))
-        peak, width, at = (np.empty(profile.shape[:2]) for _ in range(3))
-        for m, seed, seen in table.see_all(self.methods, (self.contact,), self.seeds):
-            x, y = seen.raster.x, seen.raster.y
-            profile[m, seed] = [np.interp(self.contact.position[1], y, column) for column in seen.pixels.T]
-            peak[m, seed], at[m, seed], width[m, seed] = peak_and_width(x, profile[m, seed])
-        return {"x": x, "profile": profile, "peak": peak, "at": at, "width": width}
+        x = self.setup("grid").raster.x
+
+        def cut(seen: View, _: Contacts) -> dict[str, Any]:
+            profile = np.array([np.interp(self.contact.position[1], seen.raster.y, line) for line in seen.pixels.T])
+            peak, at, width = peak_and_width(x, profile)
+            return {"profile": profile, "peak": peak, "at": at, "width": width}
+
+        found = self.read(self.methods, [(self.contact,)], self.seeds, cut)
+        return {"x": x} | {name: array[:, 0] for name, array in found.items()}
 
 
 def peak_and_width(x: Floats, profile: Floats) -> tuple[float, float, float]:
@@ -102,27 +90,22 @@ def peak_and_width(x: Floats, profile: Floats) -> tuple[float, float, float]:
 
     Where the profile stays above half up to an end of `x`, that end counts.
     """
-    top = int(np.argmax(profile))
+    top, ends = int(np.argmax(profile)), []
     half = profile[top] / 2
-    left, right = x[0], x[-1]
-    for k in range(top, 0, -1):
-        if profile[k - 1] < half:
-            left = x[k] - (x[k] - x[k - 1]) * (profile[k] - half) / (profile[k] - profile[k - 1])
-            break
-    for k in range(top, len(x) - 1):
-        if profile[k + 1] < half:
-            right = x[k] + (x[k + 1] - x[k]) * (profile[k] - half) / (profile[k] - profile[k + 1])
-            break
-    return float(profile[top]), float(x[top]), float(right - left)
+    for at, value in ((x[top::-1], profile[top::-1]), (x[top:], profile[top:])):  # to the left, to the right
+        below = np.flatnonzero(value[1:] < half)
+        if below.size:
+            k = int(below[0])
+            ends.append(at[k] + (at[k + 1] - at[k]) * (value[k] - half) / (value[k] - value[k + 1]))
+        else:
+            ends.append(at[-1])
+    return float(profile[top]), float(x[top]), float(ends[1] - ends[0])
 
 
 @dataclass(frozen=True)
-class Merits:
+class Merits(Bench):
     """Figures of merit of one contact, for each method and seed (Table I)."""
 
-    world: str
-    decibels: float
-    amplitude: float
     seeds: int
     contact: Shape
     methods: tuple[str, ...] = METHODS
@@ -133,24 +116,25 @@ class Merits:
         `EIDORS_COLUMNS`. NaN where an image has nothing positive. AR is relative to the disc's change times area; a
         pressed contact has no such number, its area stands for it.
         """
-        table = bench(self.world, self.decibels, self.amplitude)
-        shape = (len(self.methods), self.seeds)
-        modern, vector, eidors = (np.full((*shape, n), np.nan) for n in (len(COLUMNS), 2, len(EIDORS_COLUMNS)))
         strength = self.contact.area * (self.contact.strength if self.world == "discs" else 1.0)
         target = Target(self.contact.position, strength)
-        for m, seed, seen in table.see_all(self.methods, (self.contact,), self.seeds):
+
+        def judge(seen: View, _: Contacts) -> dict[str, Any]:
             low, high = seen.mesh.nodes.min(axis=0), seen.mesh.nodes.max(axis=0)
             x, y = 2 * (np.array(self.contact.position) - low) / (high - low) - 1
             try:
-                found = figures_of_merit(seen.pixels, seen.raster.x, seen.raster.y, [target])[0]
-                theirs = eidors_figures(seen.pixels, (x, y))
+                (found,) = figures_of_merit(seen.pixels, seen.raster.x, seen.raster.y, [target])
+                theirs = astuple(eidors_figures(seen.pixels, (x, y)))
             except DataError:
-                continue
+                sizes = {"modern": len(COLUMNS), "vector": 2, "eidors": len(EIDORS_COLUMNS)}
+                return {name: np.full(n, np.nan) for name, n in sizes.items()}
+            shape = (found.resolution, found.shape_deformation, found.ringing, found.peak)
             away = np.linalg.norm(seen.place - self.contact.position)
-            shape_of = (found.resolution, found.shape_deformation, found.ringing, found.peak)
-            modern[m, seed] = (found.amplitude_response, found.distance, *shape_of, away)
-            vector[m, seed], eidors[m, seed] = found.position_error, astuple(theirs)
-        return {"modern": modern, "vector": vector, "eidors": eidors}
+            modern = (found.amplitude_response, found.distance, *shape, away)
+            return {"modern": modern, "vector": found.position_error, "eidors": theirs}
+
+        found = self.read(self.methods, [(self.contact,)], self.seeds, judge)
+        return {name: array[:, 0] for name, array in found.items()}
 
 
 @dataclass(frozen=True)
@@ -169,17 +153,19 @@ class PressedShapes:
         of the shape and the pixels above half of the largest; ``blind`` (n_contacts,), the score
         of the best disc at the shape's centroid, which an imager blind to shape could reach.
         """
-        table = bench("pressed", self.decibels, self.amplitude)
-        shape = (len(self.contacts), len(self.methods))
-        pixels, overlap = np.empty((*shape, PIXELS, PIXELS)), np.empty((*shape, self.seeds))
-        truth, blind = np.empty((len(self.contacts), PIXELS, PIXELS), bool), np.empty(len(self.contacts))
-        for c, contact in enumerate(self.contacts):
-            for m, seed, seen in table.see_all(self.methods, (contact,), self.seeds):
-                if seed == 0:
-                    pixels[c, m] = seen.pixels
-                    truth[c], blind[c] = mask(contact, seen.raster), blind_overlap(contact, seen.raster)
-                overlap[c, m, seed] = intersection_over_union(seen.pixels >= np.nanmax(seen.pixels) / 2, truth[c])
-        return {"pixels": pixels, "truth": truth, "overlap": overlap, "blind": blind}
+        table = Bench("pressed", self.decibels, self.amplitude)
+        raster = table.setup("grid").raster
+        truth = np.array([mask(contact, raster) for contact in self.contacts])
+
+        def look(seen: View, contacts: Contacts) -> dict[str, Any]:
+            above = seen.pixels >= np.nanmax(seen.pixels) / 2
+            inside = truth[self.contacts.index(contacts[0])]
+            return {"pixels": seen.pixels, "overlap": intersection_over_union(above, inside)}
+
+        found = table.read(self.methods, [(contact,) for contact in self.contacts], self.seeds, look)
+        pixels, overlap = (np.ascontiguousarray(found[name].swapaxes(0, 1)) for name in ("pixels", "overlap"))
+        blind = np.array([blind_overlap(contact, raster) for contact in self.contacts])
+        return {"pixels": pixels[:, :, 0], "truth": truth, "overlap": overlap, "blind": blind}
 
 
 def mask(contact: Shape, raster: Raster) -> Mask:
@@ -190,8 +176,7 @@ def mask(contact: Shape, raster: Raster) -> Mask:
 
 
 def blind_overlap(contact: Shape, raster: Raster) -> float:
-    """The best score of a disc, over all radii, at the centroid of the shape: what an imager blind to shape could
-    reach."""
+    """The best score, over all radii, of a disc at the shape's centroid: what an imager blind to shape could reach."""
     inside = mask(contact, raster)
     x, y = np.meshgrid(raster.x, raster.y)
     away = np.hypot(x - x[inside].mean(), y - y[inside].mean())

@@ -1,7 +1,7 @@
-"""What all pictures have in common: how they look, how points with intervals are drawn, how they are saved."""
+"""What all pictures have in common: how they look, how they are drawn and saved."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ohmskin.arrays import Floats
+from ohmskin.evaluate.methods import METHODS
+from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.statistics import Estimate
 from ohmskin.evaluate.worlds import LAYOUTS
@@ -19,23 +21,13 @@ from ohmskin.skin import Skin
 
 Drawn = tuple[str, Figure, str]  # file name, figure, caption
 SIDE = 200.0  # millimetres, of the paper's sheet
-RC: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "grid.linewidth": 0.3,
-    "grid.color": "0.85",
-    "axes.axisbelow": True,
-    "figure.facecolor": "white",
-}
+NAMES = {key: "local [14]" if key == "local" else key for key in METHODS}
+
+RC: Any = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 8)
+RC |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7)
+RC |= dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.6)
+RC |= {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "figure.facecolor": "white"}
+RC |= {"grid.linewidth": 0.3, "grid.color": "0.85"}
 
 
 @dataclass(frozen=True)
@@ -62,9 +54,20 @@ def save_pictures(
     return found
 
 
+def panels(height: float, rows: int, columns: int, x: str = "", y: str = "", **options: Any) -> tuple[Figure, Any]:
+    """A figure (height in inches) and its axes (rows, columns); labels below the last row and at the first column."""
+    canvas = Figure(figsize=(7.4, height), layout="constrained")
+    grid = canvas.subplots(rows, columns, squeeze=False, **options)
+    for axes in grid[-1]:
+        axes.set_xlabel(x)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(y)
+    return canvas, grid
+
+
 def draw_estimates(axes: Axes, x: Sequence[float], found: Sequence[Estimate], fmt: str, **style: Any) -> None:
     """Values at x with their intervals as error bars."""
-    values, low, high = np.array([[m.value, m.low, m.high] for m in found]).T
+    values, low, high = np.array([astuple(each) for each in found]).T
     axes.errorbar(x, values, yerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
 
 
@@ -81,3 +84,9 @@ def draw_sheet(
         axes.set_ylabel("y / mm", labelpad=1)
     if bottom:
         axes.set_xlabel("x / mm", labelpad=1)
+
+
+def noise_text(settings: Settings) -> str:
+    """The noise level and prior amplitude of the figures, for captions."""
+    level, amplitude = settings.noise[0], settings.amplitude[0]
+    return f"noise {level:g} dB below the largest 12B voltage, prior amplitude s = {amplitude:g}"

@@ -10,22 +10,12 @@ from ohmskin.arrays import Floats
 from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Picture
+from ohmskin.evaluate.policies import goals
 from ohmskin.evaluate.policies.figures import PAINTERS
-from ohmskin.evaluate.policies.goals import (
-    MISS,
-    NAMES,
-    SETTLE,
-    WITHIN,
-    Done,
-    assess,
-    moving_errors,
-    pair_groups,
-    pair_rates,
-    robust_errors,
-)
+from ohmskin.evaluate.policies.goals import MISS, NAMES, SETTLE, WITHIN, Done, moving_errors
 from ohmskin.evaluate.policies.pairs import ideal_power
 from ohmskin.evaluate.policies.plan import Settings, plan
-from ohmskin.evaluate.policies.schemes import TITLES, instrument_cost
+from ohmskin.evaluate.policies.schemes import SCHEMES, instrument_cost
 from ohmskin.evaluate.report import Block, Image, Section, Table
 from ohmskin.evaluate.setup import PERIOD, QUIET
 from ohmskin.evaluate.statistics import mean
@@ -37,57 +27,49 @@ from ohmskin.skin import Skin
 _ERROR = "mean error / mm (95 %)"
 
 
-def sections(done: Done, goals: Sequence[Goal], pictures: Mapping[str, Sequence[Picture]]) -> list[Section]:
+def sections(done: Done, found: Sequence[Goal], pictures: Mapping[str, Sequence[Picture]]) -> list[Section]:
     """The report: the goals, how it was done, and a section for each group of experiments."""
-    found = _introduction(done, [goal for goal in goals if goal.key])
+    report = _introduction(done, [goal for goal in found if goal.key])
     for section in done.results:
         title, tables = SECTIONS[section]
         shown = [Image(title, picture) for picture in pictures[section]]
-        found.append(Section(title, [*shown, *tables(done), *_goals([g for g in goals if g.section == section])]))
-    return found
+        report.append(Section(title, [*shown, *tables(done), *_goals([g for g in found if g.section == section])]))
+    return report
 
 
 def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
     tally = ", ".join(f"{sum(g.verdict == v for g in key)} {v}" for v in (MET, MISSED, OPEN))
     what = (
         "What to measure next: fixed patterns, the best fixed set among them; the paper's scheme (16O fused: a base "
-        "scan, "
-        "then pairs by eq. 7, both used); choice by position information (16P); and tracking with a few injections per "
-        "frame (16T), on virtual skins, with the same absolute noise for all. The sensors are those of the loop, made "
-        "by "
-        "name. What a choice of injections gains is told against the best fixed set of as many, with the same reader."
+        "scan, then pairs by eq. 7, both used); choice by position information (16P); and tracking with a few "
+        "injections per frame (16T), on virtual skins, with the same absolute noise for all. The sensors are those of "
+        "the loop, made by name. What a choice of injections gains is told against the best fixed set of as many, with "
+        "the same reader."
     )
     rule = (
         f"Of {len(key)} goals: {tally}. A goal is **met** or **missed** if the whole 95 % interval says so, otherwise "
         "**undecided**. Intervals of means and ratios are bootstrap over noise seeds and places (paired), those of "
-        "rates "
-        "exact or bootstrap. They speak of noise and places, not of other skins."
+        "rates exact or bootstrap. They speak of noise and places, not of other skins."
     )
     radius = 1.5 * Skin.load(LAYOUTS["grid"]).imaging.mesh_size
     data = (
         "Data come from two models of a touched sheet on meshes unlike the estimator's (docs/reproduce.md): discs of "
         "raised conductivity with point electrodes, and the contact-layer twin. Noise is white, of one standard "
         "deviation for all: so many decibels below the largest voltage of the paper's base scan (12B), at "
-        f"{1e3 * CURRENT:g} mA in every injection. The untouched reference is a mean of {QUIET} scans with that "
-        f"noise. Fits "
-        f"expect contacts of about {1e3 * radius:.2g} mm radius; the twin's have 8 mm, the discs 10 mm."
+        f"{1e3 * CURRENT:g} mA in every injection. The untouched reference is a mean of {QUIET} scans with that noise. "
+        f"Fits expect contacts of about {1e3 * radius:.2g} mm radius; the twin's have 8 mm, the discs 10 mm."
     )
     readers = (
         "*Centroid*: that of the strongest region of the image (eq. 5, one-step Gauss-Newton) above the threshold "
         "gamma_0, which is learned from quiet scans. *Fit*: the strongest contact that explains the data "
-        "significantly. "
-        "Where a reader shows no contact, the middle of the sheet is taken for it."
+        "significantly. Where a reader shows no contact, the middle of the sheet is taken for it."
     )
-    version = (
-        f"ohmskin {ohmskin.__version__}. Written by `ohmskin policies`; every number and verdict is computed from data."
-    )
-    described_data = Table(("data", "contact", "largest 12B voltage", "noise"), described(done.settings.levels))
-    modes = Table(("mode", "what it drives"), list(TITLES.items()))
-    return [
-        Section("Policies compared", [version, what], "#"),
-        Section("Goals", [rule, *_goals(key)]),
-        Section("How it was done", [data, described_data, modes, readers]),
-    ]
+    version = f"ohmskin {ohmskin.__version__}. Written by `ohmskin policies`"
+    version = f"{version}; every number and verdict is computed from data."
+    worlds = Table(("data", "contact", "largest 12B voltage", "noise"), described(done.settings.levels))
+    modes = Table(("mode", "what it drives"), [(key, title) for key, (title, *_) in SCHEMES.items()])
+    how = Section("How it was done", [data, worlds, modes, readers])
+    return [Section("Policies compared", [version, what], "#"), Section("Goals", [rule, *_goals(key)]), how]
 
 
 def _goals(goals: Sequence[Goal]) -> list[Block]:
@@ -119,11 +101,8 @@ def _static(done: Done) -> list[Block]:
                 row = (key.partition("/")[0], str(result["injections"][s]), reader, _mm(off))
                 typical = (f"{1e3 * np.median(off):.2f}", f"{1e3 * np.quantile(off, 0.95):.1f}")
                 rows.append((*row, *typical, _percent(off > MISS), _percent(lost), bound))
-        for key, label in (
-            ("best", "best fixed set"),
-            ("16O fused", "the paper's pattern"),
-            ("16P", "by position information"),
-        ):
+        labels = {"best": "best fixed set", "16O fused": "the paper's pattern", "16P": "by position information"}
+        for key, label in labels.items():
             cells = [away[task.schemes.index(key), task.readers.index(reader)] for reader in ("centroid", "fit")]
             each.append((f"{label}, 28 injections", *(f"{_mm(cell)} mm" for cell in cells)))
         title = f"### {NAMES[task.world].capitalize()}, {name.split('/')[1]} dB"
@@ -145,10 +124,8 @@ def _time(done: Done) -> list[Block]:
         "measures 9 voltages of an injection, the others 13). Fixed patterns are driven over and over. Discs, "
         f"{task.decibels:g} dB."
     )
-    return [
-        text,
-        Table(("instrument", "mode", "injections", *(f"{reader}: {_ERROR}" for reader in task.readers)), rows),
-    ]
+    head = ("instrument", "mode", "injections", *(f"{reader}: {_ERROR}" for reader in task.readers))
+    return [text, Table(head, rows)]
 
 
 def _moving(done: Done) -> list[Block]:
@@ -174,20 +151,18 @@ def _moving(done: Done) -> list[Block]:
 
 def _pairs(done: Done) -> list[Block]:
     rows = []
-
-    def add(where: str, key: str, how: str, rates: Floats, false: str) -> None:
-        rows.append((where, key, how, *(f"{100 * row.mean():.0f}" for row in rates), false))
-
-    for _, task, result, limits, power in pair_groups(done):
-        right, false = pair_rates(result)
+    for _, task, result, limits, power in goals.pair_groups(done):
+        right, false = goals.pair_rates(result)
         for s, key in enumerate(task.schemes):
             where = f"+{100 * task.strength:g} %, {task.decibels:g} dB"
-            add(where, key, "test", right[s], f"{100 * np.mean(false[s]):.2g} %")
             own, own_false = (result["counted"][s] == 2) & result["near"][s], result["counted_single"][s] > 1
-            add("", "", "fit's own count", own, f"{100 * np.mean(own_false):.2g} %")
-            add("", "", "ideal test", power[s], "1 %")
-        add("", "any 28", "ideal test, at most", ideal_power(limits["any"]), "1 %")
-        add("", "all 120", "ideal test", ideal_power(limits["all"]), "1 %")
+            rows += [
+                (where, key, "test", right[s], f"{100 * np.mean(false[s]):.2g} %"),
+                ("", "", "fit's own count", own, f"{100 * np.mean(own_false):.2g} %"),
+                ("", "", "ideal test", power[s], "1 %"),
+            ]
+        rows.append(("", "any 28", "ideal test, at most", ideal_power(limits["any"]), "1 %"))
+        rows.append(("", "all 120", "ideal test", ideal_power(limits["all"]), "1 %"))
     text = (
         "Share of pairs told apart in per cent, by distance; a pair counts if both contacts are also placed closer to "
         "their own true place than half their distance. The test compares two fitted contacts with one, as the product "
@@ -200,10 +175,9 @@ def _pairs(done: Done) -> list[Block]:
         "electrode, whose field is singular, looks like nothing else, and one such single contact would set the "
         "threshold for all."
     )
-    return [
-        text,
-        Table(("discs", "mode", "decided by", *(f"{1e3 * d:g} mm" for d in task.distances), "false twos"), rows),
-    ]
+    head = ("discs", "mode", "decided by", *(f"{1e3 * d:g} mm" for d in task.distances), "false twos")
+    cells = [(*row, *(f"{100 * rate.mean():.0f}" for rate in rates), false) for *row, rates, false in rows]
+    return [text, Table(head, cells)]
 
 
 def _detection(done: Done) -> list[Block]:
@@ -220,7 +194,7 @@ def _detection(done: Done) -> list[Block]:
 
 
 def _robust(done: Done) -> list[Block]:
-    table = robust_errors(done)
+    table = goals.robust_errors(done)
     ways = list(next(iter(table.values())))
     rows = [(name, *(_mm(cells[way]) for way in ways)) for name, cells in table.items()]
     text = (
@@ -254,6 +228,6 @@ SECTIONS = {
     "cost": ("What choosing costs", _cost),
 }
 POLICIES = Study(
-    Settings, plan, assess, PAINTERS, sections, "report.md", "goals", option="--out", dpi=160, alone=("cost",)
+    Settings, plan, goals.assess, PAINTERS, sections, "report.md", "goals", "--out", 160, ("cost",), Goal.record
 )
 compare = POLICIES.run

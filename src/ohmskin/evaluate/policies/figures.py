@@ -1,6 +1,6 @@
 """The pictures of the report, from results alone."""
 
-from collections.abc import Sequence
+from dataclasses import astuple
 from typing import Any, cast
 
 import numpy as np
@@ -10,31 +10,15 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet
-from ohmskin.evaluate.policies.detection import APART, NEAR
-from ohmskin.evaluate.policies.goals import (
-    NAMES,
-    OTHERS,
-    SETTLE,
-    WITHIN,
-    Done,
-    moving_errors,
-    pair_groups,
-    pair_rates,
-    robust_errors,
-)
+from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
+from ohmskin.evaluate.policies import goals
+from ohmskin.evaluate.policies.goals import NAMES, OTHERS, SETTLE, WITHIN, Done, moving_errors
 from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
+from ohmskin.evaluate.policies.tracked import APART, NEAR
 from ohmskin.evaluate.statistics import mean
 
-COLOURS = {
-    "12B": "#8c8c8c",
-    "16I": "#0072b2",
-    "best": "#e69f00",
-    "16O fused": "#d55e00",
-    "16P": "#00735c",
-    "16T": "#a6267a",
-    "rotating": "#cc79a7",
-}
+COLOURS = {"12B": "#8c8c8c", "16I": "#0072b2", "best": "#e69f00", "16O fused": "#d55e00"}
+COLOURS |= {"16P": "#00735c", "16T": "#a6267a", "rotating": "#cc79a7"}
 _MARKERS = {"centroid": "o", "fit": "D"}  # a centroid's is not filled
 
 
@@ -90,8 +74,7 @@ def static(done: Done) -> list[Drawn]:
 def moving(done: Done) -> list[Drawn]:
     """Errors on winding paths, and a path."""
     results = done.results["moving"]
-    canvas = Figure(figsize=(7.4, 2.7), layout="constrained")
-    grid = canvas.subplots(1, len(results) + 1, width_ratios=[*[1.1] * len(results), 1])
+    canvas, (grid,) = panels(2.7, 1, len(results) + 1, width_ratios=[*[1.1] * len(results), 1])
     for axes, (world, task, result) in zip(grid, done.of("moving"), strict=False):
         framewise, tracked = moving_errors(result)
         labels: list[str] = []
@@ -126,16 +109,18 @@ def moving(done: Done) -> list[Drawn]:
 
 def pairs(done: Done) -> list[Drawn]:
     """Success against distance."""
-    groups = list(pair_groups(done))
+    groups = list(goals.pair_groups(done))
     columns, rows = (list(dict.fromkeys(name.split("/")[part] for name, *_ in groups)) for part in (0, 1))
-    canvas = Figure(figsize=(7.4, 2.3 * len(rows) + 0.3), layout="constrained")
-    grid = canvas.subplots(len(rows), len(columns), squeeze=False, sharex=True, sharey=True)
+    sizes, labels = (len(rows), len(columns)), ("distance / mm", "told apart / %")
+    canvas, grid = panels(2.3 * len(rows) + 0.3, *sizes, *labels, sharex=True, sharey=True)
     for name, task, result, limits, power in groups:
         decibels, strength = name.split("/")
         axes, x = grid[rows.index(strength), columns.index(decibels)], 1e3 * np.array(task.distances)
-        right, _ = pair_rates(result)
+        right, _ = goals.pair_rates(result)
         for s, key in enumerate(task.schemes):
-            _curve(axes, x, 100 * right[s].mean(axis=1), COLOURS[key], key)
+            values, low, high = np.array([astuple(mean(rates)) for rates in 100 * right[s].mean(axis=1)]).T
+            axes.plot(x, values, "o-", color=COLOURS[key], markersize=3, linewidth=1.3, label=key)
+            axes.fill_between(x, low, high, color=COLOURS[key], alpha=0.18, linewidth=0)
             ideal = 100 * power[s].mean(axis=1)
             axes.plot(x, ideal, ":", color=COLOURS[key], linewidth=1.2, label=f"{key}, ideal test")
         any_choice = 100 * ideal_power(limits["any"]).mean(axis=1)
@@ -143,10 +128,6 @@ def pairs(done: Done) -> list[Drawn]:
         axes.axhline(75, color="0.6", linewidth=0.6)
         axes.set(title=f"+{100 * float(strength):g} %, {decibels} dB", ylim=(0, 103), xticks=x)
         axes.grid()
-    for axes in grid[-1]:
-        axes.set_xlabel("distance / mm")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("told apart / %")
     grid[-1, -1].legend(*grid[0, -1].get_legend_handles_labels(), frameon=False, loc="lower right")
     caption = (
         f"Two discs of 6 mm radius told from one, at most {100 * ALPHA:g} % of single contacts taken for two. "
@@ -161,8 +142,7 @@ def pairs(done: Done) -> list[Drawn]:
 def detection(done: Done) -> list[Drawn]:
     """Share of new contacts found by frame."""
     worlds = list(dict.fromkeys(name.split("/")[0] for name in done.results["detection"]))
-    canvas = Figure(figsize=(7.4, 2.5), layout="constrained")
-    grid = canvas.subplots(1, len(worlds), squeeze=False, sharey=True)[0]
+    canvas, (grid,) = panels(2.5, 1, len(worlds), "frames since it came", "new contacts found / %", sharey=True)
     frames, lines = np.arange(1, 16), ("-", "--", ":")
     for axes, world in zip(grid, worlds, strict=True):
         for _, task, result in done.of("detection", f"{world}/"):
@@ -171,9 +151,8 @@ def detection(done: Done) -> list[Drawn]:
             axes.step(frames, share, lines[task.others % len(lines)], **style)
         axes.axvline(WITHIN, color="0.6", linewidth=0.6)
         axes.axhline(99, color="0.6", linewidth=0.6)
-        axes.set(xlabel="frames since it came", title=f"{NAMES[world]}, {task.decibels:g} dB", xticks=frames[::2])
+        axes.set(title=f"{NAMES[world]}, {task.decibels:g} dB", xticks=frames[::2])
         axes.grid()
-    grid[0].set_ylabel("new contacts found / %")
     grid[0].legend(frameon=False, loc="lower right")
     caption = (
         f"How soon a new contact is found with {task.injections} injections per frame, while none, one or two others "
@@ -186,9 +165,8 @@ def detection(done: Done) -> list[Drawn]:
 
 def robust(done: Done) -> list[Drawn]:
     """Errors with a flawed model or skin."""
-    table = robust_errors(done)
-    canvas = Figure(figsize=(7.4, 2.9), layout="constrained")
-    axes = canvas.subplots()
+    table = goals.robust_errors(done)
+    canvas, ((axes,),) = panels(2.9, 1, 1, y="mean error / mm")
     ways = list(next(iter(table.values())))
     for w, (key, reader) in enumerate(ways):
         for n, cells in enumerate(table.values()):
@@ -196,7 +174,7 @@ def robust(done: Done) -> list[Drawn]:
             _dot(axes, n + 0.1 * (w - (len(ways) - 1) / 2), cells[key, reader], key, reader, label)
     names = [name.replace(" ", "\n", 1).replace(" since", "\nsince").replace(" and", "\nand") for name in table]
     axes.set_xticks(range(len(names)), names)
-    axes.set(ylabel="mean error / mm", ylim=(0, None))
+    axes.set(ylim=(0, None))
     axes.grid(axis="y")
     axes.legend(frameon=False, ncols=4, loc="upper center", bbox_to_anchor=(0.5, 1.2))
     caption = (
@@ -216,10 +194,3 @@ def _dot(axes: Axes, x: float, values: Floats, key: str, reader: str = "", label
     colour = COLOURS[key.partition("/")[0]]
     style = {"color": colour, "mfc": "white" if reader == "centroid" else colour, "markersize": 4.5, "label": label}
     draw_estimates(axes, [x], [mean(1e3 * values)], _MARKERS.get(reader, "P"), **style)
-
-
-def _curve(axes: Axes, x: Floats, rates: Sequence[Floats] | Floats, colour: str, label: str) -> None:
-    """The mean over seeds of rates (n_x, n_seeds), and its interval."""
-    found = [mean(row) for row in rates]
-    axes.plot(x, [m.value for m in found], "o-", color=colour, markersize=3, linewidth=1.3, label=label)
-    axes.fill_between(x, [m.low for m in found], [m.high for m in found], color=colour, alpha=0.18, linewidth=0)

@@ -1,7 +1,8 @@
 """The goals of the comparison, put into numbers: which data each one takes, and what it asks of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -84,78 +85,68 @@ def _ratio(
     return Goal(section, text, limit, True, ratio, "ratio", data, note.replace("RATIO", against), key)
 
 
-def _static(done: Done) -> list[Goal]:
-    found = []
-    for name, task, result in done.of("static"):
-        world, decibels = name.split("/")
-        away, row, read = errors(result), task.schemes.index, task.readers.index
-        where, data = f"({NAMES[world]}, {decibels} dB)", f"{task.seeds} seeds, {len(result['truth'])} places"
-        main = world == "discs" and task.decibels == done.settings.levels[0]
+def _at_rest(
+    section: str, text: str, limit: float, ran: Sequence[Any], *cells: tuple[str, str], key: bool, note: str = ""
+) -> Goal:
+    """The goal that the mean error of one scheme and reader is at most so many times that of another; its note tells
+    what means do not: medians, 95 % quantiles and misses of both."""
+    task, result = ran
+    each = [errors(result)[task.schemes.index(scheme), task.readers.index(reader)] for scheme, reader in cells]
+    ours, theirs = (
+        f"median {1e3 * np.median(away):.2f} mm, 95 % below {1e3 * np.quantile(away, 0.95):.1f} mm, "
+        f"{100 * np.mean(away > MISS):.1f} % off by over {1e3 * MISS:.0f} mm"
+        for away in each
+    )
+    data, note = f"{task.seeds} seeds, {len(result['truth'])} places", f"{note}RATIO; {ours}, against {theirs}"
+    return _ratio(section, f"Static contact{text}", limit, each[0], each[1], data, note, key)
+
+
+def _static(done: Done) -> Iterator[Goal]:
+    paper = ("16O fused", "fit")
+    for name, *ran in done.of("static"):
+        (world, decibels), (task, result) = name.split("/"), ran
+        where, main = f"({NAMES[world]}, {decibels} dB)", world == "discs" and task.decibels == done.settings.levels[0]
         for reader, (ours, theirs) in product(task.readers, (("16P", "best"), ("16P/16", "best/16"))):
-            text = (
-                f"Static contact, {scheme(ours).injections} injections chosen by position information, {reader}: mean"
-            )
-            text = f"{text} error over that of the best fixed set {where}"
-            each = away[row(ours), read(reader)], away[row(theirs), read(reader)]
-            found.append(_ratio("static", text, 1.0, *each, data, _spread(*each), main and reader == "fit"))
-        paper = away[row("16O fused")]
-        text = f"Static contact, 28 injections, fit: mean error of 16P over that of the paper's scheme {where}"
-        each = away[row("16P"), read("fit")], paper[read("fit")]
-        found.append(_ratio("static", text, 0.65, *each, data, _spread(*each), main))
-        text = f"Static contact, the paper's 28 injections: mean error of a fit over that of centroids {where}"
-        each = paper[read("fit")], paper[read("centroid")]
-        found.append(_ratio("static", text, 1.0, *each, data, _spread(*each), False))
+            text = f", {scheme(ours).injections} injections chosen by position information, {reader}: mean error over"
+            text, key = f"{text} that of the best fixed set {where}", main and reader == "fit"
+            yield _at_rest("static", text, 1.0, ran, (ours, reader), (theirs, reader), key=key)
+        text = f", 28 injections, fit: mean error of 16P over that of the paper's scheme {where}"
+        yield _at_rest("static", text, 0.65, ran, ("16P", "fit"), paper, key=main)
+        text = f", the paper's 28 injections: mean error of a fit over that of centroids {where}"
+        yield _at_rest("static", text, 1.0, ran, paper, ("16O fused", "centroid"), key=False)
         if world == "discs":
             for other, limit, what in (("best", 1.0, "best fixed set"), ("16O fused", 0.6, "paper's scheme")):
                 text = f"Position bound at 28 injections of 16P over that of the {what} ({decibels} dB)"
                 note = "RATIO, mean over the places, of the patterns really driven"
-                bounds = result["bound"][row("16P")], result["bound"][row(other)]
-                found.append(_ratio("static", text, limit, *bounds, data, note, main))
-    return found
+                ours, theirs = (result["bound"][task.schemes.index(scheme)] for scheme in ("16P", other))
+                data = f"{task.seeds} seeds, {len(result['truth'])} places"
+                yield _ratio("static", text, limit, ours, theirs, data, note, main)
 
 
-def _spread(ours: Floats, theirs: Floats) -> str:
-    """What the mean error does not tell: medians, 95 % quantiles and misses of both."""
-    both = [
-        f"median {1e3 * np.median(away):.2f} mm, 95 % below {1e3 * np.quantile(away, 0.95):.1f} mm, "
-        f"{100 * np.mean(away > MISS):.1f} % off by over {1e3 * MISS:.0f} mm"
-        for away in (ours, theirs)
-    ]
-    return f"RATIO; {both[0]}, against {both[1]}"
-
-
-def _time(done: Done) -> list[Goal]:
-    found = []
-    for instrument, task, result in done.of("time"):
-        away, row, fit = errors(result), task.schemes.index, task.readers.index("fit")
+def _time(done: Done) -> Iterator[Goal]:
+    for instrument, *ran in done.of("time"):
+        note = f"{int(ran[1]['injections'][ran[0].schemes.index('16P')])} injections; "
         for other, limit, what in (("best", 1.0, "best fixed set"), ("16O fused", 0.65, "paper's scheme")):
-            text = f"Static contact in the time of the paper's scheme on a {instrument} instrument, fit"
-            text = f"{text}: mean error of 16P over that of the {what}"
-            data = f"{task.seeds} seeds, {len(result['truth'])} places"
-            each = away[row("16P"), fit], away[row(other), fit]
-            note = f"{int(result['injections'][row('16P')])} injections; {_spread(*each)}"
-            found.append(_ratio("time", text, limit, *each, data, note, False))
-    return found
+            text = f" in the time of the paper's scheme on a {instrument} instrument, fit: mean error of 16P over that"
+            cells = ("16P", "fit"), (other, "fit")
+            yield _at_rest("time", f"{text} of the {what}", limit, ran, *cells, key=False, note=note)
 
 
-def _moving(done: Done) -> list[Goal]:
-    found = []
+def _moving(done: Done) -> Iterator[Goal]:
     for world, task, result in done.of("moving"):
         framewise, tracked = moving_errors(result)
         ours, fixed = (tracked[task.trackers.index(key)] for key in ("16T/4", "rotating/4"))
         where = f"({NAMES[world]}, {task.decibels:g} dB)"
         data = f"{task.seeds} seeds, each a path of {task.frames} frames"
         text = "Moving contact, tracked with 4 injections a frame: mean error of 16T over that of a fixed round"
-        found.append(_ratio("moving", f"{text} {where}", 1.0, ours, fixed, data, "RATIO", world == "discs"))
+        yield _ratio("moving", f"{text} {where}", 1.0, ours, fixed, data, "RATIO", world == "discs")
         for e, reader in enumerate(task.readers):
             text = "Moving contact, 4 injections of a fixed round a frame, tracked: mean error over that of 16I with 16"
             theirs = framewise[task.schemes.index("16I"), e]
-            found.append(_ratio("moving", f"{text}, {reader} {where}", 1.0, fixed, theirs, data, "RATIO", False))
-    return found
+            yield _ratio("moving", f"{text}, {reader} {where}", 1.0, fixed, theirs, data, "RATIO", False)
 
 
-def _pairs(done: Done) -> list[Goal]:
-    found = []
+def _pairs(done: Done) -> Iterator[Goal]:
     for _, task, result, limits, power in pair_groups(done):
         right, false = pair_rates(result)
         row, any_choice = task.schemes.index("16P"), ideal_power(limits["any"])
@@ -167,16 +158,14 @@ def _pairs(done: Done) -> list[Goal]:
                 note = f"an ideal test would reach {100 * power[row, d].mean():.0f} % with these injections"
                 note = f"{note}, at most {100 * any_choice[d].mean():.0f} % with any 28"
                 rate = mean(right[row, d].T)
-                found.append(Goal("pairs", text, 0.75, False, rate, "%", data, note, key))
+                yield Goal("pairs", text, 0.75, False, rate, "%", data, note, key)
         text = f"One contact taken for two by the same test ({where})"
         data = f"{false.shape[1]} single contacts; the threshold is set on {result['learn'].shape[1]} others"
         rate = share(int(false[row].sum()), false.shape[1])
-        found.append(Goal("pairs", text, ALPHA, True, rate, "%", data, "", key))
-    return found
+        yield Goal("pairs", text, ALPHA, True, rate, "%", data, "", key)
 
 
-def _detection(done: Done) -> list[Goal]:
-    found = []
+def _detection(done: Done) -> Iterator[Goal]:
     for _, task, result in done.of("detection"):
         frames, away = result["frames"], result["error"]
         text = f"New contact found within {WITHIN} frames of {task.injections} injections while {OTHERS[task.others]}"
@@ -184,11 +173,10 @@ def _detection(done: Done) -> list[Goal]:
         note = f"within 5 frames {100 * np.mean(frames <= 5):.1f} %, 10 frames {100 * np.mean(frames <= 10):.1f} %"
         note += f"; mean error then {1e3 * np.nanmean(away):.1f} mm" if np.isfinite(away).any() else ""
         rate = share(int(np.sum(frames <= WITHIN)), len(frames))
-        found.append(Goal("detection", text, 0.99, False, rate, "%", f"{len(frames)} trials", note))
-    return found
+        yield Goal("detection", text, 0.99, False, rate, "%", f"{len(frames)} trials", note)
 
 
-def _quiet(done: Done) -> list[Goal]:
+def _quiet(done: Done) -> Iterator[Goal]:
     runs = list(done.of("quiet"))
     births, frames = sum(int(result["births"]) for _, _, result in runs), sum(task.frames for _, task, _ in runs)
     rate = share(births, frames)
@@ -197,10 +185,10 @@ def _quiet(done: Done) -> list[Goal]:
     text = f"Contacts invented in {QUIET} quiet frames ({runs[0][1].decibels:g} dB)"
     note = f"a rate below {rate.high:.1e} a frame, with 97.5 % confidence"
     estimate = Estimate(QUIET * rate.value, QUIET * low, QUIET * high)
-    return [Goal("quiet", text, 0.0, True, estimate, "", f"{frames} frames, {len(runs)} seeds", note)]
+    yield Goal("quiet", text, 0.0, True, estimate, "", f"{frames} frames, {len(runs)} seeds", note)
 
 
-def _cost(done: Done) -> list[Goal]:
+def _cost(done: Done) -> Iterator[Goal]:
     ((_, _, result),) = done.of("cost")
     choose, update = (np.median(result[name], axis=1) for name in ("choose", "update"))
     each = result["choose"] / (result["choose"] + result["update"])  # (n_contacts + 1, n_frames)
@@ -212,4 +200,4 @@ def _cost(done: Done) -> list[Goal]:
     estimate = Estimate(float(np.median(worst)), float(low), float(high))
     text = "Choosing the next pattern, as a share of the tracker's computing in a frame"
     data = f"median of {len(worst)} frames, the worst number of contacts"
-    return [Goal("cost", text, 0.2, True, estimate, "%", data, note)]
+    yield Goal("cost", text, 0.2, True, estimate, "%", data, note)

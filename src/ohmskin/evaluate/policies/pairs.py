@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice, product, repeat
 
 import numpy as np
 from scipy.stats import norm
@@ -11,7 +12,7 @@ from ohmskin.contacts import ContactFitter
 from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
-from ohmskin.evaluate.setup import Setup, View, setup
+from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.evaluate.two_points import one_or_two, told
 from ohmskin.evaluate.worlds import CURRENT, Contacts
@@ -59,34 +60,24 @@ class Pairs:
         n_singles), the statistic of single contacts; ``counted_single`` (as ``check``), contacts counted in those.
         """
         where = setup("discs", self.decibels)
-        spots = list(pair_places(self.where, max(self.distances), where.electrodes.positions))
-        shape = (len(self.schemes), len(self.distances), len(spots), self.seeds)
+        shape = (len(self.schemes), len(self.distances), self.where, self.seeds)
         statistic, near, counted = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, int)
-        for d, distance in enumerate(self.distances):
-            for w, spot in enumerate(spots):
-                truth = apart(spot, distance)
-                contacts = tuple(disc(x, y, RADIUS, self.strength) for x, y in truth)
-                for seed in range(self.seeds):
-                    for s, seen in enumerate(self._views(where, contacts, seed)):
-                        at = (s, d, w, seed)
-                        statistic[at], _, two = one_or_two(where.trusting_fitter, *seen.differences)
-                        near[at], counted[at] = told(two.params[:, :2], truth), len(seen.contacts)
-        single = [np.empty((len(self.schemes), count)) for count in (self.singles, 2 * self.singles)]
-        counted_single = np.empty(single[1].shape, int)
-        for part, statistics in enumerate(single):
-            places = single_places(statistics.shape[1], part, where.electrodes.positions)
-            for k, (x, y) in enumerate(places):
-                contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
-                for s, seen in enumerate(self._views(where, contacts, k)):
-                    statistics[s, k] = one_or_two(where.trusting_fitter, *seen.differences)[0]
-                    if part:
-                        counted_single[s, k] = len(seen.contacts)
+        for d, w, truth, contacts in _pairs(self, where):
+            for seed, (s, key) in product(range(self.seeds), enumerate(self.schemes)):
+                seen, at = where.see(scheme(key, "fit"), contacts, seed), (s, d, w, seed)
+                statistic[at], _, two = one_or_two(where.trusting_fitter, *seen.differences)
+                near[at], counted[at] = told(two.params[:, :2], truth), len(seen.contacts)
         found = {"statistic": statistic, "near": near, "counted": counted}
-        return found | {"learn": single[0], "check": single[1], "counted_single": counted_single}
-
-    def _views(self, where: Setup, contacts: Contacts, seed: int) -> Iterator[View]:
-        for key in self.schemes:
-            yield where.see(scheme(key, "fit"), contacts, seed)
+        for part, name in enumerate(("learn", "check")):
+            places = single_places((1 + part) * self.singles, part, where.electrodes.positions)
+            found[name] = np.empty((len(self.schemes), len(places)))
+            counts = np.empty(found[name].shape, int)
+            for (k, (x, y)), (s, key) in product(enumerate(places), enumerate(self.schemes)):
+                contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
+                seen = where.see(scheme(key, "fit"), contacts, k)
+                found[name][s, k] = one_or_two(where.trusting_fitter, *seen.differences)[0]
+                counts[s, k] = len(seen.contacts)
+        return found | {"counted_single": counts}
 
 
 def threshold(learn: Floats) -> Floats:
@@ -122,24 +113,27 @@ class PairLimits:
         there is.
         """
         where, quiet = setup("discs", self.decibels), setup("discs", 200.0)
-        spots = list(pair_places(self.where, max(self.distances), where.electrodes.positions))
-        shape = (len(self.distances), len(spots))
+        shape = (len(self.distances), self.where)
         found = {"distance": np.empty((len(self.schemes), *shape)), "any": np.empty(shape), "all": np.empty(shape)}
         effect = float(effective_change(np.log1p(self.strength))[0]) * np.pi * RADIUS**2
         complete = complete_pattern(where.electrodes)
-        for d, distance in enumerate(self.distances):
-            for w, spot in enumerate(spots):
-                truth = apart(spot, distance)
-                contacts = tuple(disc(x, y, RADIUS, self.strength) for x, y in truth)
-                for s, key in enumerate(self.schemes):
-                    sensor = where.sensor(scheme(key))
-                    _, seen = sensor.step(sensor.start(), quiet.scan(contacts, 0))
-                    left = unlike_one(where, [frame.pattern for frame in seen.frames], truth, effect)
-                    found["distance"][s, d, w] = np.linalg.norm(left)
-                left = unlike_one(where, [complete], truth, effect)
-                found["all"][d, w] = np.linalg.norm(left)
-                found["any"][d, w] = np.sqrt(best_of(complete, left, self.count))
+        for d, w, truth, contacts in _pairs(self, where):
+            for s, key in enumerate(self.schemes):
+                sensor = where.sensor(scheme(key))
+                _, seen = sensor.step(sensor.start(), quiet.scan(contacts, 0))
+                left = unlike_one(where, [frame.pattern for frame in seen.frames], truth, effect)
+                found["distance"][s, d, w] = np.linalg.norm(left)
+            left = unlike_one(where, [complete], truth, effect)
+            found["all"][d, w], found["any"][d, w] = np.linalg.norm(left), np.sqrt(best_of(complete, left, self.count))
         return found
+
+
+def _pairs(task: Pairs | PairLimits, where: Setup) -> Iterator[tuple[int, int, Floats, Contacts]]:
+    """Number of the distance and of the place, the two places (2, 2), and the discs there, of all pairs."""
+    spots = list(pair_places(task.where, max(task.distances), where.electrodes.positions))
+    for (d, distance), (w, spot) in product(enumerate(task.distances), enumerate(spots)):
+        truth = apart(spot, distance)
+        yield d, w, truth, tuple(disc(x, y, RADIUS, task.strength) for x, y in truth)
 
 
 def best_of(pattern: DrivePattern, left: Floats, count: int) -> float:
@@ -172,32 +166,26 @@ def unlike_one(where: Setup, patterns: Sequence[DrivePattern], truth: Floats, ef
     return np.concatenate([scan.volts - scan.caused_by(best) for scan in scans]) / where.noise
 
 
-def ideal_power(distance: Floats, alpha: float = ALPHA) -> Floats:
+def ideal_power(distance: Floats) -> Floats:
     """Power of Neyman and Pearson's test between two known means so many noise units apart."""
-    return np.asarray(norm.sf(norm.isf(alpha) - distance))
+    return np.asarray(norm.sf(norm.isf(ALPHA) - distance))
 
 
 def single_places(count: int, seed: int, electrodes: Floats) -> Floats:
     """Places (count, 2) in metres at random, off the rim and off the electrodes (n_elec, 2)."""
     random = np.random.default_rng([seed, 12])
-    found: list[Floats] = []
-    while len(found) < count:
-        place = random.uniform(_MARGIN, 0.2 - _MARGIN, 2)
-        if np.linalg.norm(electrodes - place, axis=1).min() > _CLEAR:
-            found.append(place)
-    return np.array(found)
+    drawn = (random.uniform(_MARGIN, 0.2 - _MARGIN, 2) for _ in repeat(None))
+    return np.array(list(islice((at for at in drawn if np.linalg.norm(electrodes - at, axis=1).min() > _CLEAR), count)))
 
 
-def pair_places(count: int, widest: float, electrodes: Floats, seed: int = 2) -> Iterator[Floats]:
-    """Middles and directions (x, y, angle) at random; contacts up to `widest` metres apart stay off the rim and the
-    electrodes."""
-    random, found = np.random.default_rng(seed), 0
+def pair_places(count: int, widest: float, electrodes: Floats) -> Iterator[Floats]:
+    """Random middles and directions (x, y, angle); contacts up to `widest` (m) apart stay off rim and electrodes."""
+    random, found = np.random.default_rng(2), 0
     while found < count:
         spot = np.array([*random.uniform(_MARGIN, 0.2 - _MARGIN, 2), random.uniform(0, np.pi)])
         ends = apart(spot, widest)
-        line = np.linspace(ends[0], ends[1], 13)
-        clear = np.linalg.norm(electrodes - line[:, None], axis=2).min() > _CLEAR
-        if clear and ((ends >= _MARGIN) & (ends <= 0.2 - _MARGIN)).all():
+        away = np.linalg.norm(electrodes - np.linspace(ends[0], ends[1], 13)[:, None], axis=2)
+        if away.min() > _CLEAR and ((ends >= _MARGIN) & (ends <= 0.2 - _MARGIN)).all():
             found += 1
             yield spot
 

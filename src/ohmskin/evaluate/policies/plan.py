@@ -1,17 +1,16 @@
 """Which experiments make up the comparison of policies: one place that names every level, count and distance."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Self
 
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.flaws import SOUND, Flaw
-from ohmskin.evaluate.policies.cost import Cost
-from ohmskin.evaluate.policies.detection import Detection, Quiet
-from ohmskin.evaluate.policies.moving import Moving
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS
 from ohmskin.evaluate.policies.static import Static
-from ohmskin.evaluate.result import Groups
+from ohmskin.evaluate.policies.tracked import Cost, Detection, Moving, Quiet
+from ohmskin.evaluate.result import Groups, chosen
 from ohmskin.evaluate.worlds import WORLDS
 
 SECTIONS = ("static", "time", "moving", "pairs", "detection", "quiet", "robust", "cost")
@@ -78,17 +77,11 @@ class Settings:
 
 
 def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
-    """The experiments of each section by name.
-
-    Args:
-        settings: How thoroughly.
-        only: Sections wanted, of `SECTIONS`; all unless given.
+    """The experiments of each section by name; of all sections unless some are named.
 
     Raises:
         OhmskinError: If a section is unknown.
     """
-    if unknown := [name for name in only if name not in SECTIONS]:
-        raise OhmskinError(f"no section {unknown[0]!r}; choose from {', '.join(SECTIONS)}")
     s, level = settings, settings.levels[0]
     found: Groups = {name: {} for name in SECTIONS}
     for world in WORLDS:
@@ -104,12 +97,11 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     for instrument in INSTRUMENTS:
         usual = Static("discs", level, s.seeds, ("12B", "16I", "best", "16O fused", "16P"), READ, s.side, s.random)
         found["time"][instrument] = replace(usual, instrument=instrument)
-    for decibels in s.fine:
-        for strength in STRENGTHS:
-            where = f"{decibels:g}/{strength:g}"
-            keys = ("best", "16O fused", "16P") if strength == STRENGTHS[0] else ("best", "16P")
-            found["pairs"][f"told/{where}"] = Pairs(decibels, s.seeds, s.singles, DISTANCES, s.where, strength, keys)
-            found["pairs"][f"limit/{where}"] = PairLimits(decibels, DISTANCES, s.where, strength, keys)
+    for decibels, strength in product(s.fine, STRENGTHS):
+        name, keys = f"{decibels:g}/{strength:g}", ("best", "16O fused", "16P")
+        discs = (DISTANCES, s.where, strength, keys if strength == STRENGTHS[0] else ("best", "16P"))
+        found["pairs"][f"told/{name}"] = Pairs(decibels, s.seeds, s.singles, *discs)
+        found["pairs"][f"limit/{name}"] = PairLimits(decibels, *discs)
     for name, flaw in FLAWS.items():
         drawn = flaw.misplaced or flaw.uneven
         for draw in range(s.draws if drawn else 1):
@@ -120,4 +112,4 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
             moving = Moving("pressed", s.levels[-1], seeds, s.frames, (), (), trackers, drawn_flaw, first)
             found["robust"][f"static/{name}/{draw}"], found["robust"][f"moving/{name}/{draw}"] = static, moving
     found["cost"]["tracker"] = Cost(level, frames=s.timed)
-    return {name: found[name] for name in SECTIONS if not only or name in only}
+    return chosen(found, only, "section")

@@ -8,19 +8,15 @@ from ohmskin.evaluate.setup import Setup
 from ohmskin.scan import Cost
 from ohmskin.skin import Mode, Skin
 
-TITLES = {
-    "12B": "adjacent drive, 12 electrodes on the rim",
-    "16I": "adjacent drive, 12 electrodes on the rim and 4 inside",
-    "best": "the fixed set of injections that is best for positions, over the whole sheet",
-    "16O fused": "the paper's: 12B, then pairs by eq. (7); both scans used",
-    "16P": "6 opposite drives on all electrodes, then pairs by position information",
-    "16T": "a few injections per frame, up to two exploring, the others by position information",
-    "rotating": "a few injections per frame in a fixed round of opposite electrodes",
+SCHEMES = {  # what it does, the product's name, and the usual number of injections
+    "12B": ("adjacent drive, 12 electrodes on the rim", "rim", 12),
+    "16I": ("adjacent drive, 12 electrodes on the rim and 4 inside", "rings", 16),
+    "best": ("the fixed set of injections that is best for positions, over the whole sheet", "best", 28),
+    "16O fused": ("the paper's: 12B, then pairs by eq. (7); both scans used", "eq7", 28),
+    "16P": ("6 opposite drives on all electrodes, then pairs by position information", "position", 28),
+    "16T": ("a few injections per frame, up to two exploring, the others by position information", "tracking", 4),
+    "rotating": ("a few injections per frame in a fixed round of opposite electrodes", "rotating", 4),
 }
-_DRIVES = {  # the product's name, and the usual number of injections
-    "12B": ("rim", 12), "16I": ("rings", 16), "best": ("best", 28), "16O fused": ("eq7", 28), "16P": ("position", 28),
-    "16T": ("tracking", 4), "rotating": ("rotating", 4),
-}  # fmt: skip
 INSTRUMENTS = ("parallel", "multiplexed")
 YARDSTICK = "16O fused"  # whose time on an instrument all schemes get
 
@@ -32,10 +28,10 @@ def scheme(key: str, reader: str = "centroid") -> Mode:
         OhmskinError: If there is none.
     """
     drive, _, count = key.partition("/")
-    if drive not in TITLES or not (count.isdigit() or not count):
-        choices = ", ".join(TITLES)
+    if drive not in SCHEMES or not (count.isdigit() or not count):
+        choices = ", ".join(SCHEMES)
         raise OhmskinError(f"no scheme {key!r}; choose from {choices}, with /INJECTIONS if not the usual number")
-    name, usual = _DRIVES[drive]
+    _, name, usual = SCHEMES[drive]
     return Mode(key, name, reader, injections=int(count) if count else usual)
 
 

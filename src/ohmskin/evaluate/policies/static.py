@@ -64,19 +64,13 @@ class Static:
                     estimate[s, e, seed, p] = seen.strongest
                 if self.world == "discs":
                     bound[s, seed, p] = bound_of(where, seen.differences, place)
-        return {
-            "truth": truth,
-            "estimate": estimate,
-            "bound": bound,
-            "injections": np.array([each.injections for each in compared]),
-        }
+        injections = np.array([each.injections for each in compared])
+        return {"truth": truth, "estimate": estimate, "bound": bound, "injections": injections}
 
 
 def static_places(side: int, count: int) -> Floats:
     """The lattice of Fig. 7 and `count` random places (side^2 + count, 2) in metres."""
-    return np.vstack(
-        [places(side) if side else np.empty((0, 2)), np.random.default_rng(81).uniform(0.01, 0.19, (count, 2))]
-    )
+    return np.vstack([places(side), np.random.default_rng(81).uniform(0.01, 0.19, (count, 2))])
 
 
 def bound_of(setup: Setup, data: tuple[Difference, ...], place: Floats) -> float:
