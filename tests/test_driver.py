@@ -694,17 +694,6 @@ def test_the_registry_lists_its_choices(monkeypatch: pytest.MonkeyPatch, server:
         connect("mine:x")
 
 
-def test_serve_forever_ends_when_closed(skin: FakeSkin) -> None:
-    server = DeviceServer(skin, port=0)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    with connect(server.url) as device:
-        device.scan(RIM)
-    server.close()
-    thread.join(60)
-    assert not thread.is_alive()
-
-
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="Unix only")
 def test_a_host_that_does_not_read_does_not_hang_the_server(skin: FakeSkin) -> None:
     with DeviceServer(skin, port=0, pty=True) as server:

@@ -7,7 +7,6 @@ compared is run in turns, so that both suffer alike, and a ratio is the median o
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from time import perf_counter, process_time
@@ -31,6 +30,14 @@ class Effort:
     quick: bool
 
 
+def seconds_of(job: Job, repeats: int = 1, clock: Callable[[], float] = process_time) -> float:
+    """Seconds that a job takes, the mean of some repeats, of the CPU or by another clock."""
+    start = clock()
+    for _ in range(repeats):
+        job()
+    return (clock() - start) / repeats
+
+
 def in_turns(jobs: Mapping[str, Job], seconds: float, most: int = 200, least: int = 3) -> dict[str, Floats]:
     """CPU seconds (n_rounds,) of each job, run in turns for about `seconds`, `least` to `most` rounds.
 
@@ -39,32 +46,23 @@ def in_turns(jobs: Mapping[str, Job], seconds: float, most: int = 200, least: in
     repeats = {}
     for name, job in jobs.items():
         job()
-        start = process_time()
-        job()
-        repeats[name] = max(1, round(1e-3 / max(process_time() - start, 1e-6)))
+        repeats[name] = max(1, round(1e-3 / max(seconds_of(job), 1e-6)))
     spent: dict[str, list[float]] = {name: [] for name in jobs}
     end = perf_counter() + seconds
     for done in range(most):
         if done >= least and perf_counter() > end:
             break
         for name, job in jobs.items():
-            start = process_time()
-            for _ in range(repeats[name]):
-                job()
-            spent[name].append((process_time() - start) / repeats[name])
+            spent[name].append(seconds_of(job, repeats[name]))
     return {name: np.array(times) for name, times in spent.items()}
 
 
-def ratio(
-    name: str, slow: Floats, quick: Floats, least: float | None = None, most: float | None = None, note: str = ""
-) -> Figure:
-    """How many times as long `slow` takes as `quick`, (n_rounds,) or (1,): median and quartiles over rounds."""
-    ratios = slow / quick
-    low, value, high = np.percentile(ratios, [25, 50, 75])
-    told = f"{duration(float(np.median(slow)))} / {duration(float(np.median(quick)))}"
-    data = {"slow_s": np.median(slow), "quick_s": np.median(quick), "rounds": len(ratios)}
-    note = f"{told}{'; ' if note else ''}{note}"
-    return Figure(name, float(value), "times", least, most, float(low), float(high), note, data)
+def ratio(name: str, slow: Floats | float, quick: Floats | float, note: str = "", **target: float | None) -> Figure:
+    """How many times as long `slow` takes as `quick`, (n_rounds,) or one value, against a target (`least`, `most`)."""
+    ratios = np.atleast_1d(np.divide(slow, quick))
+    data = {"slow_s": float(np.median(slow)), "quick_s": float(np.median(quick)), "rounds": len(ratios)}
+    note = f"{duration(data['slow_s'])} / {duration(data['quick_s'])}{'; ' if note else ''}{note}"
+    return Figure.median(name, ratios, "times", note=note, data=data, **target)
 
 
 def duration(seconds: float) -> str:
@@ -73,13 +71,6 @@ def duration(seconds: float) -> str:
         if seconds >= scale:
             return f"{seconds / scale:.3g} {unit}"
     return f"{seconds * 1e6:.3g} us"
-
-
-def apart(task: str, **settings: Any) -> dict[str, Any]:
-    """What a task of `ohmskin.bench.tasks` measures, in a process of its own, so that its memory can be told."""
-    call = "task, settings = sys.argv[1:]; print(json.dumps(TASKS[task](**json.loads(settings))))"
-    imports = "import json, sys; from ohmskin.bench.tasks import TASKS; "
-    return outcome([sys.executable, "-c", imports + call, task, json.dumps(settings)])
 
 
 def outcome(command: list[str]) -> dict[str, Any]:

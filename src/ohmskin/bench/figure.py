@@ -1,7 +1,11 @@
 """A figure of the benchmark, and the target that it is held against."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
+
+from ohmskin.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -38,13 +42,28 @@ class Figure:
         good = (self.least is None or self.value >= self.least) and (self.most is None or self.value <= self.most)
         return "pass" if good else "short"
 
-    @property
-    def target(self) -> str:
-        """The target in words."""
-        if self.least is not None:
-            return f"at least {self.least:,g}"
-        return "" if self.most is None else f"at most {self.most:,g}"
+    @classmethod
+    def median(cls, name: str, values: Floats, unit: str, **rest: Any) -> Self:
+        """Median and quartiles of what was measured in several rounds (n_rounds,)."""
+        low, value, high = (float(quartile) for quartile in np.percentile(values, [25, 50, 75]))
+        return cls(name, value, unit, low=low, high=high, **rest)
+
+    def row(self, verdict: str) -> tuple[str, ...]:
+        """What tables show: name, value, spread, target, the verdict as it is to be marked there, and the note."""
+        value = f"{_shown(self.value)} {self.unit}".rstrip()
+        spread = "" if self.low is None or self.low == self.high else f"{_shown(self.low)} to {_shown(self.high)}"
+        target = f"at least {self.least:,g}" if self.least is not None else ""
+        if self.least is None and self.most is not None:
+            target = f"at most {self.most:,g}"
+        return self.name, value, spread, target, verdict, self.note
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {**asdict(self), "verdict": self.verdict}
+
+
+def _shown(value: float | None) -> str:
+    """A value with three figures that count."""
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -1,35 +1,21 @@
 """Figures of single frames: a new drive pattern, the adaptive frame, its accuracy."""
 
-from collections.abc import Callable, Iterator
+import gc
+from collections.abc import Iterator
 from functools import partial
 from itertools import cycle as cycled
-from time import perf_counter, process_time
+from time import perf_counter
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
-from ohmskin.bench import peers
-from ohmskin.bench.clock import Effort, Job, duration, in_turns, ratio, read
+from ohmskin.bench import peers, pyeit_alone, sheets
+from ohmskin.bench.clock import Effort, Job, duration, in_turns, ratio, read, seconds_of
 from ohmskin.bench.figure import Figure
-from ohmskin.bench.tasks import set_up
-from ohmskin.drive import DRIVES, DriveSettings, TwoScans
-from ohmskin.forward import TransferModel
-from ohmskin.geometry import Electrodes
-from ohmskin.scan import Difference, DrivePattern, adjacent
+from ohmskin.bench.sheets import Scanned
+from ohmskin.bench.tasks import compiled, set_up
+from ohmskin.scan import Difference, adjacent
 from ohmskin.sensing import CompiledCycle
 from ohmskin.sensing.primitives import combine
-
-NO_PEER = "pyEIT is not installed: pip install 'ohmskin[bench]'"
-
-
-def in_once(job: Callable[[], object], rounds: int) -> Floats:
-    """CPU seconds (rounds,) of a job that takes too long to be repeated for nothing."""
-    spent = []
-    for _ in range(rounds):
-        start = process_time()
-        job()
-        spent.append(process_time() - start)
-    return np.array(spent)
 
 
 def changing(effort: Effort) -> Iterator[Figure]:
@@ -39,27 +25,20 @@ def changing(effort: Effort) -> Iterator[Figure]:
         estimator, _ = set_up(cells)
         layout, mesh = estimator.model.electrodes, estimator.model.mesh
         name = f"change of drive pattern to image, {mesh.n_elem:,} triangles, against pyEIT"
-        cycle = CompiledCycle(estimator, _eq7(layout, 16), (0.005, 0.005), fuse=False)
-        touched = np.where(np.linalg.norm(mesh.centroids - [0.07, 0.12], axis=1) < 0.01, 1.5, 1.0)
-        pressed = estimator.model.with_conductivity(estimator.model.conductivity * touched)
+        cycle, scan = compiled(estimator, 16, fuse=False), sheets.touched(estimator.model, (0.07, 0.12))
         choices = [rng.permutation(120)[:16] for _ in range(256)]
-        changes = [pressed.voltages(p, 1e-3) - estimator.model.voltages(p, 1e-3) for p in map(cycle.pattern, choices)]
-        fresh, currents = cycled(zip(changes, choices, strict=True)), np.full(16, 1e-3)
+        fresh = cycled([(*scan(cycle.pattern(chosen)), chosen) for chosen in choices])
 
         if not peers.has_pyeit():
-            yield Figure(name, None, "times", least=least, note=NO_PEER)
+            yield Figure(name, None, "times", least=least, note=peers.MISSING)
             continue
-        theirs = peers.pyeit_mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions))
-        pattern = adjacent(layout.rings)
+        theirs, pattern = peers.pyeit_mesh(mesh, layout), adjacent(layout.rings)
         quiet = estimator.model.voltages(pattern)
-        slow = in_once(partial(peers.pyeit_image, theirs, pattern, 1.01 * quiet, quiet), 1 if effort.quick else 3)
-        quick = in_turns({"ours": partial(_next_image, cycle, fresh, currents)}, effort.seconds)["ours"]
-        yield ratio(name, np.median(slow, keepdims=True), quick, least=least, note="48 x 48 pixels, 16 new injections")
-
-
-def _next_image(cycle: CompiledCycle, fresh: Iterator[tuple[Floats, Ints]], currents: Floats) -> None:
-    change, chosen = next(fresh)
-    cycle.see(change, currents, chosen)
+        image = partial(pyeit_alone.image, theirs, *peers.numbers(pattern), 1.01 * quiet, quiet)
+        slow = float(np.median([seconds_of(image) for _ in range(1 if effort.quick else 3)]))
+        jobs: dict[str, Job] = {"ours": lambda cycle=cycle, fresh=fresh: cycle.see(*next(fresh))}  # type: ignore[misc]
+        quick = in_turns(jobs, effort.seconds)["ours"]
+        yield ratio(name, slow, quick, least=least, note="48 x 48 pixels, 16 new injections")
 
 
 def framing(effort: Effort) -> Iterator[Figure]:
@@ -70,10 +49,10 @@ def framing(effort: Effort) -> Iterator[Figure]:
     flat = tables.modes.ravel()
     read_once = (tables.modes[: len(tables.base_squares)], tables.modes, tables.mixing, tables.base_columns)
     arrays = [array.ravel() for array in read_once]
-    turn = iter(range(10**9))
+    turn = cycled(frames)
 
     def frame() -> None:
-        base, second = frames[next(turn) % len(frames)]
+        base, second = next(turn)
         cycle.frame(base, lambda _: second)
 
     def read_all() -> None:
@@ -85,49 +64,30 @@ def framing(effort: Effort) -> Iterator[Figure]:
     yield ratio("image product against one read of its matrix", spent["product"], spent["read"], most=1.2)
     note = f"m = {cycle._n_meas}; {sum(a.nbytes for a in arrays) / 2**20:.1f} MiB, read from the cache"
     yield ratio("adaptive frame against one read of its matrices", spent["frame"], spent["all"], most=3, note=note)
-    import gc
-
     gc.collect()
     gc.freeze()
-    wall = []
-    for _ in range(2000 if effort.quick else 20_000):
-        start = perf_counter()
-        frame()
-        wall.append(perf_counter() - start)
+    wall = np.array([seconds_of(frame, clock=perf_counter) for _ in range(2000 if effort.quick else 20_000)])
     gc.unfreeze()
     p50, p99 = np.percentile(wall, [50, 99])
-    low, high = (1 / np.percentile(wall, q) for q in (75, 25))
-    yield Figure(
-        "adaptive frames per second with contacts, device excluded", 1 / p50, "1/s", least=10_000, low=low, high=high,
-        note=f"wall clock, median {duration(p50)}; by CPU time {1 / float(np.median(spent['frame'])):,.0f}/s",
-    )  # fmt: skip
+    note = f"wall clock, median {duration(p50)}; by CPU time {1 / float(np.median(spent['frame'])):,.0f}/s"
+    name = "adaptive frames per second with contacts, device excluded"
+    yield Figure.median(name, 1 / wall, "1/s", least=10_000, note=note)
     note = "wall clock; asks for a quiet machine"
     yield Figure("99th percentile over median of a frame", float(p99 / p50), "times", most=2.5, note=note)
 
 
-def _eq7(layout: Electrodes, pairs: int) -> TwoScans:
-    drive = DRIVES["eq7"](DriveSettings(layout, pairs=pairs), 0)
-    assert isinstance(drive, TwoScans)
-    return drive
-
-
-def _cycle_and_frames() -> tuple[CompiledCycle, list[tuple[tuple[Floats, Floats], tuple[Floats, Floats]]]]:
+def _cycle_and_frames() -> tuple[CompiledCycle, list[tuple[Scanned, Scanned]]]:
     estimator, _ = set_up(48)
-    model = estimator.model
-    cycle = CompiledCycle(estimator, _eq7(model.electrodes, 4), (0.005, 0.005))
+    cycle = compiled(estimator, 4)
     rng, frames = np.random.default_rng(0), []
+
+    def noisy(scanned: Scanned) -> Scanned:
+        return scanned[0] + 1e-6 * rng.normal(size=len(scanned[0])), scanned[1]
+
     for count in rng.integers(1, 4, 16):
-        touched = model.conductivity.copy()
-        for place in rng.uniform(0.03, 0.17, (count, 2)):
-            touched[np.linalg.norm(model.mesh.centroids - place, axis=1) < 0.01] *= 1.5
-        pressed = model.with_conductivity(touched)
-
-        def scanned(pattern: DrivePattern, pressed: TransferModel = pressed) -> tuple[Floats, Floats]:
-            volts = pressed.voltages(pattern, 1e-3) - model.voltages(pattern, 1e-3)
-            return volts + 1e-6 * rng.normal(size=pattern.n_meas), np.full(pattern.n_inj, 1e-3)
-
-        base = scanned(cycle.drive.base)
-        frames.append((base, scanned(cycle.pattern(cycle.look(*base)))))
+        scan = sheets.touched(estimator.model, *rng.uniform(0.03, 0.17, (count, 2)))
+        base = noisy(scan(cycle.drive.base))
+        frames.append((base, noisy(scan(cycle.pattern(cycle.look(*base))))))
     return cycle, frames
 
 

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Ints
 from ohmskin.bench import pyeit_alone, sheets
 from ohmskin.bench.clock import outcome
 from ohmskin.forward import TransferModel
+from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.scan import DrivePattern, adjacent
+
+MISSING = "pyEIT is not installed: pip install 'ohmskin[bench]'"
 
 
 def has_pyeit() -> bool:
@@ -20,27 +23,19 @@ def has_pyeit() -> bool:
     return find_spec("pyeit") is not None
 
 
-def pyeit_mesh(nodes: Floats, triangles: Ints, at: Ints) -> Any:
-    """Its mesh, with point electrodes at nodes `at`."""
-    return pyeit_alone.mesh(nodes, triangles, at, sheets.CONDUCTIVITY)
-
-
-def pyeit_jacobian(mesh: Any, pattern: DrivePattern) -> Floats:
-    """Its fields and Jacobian, fields included."""
-    return pyeit_alone.jacobian(mesh, *_numbers(pattern))
-
-
-def pyeit_image(mesh: Any, pattern: DrivePattern, touched: Floats, quiet: Floats) -> Floats:
-    """Its one-step Gauss-Newton (JAC) for a pattern it has not seen before, to the image (n_elem,) of one frame."""
-    return pyeit_alone.image(mesh, *_numbers(pattern), touched, quiet)
+def pyeit_mesh(mesh: Mesh, layout: Electrodes) -> Any:
+    """Its mesh, with point electrodes."""
+    return pyeit_alone.mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions), sheets.CONDUCTIVITY)
 
 
 def pyeit_apart(cells: int) -> dict[str, Any]:
     """Its set-up to the first image, in a process that imports nothing of ours."""
+    if not has_pyeit():
+        return {"error": MISSING}
     layout = sheets.electrodes()
     pattern = adjacent(layout.rings)
     model = TransferModel(sheets.mesh(cells), layout, sheets.CONDUCTIVITY)
-    injections, measured = _numbers(pattern)
+    injections, measured = numbers(pattern)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "sheet.npz"
         np.savez(
@@ -50,5 +45,6 @@ def pyeit_apart(cells: int) -> dict[str, Any]:
         return outcome([sys.executable, pyeit_alone.__file__, str(path)])
 
 
-def _numbers(pattern: DrivePattern) -> tuple[Ints, Ints]:
+def numbers(pattern: DrivePattern) -> tuple[Ints, Ints]:
+    """A drive pattern as `pyeit_alone` takes it: injections (n, 2), measured pairs (n, m, 2)."""
     return np.array(pattern.injections), np.array(pattern.measurements[:, 1:]).reshape(pattern.n_inj, -1, 2)

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numba
 import numpy as np
 import scipy
 
@@ -48,33 +49,17 @@ def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: boo
     return written
 
 
-def shown(value: float | None) -> str:
-    """A value with three figures that count."""
-    if value is None:
-        return "-"
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
 def _machine() -> dict[str, str]:
-    import numba
-
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     numerics = f"NumPy {np.__version__}, SciPy {scipy.__version__}, numba {numba.__version__}"
-    system = f"{platform.system()} {platform.machine()}"
     return {
-        "processor": _processor(),
+        "processor": next(named, platform.processor() or "unknown"),
         "cores": str(os.cpu_count()),
-        "system": system,
+        "system": f"{platform.system()} {platform.machine()}",
         "versions": f"Python {platform.python_version()}, {numerics}",
     }
-
-
-def _processor() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or "unknown"
 
 
 def _page(found: Mapping[str, Sequence[Figure]], quick: bool, plot: bool) -> str:
@@ -88,24 +73,20 @@ def _page(found: Mapping[str, Sequence[Figure]], quick: bool, plot: bool) -> str
         lines.append(f"\n## {(GROUPS[name].__doc__ or name).splitlines()[0].rstrip('.')}\n")
         lines.append("| figure | value | spread | target | | behind it |\n|---|---|---|---|---|---|")
         for f in group:
-            spread = "" if f.low is None or f.low == f.high else f"{shown(f.low)} to {shown(f.high)}"
-            value = f"{shown(f.value)} {f.unit}".rstrip()
             verdict = f"**{f.verdict}**" if f.verdict in ("short", "not run") else f.verdict
-            lines.append(f"| {f.name} | {value} | {spread} | {f.target} | {verdict} | {f.note} |")
+            lines.append(f"| {' | '.join(f.row(verdict))} |")
     if plot:
         lines.append("\n![CPU seconds of the set-up against the number of triangles](images/scale.png)")
     return "\n".join(lines) + "\n"
 
 
 def _plot(figure: Figure, path: Path) -> Path:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 
     n, seconds = np.array(figure.data["triangles"], float), np.array(figure.data["seconds"])
     large = n >= 10_000
     power, offset = np.polyfit(np.log(n[large]), np.log(seconds[large]), 1)
     canvas = Canvas(figsize=(6.4, 4.0), layout="constrained")
-    FigureCanvasAgg(canvas)
     axes = canvas.subplots()
     axes.loglog(n, seconds, "o-", color="#1f5f8b", label="set-up to first image")
     colours = {"check mesh": "#b8b8b8", "fields": "#d08a2e", "pixels": "#6a994e", "modes": "#8a5fa8"}

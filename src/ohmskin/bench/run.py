@@ -10,16 +10,16 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from ohmskin.arrays import Floats
-from ohmskin.bench import peers, sheets
-from ohmskin.bench.clock import Effort, Job, apart, duration, in_turns, ratio, read
+from ohmskin.arrays import Floats, Ints
+from ohmskin.bench import peers, pyeit_alone, sheets
+from ohmskin.bench.clock import Effort, Job, duration, in_turns, ratio, read, seconds_of
 from ohmskin.bench.figure import Figure
-from ohmskin.bench.frames import NO_PEER, accuracy, changing, framing, in_once
+from ohmskin.bench.frames import accuracy, changing, framing
 from ohmskin.bench.live import living
+from ohmskin.bench.tasks import apart
 from ohmskin.errors import OhmskinError
 from ohmskin.forward import TouchTable, TransferModel
-from ohmskin.forward.assembly import assemble
-from ohmskin.geometry import Electrodes, Mesh
+from ohmskin.forward.assembly import System, assemble
 from ohmskin.scan import adjacent
 
 Group = Callable[[Effort], Iterator[Figure]]
@@ -31,61 +31,61 @@ def machine(effort: Effort) -> Iterator[Figure]:
     small = np.ones(2**18, np.float32)
     for where, array in (("memory", large), ("the cache", small)):
         spent = in_turns({"read": lambda array=array: read(array)}, effort.seconds / 2)["read"]  # type: ignore[misc]
-        speed = array.nbytes / spent / 1e9
-        low, value, high = np.percentile(speed, [25, 50, 75])
-        yield Figure(f"reading {array.nbytes / 2**20:.0f} MiB from {where}", value, "GB/s", low=low, high=high)
+        name = f"reading {array.nbytes / 2**20:.0f} MiB from {where}"
+        yield Figure.median(name, array.nbytes / spent / 1e9, "GB/s")
     for kind in (np.float64, np.float32):
         square = np.random.default_rng(0).normal(size=(768, 768)).astype(kind)
         spent = in_turns({"product": partial(np.matmul, square, square)}, effort.seconds / 2)["product"]
-        low, value, high = np.percentile(2 * 768**3 / spent / 1e9, [25, 50, 75])
-        yield Figure(f"product of matrices, {np.dtype(kind).name}", value, "GFLOP/s", low=low, high=high)
+        yield Figure.median(f"product of matrices, {np.dtype(kind).name}", 2 * 768**3 / spent / 1e9, "GFLOP/s")
 
 
 def setting_up(effort: Effort) -> Iterator[Figure]:
     """From nodes and triangles to the first image, against pyEIT's JAC, each in a process of its own."""
     name = "set-up to first image, 4,608 triangles, against pyEIT's JAC"
     apart("ours", cells=24)  # compiles what is not compiled yet, which takes memory
-    own, theirs = apart("ours", cells=48), peers.pyeit_apart(48) if peers.has_pyeit() else {"error": NO_PEER}
+    own, theirs = apart("ours", cells=48), peers.pyeit_apart(48)
     if "error" in own or "error" in theirs:
         yield Figure(name, None, "times", least=100, note=own.get("error") or theirs["error"])
         return
-    yield ratio(name, np.array([theirs["seconds"]]), np.array([own["seconds"]]), least=100)
+    yield ratio(name, theirs["seconds"], own["seconds"], least=100)
     note = f"peaks of the whole process {theirs['peak']:.0f} / {own['peak']:.0f} MiB, of which"
     note += f" {theirs['before']:.0f} / {own['before']:.0f} before the sheet"
     data = {"ours": own, "pyeit": theirs}
     yield Figure("memory of the same", theirs["peak"] / own["peak"], "times", least=5, note=note, data=data)
 
 
-def _all_pairs(mesh: Mesh, layout: Electrodes) -> Floats:
-    return TransferModel(mesh, layout, sheets.CONDUCTIVITY).pair_sensitivity
-
-
 def fields(effort: Effort) -> Iterator[Figure]:
     """Fields and the sensitivity of all electrode pairs, against pyEIT's Jacobian of one pattern."""
+    layout = sheets.electrodes()
     for cells, least in ((33, 100), (72, 400)):
-        layout = sheets.electrodes()
         mesh, pattern = sheets.mesh(cells), adjacent(layout.rings)
         name = f"fields and sensitivity of all pairs, {mesh.n_elem:,} triangles, against pyEIT's Jacobian"
         if not peers.has_pyeit():
-            yield Figure(name, None, "times", least=least, note=NO_PEER)
+            yield Figure(name, None, "times", least=least, note=peers.MISSING)
             continue
-        theirs = peers.pyeit_mesh(mesh.nodes, mesh.elements, mesh.nodes_at(layout.positions))
-        own = partial(_all_pairs, mesh, layout)
-        quick = in_turns({"ours": own}, effort.seconds)["ours"]
-        slow = in_once(partial(peers.pyeit_jacobian, theirs, pattern), 1 if cells > 50 else 3)
-        again = in_turns({"ours": own}, effort.seconds)["ours"]
-        yield ratio(name, np.median(slow, keepdims=True), np.concatenate([quick, again]), least=least)
+        jacobian = partial(pyeit_alone.jacobian, peers.pyeit_mesh(mesh, layout), *peers.numbers(pattern))
+        build = partial(TransferModel, mesh, layout, sheets.CONDUCTIVITY)
+        jobs: dict[str, Job] = {"ours": lambda build=build: build().pair_sensitivity}  # type: ignore[misc]
+        quick = in_turns(jobs, effort.seconds)["ours"]
+        slow = float(np.median([seconds_of(jacobian) for _ in range(1 if cells > 50 else 3)]))
+        again = in_turns(jobs, effort.seconds)["ours"]
+        yield ratio(name, slow, np.concatenate([quick, again]), least=least)
+
+
+def _grounded(system: System) -> tuple[Ints, Floats]:
+    """The unknowns that are left with the first electrode grounded, and a load of 1 A at each of 15 others."""
+    free = np.delete(np.arange(system.matrix.shape[0]), system.terminals[0])
+    load = np.zeros((system.matrix.shape[0], 15))
+    load[system.terminals[1:], np.arange(15)] = 1.0
+    return free, load
 
 
 def solving(effort: Effort) -> Iterator[Figure]:
     """Factorise and solve for 15 injections, against SciPy's `splu` as it comes and at its best."""
-    layout = sheets.electrodes()
     mesh = sheets.mesh(72)
-    system = assemble(mesh, layout, np.full(mesh.n_elem, sheets.CONDUCTIVITY))
-    free = np.delete(np.arange(system.matrix.shape[0]), system.terminals[0])
+    system = assemble(mesh, sheets.electrodes(), np.full(mesh.n_elem, sheets.CONDUCTIVITY))
+    free, load = _grounded(system)
     grounded = sp.csc_matrix(system.matrix[free][:, free])
-    load = np.zeros((system.matrix.shape[0], 15))
-    load[system.terminals[1:], np.arange(15)] = 1.0
     ordered = system.elimination()
     best = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True, "Equil": False}}
     spent = in_turns(
@@ -114,10 +114,7 @@ def touching(effort: Effort) -> Iterator[Figure]:
     where, change = rng.integers(0, len(table), (count, 1)), rng.uniform(0.1, 5, (count, 1))
     touched = model.conductivity.copy()
     touched[places[5]] *= 2
-    system = assemble(model.mesh, model.electrodes, touched)
-    free = np.delete(np.arange(system.matrix.shape[0]), system.terminals[0])
-    load = np.zeros((system.matrix.shape[0], 15))
-    load[system.terminals[1:], np.arange(15)] = 1.0
+    free, load = _grounded(assemble(model.mesh, model.electrodes, touched))
 
     def anew() -> None:
         matrix = assemble(model.mesh, model.electrodes, touched).matrix
@@ -134,9 +131,7 @@ def touching(effort: Effort) -> Iterator[Figure]:
     table.many(*work, threads=2)
     for _ in range(3 if effort.quick else 9):
         for threads, times in wall.items():
-            start = perf_counter()
-            table.many(*work, threads=threads)
-            times.append(perf_counter() - start)
+            times.append(seconds_of(partial(table.many, *work, threads=threads), clock=perf_counter))
     one, two, note = np.array(wall[1]), np.array(wall[2]), "wall clock; needs two idle cores"
     yield ratio("simulated touches, two cores against one", one, two, least=1.5, note=note)
 
@@ -171,10 +166,8 @@ def electrodes(effort: Effort) -> Iterator[Figure]:
     stages = ", ".join(f"{stage} {duration(s)}" for stage, s in found["stages"].items())
     size = f"{found['triangles']:,} triangles, {found['measurements']:,} measurements"
     yield Figure(f"{name}: peak memory", found["peak"] / 1024, "GiB", most=8, note=f"{size}; {stages}", data=found)
-    yield ratio(
-        f"{name}: adaptive frame against its limit", np.array([found["frame"]]), np.array([found["limit"]]),
-        note="the limit is a symmetric product and a Cholesky factor at the machine's rate",
-    )  # fmt: skip
+    note = "the limit is a symmetric product and a Cholesky factor at the machine's rate"
+    yield ratio(f"{name}: adaptive frame against its limit", found["frame"], found["limit"], note=note)
 
 
 def starting(effort: Effort) -> Iterator[Figure]:
@@ -184,14 +177,9 @@ def starting(effort: Effort) -> Iterator[Figure]:
         "`import ohmskin`": (["-c", "import ohmskin"], 0.5),
     }
     for name, (arguments, most) in commands.items():
-        spent = []
-        for _ in range(7):
-            start = perf_counter()
-            subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
-            spent.append(perf_counter() - start)
-        low, value, high = np.percentile(spent[1:], [25, 50, 75])
-        low, value, high = (float(quartile) for quartile in np.percentile(spent[1:], [25, 50, 75]))
-        yield Figure(name, value, "s", most=most, low=low, high=high, note="wall clock, the first run left out")
+        start = partial(subprocess.run, [sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
+        spent = [seconds_of(start, clock=perf_counter) for _ in range(7)]
+        yield Figure.median(name, np.array(spent[1:]), "s", most=most, note="wall clock, the first run left out")
     yield _page()
 
 

@@ -1,12 +1,18 @@
 """What the benchmark works on: the paper's square sheet with regular meshes, the same for all programs."""
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
+from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Mesh, Rectangle
+from ohmskin.scan import DrivePattern
+
+Scanned = tuple[Floats, Floats]  # change of the voltages (n_meas,), currents (n_inj,)
 
 SIDE = 0.2  # m
-SHEET = Rectangle(SIDE, SIDE)
 CONDUCTIVITY = 1.83e-3  # S
 
 
@@ -27,10 +33,23 @@ def mesh(cells: int) -> Mesh:
 
 def electrodes(along: int = 4) -> Electrodes:
     """A grid of `along` x `along` point electrodes that spans the sheet."""
-    return Electrodes.grid(SHEET, along, along)
+    return Electrodes.grid(Rectangle(SIDE, SIDE), along, along)
 
 
 def square(cells: int, column: int, row: int, size: int) -> Ints:
     """The elements (2 size^2,) of `grid(cells)` in a square of size x size cells."""
     lower = ((row + np.arange(size))[:, None] * cells + column + np.arange(size)).ravel()
     return np.concatenate([lower, lower + cells * cells])
+
+
+def touched(model: TransferModel, *places: ArrayLike) -> Callable[[DrivePattern], Scanned]:
+    """Scans at 1 mA of a sheet that conducts half as well again within 10 mm of each place (m)."""
+    conductivity = model.conductivity.copy()
+    for place in places:
+        conductivity[np.linalg.norm(model.mesh.centroids - np.asarray(place), axis=1) < 0.01] *= 1.5
+    pressed = model.with_conductivity(conductivity)
+
+    def scan(pattern: DrivePattern) -> Scanned:
+        return pressed.voltages(pattern, 1e-3) - model.voltages(pattern, 1e-3), np.full(pattern.n_inj, 1e-3)
+
+    return scan

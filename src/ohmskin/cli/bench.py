@@ -8,8 +8,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from ohmskin.bench import Figure, run, write_report
-from ohmskin.bench.report import shown
+from ohmskin.bench import run, write_report
 
 _COLOURS = {"pass": "green", "short": "red", "not run": "yellow", "": ""}
 
@@ -36,16 +35,9 @@ def bench(
     for title in ("figure", "value", "spread", "target", "", "behind it"):
         table.add_column(title, justify="right" if title == "value" else "left", overflow="fold")
     for figure in (figure for group in found.values() for figure in group):
-        table.add_row(*_row(figure))
+        colour, verdict = _COLOURS[figure.verdict], figure.verdict
+        table.add_row(*figure.row(f"[{colour}]{verdict}[/{colour}]" if colour else verdict))
     console.print(table, highlight=False)
     for path in write_report(found, out, quick):
         console.print(str(path), highlight=False, soft_wrap=True)
     console.print(f"{time.monotonic() - started:.0f} s", highlight=False)
-
-
-def _row(figure: Figure) -> tuple[str, ...]:
-    spread = "" if figure.low is None or figure.low == figure.high else f"{shown(figure.low)} to {shown(figure.high)}"
-    colour, verdict = _COLOURS[figure.verdict], figure.verdict
-    value = f"{shown(figure.value)} {figure.unit}".rstrip()
-    shaded = f"[{colour}]{verdict}[/{colour}]" if colour else verdict
-    return figure.name, value, spread, figure.target, shaded, figure.note

@@ -101,18 +101,17 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
         return group, group["done"]
     quiet = recipe.quiet()  # what takes time comes first: a group without its attributes would not be taken for ours
     group = zarr.open_group(str(path), mode="w", zarr_format=3)
+
+    def add(name: str, meaning: str, **settings: Any) -> None:
+        group.create_array(name, **settings).attrs["meaning"] = meaning
+
     for name, (shape, kind, fill, meaning) in recipe.arrays().items():
         shapes = {"shape": (count, *shape), "chunks": (CHUNK, *shape)}
-        array = group.create_array(name, dtype=kind, fill_value=kind(fill), **shapes)
-        array.attrs["meaning"] = meaning
-    pattern = recipe.drive_pattern
-    for name, values, meaning in (
-        ("pattern_injections", pattern.injections, "source and sink electrode of each injection, from 0"),
-        ("pattern_measurements", pattern.measurements, "injection, plus and minus electrode of each voltage"),
-        ("quiet", quiet, "V, frames of the untouched skin"),
-    ):
-        array = group.create_array(name, data=np.ascontiguousarray(values))
-        array.attrs["meaning"] = meaning
+        add(name, meaning, dtype=kind, fill_value=kind(fill), **shapes)
+    injections, measurements = recipe.drive_pattern.injections, recipe.drive_pattern.measurements
+    add("pattern_injections", "source and sink electrode of each injection, from 0", data=injections)
+    add("pattern_measurements", "injection, plus and minus electrode of each voltage", data=measurements)
+    add("quiet", "V, frames of the untouched skin", data=quiet)
     group.create_array("done", shape=(-(-count // CHUNK),), dtype=np.int32, chunks=(1 << 16,), fill_value=0)
     group.attrs.update({**described, "ohmskin": ohmskin.__version__})  # last: without it this is not a data set
     return group, group["done"]

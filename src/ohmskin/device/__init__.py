@@ -3,10 +3,10 @@
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
 from ohmskin.device.instrument import Instrument
-from ohmskin.device.link import Link
 from ohmskin.device.press import Press
 from ohmskin.device.registry import connect, drivers
 from ohmskin.device.server import DeviceServer
+from ohmskin.device.wire import Link
 
 __all__ = [
     "Capabilities",

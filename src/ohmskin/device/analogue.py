@@ -6,7 +6,6 @@ nothing, so there is no checksum; a firmware that was reset in mid-packet begins
 knows replies that came too late.
 """
 
-import os
 import socket
 import threading
 import zlib
@@ -17,18 +16,20 @@ import numpy as np
 from cobs import cobs
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.device.capabilities import Feature
+from ohmskin.device.capabilities import Capabilities, Feature
+from ohmskin.device.instrument import MOST_PRESSES
 from ohmskin.device.layout import LAYOUTS as PROTOCOL
 from ohmskin.device.layout import Kind as ProtocolKind
 from ohmskin.device.layout import Layout
-from ohmskin.errors import ProtocolError, SkinError
+from ohmskin.device.virtual import twin_capabilities
+from ohmskin.errors import DeviceRefused, ProtocolError, SkinError
+from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Skin, VirtualSkin
 
 REPLY = 0x80
 _CONVERSION = 5e-3  # s: a conversion takes what the emulator takes; so much on a computer busy with other things
 _CURRENT_LIMIT = 2  # as BOARD_CURRENT_LIMIT in the firmware's board.h
-_ELSEWHERE = 0x10000  # numbers of presses that do not come through the firmware begin here
-_MOST_PRESSES = 64
+_FIRMWARE = MOST_PRESSES  # numbers of presses that come through the firmware begin here
 
 
 class Kind(IntEnum):
@@ -61,7 +62,8 @@ LAYOUTS = {
 class AnalogueSide:
     """What the firmware would measure on a real skin, as codes of the converter.
 
-    Unlike `VirtualSkin.scan` it lets the channels settle for as long as the firmware really waited.
+    Unlike `VirtualSkin.scan` it lets the channels settle for as long as the firmware really waited. Touches from
+    elsewhere reach it as an `Instrument`, which refuses to scan: that is the firmware's part.
 
     Args:
         skin: What to simulate.
@@ -81,6 +83,8 @@ class AnalogueSide:
             raise SkinError(f"averages is {averages}; it must be 1..65535")
         self.skin = skin
         self.described = threading.Event()  # the firmware has asked and been told what it is connected to
+        name = f"fingers on {skin.name}".encode()[:32].decode(errors="ignore")
+        self.capabilities = Capabilities(name, len(skin.electrodes), 1, 1, 1, Feature.VIRTUAL)
         self._virtual = VirtualSkin(skin, seed)
         self._averages = averages
         self._random = np.random.default_rng(seed)
@@ -89,28 +93,19 @@ class AnalogueSide:
         self._driven, self._elapsed = (-1, -1), 0.0
         self._lock = threading.Lock()
 
-    def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """Put, move or lift a touch; metres and pascals.
+    def scan(self, pattern: DrivePattern) -> Frame:
+        raise DeviceRefused("this port takes touches only; scan the firmware's own port")
 
-        Raises:
-            SkinError: If the place is off the sheet, radius or pressure out of range, or too many touches down.
-        """
+    def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
         with self._lock:
             down = self._virtual.presses
-            if pressure > 0 and number not in down and len(down) >= _MOST_PRESSES:
-                raise SkinError(f"{_MOST_PRESSES} presses are down, which is the most; lift one first")
-            self._virtual.press(number, x, y, radius, pressure)
+            if pressure > 0 and number not in down and len(down) >= MOST_PRESSES:
+                raise DeviceRefused(f"{MOST_PRESSES} presses are down, which is the most; lift one first")
+            try:
+                self._virtual.press(number, x, y, radius, pressure)
+            except SkinError as error:
+                raise DeviceRefused(str(error)) from error
             self._resistance = self._virtual.sheet.transfer_resistance(self._virtual.presses.values())
-
-    def press_elsewhere(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """The same for touches that do not come through the firmware, which has numbers of its own."""
-        self.press(number + _ELSEWHERE, x, y, radius, pressure)
-
-    def lift(self) -> None:
-        """Lift what came through the firmware."""
-        for number, press in self._virtual.presses.items():
-            if number < _ELSEWHERE:
-                self.press(number, *press.position, press.radius, 0.0)
 
     def sample(self, source: int, sink: int, elapsed: float, pairs: Ints) -> tuple[int, Ints, bool]:
         """Convert once.
@@ -157,24 +152,16 @@ class AnalogueSide:
 
     def describe(self) -> dict[str, Any]:
         """The fields of the answer to DESCRIBE; another boot number each time."""
-        skin = self.skin
-        source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
         return {
-            "serial": zlib.crc32(b"firmware of " + skin.dump().encode()),
-            "boot": int.from_bytes(os.urandom(4), "little"),
-            "features": Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source,
-            "excitation": skin.excitation.amplitude,
-            "full_scale": skin.converter.full_scale,
-            "settle_time": skin.converter.settle,
-            "conversion_time": _CONVERSION,
+            **vars(twin_capabilities(self.skin, f"firmware, {self.skin.name}", _CONVERSION)),
+            "serial": zlib.crc32(b"firmware of " + self.skin.dump().encode()),
             "volts_per_code": self._volts_per_code,
-            "amperes_per_code": self._volts_per_code / skin.converter.shunt,
+            "amperes_per_code": self._volts_per_code / self.skin.converter.shunt,
             "volts_zero": self._zero,
             "amperes_zero": self._zero,
             "code_max": 2 * self._zero - 1,
             "averages": self._averages,
-            "electrodes": len(skin.electrodes),
-            "name": f"firmware, {skin.name}",
+            "electrodes": len(self.skin.electrodes),
         }
 
     def answer(self, packet: bytes) -> bytes:
@@ -185,43 +172,41 @@ class AnalogueSide:
         """
         if len(packet) < 2 or packet[0] not in set(Kind):
             raise ProtocolError(f"no request of the firmware: {packet[:8].hex()}")
-        kind, tag = Kind(packet[0]), packet[1]
+        kind = Kind(packet[0])
         ask, tell = LAYOUTS[kind]
-        asked = ask.unpack(packet[2:])
-        return bytes([kind | REPLY, tag]) + tell.pack(self._obey(kind, asked))
+        return bytes([kind | REPLY, packet[1]]) + tell.pack(self._obey(kind, ask.unpack(packet[2:])))
 
     def _obey(self, kind: Kind, asked: dict[str, Any]) -> dict[str, Any]:
         match kind:
             case Kind.DESCRIBE:
                 return self.describe()
             case Kind.SAMPLE:
-                pairs = asked["pairs"]
                 count = len(self.skin.electrodes)
-                if max(asked["source"], asked["sink"], pairs.max(initial=0)) >= count:
+                if max(asked["source"], asked["sink"], asked["pairs"].max(initial=0)) >= count:
                     raise ProtocolError(f"the firmware names an electrode beyond {count - 1}")
-                current, codes, limited = self.sample(asked["source"], asked["sink"], asked["elapsed"], pairs)
-                return {"current": current, "flags": _CURRENT_LIMIT * limited, "count": len(codes), "codes": codes}
+                current, codes, limited = self.sample(*(asked[name] for name in ("source", "sink", "elapsed", "pairs")))
+                return {"current": current, "flags": _CURRENT_LIMIT * limited, "codes": codes}
             case Kind.PRESS:
                 try:
-                    self.press(asked["number"], asked["x"], asked["y"], asked["radius"], asked["pressure"])
-                except SkinError as error:
+                    self.press(**asked | {"number": asked["number"] + _FIRMWARE})
+                except DeviceRefused as error:
                     return {"text": str(error)}
                 return {"text": ""}
             case Kind.LIFT:
-                self.lift()
+                for number, press in self._virtual.presses.items():
+                    if number >= _FIRMWARE:
+                        self.press(number, *press.position, press.radius, 0.0)
                 return {}
 
     def serve(self, line: socket.socket) -> None:
         """Answer the firmware until the line is closed."""
-        rest = bytearray()
+        rest = b""
         try:
             while data := line.recv(4096):
-                rest += data
-                *packets, tail = rest.split(b"\0")
-                rest = bytearray(tail)
+                *packets, rest = (rest + data).split(b"\0")
                 for stuffed in filter(None, packets):
                     try:
-                        reply = self.answer(cobs.decode(bytes(stuffed)))
+                        reply = self.answer(cobs.decode(stuffed))
                     except (ProtocolError, cobs.DecodeError):
                         continue  # the end of what a reset cut off
                     line.sendall(cobs.encode(reply) + b"\0")

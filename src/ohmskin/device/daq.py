@@ -13,8 +13,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
-from ohmskin.device.press import Press
-from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused
+from ohmskin.errors import DeviceError, DeviceLost
 from ohmskin.scan import DrivePattern, Frame, FrameFlag
 
 
@@ -139,9 +138,6 @@ class MuxDaqDevice(Device):
     def _release(self) -> None:
         with suppress(OSError, DeviceError):  # it is gone; the next scan says so, if the last one has not
             self._mux.release()
-
-    def _press(self, press: Press) -> None:
-        raise DeviceRefused("a real skin is pressed with a finger")
 
     def _close(self) -> None:
         self._release()

@@ -15,7 +15,7 @@ from ohmskin.scan import DrivePattern, Frame
 class Device(Closing):
     """A skin that can be scanned. Safe to use from several threads; a context manager.
 
-    A driver fills `_scan`, `_press` and `_close`; limits, timeout and locking are settled here.
+    A driver fills `_scan`, `_close` and, if it is virtual, `_press`; limits, timeout and locking are settled here.
 
     Args:
         url: The address it was opened with.
@@ -107,9 +107,9 @@ class Device(Closing):
         """One frame of a pattern that the device can take."""
 
     @abstractmethod
-    def _press(self, press: Press) -> None:
-        """Put, move or lift a touch."""
-
-    @abstractmethod
     def _close(self) -> None:
         """Let go; called once."""
+
+    def _press(self, press: Press) -> None:
+        """Put, move or lift a touch."""
+        raise DeviceRefused(f"device {self.capabilities.name!r} takes no touches")

@@ -6,15 +6,14 @@ import socket
 import subprocess
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 from ohmskin.child import Child
 from ohmskin.closing import Closing
 from ohmskin.device.analogue import AnalogueSide
-from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.server import DeviceServer, listen
-from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, SkinError
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.errors import DeviceError, DeviceLost
 from ohmskin.skin import Skin
 
 _EMULATOR, _MACHINE = "qemu-system-arm", "stm32vldiscovery"
@@ -64,42 +63,32 @@ class EmulatedBoard(Closing):
         seed: int | None = None,
         averages: int = 1,
     ) -> None:
-        self._command = [_emulator(), "-machine", _MACHINE, "-display", "none", "-kernel", str(_image(image))]
+        command = [_emulator(), "-machine", _MACHINE, "-display", "none", "-kernel", str(_image(image))]
         self._analogue = AnalogueSide(skin, seed, averages)
-        self._press_server = DeviceServer(_PressOnly(self._analogue), host, press_port)
-        self.press_url = self._press_server.url
-        try:
+        with ExitStack() as undo:
+            self._press_server = undo.enter_context(DeviceServer(self._analogue, host, press_port))
+            self.press_url = self._press_server.url
             with listen(host, port) as listener:
                 self.url = f"tcp://{host}:{listener.getsockname()[1]}"
-                self._start(listener)
-        except BaseException:
-            self._press_server.close()
-            raise
-        self._press_server.start()
-        try:
+                self._start(command, listener)
+            undo.callback(self.close)
             self._await_firmware()
-        except BaseException:
-            self.close()
-            raise
+            undo.pop_all()
 
-    def _start(self, listener: socket.socket) -> None:
+    def _start(self, command: list[str], listener: socket.socket) -> None:
         self._line, analogue_end = socket.socketpair()
         self._monitor, monitor_end = socket.socketpair()
         with analogue_end, monitor_end:
             ends = (listener, analogue_end, monitor_end)
-            self._command += [
+            command += [
                 *("-chardev", f"socket,id=host,fd={listener.fileno()},server=on,wait=off,nodelay=on"),
                 *("-chardev", f"socket,id=analogue,fd={analogue_end.fileno()}"),
                 *("-chardev", f"socket,id=monitor,fd={monitor_end.fileno()}"),
                 *("-serial", "chardev:host", "-serial", "chardev:analogue", "-monitor", "chardev:monitor"),
             ]
-            self._child = Child(
-                ["sh", "-c", _LIFELINE, "lifeline", *self._command],
-                "the emulator",
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                pass_fds=[end.fileno() for end in ends],
-            )
+            command, fds = ["sh", "-c", _LIFELINE, "lifeline", *command], [end.fileno() for end in ends]
+            quiet, told = subprocess.DEVNULL, subprocess.PIPE
+            self._child = Child(command, "the emulator", stdout=quiet, stderr=told, pass_fds=fds)
         self._thread = threading.Thread(target=self._analogue.serve, args=(self._line,), daemon=True, name="analogue")
         self._thread.start()
 
@@ -110,23 +99,18 @@ class EmulatedBoard(Closing):
             if time.monotonic() > end:
                 raise DeviceLost(f"the firmware did not start within {_START:g} s; is it made for {_MACHINE}?")
 
-    @property
-    def alive(self) -> bool:
-        """Whether the emulator still runs."""
-        return self._thread.is_alive()
-
     def reset(self) -> None:
         """Press the board's reset button."""
         try:
             self._monitor.sendall(b"system_reset\n")
         except OSError as error:
-            raise DeviceLost(f"the emulator has ended: {self._complaint()}") from error
+            raise self._ended() from error
 
     def wait(self, seconds: float) -> None:
         """Wait, and raise DeviceLost if the emulator ends meanwhile."""
         self._thread.join(seconds)
-        if not self.alive:
-            raise DeviceLost(f"the emulator has ended: {self._complaint()}")
+        if not self._thread.is_alive():
+            raise self._ended()
 
     def close(self) -> None:
         """End the emulator. Safe twice."""
@@ -136,31 +120,12 @@ class EmulatedBoard(Closing):
         self._monitor.close()
         self._thread.join()
 
-    def _complaint(self) -> str:
+    def _ended(self) -> DeviceLost:
         errors = self._child.process.stderr
         assert errors is not None
         os.set_blocking(errors.fileno(), False)
-        said = errors.read() or b""
-        return said.decode(errors="replace").strip() or "it gave no reason"
-
-
-class _PressOnly:
-    """Takes touches for the twin, and refuses to scan: that is the firmware's part."""
-
-    def __init__(self, analogue: AnalogueSide) -> None:
-        self._analogue = analogue
-        count = len(analogue.skin.electrodes)
-        name = f"fingers on {analogue.skin.name}".encode()[:32].decode(errors="ignore")
-        self.capabilities = Capabilities(name, count, 1, 1, 1, Feature.VIRTUAL)
-
-    def scan(self, pattern: DrivePattern) -> Frame:
-        raise DeviceRefused("this port takes touches only; scan the firmware's own port")
-
-    def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        try:
-            self._analogue.press_elsewhere(number, x, y, radius, pressure)
-        except SkinError as error:
-            raise DeviceRefused(str(error)) from error
+        said = (errors.read() or b"").decode(errors="replace").strip()
+        return DeviceLost(f"the emulator has ended: {said or 'it gave no reason'}")
 
 
 def _emulator() -> str:

@@ -8,7 +8,7 @@ from ohmskin.device.press import Press
 from ohmskin.errors import DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
 
-_MOST_PRESSES = 64
+MOST_PRESSES = 64
 
 
 class Instrument(Protocol):
@@ -54,9 +54,9 @@ class SharedInstrument:
             if number is None:
                 if press.pressure == 0:
                     return
-                if len(self._numbers) >= _MOST_PRESSES:
-                    raise DeviceRefused(f"{_MOST_PRESSES} presses are down, which is the most; lift one first")
-                number = min(set(range(_MOST_PRESSES)).difference(self._numbers.values()))
+                if len(self._numbers) >= MOST_PRESSES:
+                    raise DeviceRefused(f"{MOST_PRESSES} presses are down, which is the most; lift one first")
+                number = min(set(range(MOST_PRESSES)).difference(self._numbers.values()))
             # may refuse: then nothing has changed
             self._instrument.press(number, press.x, press.y, press.radius, press.pressure)
             if press.pressure == 0:

@@ -34,8 +34,7 @@ class Kind(IntEnum):
     ERROR = 0xFF
 
 
-_CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f"}
-_DTYPES = {"u8": "<u1", "u16": "<u2", "u32": "<u4", "u64": "<u8", "f32": "<f4"}
+_CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f"}  # for struct and NumPy
 _TOKEN = re.compile(r"(?P<name>\w+):(?P<kind>\w+?)(?:<=(?P<limit>\d+)|\[(?P<count>\w+)\](?:\[(?P<width>\d+)\])?)?")
 
 
@@ -52,7 +51,12 @@ class Field:
     @property
     def size(self) -> int:
         """Bytes of a scalar or of one row of an array."""
-        return self.width * np.dtype(_DTYPES[self.kind]).itemsize
+        return self.width * self.dtype.itemsize
+
+    @property
+    def dtype(self) -> np.dtype:
+        """How NumPy stores one number."""
+        return np.dtype("<" + _CODES[self.kind])
 
     def __str__(self) -> str:
         if self.limit:
@@ -80,11 +84,12 @@ class Layout:
         self._struct = struct.Struct("<" + "".join(_CODES[field.kind] for field in self.scalars))
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
-        """The payload that carries `values`.
+        """The payload that carries `values`; counts are those of the arrays.
 
         Raises:
             ProtocolError: If a value does not fit its field.
         """
+        values = {**values, **{field.count: len(values[field.name]) for field in self.tail if field.count}}
         try:
             parts = [self._struct.pack(*(values[field.name] for field in self.scalars))]
         except (struct.error, OverflowError) as error:
@@ -98,16 +103,16 @@ class Layout:
                 parts.append(value.encode()[: field.limit].decode(errors="ignore").encode())
                 continue
             array = np.asarray(value)
-            most = np.inf if field.kind == "f32" else np.iinfo(_DTYPES[field.kind]).max
-            if field.kind != "f32" and array.size and not 0 <= array.min() <= array.max() <= most:
+            integers = field.kind != "f32" and array.size > 0
+            if integers and not 0 <= array.min() <= array.max() <= np.iinfo(field.dtype).max:
                 span = f"{array.min()} to {array.max()}"
                 raise ProtocolError(f"{field.name} reach from {span}; {field.kind} is all the wire carries")
             with np.errstate(over="ignore"):  # a voltage beyond f32 arrives as inf: clipped
-                parts.append(array.astype(_DTYPES[field.kind]).tobytes())
+                parts.append(array.astype(field.dtype).tobytes())
         return b"".join(parts)
 
     def unpack(self, payload: bytes) -> dict[str, Any]:
-        """The values that `payload` carries.
+        """The values that `payload` carries, without the counts.
 
         Raises:
             ProtocolError: If its length does not fit the layout or its text is not UTF-8.
@@ -119,27 +124,22 @@ class Layout:
         values: dict[str, Any] = dict(zip(names, self._struct.unpack_from(payload), strict=True))
         for field in self.tail:
             if field.limit:
-                values[field.name] = _text(payload[offset:], field.limit)
-                return values
-            end = offset + values[field.count] * field.size
+                if len(payload) - offset > field.limit:
+                    raise ProtocolError(f"text has {len(payload) - offset} bytes; at most {field.limit}")
+                try:
+                    return {**values, field.name: payload[offset:].decode()}
+                except UnicodeDecodeError as error:
+                    raise ProtocolError(f"text is not UTF-8: {error}") from error
+            count = values.pop(field.count)
+            end = offset + count * field.size
             if len(payload) < end:
-                counted = f"{field.count} = {values[field.count]}"
-                raise ProtocolError(f"payload has {len(payload)} bytes; {counted} needs {end}")
-            array = np.frombuffer(payload[offset:end], _DTYPES[field.kind])
+                raise ProtocolError(f"payload has {len(payload)} bytes; {field.count} = {count} needs {end}")
+            array = np.frombuffer(payload[offset:end], field.dtype)
             values[field.name] = array.reshape(-1, field.width) if field.width > 1 else array
             offset = end
         if len(payload) != offset:
             raise ProtocolError(f"payload has {len(payload)} bytes; need {offset}")
         return values
-
-
-def _text(data: bytes, limit: int) -> str:
-    if len(data) > limit:
-        raise ProtocolError(f"text has {len(data)} bytes; at most {limit}")
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        raise ProtocolError(f"text is not UTF-8: {error}") from error
 
 
 LAYOUTS = {

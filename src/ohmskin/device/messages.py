@@ -1,12 +1,10 @@
 """The messages of the wire protocol as values."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Self
+from typing import Any, Self, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ohmskin.arrays import Floats
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.layout import Kind
 from ohmskin.device.press import Press
@@ -74,24 +72,22 @@ class FrameData:
         number: Number of the frame.
         time: Time of the last sample on the device's clock (us).
         flags: FrameFlag bits.
-        currents: (n_inj,) amperes.
-        voltages: (n_meas,) volts; NaN not measured, +-inf clipped.
+        currents: (n_inj,) amperes; float32 as received.
+        voltages: (n_meas,) volts, float32 as received; NaN not measured, +-inf clipped.
     """
 
     digest: int
     number: int
     time: int
     flags: int
-    currents: NDArray[np.float32]
-    voltages: NDArray[np.float32]
+    currents: Floats
+    voltages: Floats
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
         """What travels of a frame."""
-        with np.errstate(over="ignore"):  # a voltage beyond f32 arrives as inf: clipped
-            currents, voltages = frame.currents.astype(np.float32), frame.voltages.astype(np.float32)
-        microseconds = max(0, round(frame.time * 1e6))
-        return cls(frame.pattern.digest, frame.sequence & 2**32 - 1, microseconds, int(frame.flags), currents, voltages)
+        number, microseconds = frame.sequence & 2**32 - 1, max(0, round(frame.time * 1e6))
+        return cls(frame.pattern.digest, number, microseconds, int(frame.flags), frame.currents, frame.voltages)
 
     def frame(self, pattern: DrivePattern) -> Frame:
         """The frame, given the pattern it was asked for.
@@ -112,40 +108,22 @@ class FrameData:
 
 Message = Hello | SetPattern | Scan | Press | Capabilities | Ack | FrameData | Refusal
 
-_KINDS: dict[type, Kind] = {
-    Hello: Kind.HELLO,
-    SetPattern: Kind.PATTERN,
-    Scan: Kind.SCAN,
-    Press: Kind.PRESS,
-    Capabilities: Kind.CAPABILITIES,
-    Ack: Kind.ACK,
-    FrameData: Kind.FRAME,
-    Refusal: Kind.ERROR,
-}
-_TYPES = {kind: message for message, kind in _KINDS.items()}
+_TYPES: dict[Kind, Any] = dict(zip(Kind, get_args(Message), strict=True))  # in the same order
 _FIRMWARE = ("firmware_major", "firmware_minor", "firmware_patch")
 
 
 def kind_of(message: Message) -> Kind:
     """The number of this kind of message."""
-    return _KINDS[type(message)]
+    return next(kind for kind, known in _TYPES.items() if isinstance(message, known))
 
 
 def to_fields(message: Message) -> dict[str, Any]:
     """The fields of `layout.LAYOUTS` that carry a message."""
     match message:
         case SetPattern(slot, pattern):
-            return {
-                "slot": slot,
-                "n_inj": pattern.n_inj,
-                "n_meas": pattern.n_meas,
-                "injections": pattern.injections,
-                "measurements": pattern.measurements,
-            }
-        case FrameData():
-            return {**vars(message), "n_inj": len(message.currents), "n_meas": len(message.voltages)}
+            return {"slot": slot, "injections": pattern.injections, "measurements": pattern.measurements}
         case Capabilities():
-            return {**asdict(message), **dict(zip(_FIRMWARE, message.firmware, strict=True))}
+            return {**vars(message), **dict(zip(_FIRMWARE, message.firmware, strict=True))}
         case _:
             return vars(message)
 
@@ -159,8 +137,6 @@ def from_fields(kind: Kind, fields: dict[str, Any]) -> Message:
     match kind:
         case Kind.PATTERN:
             return SetPattern(fields["slot"], DrivePattern(fields["injections"], fields["measurements"]))
-        case Kind.FRAME:
-            return FrameData(**{name: value for name, value in fields.items() if name not in ("n_inj", "n_meas")})
         case Kind.CAPABILITIES:
             firmware = tuple(fields.pop(name) for name in _FIRMWARE)
             return Capabilities(**{**fields, "features": Feature(fields["features"]), "firmware": firmware})

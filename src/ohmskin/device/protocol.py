@@ -4,7 +4,7 @@ No input or output; docs/protocol.md describes it all.
 """
 
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from cobs import cobs
 
@@ -52,7 +52,7 @@ def encode(message: Message, sequence: int = 0) -> bytes:
     return packet + DELIMITER
 
 
-@dataclass(frozen=True)
+@dataclass
 class Tally:
     """What a decoder has seen, in packets."""
 
@@ -82,11 +82,10 @@ class Decoder:
         *ends, rest = data.split(DELIMITER)
         for end in ends:
             self._collect(end)
-            if self._skipping:
-                self._skipping = False
-            elif self._rest and (packet := self._open(bytes(self._rest))) is not None:
+            if self._rest and (packet := self._open(bytes(self._rest))) is not None:
                 packets.append(packet)
             self._rest.clear()
+            self._skipping = False
         self._collect(rest)
         return packets
 
@@ -97,29 +96,26 @@ class Decoder:
         if len(self._rest) > MAX_PACKET:
             self._rest.clear()
             self._skipping = True
-            self._count("overlong")
+            self.tally.overlong += 1
 
     def _open(self, stuffed: bytes) -> Packet | None:
         try:
             packet = cobs.decode(stuffed)
         except cobs.DecodeError:
-            self._count("bad_cobs")
+            self.tally.bad_cobs += 1
             return None
         body = packet[: -CHECKSUM.size]
         if len(body) < HEADER.size or CHECKSUM.unpack(packet[-CHECKSUM.size :])[0] != zlib.crc32(body):
-            self._count("bad_crc")
+            self.tally.bad_crc += 1
             return None
         version, kind, sequence = HEADER.unpack_from(body)
         try:
             message = _read(version, kind, body[HEADER.size :])
         except OhmskinError as error:
-            self._count("unknown")
+            self.tally.unknown += 1
             return Packet(sequence, Unreadable(version, kind, str(error)))
-        self._count("good")
+        self.tally.good += 1
         return Packet(sequence, message)
-
-    def _count(self, what: str) -> None:
-        self.tally = replace(self.tally, **{what: getattr(self.tally, what) + 1})
 
 
 def _read(version: int, kind: int, payload: bytes) -> Message:

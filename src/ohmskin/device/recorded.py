@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Protocol
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,25 +13,6 @@ from ohmskin.errors import DataError, PatternError, ProtocolError
 from ohmskin.importers import Recording
 from ohmskin.mcap import Role, Tape
 from ohmskin.scan import DrivePattern, Frame
-
-_SHIFT = np.int64(1) << np.arange(45, -1, -15, dtype=np.int64)
-
-
-class RecordedFrames(Protocol):
-    """Frames in order, with what is known of each."""
-
-    @property
-    def times(self) -> Floats: ...
-    @property
-    def roles(self) -> Ints: ...
-    @property
-    def mode_of(self) -> Ints: ...
-    @property
-    def modes(self) -> list[str]: ...
-    @property
-    def pattern_numbers(self) -> Ints: ...
-    def frame(self, index: int) -> Frame: ...
-    def pattern(self, index: int) -> DrivePattern: ...
 
 
 class SteadyFrames:
@@ -51,23 +32,24 @@ class SteadyFrames:
         return self._frames[index].pattern
 
 
+RecordedFrames = Tape | SteadyFrames  # frames in order, with what is known of each
+
+
 class QuietFrames:
     """The quiet frames of a recording's calibrations, given round and round in the order they were scanned.
 
     Args:
         frames: All frames of the recording.
+
+    Attributes:
+        at: Which frame of the calibration comes next.
     """
 
     def __init__(self, frames: RecordedFrames) -> None:
         self._frames = frames
         quiet = np.flatnonzero(frames.roles == Role.QUIET)
         self.calibrations = np.split(quiet, np.flatnonzero(np.diff(quiet) > 1) + 1)
-        self._at = 0
-        self._sorted: dict[int, tuple[Ints, Ints]] = {}
-
-    def restart(self) -> None:
-        """Begin with the first frame of a calibration again."""
-        self._at = 0
+        self.at = 0
 
     def next(self, pattern: DrivePattern, calibration: int) -> Frame:
         """The next quiet frame of a calibration with a pattern, or one made of several that hold its measurements.
@@ -76,39 +58,34 @@ class QuietFrames:
             PatternError: If they do not hold all of them.
         """
         segment = self.calibrations[calibration]
-        order = np.roll(segment, -self._at)
+        order = np.roll(segment, -self.at)
         for k, index in enumerate(order.tolist()):
             if self._frames.pattern(index) == pattern:
-                self._at = (self._at + k + 1) % len(segment)
+                self.at = (self.at + k + 1) % len(segment)
                 return self._frames.frame(index)
         voltages, currents = np.full(pattern.n_meas, np.nan), np.full(pattern.n_inj, np.nan)
-        missing, wanted = np.ones(pattern.n_meas, bool), pattern.quadruples @ _SHIFT
+        missing = dict(enumerate(map(tuple, pattern.quadruples.tolist())))
         for k, index in enumerate(order.tolist()):
-            codes, rows = self._codes(index)
-            place = np.minimum(np.searchsorted(codes, wanted), len(codes) - 1)
-            found = missing & (codes[place] == wanted)
-            if not found.any():
+            rows = _rows(self._frames.pattern(index))
+            if not (found := {m: rows[quadruple] for m, quadruple in missing.items() if quadruple in rows}):
                 continue
-            frame = self._frames.frame(index)
-            voltages[found] = frame.voltages[rows[place[found]]]
-            currents[pattern.measurements[found, 0]] = frame.measurement_currents[rows[place[found]]]
-            missing &= ~found
-            if not missing.any():
-                self._at = (self._at + k + 1) % len(segment)
+            frame, there = self._frames.frame(index), list(found.values())
+            voltages[list(found)] = frame.voltages[there]
+            currents[pattern.measurements[list(found), 0]] = frame.measurement_currents[there]
+            missing = {m: quadruple for m, quadruple in missing.items() if m not in found}
+            if not missing:
+                self.at = (self.at + k + 1) % len(segment)
                 return Frame(pattern, voltages, currents, 0.0, frame.sequence, frame.flags)
         raise PatternError(
-            f"the recording has no quiet reference for {int(missing.sum())} of {pattern.n_meas} measurements; "
+            f"the recording has no quiet reference for {len(missing)} of {pattern.n_meas} measurements; "
             "replay it with the skin it was made with"
         )
 
-    def _codes(self, index: int) -> tuple[Ints, Ints]:
-        """One number (n_meas,) for each measurement of a frame, rising, and which measurement it is."""
-        number = int(self._frames.pattern_numbers[index])
-        if number not in self._sorted:
-            codes = self._frames.pattern(index).quadruples @ _SHIFT
-            order = np.argsort(codes)
-            self._sorted[number] = codes[order], order
-        return self._sorted[number]
+
+@lru_cache(64)
+def _rows(pattern: DrivePattern) -> dict[tuple[int, ...], int]:
+    """Where each source, sink, plus and minus was measured."""
+    return {tuple(quadruple): row for row, quadruple in enumerate(pattern.quadruples.tolist())}
 
 
 def whole_cycles(frames: RecordedFrames, run: Ints) -> Ints:
@@ -127,19 +104,16 @@ def tracking_modes(frames: RecordedFrames, tape: Tape | None) -> NDArray[np.bool
     return np.array([told.get(name, {}).get("adjustable", name.endswith("T")) for name in frames.modes], bool)
 
 
-def plain_capabilities(recording: Recording) -> Capabilities:
-    """What a device can do that replays frames of others."""
-    pattern = recording.frames[0].pattern
-    n_elec = int(pattern.quadruples.max()) + 1
-    return Capabilities("replay", n_elec, pattern.n_inj, pattern.n_meas, features=Feature.CURRENT_MEASURED)
-
-
-def recorded_capabilities(tape: Tape) -> Capabilities:
+def recorded_capabilities(recording: Recording) -> Capabilities:
     """Those of the recorded device, so that patterns are split as they were; presses excepted.
 
     Raises:
-        DataError: If the recording does not tell them.
+        DataError: If a recording of ours does not tell them.
     """
+    if (tape := recording.tape) is None:
+        pattern = recording.frames[0].pattern
+        n_elec = int(pattern.quadruples.max()) + 1
+        return Capabilities("replay", n_elec, pattern.n_inj, pattern.n_meas, features=Feature.CURRENT_MEASURED)
     with suppress(KeyError, ValueError, ProtocolError, OverflowError):
         return Capabilities.from_texts(tape.metadata.get("device", {}))
     missing = "what the device could do (metadata record 'device')"

@@ -1,7 +1,7 @@
 """A recording as a device: its frames come again, at any pace, from any place, round and round or once."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from ohmskin.device import recorded as parts
 from ohmskin.device.driver import Device
-from ohmskin.device.press import Press
 from ohmskin.device.recorded import QuietFrames, RecordedFrames, SteadyFrames
 from ohmskin.drive import Drive
-from ohmskin.errors import DataError, DeviceError, DeviceRefused, PatternError
+from ohmskin.errors import DataError, DeviceError, PatternError
 from ohmskin.importers import read_recording
 from ohmskin.mcap import Role
 from ohmskin.scan import DrivePattern, Frame
@@ -52,18 +51,14 @@ class ReplayDevice(Device):
     """
 
     def __init__(self, url: str, rate: float = 30.0, speed: float = 1.0, start: float = 0.0, loop: bool = True) -> None:
-        path, told = _address(url)
-        rate, speed, start = told.get("rate", rate), told.get("speed", speed), told.get("start", start)
-        loop = bool(told.get("loop", loop))
+        path, (rate, speed, start, told) = _address(url, rate=rate, speed=speed, start=start, loop=loop)
         if not 0 < rate <= 1e5:
             raise PatternError(f"replay rate is {rate} frames/s; it must be above 0 and at most 100000")
         self.recording = read_recording(path)
         tape = self.recording.tape
         self._reel: RecordedFrames = tape or SteadyFrames(self.recording.frames, rate)
         try:
-            super().__init__(
-                url, parts.recorded_capabilities(tape) if tape else parts.plain_capabilities(self.recording)
-            )
+            super().__init__(url, parts.recorded_capabilities(self.recording))
             if tape is None or tape.metadata.get("device", {}).get("reference", "0") != "0":
                 self.reference = tuple(self.recording.quiet)
                 self.default_skin = self.recording.skin
@@ -75,23 +70,22 @@ class ReplayDevice(Device):
             tracked = self._tracking[self._reel.mode_of[self._run]]
             begins = (self._reel.roles[self._run] != Role.CHOSEN) | tracked
             self._firsts = np.flatnonzero(begins)  # cycles: not at second scans, but at every frame of tracking modes
-            self._bases = self._base_patterns()
-            self._steady = {int(number) for number in self._reel.pattern_numbers[self._run[begins & ~tracked]]}
+            bases = self._run[begins & ~tracked]
+            numbers, first = np.unique(self._reel.pattern_numbers[bases], return_index=True)
+            known = zip(numbers[:_MOST_BASES].tolist(), bases[first].tolist(), strict=False)
+            self._bases = {self._reel.pattern(index): number for number, index in known}
             chosen = self._reel.roles == Role.CHOSEN
             self._adaptive = np.bincount(self._reel.mode_of[chosen], minlength=len(self._reel.modes)) > 0
-            self._at, self._was_quiet = 0, False
-            self._sought, self.jumps = 0, 0
-            self._served = 0
+            self._at = self._sought = self.jumps = self._served = 0
+            self._was_quiet = self._ended = False
             self._quiet_left = 0 if self.reference else len(self._quiet.calibrations[0])
-            self._ended = False
-            self.loop = loop
+            self.loop = bool(told)
             self.calibrating: Callable[[], bool] | None = None
             self.speed = speed
             self.seek(start)
             self.default_mode = self.mode
         except BaseException:
-            if tape:
-                tape.close()
+            self._close()
             raise
 
     @property
@@ -142,12 +136,6 @@ class ReplayDevice(Device):
         return str(self._reel.modes[int(self._reel.mode_of[self._next()])])
 
     @property
-    def modes(self) -> tuple[str, ...]:
-        """The drive modes that were recorded, as far as told."""
-        used = np.unique(self._reel.mode_of[self._run])
-        return tuple(name for k in used if (name := self._reel.modes[k]))
-
-    @property
     def calibration(self) -> int:
         """Which of the recorded calibrations the next frame belongs to."""
         starts = [int(segment[0]) for segment in self._quiet.calibrations if len(segment)]
@@ -194,7 +182,7 @@ class ReplayDevice(Device):
         quiet = self.calibrating() if self.calibrating else self._quiet_left > 0
         if quiet and not self.reference and len(self._quiet.calibrations[0]):
             if not self._was_quiet:
-                self._quiet.restart()
+                self._quiet.at = 0
             self._was_quiet = True
             self._quiet_left -= 1
             return replace(self._quiet.next(pattern, self.calibration), time=time.monotonic())
@@ -214,48 +202,29 @@ class ReplayDevice(Device):
         if self._at >= len(self._run) and self.loop:
             self._at, self._sought, self._anchor = 0, 0, None
         if self._at < len(self._run):
-            index = int(self._run[self._at])
-            if self._reel.pattern(index) == pattern:
+            index, number = int(self._run[self._at]), self._bases.get(pattern)
+            # a loop that tracks chooses other pairs where contacts are tracked anew, and so does one that adapts
+            chosen = self._tracking[self._reel.mode_of[index]] or self._reel.roles[index] == Role.CHOSEN
+            if self._reel.pattern(index) == pattern or (chosen and number is None):
                 self._at += 1
                 return index
-            number = self._bases.get(pattern)
-            if self._tracking[self._reel.mode_of[index]] and number not in self._steady:
-                self._at += 1  # of a loop that tracks; it chooses other pairs where contacts are tracked anew
-                return index
-            if number is not None:
-                return self._skip_to(number)
-            if self._reel.roles[index] == Role.CHOSEN:
-                self._at += 1
-                return index
-            raise PatternError(
-                f"a recording can only replay what was recorded; its modes are {', '.join(self.modes) or 'not told'}; "
-                "use one of them, or the recording's own pattern (device.reference[0].pattern) if it has no modes"
-            )
+            if number is None:
+                modes = [self._reel.modes[k] for k in np.unique(self._reel.mode_of[self._run])]
+                told = ", ".join(filter(None, modes)) or "not told"
+                raise PatternError(
+                    f"a recording can only replay what was recorded; its modes are {told}; "
+                    "use one of them, or the recording's own pattern (device.reference[0].pattern) if it has no modes"
+                )
+            wanted = (self._reel.pattern_numbers[self._run] == number) & (self._reel.roles[self._run] != Role.CHOSEN)
+            there = np.flatnonzero(wanted)  # the next frame with this base pattern
+            ahead = there[there >= self._at]
+            if len(ahead) or self.loop:
+                if not len(ahead):
+                    self._sought, self._anchor = 0, None
+                self._at = int(ahead[0] if len(ahead) else there[0]) + 1
+                return int(self._run[self._at - 1])
         self._ended = True
         raise DeviceError("the recording has ended; seek back or let it loop")
-
-    def _skip_to(self, number: int) -> int:
-        """The next frame with a base pattern."""
-        wanted = (self._reel.pattern_numbers[self._run] == number) & (self._reel.roles[self._run] != Role.CHOSEN)
-        there = np.flatnonzero(wanted)
-        ahead = there[there >= self._at]
-        if not len(ahead) and not self.loop:
-            self._ended = True
-            raise DeviceError("the recording has ended; seek back or let it loop")
-        at = int(ahead[0] if len(ahead) else there[0])
-        if at < self._at:
-            self._sought, self._anchor = 0, None
-        self._at = at + 1
-        return int(self._run[at])
-
-    def _base_patterns(self) -> dict[DrivePattern, int]:
-        tracked = self._tracking[self._reel.mode_of[self._run]]
-        begins = self._run[(self._reel.roles[self._run] != Role.CHOSEN) & ~tracked]
-        numbers, first = np.unique(self._reel.pattern_numbers[begins], return_index=True)
-        return {
-            self._reel.pattern(int(begins[k])): int(number)
-            for number, k in zip(numbers[:_MOST_BASES], first[:_MOST_BASES], strict=True)
-        }
 
     def _wait(self, at: float, timeout: float) -> None:
         now = time.monotonic()
@@ -267,9 +236,6 @@ class ReplayDevice(Device):
             due = min(due, now + timeout)
             self._anchor = (max(due, now), at)
         time.sleep(max(0.0, due - now))
-
-    def _press(self, press: Press) -> None:
-        raise DeviceRefused("a recording cannot be pressed")
 
     def _close(self) -> None:
         if self.recording.tape:
@@ -298,18 +264,17 @@ def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
     return replace(found, modes=tuple(own.values()))
 
 
-def _address(url: str) -> tuple[str, dict[str, float]]:
-    """The file an address names, and the settings behind it."""
-    path, mark, query = url.partition(":")[2].rpartition("?")
-    if not mark or Path(f"{path}?{query}").exists():
-        return url.partition(":")[2], {}
-    settings = {}
+def _address(url: str, **settings: float) -> tuple[str, Iterable[float]]:
+    """The file an address names, and the settings, which may be given behind it, in their order."""
+    path, mark, query = (rest := url.partition(":")[2]).rpartition("?")
+    if not mark or Path(rest).exists():
+        return rest, settings.values()
     for part in query.split("&"):
         name, _, value = part.partition("=")
+        if name not in settings:
+            raise DeviceError(f"replay: has no setting {name!r}; it takes {', '.join(settings)}")
         try:
             settings[name] = float(value)
         except ValueError:
             raise DeviceError(f"{part!r} in {url}: settings are numbers, such as speed=2&start=10&loop=0") from None
-    if unknown := sorted(settings.keys() - {"rate", "speed", "start", "loop"}):
-        raise DeviceError(f"replay: has no setting {unknown[0]!r}; it takes rate, speed, start, loop")
-    return path, settings
+    return path, settings.values()

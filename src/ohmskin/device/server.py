@@ -51,16 +51,6 @@ class DeviceServer(Closing):
             self._spawn(self._serve_terminal, self._terminal)
         self._spawn(self._accept)  # last: from now on it alone starts threads
 
-    def serve_forever(self) -> None:
-        """Answer until `close` is called elsewhere or the user interrupts."""
-        self.start()
-        try:
-            self._stop.wait()
-        except KeyboardInterrupt:
-            _LOG.info("interrupted")
-        finally:
-            self.close()
-
     def close(self) -> None:
         """Hang up on every host, lift their presses and free the port. Safe twice."""
         self._stop.set()
@@ -128,8 +118,7 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port))  # on Unix it reuses the address of a server just closed
     except OSError as error:
+        why = f"cannot listen on {host}:{port}: {error}; use 127.0.0.1, or 0.0.0.0 for all"
         if error.errno == errno.EADDRINUSE:
-            raise DeviceError(
-                f"port {port} on {host} is in use; stop the other server, or choose another port"
-            ) from error
-        raise DeviceError(f"cannot listen on {host}:{port}: {error}; use 127.0.0.1, or 0.0.0.0 for all") from error
+            why = f"port {port} on {host} is in use; stop the other server, or choose another port"
+        raise DeviceError(why) from error

@@ -58,7 +58,10 @@ class Session:
             case Scan(slot, digest):
                 return self._scan(slot, digest)
             case Press():
-                return self._press(request)
+                if not self._instrument.capabilities.virtual:
+                    return Refusal(ErrorCode.NOT_SUPPORTED, "this skin is real; press it with a finger")
+                self._instrument.press(self, request)
+                return Ack()
             case _:
                 return Refusal(ErrorCode.UNKNOWN_KIND, f"{kind_of(request).name} is a reply, not a request")
 
@@ -82,12 +85,6 @@ class Session:
             other = f"slot {slot} has {pattern.digest:#010x}, not {digest:#010x}; send it again"
             return Refusal(ErrorCode.DIGEST_MISMATCH, other)
         return FrameData.of(self._instrument.scan(pattern))
-
-    def _press(self, press: Press) -> Message:
-        if not self._instrument.capabilities.virtual:
-            return Refusal(ErrorCode.NOT_SUPPORTED, "this skin is real; press it with a finger")
-        self._instrument.press(self, press)
-        return Ack()
 
 
 def _no(request: Unreadable) -> Refusal:

@@ -13,7 +13,7 @@ _CHUNK = 65536
 
 
 class PseudoTerminal:
-    """The device's end; hosts open, close and reopen `path` as if it were a serial port.
+    """The device's end, a `Transport`; hosts open, close and reopen `path` as if it were a serial port.
 
     Raises:
         DeviceError: If this system has no pseudo-terminals.
@@ -41,30 +41,19 @@ class PseudoTerminal:
         return True
 
     def read(self, timeout: float) -> bytes:
-        """What has arrived, as soon as anything has; nothing after `timeout` seconds.
-
-        Raises:
-            DeviceLost: If the host has closed the port.
-        """
         events = self._poll(select.POLLIN, timeout)
         if events & select.POLLHUP:
             self._reset()
             raise DeviceLost(f"the host has closed {self.path}")
-        if not events:
-            return b""
         try:
-            return os.read(self._master, _CHUNK)
+            return os.read(self._master, _CHUNK) if events else b""
         except BlockingIOError:
             return b""
         except OSError as error:
             raise DeviceLost(f"the host has closed {self.path}: {error}") from error
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; what a host does not take within a second is dropped.
-
-        Raises:
-            DeviceLost: If the host has closed the port.
-        """
+        """Send all of `data`; what a host does not take within a second is dropped."""
         left = memoryview(data)
         while left and self._poll(select.POLLOUT, _WRITE_TIMEOUT) & select.POLLOUT:
             try:
@@ -75,7 +64,6 @@ class PseudoTerminal:
                 raise DeviceLost(f"the host has closed {self.path}: {error}") from error
 
     def close(self) -> None:
-        """Take the port away. Safe twice."""
         if not self._closed:
             self._closed = True
             os.close(self._master)

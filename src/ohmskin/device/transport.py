@@ -97,13 +97,13 @@ class SocketTransport:
         """
         try:
             return cls(socket.create_connection((host, port), _CONNECT_TIMEOUT), f"tcp://{host}:{port}")
-        except ConnectionRefusedError as error:
-            raise DeviceLost(f"nothing listens on {host}:{port}; is `ohmskin serve-skin` running there?") from error
-        except TimeoutError as error:
-            late = f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s"
-            raise DeviceLost(f"{late}; check address and firewall") from error
-        except (OSError, UnicodeError) as error:  # a name that cannot be one, such as "a..b"
-            raise DeviceLost(f"cannot reach {host}:{port}: {error}; check the address and the network") from error
+        except (OSError, UnicodeError) as error:  # the second one at a name that cannot be one, such as "a..b"
+            why = f"cannot reach {host}:{port}: {error}; check the address and the network"
+            if isinstance(error, ConnectionRefusedError):
+                why = f"nothing listens on {host}:{port}; is `ohmskin serve-skin` running there?"
+            elif isinstance(error, TimeoutError):
+                why = f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall"
+            raise DeviceLost(why) from error
 
     def read(self, timeout: float) -> bytes:
         try:
@@ -168,16 +168,10 @@ class SerialTransport:
 
 
 def _reason(error: OSError | ValueError) -> str:
-    match getattr(error, "errno", None):
-        case errno.ENOENT:
-            return f"there is no such port; {_ports()}"
-        case errno.EACCES:
-            join = "join the group that owns it, e.g. `sudo usermod -aG dialout $USER`, and log in again"
-            return f"permission denied; {join}"
-        case errno.EAGAIN | errno.EBUSY:
-            return "another program uses it; close that one first"
-        case _:
-            return f"{error}; {_ports()}"
+    join = "join the group that owns it, e.g. `sudo usermod -aG dialout $USER`, and log in again"
+    told = dict.fromkeys((errno.EAGAIN, errno.EBUSY), "another program uses it; close that one first")
+    told |= {errno.ENOENT: f"there is no such port; {_ports()}", errno.EACCES: f"permission denied; {join}"}
+    return told.get(getattr(error, "errno", 0), f"{error}; {_ports()}")
 
 
 def _ports() -> str:

@@ -13,9 +13,6 @@ from pathlib import Path
 
 from ohmskin.child import Child
 from ohmskin.device.capabilities import Capabilities, Feature
-from ohmskin.device.driver import Device
-from ohmskin.device.link import Link
-from ohmskin.device.press import Press
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceLost, DeviceRefused, SkinError
 from ohmskin.scan import DrivePattern, Frame
@@ -37,24 +34,9 @@ class VirtualInstrument:
     ) -> None:
         self._skin = VirtualSkin(skin, seed, faults)
         self._realtime = realtime
-        source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
-        self.capabilities = Capabilities(
-            name=f"virtual {skin.name}".encode()[:32].decode(errors="ignore"),
-            n_electrodes=len(skin.electrodes),
-            max_injections=256,
-            max_measurements=4096,
-            pattern_slots=16,
-            features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source,
-            excitation=skin.excitation.amplitude,
-            full_scale=skin.converter.full_scale,
-            settle_time=skin.converter.settle,
-            conversion_time=skin.converter.conversion,
-            serial=zlib.crc32(skin.dump().encode()),
-            boot=int.from_bytes(os.urandom(4), "little"),
-        )
+        self.capabilities = twin_capabilities(skin, f"virtual {skin.name}", skin.converter.conversion)
 
     def scan(self, pattern: DrivePattern) -> Frame:
-        """Scan, and take the time for it."""
         started = time.monotonic()
         frame = self._skin.scan(pattern)
         if self._realtime and (left := started + self._skin.duration(pattern) - time.monotonic()) > 0:
@@ -62,15 +44,33 @@ class VirtualInstrument:
         return replace(frame, time=time.monotonic())
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """Put, move or lift (no pressure) a touch; metres and pascals."""
         try:
             self._skin.press(number, x, y, radius, pressure)
         except SkinError as error:
             raise DeviceRefused(str(error)) from error
 
 
-class VirtualDevice(Device):
-    """Starts ``ohmskin serve-skin`` and drives it over TCP, as any other device; both end together.
+def twin_capabilities(skin: Skin, name: str, conversion_time: float) -> Capabilities:
+    """What an instrument tells that simulates a skin; another boot number each time."""
+    source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
+    return Capabilities(
+        name=name.encode()[:32].decode(errors="ignore"),
+        n_electrodes=len(skin.electrodes),
+        max_injections=256,
+        max_measurements=4096,
+        pattern_slots=16,
+        features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source,
+        excitation=skin.excitation.amplitude,
+        full_scale=skin.converter.full_scale,
+        settle_time=skin.converter.settle,
+        conversion_time=conversion_time,
+        serial=zlib.crc32(skin.dump().encode()),
+        boot=int.from_bytes(os.urandom(4), "little"),
+    )
+
+
+class VirtualDevice(WireDevice):
+    """Starts ``ohmskin serve-skin`` and drives it over TCP; both end together.
 
     Args:
         url: ``virtual:`` and the name or file of a skin; the paper's unless given.
@@ -105,25 +105,11 @@ class VirtualDevice(Device):
                 Path(source).write_text(skin.dump(), encoding="utf-8")
             self._child = Child([*command, "--skin", source], "the virtual skin", stderr=subprocess.PIPE)
             try:
-                self._inner = WireDevice(self._address())
+                super().__init__(address := self._address())
             except BaseException:
                 self._child.close(0.0)
                 raise
-        super().__init__(url, self._inner.capabilities)
-
-    @property
-    def address(self) -> str:
-        """Where others reach it, for `ohmskin press`."""
-        return self._inner.url
-
-    @property
-    def link(self) -> Link:
-        """Counters of the connection to the process."""
-        return self._inner.link
-
-    @property
-    def dropped(self) -> int:
-        return self._inner.dropped
+        self.url, self.address = url, address  # the second one is where others reach it, for `ohmskin press`
 
     def _address(self) -> str:
         for line in self._child.stdout:
@@ -134,12 +120,6 @@ class VirtualDevice(Device):
         why = errors.read().decode(errors="replace").strip()
         raise DeviceLost(f"the virtual skin did not start: {why or 'no reason given'}")
 
-    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
-        return self._inner.scan(pattern, timeout)
-
-    def _press(self, press: Press) -> None:
-        self._inner.press(press.number, (press.x, press.y), press.radius, press.pressure)
-
     def _close(self) -> None:
-        self._inner.close()
+        super()._close()
         self._child.close(2.0)

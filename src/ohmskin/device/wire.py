@@ -1,16 +1,16 @@
 """The driver of everything that speaks the wire protocol of docs/protocol.md."""
 
+import itertools
 import logging
 import random
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ohmskin.device.capabilities import Capabilities
 from ohmskin.device.driver import Device
 from ohmskin.device.layout import VERSION
-from ohmskin.device.link import Link
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
 from ohmskin.device.press import Press
 from ohmskin.device.protocol import DELIMITER, Decoder, Packet, Unreadable, encode
@@ -24,6 +24,19 @@ _BACKOFF = 1.5  # each further wait is longer, so that a slow device is not buri
 _MOST_ATTEMPTS = 40
 _PRESS_TIMEOUT = 2.0
 _REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameData, Press: Ack}
+
+
+@dataclass
+class Link:
+    """How well a connection works: counters since it was made."""
+
+    requests: int = 0
+    retries: int = 0  # requests sent again
+    dropped: int = 0  # replies that nobody waited for: duplicates and late ones
+    damaged: int = 0  # packets that failed framing or checksum
+    resets: int = 0  # times the device had forgotten its patterns
+    bytes_in: int = 0
+    bytes_out: int = 0
 
 
 class _ForgottenError(Exception):
@@ -50,7 +63,7 @@ class WireDevice(Device):
         self._peer = url
         self._decoder = Decoder()
         self._slots: OrderedDict[DrivePattern, int] = OrderedDict()  # least recently used first
-        self._sequence = random.randrange(0x10000)  # so that replies meant for an earlier host match nothing
+        self._numbers = itertools.count(random.randrange(0x10000))  # replies meant for an earlier host match nothing
         self._transport: Transport = open_transport(url)
         try:
             self._transport.write(DELIMITER)  # ends whatever an earlier host left unfinished
@@ -68,13 +81,11 @@ class WireDevice(Device):
         on_the_line = 4 * (pattern.n_inj + pattern.n_meas + 10) * self._transport.byte_time
         own_time = self.capabilities.scan_time(pattern) + on_the_line
         while True:
-            slot = self._slots.get(pattern)
-            upload = slot is None
-            if slot is None:
-                slot = self._free_slot()
+            known = pattern in self._slots
+            slot = self._slots[pattern] if known else self._free_slot()
             scan = Scan(slot, pattern.digest)
             try:
-                reply = self._ask([SetPattern(slot, pattern), scan] if upload else [scan], deadline, own_time)
+                reply = self._ask([scan] if known else [SetPattern(slot, pattern), scan], deadline, own_time)
             except _ForgottenError:
                 self._meet_again(deadline)
                 continue
@@ -113,8 +124,8 @@ class WireDevice(Device):
 
     def _ask(self, requests: Sequence[Message], deadline: float, own_time: float = 0.0) -> Message:
         """Send requests in one go and return the reply to the last, which takes the device `own_time` seconds."""
-        numbers = self._numbers(len(requests))
-        pending = dict(zip(numbers, requests, strict=True))
+        pending = {next(self._numbers) & 0xFFFF: request for request in requests}
+        last = [*pending][-1]
         data = b"".join(encode(request, number) for number, request in pending.items())
         wait = 2 * own_time + len(data) * self._transport.byte_time + _GRACE
         start = next_try = time.monotonic()
@@ -136,10 +147,15 @@ class WireDevice(Device):
                         last_word = f"; its last word was {text!r}"
                         if self._weigh(code, text, alone=len(requests) == 1):
                             next_try = now
+                    case Ack(digest) if isinstance(request, SetPattern) and digest != request.pattern.digest:
+                        raise ProtocolError(
+                            f"{self._peer} gives the pattern the digest {digest:#010x}; it is "
+                            f"{request.pattern.digest:#010x}; "
+                            "its firmware computes the digest in another way than docs/protocol.md says"
+                        )
                     case message if isinstance(message, _REPLIES[type(request)]):
-                        self._check_digest(request, message)
                         del pending[packet.sequence]
-                        reply = message if packet.sequence == numbers[-1] else reply
+                        reply = message if packet.sequence == last else reply
                     case message:
                         self.link.dropped += 1
                         last_word = f"; it answered {type(request).__name__} with {type(message).__name__}"
@@ -149,11 +165,6 @@ class WireDevice(Device):
                 next_try = now
         tried = f"in {now - start:.2f} s and {attempts} attempts"
         raise DeviceLost(f"{self._peer} did not answer {tried}{last_word}; {self._hint()}")
-
-    def _numbers(self, count: int) -> list[int]:
-        numbers = [(self._sequence + i) & 0xFFFF for i in range(count)]
-        self._sequence = (self._sequence + count) & 0xFFFF
-        return numbers
 
     def _send(self, data: bytes, requests: int, again: bool) -> None:
         self._transport.write(data)
@@ -181,13 +192,6 @@ class WireDevice(Device):
                 return True
             case _:
                 raise DeviceRefused(f"{self._peer} refused: {text} (code {code})")
-
-    def _check_digest(self, request: Message | None, reply: Message) -> None:
-        if isinstance(request, SetPattern) and isinstance(reply, Ack) and reply.value != request.pattern.digest:
-            raise ProtocolError(
-                f"{self._peer} gives the pattern the digest {reply.value:#010x}; it is {request.pattern.digest:#010x}; "
-                "its firmware computes the digest in another way than docs/protocol.md says"
-            )
 
     def _complaint(self, unreadable: Unreadable) -> str:
         if unreadable.version != VERSION:
