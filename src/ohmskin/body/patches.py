@@ -4,7 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from io import BufferedReader
 from typing import IO, Any
@@ -125,17 +125,17 @@ class Patches(Closing):
         check_settings(body.scale, token, images)
         self.body = body
         self.boards = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
-        self._merger = Merger(body.name, [placed.patch for placed in body.patches], self.boards)
-        self._relay: RelayProcess | None = None
         self._processes: list[PatchProcess] = []
-        try:
-            pictures = [f"{board}.image" for board in self.boards]
+        pictures = [f"{board}.image" for board in self.boards]
+        with ExitStack() as stack:
+            self._merger = Merger(body.name, [placed.patch for placed in body.patches], self.boards)
+            stack.enter_context(self._merger)
             self._relay = RelayProcess(body.name, pictures, body.scale, outlets, token, images)
+            stack.enter_context(self._relay)
+            stack.callback(self._end_processes)
             for placed, board in zip(body.patches, self.boards, strict=True):
                 self._processes.append(PatchProcess(placed, board, demo, images, report))
-        except BaseException:
-            self.close()
-            raise
+            self._stack = stack.pop_all()
         self.addresses = [f"shm:{body.name}", *self._relay.addresses]
 
     @property
@@ -150,22 +150,22 @@ class Patches(Closing):
             process.look()
         if (merged := self._merger.step()) is None:
             time.sleep(_NAP)
-        elif self._relay is not None:
+        else:
             self._relay.wake()
         return merged
 
     def close(self) -> None:
         """End all processes and take the boards away. Safe twice."""
+        self._stack.close()
+
+    def _end_processes(self) -> None:
         for process in self._processes:
             process.stop()
         for process in self._processes:
             process.close()
-        if self._relay is not None:
-            self._relay.close()
-        self._merger.close()
 
 
-class Merger:
+class Merger(Closing):
     """Makes one stream of several boards.
 
     Args:

@@ -75,7 +75,7 @@ def _show(
             cycle = exporting.strongest(reimage(file, start=start, stop=stop, **options))
         else:
             cycle = exporting.cycle_at(file, at, **options)
-        exporting.write_picture(target, cycle)
+        exporting.save_comparison(target, {f"{cycle.time:.2f} s": cycle})
         print(f"picture of {cycle.time:.2f} s: {target}")
         return
     count = exporting.write_film(target, reimage(file, start=start, stop=stop, **options), rate)

@@ -9,7 +9,7 @@ from ohmskin.importers import read_recording
 from ohmskin.inverse import match_model
 from ohmskin.mcap import is_tape
 from ohmskin.plot import save_picture
-from ohmskin.recording.export import write_picture
+from ohmskin.recording.export import save_comparison
 from ohmskin.recording.player import reimage
 from ohmskin.scan import assess, left_out
 from ohmskin.sensing import RECORDED, Percept, SkinModel, perceive
@@ -73,7 +73,7 @@ def _image_cycle(file: Path, skin: str, target: Path, number: int, estimator: st
     if cycle is None or number < 0:
         by_time = f"`ohmskin export {file} --to png --at SECONDS` finds one by time"
         raise DataError(f"--frame {number}: {file} has fewer cycles; {by_time}")
-    write_picture(target, cycle)
+    save_comparison(target, {f"{cycle.time:.2f} s": cycle})
     _tell(cycle.touch.percept, target)
 
 

@@ -13,7 +13,7 @@ Data are a vector or matrix (n_meas, n_frames), or structs with a field ``meas``
 ``meas_select`` of the forward model where they are as many as it has entries.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,8 @@ def read(variables: dict[str, Any], name: str, driven: bool) -> Parts:
 
 def _pattern(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, np.ndarray | None]:
     for key, value in variables.items():
-        if stimulation := _stimulation(value):
+        found = (array for array in _structs(value) if all("stim_pattern" in entry for entry in array))
+        if stimulation := next(found, None):
             drives, measures = [], []
             for number, entry in enumerate(stimulation, 1):
                 where = f"{key}, stimulation {number}"
@@ -61,16 +62,19 @@ def _pattern(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, 
                 measures.append(numbers(entry.get("meas_pattern"), f"{where}: meas_pattern"))
             if len({len(drive) for drive in drives}) > 1:
                 raise DataError(f"{key}: the stimulations have different numbers of electrodes")
-            return from_matrices(np.column_stack(drives), measures, driven), _select(value)
+            selected = (
+                numbers(first["meas_select"], "meas_select").ravel() != 0
+                for first, *_ in _structs(value)
+                if first.get("meas_select") is not None
+            )
+            return from_matrices(np.column_stack(drives), measures, driven), next(selected, None)
     if "stim_pattern" in variables and "meas_pattern" in variables:
         drive = numbers(variables["stim_pattern"], "stim_pattern")
         measure = numbers(variables["meas_pattern"], "meas_pattern")
         return from_matrices(drive, [measure] * drive.shape[1], driven), None
     if "stim_meas_list" in variables:
         quads = numbers(variables["stim_meas_list"], "stim_meas_list")
-        if not np.array_equal(quads, np.round(quads)) or quads.shape[1] != 4 or not (np.abs(quads) < 1e6).all():
-            raise DataError("stim_meas_list must be whole numbers (n, 4): stim+, stim-, meas+, meas-, from 1")
-        return from_list(quads.astype(np.int64) - 1, np.ones(len(quads)), driven), None
+        return from_list(quads - 1, np.ones(len(quads)), driven), None
     raise DataError(
         "no pattern found: need a struct with a stimulation array (stim_pattern, meas_pattern), the matrices "
         "stim_pattern and meas_pattern, stim_meas_list, or the variables of UEF or KTC2023; there are "
@@ -78,28 +82,12 @@ def _pattern(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, 
     )
 
 
-def _stimulation(value: Any, depth: int = 0) -> list[dict[str, Any]]:
-    """The stimulation array in a struct, or empty."""
-    found = entries(value)
-    if found and all("stim_pattern" in entry for entry in found):
-        return found
-    if depth < 4 and len(found) == 1:
-        for inside in _INSIDE:
-            if deeper := _stimulation(found[0].get(inside), depth + 1):
-                return deeper
-    return []
-
-
-def _select(value: Any, depth: int = 0) -> np.ndarray | None:
-    """`meas_select` of the forward model in a struct."""
-    for entry in entries(value)[:1]:
-        if entry.get("meas_select") is not None:
-            selected: np.ndarray = numbers(entry["meas_select"], "meas_select").ravel() != 0
-            return selected
-        for inside in _INSIDE:
-            if depth < 4 and (found := _select(entry.get(inside), depth + 1)) is not None:
-                return found
-    return None
+def _structs(value: Any, depth: int = 0) -> Iterator[list[dict[str, Any]]]:
+    """The struct array that a value is, and those inside its first entry, from the outside in."""
+    if found := entries(value):
+        yield found
+        for inside in _INSIDE if depth < 4 else ():
+            yield from _structs(found[0].get(inside), depth + 1)
 
 
 def _unit(value: Any, where: str) -> float:

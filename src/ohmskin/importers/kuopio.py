@@ -16,20 +16,19 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.importers.matfile import numbers
 from ohmskin.importers.pattern import ImportedPattern, Parts, from_matrices
 from ohmskin.scan import Frame
 
 _MILLIAMPERE = 1e-3
-_NAMES = (("CurrentPattern", "Injref", "Inj"), ("MeasPattern", "Mpat"), ("Uel", "Uelref"))
+_DRIVES, _MEASURES, _VOLTAGES = ("CurrentPattern", "Injref", "Inj"), ("MeasPattern", "Mpat"), ("Uel", "Uelref")
 
 
 def is_kuopio(variables: dict[str, Any]) -> bool:
     """Whether these are variables of one of the two data sets."""
-    return "Uel" in variables or "Uelref" in variables
+    return any(name in variables for name in _VOLTAGES)
 
 
 def usual_reference(path: Path, variables: dict[str, Any]) -> Path | None:
@@ -67,38 +66,39 @@ def read(
     Raises:
         DataError: If variables are missing, do not fit each other or the reference, or cannot be represented.
     """
-    patterns = variables if all(_find(variables, k) for k in (0, 1)) else at_rest or variables
+    patterns = variables if _has_pattern(variables) else at_rest or variables
     imported = _pattern(patterns, name, driven)
     frame = _frame(variables, imported, name)
     notes = imported.notes
     if at_rest is None:
         quiet, notes = frame, (*notes, "this is the untouched tank itself: its change is nothing")
     else:
-        own = _pattern(at_rest, reference_name, driven) if all(_find(at_rest, k) for k in (0, 1)) else imported
+        own = _pattern(at_rest, reference_name, driven) if _has_pattern(at_rest) else imported
         if own.pattern != imported.pattern:
             raise DataError(f"{reference_name} has another pattern than {name}; give the reference of the same series")
         quiet = _frame(at_rest, imported, reference_name)
         notes = (*notes, f"compared to {reference_name}")
-    n_elec = len(numbers(patterns[str(_find(patterns, 0))], name))
-    uef = "CurrentPattern" in patterns
-    skin = {(True, 16): "uef2017", (False, 32): "ktc2023"}.get((uef, n_elec), "")
-    return (quiet,), (frame,), skin, notes
+    kind = "CurrentPattern" in patterns, len(_first(patterns, _DRIVES, name))
+    return (quiet,), (frame,), {(True, 16): "uef2017", (False, 32): "ktc2023"}.get(kind, ""), notes
 
 
-def _find(variables: dict[str, Any], which: int) -> str | None:
-    return next((candidate for candidate in _NAMES[which] if candidate in variables), None)
+def _has_pattern(variables: dict[str, Any]) -> bool:
+    return all(any(name in variables for name in names) for names in (_DRIVES, _MEASURES))
+
+
+def _first(variables: dict[str, Any], names: tuple[str, ...], file: str) -> Floats:
+    """The first of the variables of these names that there is."""
+    for name in names:
+        if name in variables:
+            return numbers(variables[name], f"{file}: {name}")
+    raise DataError(f"{file} has no variable {' or '.join(names)}; it has {', '.join(sorted(variables)[:12])}")
 
 
 def _pattern(variables: dict[str, Any], name: str, driven: bool) -> ImportedPattern:
-    found = [_find(variables, k) for k in (0, 1)]
-    for key, names in zip(found, _NAMES, strict=False):
-        if key is None:
-            raise DataError(f"{name} has no variable {' or '.join(names)}; it has {', '.join(sorted(variables)[:12])}")
-    drive = numbers(variables[str(found[0])], f"{name}: {found[0]}")
-    measure = numbers(variables[str(found[1])], f"{name}: {found[1]}")
+    drive, measure = (_first(variables, names, name) for names in (_DRIVES, _MEASURES))
     if drive.shape[0] != measure.shape[0] or drive.shape[1] * measure.shape[1] > 2**20:
         raise DataError(
-            f"{name}: {found[0]} is {drive.shape} and {found[1]} {measure.shape}; both need a row per electrode, "
+            f"{name}: currents are {drive.shape} and measurements {measure.shape}; both need a row per electrode, "
             "and a column per injection or voltage"
         )
     try:
@@ -108,9 +108,5 @@ def _pattern(variables: dict[str, Any], name: str, driven: bool) -> ImportedPatt
 
 
 def _frame(variables: dict[str, Any], imported: ImportedPattern, name: str) -> Frame:
-    key = _find(variables, 2)
-    if key is None:
-        raise DataError(f"{name} has no voltages (Uel, Uelref)")
-    values = numbers(variables[key], f"{name}: {key}")
     # both data sets run through the voltages of one injection first: columns of a matrix, or one long column
-    return imported.frame(np.asarray(values.ravel(order="F"), float), f"{name}: {key}")
+    return imported.frame(_first(variables, _VOLTAGES, name).ravel(order="F"), f"the voltages of {name}")

@@ -42,29 +42,25 @@ class ImportedPattern:
     count: int
     notes: tuple[str, ...] = ()
 
-    def volts(self, values: Floats, what: str) -> Floats:
-        """The measured voltages (n_meas,) among a frame's values (count,) in the file's order.
+    def frame(self, values: Floats, what: str, number: int = 0) -> Frame:
+        """The frame of values (count,) in the file's order. Its number is its time, too, which the file does not tell.
 
         Raises:
             DataError: If there are more or fewer values than the pattern has measurements.
         """
         if values.shape != (self.count,):
             raise DataError(f"{what} has {values.size} values; the pattern in the file has {self.count} measurements")
-        volts: Floats = values[self.rows] / self.gains
-        return volts
-
-    def frame(self, values: Floats, what: str, number: int = 0) -> Frame:
-        """The frame of a column of values; see `volts`. Its number is its time, too, which the file does not tell."""
-        return Frame(self.pattern, self.volts(values, what), self.currents, time=float(number), sequence=number)
+        volts = values[self.rows] / self.gains
+        return Frame(self.pattern, volts, self.currents, time=float(number), sequence=number)
 
 
 def from_list(
-    quadruples: Ints, currents: Floats, driven: bool, gains: Floats | None = None, injection: Ints | None = None
+    listed: Floats | Ints, currents: Floats, driven: bool, gains: Floats | None = None, injection: Ints | None = None
 ) -> ImportedPattern:
     """The pattern of a list of measurements in any order.
 
     Args:
-        quadruples: (n, 4) source, sink, plus, minus electrode, from 0.
+        listed: (n, 4) source, sink, plus, minus electrode, from 0.
         currents: (n,) current of each (A).
         driven: Whether to keep voltages at driven electrodes.
         gains: (n,) what each value is divided by to get volts; 1 unless given.
@@ -73,25 +69,24 @@ def from_list(
     Raises:
         DataError: If a pair has one electrode twice, currents of an injection differ or are zero, or none is left.
     """
-    if quadruples.ndim != 2 or quadruples.shape[1] != 4 or not 0 < len(quadruples) <= _MOST_MEASUREMENTS:
-        raise DataError(f"a pattern of shape {quadruples.shape}; need (n, 4) with n from 1 to {_MOST_MEASUREMENTS}")
-    if quadruples.min() < 0 or quadruples.max() >= _MOST_ELECTRODES:
-        found = f"electrode numbers from {quadruples.min()} to {quadruples.max()}"
+    if listed.ndim != 2 or listed.shape[1] != 4 or not 0 < len(listed) <= _MOST_MEASUREMENTS:
+        raise DataError(f"a pattern of shape {listed.shape}; need (n, 4) with n from 1 to {_MOST_MEASUREMENTS}")
+    if not np.array_equal(listed, np.round(listed)):
+        raise DataError("electrode numbers must be whole numbers: source, sink, plus, minus")
+    if listed.min() < 0 or listed.max() >= _MOST_ELECTRODES:
+        found = f"electrode numbers from {listed.min():g} to {listed.max():g}"
         raise DataError(f"{found}; they must be 0 to {_MOST_ELECTRODES - 1}")
+    quadruples = listed.astype(np.int64)
     if len(bad := np.flatnonzero(~(np.isfinite(currents) & (currents != 0)))):
         raise DataError(f"measurement {bad[0]}: its current is {currents[bad[0]]} A; it must be finite and not zero")
     gains = np.ones(len(quadruples)) if gains is None else gains
     a, b, c, d = quadruples.T
     at_driven = (a == c) | (a == d) | (b == c) | (b == d)
-    notes = []
-    if at_driven.any() and not driven:
-        notes.append(
-            f"{int(at_driven.sum())} of {len(quadruples)} voltages were measured at a driven electrode and are left "
-            "out: its contact enters, which a point-electrode model does not have (driven=True keeps them)"
-        )
-        kept = np.flatnonzero(~at_driven)
-    else:
-        kept = np.arange(len(quadruples))
+    kept = np.flatnonzero(~at_driven | driven)
+    left_out = (
+        f"{int(at_driven.sum())} of {len(quadruples)} voltages were measured at a driven electrode and are left "
+        "out: its contact enters, which a point-electrode model does not have (driven=True keeps them)"
+    )
     if not len(kept):
         raise DataError("all voltages are of driven electrodes; a complete electrode model can use them (driven=True)")
     keys = quadruples[:, :2] if injection is None else injection[:, None]
@@ -111,7 +106,8 @@ def from_list(
         pattern = DrivePattern(quadruples[kept][np.sort(first), :2], measurements)
     except PatternError as error:
         raise DataError(f"the pattern in the file cannot be used: {error}") from error
-    return ImportedPattern(pattern, amperes, kept[order], gains[kept[order]], len(quadruples), tuple(notes))
+    notes = (left_out,) if len(kept) < len(quadruples) else ()
+    return ImportedPattern(pattern, amperes, kept[order], gains[kept[order]], len(quadruples), notes)
 
 
 def from_matrices(drive: Floats, measure: Sequence[Floats], driven: bool) -> ImportedPattern:

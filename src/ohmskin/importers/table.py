@@ -127,8 +127,6 @@ def _is_number(cell: str) -> bool:
 
 def _pattern(pattern: _Table, driven: bool) -> ImportedPattern:
     quads = np.column_stack([pattern.column(name) for name in _ELECTRODES])
-    if not np.isfinite(quads).all() or not np.array_equal(quads, np.round(quads)) or np.abs(quads).max() > 1e6:
-        raise DataError(f"{pattern.name}: electrode numbers must be whole numbers")
     try:
         first = int(pattern.settings.get("first", "0"))
         current = float(pattern.settings.get("current", "1"))
@@ -138,7 +136,7 @@ def _pattern(pattern: _Table, driven: bool) -> ImportedPattern:
         raise DataError(f"{pattern.name}: first = {first}; electrodes are counted from 0 or 1")
     currents = pattern.column("current") if "current" in pattern.header else np.full(len(quads), current)
     try:
-        return from_list(quads.astype(np.int64) - first, currents, driven)
+        return from_list(quads - first, currents, driven)
     except DataError as error:
         raise DataError(f"{pattern.name}: {error}") from error
 

@@ -4,7 +4,6 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,7 +13,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata, Schema
 
 from ohmskin.closing import Closing
 from ohmskin.errors import DataError
@@ -22,32 +21,11 @@ from ohmskin.errors import DataError
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_RECORD = 16 * 2**20
 """Bytes of one record, as stored and unpacked. Ours are a thousandth of it."""
-_MOST_CHANNELS = 1024
-_MOST_EXTRAS = 1024  # metadata records and attachments
+_WITHIN = 2 * LARGEST_RECORD  # a place is that of a record in the file times this, plus that of a message within it
+_MOST_KEPT = 1024  # schemas, channels, metadata records, attachments
 
 _RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")
 _MESSAGE = struct.Struct("<HIQQ")
-
-
-@dataclass(frozen=True)
-class Message:
-    """One message of a container.
-
-    Args:
-        topic: Its topic.
-        sequence: Its number in the container.
-        log_time, publish_time: ns since 1970.
-        data: Its bytes.
-        place: Where it is, for `Container.message`.
-    """
-
-    topic: str
-    sequence: int
-    log_time: int
-    publish_time: int
-    data: bytes
-    place: tuple[int, int]
 
 
 class Container(Closing):
@@ -71,8 +49,14 @@ class Container(Closing):
         self.path = Path(path)
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
+        self.metadata: dict[str, Metadata] = {}
         self.attachments: dict[str, Attachment] = {}
+        self._kept: dict[int, tuple[Any, dict]] = {
+            Opcode.SCHEMA: (Schema, self.schemas),
+            Opcode.CHANNEL: (Channel, self.channels),
+            Opcode.METADATA: (Metadata, self.metadata),
+            Opcode.ATTACHMENT: (Attachment, self.attachments),
+        }
         self.damaged, self.end, self.whole = 0, 0, False
         self._loaded: tuple[int, bytes] = (-1, b"")
         try:
@@ -85,42 +69,41 @@ class Container(Closing):
             self._file.close()
             raise DataError(f"cannot read recording {self.path}: it does not begin as an MCAP file does")
 
-    def messages(self) -> Iterator[Message]:
-        """Every message that can be read, in the order of the file. What is damaged is left out and counted."""
+    def messages(self) -> Iterator[tuple[str, int, Message]]:
+        """Topic, place and record of every message that can be read, in the order of the file.
+
+        What is damaged is left out and counted. Places grow; `message` takes them.
+        """
         self.damaged, self.end, self.whole = 0, len(MAGIC), False
-        while self.end + _RECORD.size <= self.size:
-            start = self.end
-            self._file.seek(start)
-            if len(head := self._file.read(_RECORD.size)) < _RECORD.size:  # cut while it is read
-                return
-            opcode, length = _RECORD.unpack(head)
+        while head := self._head(self.end):
+            (opcode, length), start = head, self.end
             if start + _RECORD.size + length > self.size or opcode == 0:
                 return
             self.end = start + _RECORD.size + length
             if opcode == Opcode.DATA_END:
-                self.whole = self._ends_well()
+                self._file.seek(max(0, self.size - len(MAGIC)))
+                self.whole = self._file.read() == MAGIC and self.size > self.end
                 return
             if length > LARGEST_RECORD:
                 self.damaged += 1
-            elif opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA):
+            elif opcode in (Opcode.CHUNK, Opcode.MESSAGE) or opcode in self._kept:
                 try:
-                    data = self._data(start)
+                    data = self._data(*head)
                 except DataError:
                     self.damaged += 1
                     continue
                 yield from self._within(start, data)
-            elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
-                self._keep(opcode, self._file.read(length))
 
-    def message(self, place: tuple[int, int]) -> bytes:
+    def message(self, place: int) -> bytes:
         """The bytes of a message again, by its place.
 
         Raises:
             DataError: If the file has changed since.
         """
-        start, at = place
+        start, at = divmod(place, _WITHIN)
         if self._loaded[0] != start:
-            self._loaded = (start, self._data(start))
+            head = self._head(start)
+            self._loaded = start, self._data(*head) if head and head[1] <= LARGEST_RECORD else b""
         data = self._loaded[1]
         if at + _RECORD.size + _MESSAGE.size > len(data):
             raise DataError(f"{self.path} has changed while it was read")
@@ -131,19 +114,18 @@ class Container(Closing):
         """Close the file. Safe twice."""
         self._file.close()
 
-    def _data(self, start: int) -> bytes:
-        """Records of the chunk at a place of the file, or the single record that is there."""
+    def _head(self, start: int) -> tuple[int, int] | None:
+        """Opcode and length of the record at a place of the file; None where the file ends."""
         self._file.seek(start)
         head = self._file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
-            raise DataError(f"{self.path} has changed while it was read")
-        opcode, length = _RECORD.unpack(head)
-        if length > LARGEST_RECORD:
-            raise DataError(f"{self.path}: a part of {length} bytes; at most {LARGEST_RECORD}")
-        content = self._file.read(length)
-        return _unpacked(content) if opcode == Opcode.CHUNK else head + content
+        return _RECORD.unpack(head) if len(head) == _RECORD.size else None
 
-    def _within(self, start: int, data: bytes) -> Iterator[Message]:
+    def _data(self, opcode: int, length: int) -> bytes:
+        """Records of the chunk whose head was just read, or the single record that it is."""
+        content = self._file.read(length)
+        return _unpacked(content) if opcode == Opcode.CHUNK else _RECORD.pack(opcode, length) + content
+
+    def _within(self, start: int, data: bytes) -> Iterator[tuple[str, int, Message]]:
         at = 0
         while at + _RECORD.size <= len(data):
             opcode, length = _RECORD.unpack_from(data, at)
@@ -155,37 +137,23 @@ class Container(Closing):
                 number, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, body)
                 if channel := self.channels.get(number):
                     content = data[body + _MESSAGE.size : body + length]
-                    yield Message(channel.topic, sequence, log_time, publish_time, content, (start, at))
+                    message = Message(number, log_time, content, publish_time, sequence)
+                    yield channel.topic, start * _WITHIN + at, message
                 else:
                     self.damaged += 1
-            elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
+            elif opcode in self._kept:
                 self._keep(opcode, data[body : body + length])
             at = body + length
 
     def _keep(self, opcode: int, content: bytes) -> None:
-        kind: Any = {
-            Opcode.CHANNEL: Channel,
-            Opcode.SCHEMA: Schema,
-            Opcode.METADATA: Metadata,
-            Opcode.ATTACHMENT: Attachment,
-        }[Opcode(opcode)]
+        kind, kept = self._kept[opcode]
         try:
             record = kind.read(ReadDataStream(BytesIO(content)))
         except (McapError, struct.error, ValueError, OverflowError):
             self.damaged += 1
             return
-        if isinstance(record, Channel) and len(self.channels) < _MOST_CHANNELS:
-            self.channels[record.id] = record
-        elif isinstance(record, Schema) and len(self.schemas) < _MOST_CHANNELS:
-            self.schemas[record.id] = record
-        elif isinstance(record, Metadata) and len(self.metadata) < _MOST_EXTRAS:
-            self.metadata[record.name] = record.metadata
-        elif isinstance(record, Attachment) and len(self.attachments) < _MOST_EXTRAS:
-            self.attachments[record.name] = record
-
-    def _ends_well(self) -> bool:
-        self._file.seek(max(0, self.size - len(MAGIC)))
-        return self._file.read() == MAGIC and self.size > self.end
+        if len(kept) < _MOST_KEPT:
+            kept[record.id if isinstance(record, Schema | Channel) else record.name] = record
 
 
 def _unpacked(content: bytes) -> bytes:
@@ -195,24 +163,21 @@ def _unpacked(content: bytes) -> bytes:
         DataError: If it is damaged or larger than a recording's may be.
     """
     try:
-        _, _, size, checksum, named = _CHUNK.unpack_from(content)
-        at = _CHUNK.size + named
-        compression = content[_CHUNK.size : at].decode()
-        (length,) = struct.unpack_from("<Q", content, at)
-        packed = content[at + 8 : at + 8 + length]
-        if size > LARGEST_RECORD or len(packed) != length:
-            raise DataError(f"a chunk of {size} bytes; at most {LARGEST_RECORD}")
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+        packed, size = chunk.data, chunk.uncompressed_size
+        if size > LARGEST_RECORD:
+            raise ValueError(f"it has {size} bytes; at most {LARGEST_RECORD}")
         # never more than `size` bytes are unpacked, whatever the data say of themselves
-        if compression == "lz4":
+        if chunk.compression == "lz4":
             data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
-        elif compression == "zstd":
+        elif chunk.compression == "zstd":
             data = zstandard.ZstdDecompressor(max_window_size=LARGEST_RECORD).stream_reader(packed).read(size + 1)
-        elif compression == "":
+        elif chunk.compression == "":
             data = packed
         else:
-            raise DataError(f"a chunk is compressed with {compression[:20]!r}; lz4, zstd and none can be read")
-    except (struct.error, UnicodeDecodeError, RuntimeError, EOFError, zstandard.ZstdError) as error:
+            raise ValueError(f"it is compressed with {chunk.compression[:20]!r}; lz4, zstd and none can be read")
+        if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
+            raise ValueError(f"{len(data)} bytes instead of {size}, or its checksum is wrong")
+    except (McapError, struct.error, ValueError, OverflowError, RuntimeError, EOFError, zstandard.ZstdError) as error:
         raise DataError(f"a chunk is damaged: {error}") from error
-    if len(data) != size or (checksum and zlib.crc32(data) != checksum):
-        raise DataError(f"a chunk is damaged: {len(data)} bytes instead of {size}, or its checksum is wrong")
     return bytes(data)

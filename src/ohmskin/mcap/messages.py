@@ -1,6 +1,7 @@
 """The messages of a recording: how frames, patterns, contacts, images and health are packed and read back.
 
-Their definitions, with units, are in `ohmskin.mcap.schemas` and in every recording itself.
+Their definitions, with units, are in `ohmskin.mcap.schemas` and in every recording itself. What reads a message raises
+`DataError` for bytes that are not one.
 """
 
 import struct
@@ -10,9 +11,12 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
 from ohmskin.client.cdr import Decoder, Encoder
+from ohmskin.client.felt import Contact as PlacedContact
+from ohmskin.client.felt import Patch
 from ohmskin.client.fields import attributes, components, numbers
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, PatternError
@@ -27,7 +31,6 @@ _LENGTH = struct.Struct("<I")
 _LARGEST_INDEX = 0xFFFF
 _CONTACT = "i" + "d" * (len(components(2)) - 1)
 _DELETE_ALL, _ADD, _CYLINDER = 3, 0, 3  # of visualization_msgs/Marker
-_FLAGS = FrameFlag(0)
 
 
 class Role(IntEnum):
@@ -73,18 +76,6 @@ class FrameRecord:
 
 
 @dataclass(frozen=True)
-class FrameHead:
-    """What an index needs of a recorded frame: `FrameRecord` without its data."""
-
-    pattern: int
-    role: int
-    n_meas: int
-    n_inj: int
-    arrived: float
-    mode: str
-
-
-@dataclass(frozen=True)
 class TouchRecord:
     """What a recorded cycle felt.
 
@@ -114,11 +105,7 @@ def encode_pattern(pattern: DrivePattern) -> bytes:
 
 
 def decode_pattern(data: bytes) -> DrivePattern:
-    """The pattern of a message.
-
-    Raises:
-        DataError: If it is not one.
-    """
+    """The pattern of a message."""
     decoder = Decoder(data)
     decoder.take("I")
     injections, measurements = _array(decoder, "u2"), _array(decoder, "u4")
@@ -143,39 +130,25 @@ def encode_frame(frame: Frame, stamp: int, arrived: float, role: Role, mode: str
 
 
 def decode_frame(data: bytes) -> FrameRecord:
-    """The frame of a message.
-
-    Raises:
-        DataError: If it is not one.
-    """
-    decoder = Decoder(data)
-    stamp = decoder.stamp()
-    at, arrived, sequence, pattern, flags, role = decoder.take("ddQIIB")
-    voltages, currents, mode = _array(decoder, "f8"), _array(decoder, "f8"), decoder.text()
-    known = Role(int(role)) if role in Role._value2member_map_ else Role.UNTOLD
-    told = FrameFlag(int(flags)) if flags else _FLAGS
-    about = float(at), int(sequence), told, float(arrived), stamp, int(pattern), known, mode
-    return FrameRecord(voltages, currents, *about)
-
-
-def frame_head(data: bytes) -> FrameHead:
-    """What an index needs of a frame's message, all its lengths checked.
-
-    Raises:
-        DataError: If it is not a frame, or its time is no time.
-    """
+    """The frame of a message, whose time is one. Read in one go, because an index reads them all."""
     try:
-        _, _, _, arrived, _, pattern, _, role, n_meas = _FRAME_START.unpack_from(data)
-        at = _FRAME_START.size + 8 * n_meas
-        (n_inj,) = _LENGTH.unpack_from(data, at)
-        at += _COUNT.size + 8 * n_inj
-        (length,) = _LENGTH.unpack_from(data, at)
-        text = data[at + 4 : at + 4 + length]
-    except struct.error as error:
+        seconds, nanoseconds, at, arrived, *numbers, role, n_meas = _FRAME_START.unpack_from(data)
+        voltages = np.frombuffer(data, "<f8", n_meas, _FRAME_START.size).copy()
+        start = _FRAME_START.size + voltages.nbytes
+        (n_inj,) = _LENGTH.unpack_from(data, start)
+        currents = np.frombuffer(data, "<f8", n_inj, start + _COUNT.size).copy()
+        start += _COUNT.size + currents.nbytes
+        (length,) = _LENGTH.unpack_from(data, start)
+    except (struct.error, ValueError) as error:
         raise DataError(f"a recorded frame ends early: {error}") from error
+    sequence, pattern, flags = numbers
+    text = data[start + _LENGTH.size : start + _LENGTH.size + length]
     if data[:2] != b"\0\1" or len(text) != length or not abs(arrived) < 1e15:
         raise DataError("a recorded frame is malformed")
-    return FrameHead(pattern, min(role, 4) % 4, n_meas, n_inj, arrived, text.rstrip(b"\0").decode(errors="replace"))
+    known = Role(role) if role in Role._value2member_map_ else Role.UNTOLD
+    stamp, mode = seconds * 10**9 + nanoseconds, text.rstrip(b"\0").decode(errors="replace")
+    told = at, sequence, FrameFlag(flags), arrived, stamp, pattern, known, mode
+    return FrameRecord(voltages, currents, *told)
 
 
 def encode_touch(
@@ -195,9 +168,6 @@ def decode_touch(data: bytes, names: Sequence[str] = components(2)) -> TouchReco
     Args:
         data: The message.
         names: The numbers of its contacts in order, the id (int32) first: an older recording has fewer.
-
-    Raises:
-        DataError: If it is not one.
     """
     decoder = Decoder(data)
     stamp = decoder.stamp()
@@ -218,11 +188,7 @@ def encode_image(pixels: Floats, stamp: int, frame_id: str = FRAME_ID) -> bytes:
 
 
 def decode_image(data: bytes) -> Floats:
-    """The pixels (ny, nx) of a message, row 0 at the bottom.
-
-    Raises:
-        DataError: If it is not a 32FC1 image.
-    """
+    """The pixels (ny, nx) of a 32FC1 image, row 0 at the bottom."""
     decoder = Decoder(data)
     decoder.stamp()
     decoder.text()
@@ -235,50 +201,25 @@ def decode_image(data: bytes) -> Floats:
     return content.view("<f4").reshape(height, width)[::-1].astype(float)
 
 
-@dataclass(frozen=True)
-class Cylinder:
-    """A contact drawn in space: a flat cylinder of its extent, red where conductivity rises, blue where it falls.
+def encode_markers(contacts: Sequence[PlacedContact], patches: Sequence[Patch], stamp: int) -> bytes:
+    """`visualization_msgs/msg/MarkerArray`: those of before go, which is said in the first frame, and contacts come.
 
-    Args:
-        frame: The frame of its place.
-        group: What it belongs to; `number` tells it from others there.
-        number: Id of the contact.
-        place: x, y, z (m).
-        turn: Quaternion x, y, z, w that turns z to its axis.
-        extent: Its area (m2).
-        strength: Of the contact (m2); its sign chooses the colour.
+    Each is a flat cylinder of its extent, red where conductivity rises, blue where it falls.
     """
-
-    frame: str
-    group: str
-    number: int
-    place: tuple[float, float, float]
-    turn: tuple[float, float, float, float]
-    extent: float
-    strength: float
-
-
-def encode_cylinders(cylinders: Sequence[Cylinder], stamp: int, frame_id: str = FRAME_ID) -> bytes:
-    """`visualization_msgs/msg/MarkerArray`: the markers of before go, which is said in `frame_id`, and these come."""
-    encoder = Encoder().put("I", 1 + len(cylinders))
-    nothing = Cylinder(frame_id, "", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, 0.0)
-    for action, c in [(_DELETE_ALL, nothing), *((_ADD, cylinder) for cylinder in cylinders)]:
+    nothing = PlacedContact(0, "", patches[0].frame, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.0, 0.0)
+    turns = {"": (0.0, 0.0, 0.0, 1.0)}
+    turns |= {p.name: Rotation.from_matrix(np.array(p.axes).T).as_quat(canonical=True).tolist() for p in patches}
+    encoder = Encoder().put("I", 1 + len(contacts))
+    for action, c in [(_DELETE_ALL, nothing), *((_ADD, contact) for contact in contacts)]:
         width = 2 * float(np.sqrt(c.extent / np.pi))
         colour = (0.84, 0.19, 0.15, 0.7) if c.strength >= 0 else (0.19, 0.36, 0.76, 0.7)
-        encoder.stamp(stamp).text(c.frame).text(c.group).put("iii", c.number, _CYLINDER, action)
-        encoder.put("ddddddd", *c.place, *c.turn).put("dddffff", width, width, 1e-3, *colour)
+        encoder.stamp(stamp).text(c.frame).text(c.patch).put("iii", c.id, _CYLINDER, action)
+        encoder.put("ddddddd", *c.position, *turns[c.patch]).put("dddffff", width, width, 1e-3, *colour)
         encoder.put("iI?", 0, 0, False)  # shown until replaced; not locked to a moving frame
         encoder.put("II", 0, 0).text("")  # points, colours, texture's name
         encoder.put("iI", 0, 0).text("").text("").put("I", 0)  # texture: header, format, data
         encoder.put("I", 0).text("").text("").text("").put("I", 0).put("?", False)  # texture's places, text, mesh
     return encoder.done()
-
-
-def encode_markers(contacts: Sequence[Contact], stamp: int) -> bytes:
-    """`visualization_msgs/msg/MarkerArray` of contacts on the sheet; see `encode_cylinders`."""
-    flat, own = (0.0, 0.0, 0.0, 1.0), (FRAME_ID, "contacts")
-    drawn = [Cylinder(*own, c.id, (*c.position, 0.0), flat, c.extent, c.strength) for c in contacts]
-    return encode_cylinders(drawn, stamp)
 
 
 def encode_health(values: Mapping[str, float], message: str, device: str, stamp: int) -> bytes:
@@ -296,11 +237,7 @@ def encode_log(message: str, stamp: int) -> bytes:
 
 
 def decode_log(data: bytes) -> str:
-    """The sentence of a log message.
-
-    Raises:
-        DataError: If it is not one.
-    """
+    """The sentence of a log message."""
     decoder = Decoder(data)
     decoder.stamp()
     decoder.take("B")

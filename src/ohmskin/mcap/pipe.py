@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ohmskin.child import Child
 from ohmskin.errors import DataError
@@ -59,7 +60,7 @@ class WriterPipe:
         self._size = 0
         self._lock = threading.Lock()
         self._answers = b""
-        self._said: dict[str, object] = {}
+        self._said: dict[str, Any] = {}
         self._closed = False
         settings = {"path": str(self.path), "metadata": metadata, "attachments": attachments}
         self._child = Child.module("ohmskin.mcap.process", "the writer's process", settings)
@@ -80,13 +81,13 @@ class WriterPipe:
         with self._lock:
             self._listen()
             said = self._said
-            trouble = str(said.get("trouble", ""))
+            trouble = said.get("trouble", "")
             if self._child.process.poll() is not None and not said.get("closed"):
                 trouble = f"the writer's process has ended (exit status {self._child.process.returncode})"
             dropped = {topic: count for topic, count in self._dropped.items() if count}
-            if lost := int(str(said.get("lost", 0))):
+            if lost := said.get("lost", 0):
                 dropped["all topics, by the writer"] = lost
-            return Progress(int(str(said.get("written", 0))), int(str(said.get("frames", 0))), dropped, trouble)
+            return Progress(said.get("written", 0), said.get("frames", 0), dropped, trouble)
 
     def send(self, topic: int, sequence: int, stamp: int, data: bytes) -> bool:
         """Hand over one message, stamped in ns by the calendar; False if it had to be dropped. Never waits."""

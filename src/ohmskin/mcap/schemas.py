@@ -2,21 +2,20 @@
 
 import re
 import struct
+from collections.abc import Mapping
 
 from ohmskin.client.fields import components, definition
 
-_TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_DURATION = "MSG: builtin_interfaces/Duration\nint32 sec\nuint32 nanosec\n"
-_HEADER = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+_XYZ = "float64 x\nfloat64 y\nfloat64 z\n"
 
-_PATTERN = """\
+TEXTS = {
+    "ohmskin_msgs/Pattern": """\
 # A drive pattern. A frame refers to the newest pattern before it with its digest.
 uint32 digest          # CRC-32 that names the pattern, as on the wire
 uint16[] injections    # source, sink electrode of each injection, one pair after the other
 uint32[] measurements  # number of the injection, plus, minus electrode of each voltage, one triple after the other
-"""
-
-_FRAME = """\
+""",
+    "ohmskin_msgs/Frame": """\
 # One scan of one drive pattern.
 builtin_interfaces/Time stamp  # when it arrived, by the calendar
 float64 time                   # of the last sample, on the device's clock (s)
@@ -29,12 +28,8 @@ uint8 role
 float64[] voltages             # V; NaN where nothing was measured, infinite where the converter clipped
 float64[] currents             # measured, A, one for each injection
 string mode                    # drive mode, if told
-"""
-
-_CONTACT_HEAD = "MSG: ohmskin_msgs/Contact\n"
-_CONTACT = _CONTACT_HEAD + definition(2)
-
-_TOUCH = """\
+""",
+    "ohmskin_msgs/Touch": """\
 # What one cycle of the loop felt.
 builtin_interfaces/Time stamp  # when it was recorded, by the calendar
 uint64 sequence    # number of the cycle
@@ -42,9 +37,9 @@ float64 time       # of the last sample, on the host's monotonic clock (s)
 string mode        # drive mode
 uint64[] frames    # sequence numbers of the cycle's frames
 ohmskin_msgs/Contact[] contacts
-"""
-
-_IMAGE = """\
+""",
+    "ohmskin_msgs/Contact": definition(2),
+    "sensor_msgs/Image": """\
 # Relative conductivity change; row 0 is at the top (largest y), NaN off the skin. Metadata "raster" says where pixels
 # are.
 std_msgs/Header header
@@ -54,11 +49,9 @@ string encoding    # 32FC1
 uint8 is_bigendian
 uint32 step
 uint8[] data
-"""
-
-_MARKERS = "visualization_msgs/Marker[] markers\n"
-_MARKER = """\
-MSG: visualization_msgs/Marker
+""",
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers\n",
+    "visualization_msgs/Marker": """\
 std_msgs/Header header
 string ns
 int32 id
@@ -78,29 +71,16 @@ string text
 string mesh_resource
 visualization_msgs/MeshFile mesh_file
 bool mesh_use_embedded_materials
-"""
-_POINT = "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
-_POSE = "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
-_QUATERNION = "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
-_VECTOR = "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
-_COLOUR = "MSG: std_msgs/ColorRGBA\nfloat32 r\nfloat32 g\nfloat32 b\nfloat32 a\n"
-_COMPRESSED = "MSG: sensor_msgs/CompressedImage\nstd_msgs/Header header\nstring format\nuint8[] data\n"
-_UV = "MSG: visualization_msgs/UVCoordinate\nfloat32 u\nfloat32 v\n"
-_MESH = "MSG: visualization_msgs/MeshFile\nstring filename\nuint8[] data\n"
-_MARKER_PARTS = (_HEADER, _TIME, _DURATION, _POSE, _POINT, _QUATERNION, _VECTOR, _COLOUR, _COMPRESSED, _UV, _MESH)
-
-_HEALTH = "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n"
-_STATUS = """\
-MSG: diagnostic_msgs/DiagnosticStatus
+""",
+    "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n",
+    "diagnostic_msgs/DiagnosticStatus": """\
 byte level
 string name
 string message
 string hardware_id
 diagnostic_msgs/KeyValue[] values
-"""
-_KEY_VALUE = "MSG: diagnostic_msgs/KeyValue\nstring key\nstring value\n"
-
-_LOG = """\
+""",
+    "rcl_interfaces/Log": """\
 builtin_interfaces/Time stamp
 uint8 level
 string name
@@ -108,21 +88,47 @@ string msg
 string file
 string function
 uint32 line
-"""
+""",
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
+    "diagnostic_msgs/KeyValue": "string key\nstring value\n",
+    "geometry_msgs/Point": _XYZ,
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+    "geometry_msgs/Quaternion": f"{_XYZ}float64 w\n",
+    "geometry_msgs/Vector3": _XYZ,
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
+}
+"""Definition of each message type of a recording, without those of the types in it."""
+
+FIELD = re.compile(r"^([a-z]\w*(?:/\w+)?)(\[\])? ([a-z]\w*)", re.MULTILINE)
+"""A line of a definition: type, whether it is a sequence, name."""
 
 
-def _joined(*parts: str) -> str:
-    return ("=" * 80 + "\n").join(parts)
+def whole_definition(kind: str, texts: Mapping[str, str] = TEXTS) -> str:
+    """The definition of a type (``package/Name``) and of all types in it, as ROS tools put them one after the other."""
+    found, ahead = set(), {kind}
+    while ahead:
+        found |= ahead
+        ahead = {own for part in ahead for own, *_ in FIELD.findall(texts[part]) if "/" in own} - found
+    parts = (f"MSG: {own}\n{texts[own]}" for own in sorted(found - {kind}))
+    return ("=" * 80 + "\n").join((texts[kind], *parts))
 
 
 TOPICS = {
-    "/ohmskin/pattern": ("ohmskin_msgs/msg/Pattern", _PATTERN),
-    "/ohmskin/frame": ("ohmskin_msgs/msg/Frame", _joined(_FRAME, _TIME)),
-    "/ohmskin/touch": ("ohmskin_msgs/msg/Touch", _joined(_TOUCH, _TIME, _CONTACT)),
-    "/ohmskin/image": ("sensor_msgs/msg/Image", _joined(_IMAGE, _HEADER, _TIME)),
-    "/ohmskin/markers": ("visualization_msgs/msg/MarkerArray", _joined(_MARKERS, _MARKER, *_MARKER_PARTS)),
-    "/ohmskin/health": ("diagnostic_msgs/msg/DiagnosticArray", _joined(_HEALTH, _HEADER, _TIME, _STATUS, _KEY_VALUE)),
-    "/ohmskin/log": ("rcl_interfaces/msg/Log", _joined(_LOG, _TIME)),
+    f"/ohmskin/{name}": (kind.replace("/", "/msg/"), whole_definition(kind))
+    for name, kind in {
+        "pattern": "ohmskin_msgs/Pattern",
+        "frame": "ohmskin_msgs/Frame",
+        "touch": "ohmskin_msgs/Touch",
+        "image": "sensor_msgs/Image",
+        "markers": "visualization_msgs/MarkerArray",
+        "health": "diagnostic_msgs/DiagnosticArray",
+        "log": "rcl_interfaces/Log",
+    }.items()
 }
 """Type and definition of each topic; a topic's number is its place here, from 0."""
 
@@ -133,9 +139,6 @@ PREFIX = struct.Struct("<BIQI")
 
 def contact_fields(touch_definition: str) -> tuple[str, ...]:
     """Names of the numbers of a contact in a file, by its own definition of a touch: older files have fewer."""
-    own = touch_definition.partition(_CONTACT_HEAD)[2].partition("=" * 80)[0]
-    found = re.findall(r"^(int32|float64) (\w+)", own, re.MULTILINE)
-    kinds = [kind for kind, _ in found]
-    if kinds[:1] != ["int32"] or "int32" in kinds[1:]:
-        return components(2)
-    return tuple(name for _, name in found)
+    own = touch_definition.partition("MSG: ohmskin_msgs/Contact\n")[2].partition("=" * 80)[0]
+    kinds, names = zip(*re.findall(r"^(int32|float64) (\w+)", own, re.MULTILINE) or [("", "")], strict=True)
+    return names if kinds[0] == "int32" and "int32" not in kinds[1:] else components(2)

@@ -25,6 +25,9 @@ SYNC_EVERY = 5.0  # seconds; what a power cut may cost
 class Disk:
     """A new file that takes whole chunks or nothing: what does not fit is kept and tried again.
 
+    Attributes:
+        written: Bytes in the file.
+
     Raises:
         OSError: If the file cannot be made; FileExistsError if it is there.
     """
@@ -32,14 +35,9 @@ class Disk:
     def __init__(self, path: str) -> None:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
         self._pending = bytearray()
-        self._written, self._synced, self._retry_at = 0, time.monotonic(), 0.0
+        self.written, self._synced, self._retry_at = 0, time.monotonic(), 0.0
         self._syncing: threading.Thread | None = None
         self.trouble = ""
-
-    @property
-    def written(self) -> int:
-        """Bytes in the file."""
-        return self._written
 
     @property
     def full(self) -> bool:
@@ -51,7 +49,7 @@ class Disk:
         return len(data)
 
     def tell(self) -> int:
-        return self._written + len(self._pending)
+        return self.written + len(self._pending)
 
     def flush(self) -> None:
         """Nothing: `commit` writes."""
@@ -68,10 +66,10 @@ class Disk:
         except OSError as error:
             self.trouble, self._retry_at = error.strerror or str(error), time.monotonic() + RETRY_AFTER
             with suppress(OSError):
-                os.ftruncate(self._file, self._written)
-                os.lseek(self._file, self._written, os.SEEK_SET)
+                os.ftruncate(self._file, self.written)
+                os.lseek(self._file, self.written, os.SEEK_SET)
             return
-        self._written += len(self._pending)
+        self.written += len(self._pending)
         self._pending.clear()
         self.trouble = ""
         if time.monotonic() - self._synced > SYNC_EVERY and not (self._syncing and self._syncing.is_alive()):

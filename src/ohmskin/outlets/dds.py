@@ -23,21 +23,13 @@ from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
 from ohmskin.errors import PublishError
-from ohmskin.outlets.topics import TYPES, Topic
-from ohmskin.outlets.types import dds_name
+from ohmskin.mcap.schemas import FIELD
+from ohmskin.outlets.topics import TEXTS, Topic, dds_name
 
 log = logging.getLogger(__name__)
 
 DOMAIN = 0
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,32}")
-_PRIMITIVES: dict[str, Any] = {
-    **{f"{sign}int{bits}": getattr(types, f"{sign}int{bits}") for sign in ("", "u") for bits in (8, 16, 32, 64)},
-    "float32": types.float32,
-    "float64": types.float64,
-    "bool": bool,
-    "byte": types.byte,
-    "string": str,
-}
 
 
 class DdsOutlet:
@@ -126,22 +118,20 @@ def _udp_sockets() -> Iterator[socket.socket]:
 
 
 @cache
-def _struct(name: str) -> Any:
-    """A type as Cyclone wants to know it."""
+def _struct(kind: str) -> Any:
+    """A type (``package/Name``) as Cyclone wants to know it."""
     fields: dict[str, Any] = {}
     many: Any = types  # its annotations do not know that these can be indexed
-    for field in TYPES[name]:
-        kind = _PRIMITIVES[field.type] if field.type in _PRIMITIVES else _struct(field.type)
-        if field.count is not None:
-            kind = many.array[kind, field.count] if field.count else many.sequence[kind]
-        fields[field.name] = kind
-    return make_idl_struct(dds_name(name).replace("::", "_"), dds_name(name), fields)
+    for own, is_sequence, name in FIELD.findall(TEXTS[kind]):
+        one = _struct(own) if "/" in own else {"bool": bool, "string": str}.get(own) or getattr(types, own)
+        fields[name] = many.sequence[one] if is_sequence else one
+    return make_idl_struct(dds_name(kind).replace("::", "_"), dds_name(kind), fields)
 
 
 @cache
-def _message(name: str) -> Any:
+def _message(topic_type: str) -> Any:
     """A type whose samples bring their bytes along, because `ohmskin.client.cdr` is the one place that makes them."""
-    kind = _struct(name)
+    kind = _struct(topic_type.replace("/msg/", "/"))
 
     def serialize(self: Any, buffer: object = None, endianness: object = None, use_version_2: object = None) -> bytes:
         return bytes(self.ready)

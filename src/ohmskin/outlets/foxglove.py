@@ -5,7 +5,6 @@ The protocol has no password: whoever reaches the port may look, but there is no
 
 import re
 from collections.abc import Sequence
-from typing import Any
 
 import foxglove
 
@@ -45,13 +44,9 @@ class FoxgloveOutlet:
             for topic in topics
         }
         try:
-            about: dict[str, Any] = {
-                "name": node,
-                "capabilities": [],
-                "context": context,
-                "message_backlog_size": _BACKLOG,
-            }
-            self._server = foxglove.start_server(host=host, port=port, **about)
+            self._server = foxglove.start_server(
+                name=node, host=host, port=port, capabilities=[], context=context, message_backlog_size=_BACKLOG
+            )
         except (RuntimeError, OSError, ValueError) as error:
             raise PublishError(f"Foxglove cannot be served at {host}:{port}: {error}; try foxglove:{host}:0") from error
         self.address = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"

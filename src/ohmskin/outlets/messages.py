@@ -6,7 +6,6 @@ from ohmskin.arrays import Floats
 from ohmskin.client.cdr import Encoder
 from ohmskin.client.felt import Contact, Felt, Patch
 from ohmskin.client.fields import components, numbers
-from ohmskin.mcap.messages import Cylinder, encode_cylinders
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
@@ -41,13 +40,6 @@ def encode_wrench(contact: Contact | None, frame: str, stamp: int, scale: float)
     return Encoder().stamp(stamp).text(frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
 
 
-def encode_markers(contacts: tuple[Contact, ...], patches: tuple[Patch, ...], stamp: int) -> bytes:
-    """`visualization_msgs/msg/MarkerArray` of contacts on the robot; see `encode_cylinders`."""
-    turns = {patch.name: quaternion(np.array(patch.axes, float).T) for patch in patches}
-    cylinders = [Cylinder(c.frame, c.patch, c.id, c.position, turns[c.patch], c.extent, c.strength) for c in contacts]
-    return encode_cylinders(cylinders, stamp, patches[0].frame)
-
-
 def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int) -> bytes:
     """`sensor_msgs/msg/PointCloud2`: x, y, z and relative conductivity change of every pixel on the skin.
 
@@ -66,20 +58,3 @@ def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int)
         encoder.text(name).put("IBI", 4 * number, _FLOAT32, 1)
     encoder.put("?II", False, 16, 16 * len(points)).array(points.view("u1").ravel())
     return encoder.put("?", True).done()
-
-
-def quaternion(rotation: Floats) -> tuple[float, float, float, float]:
-    """The quaternion (x, y, z, w) of a rotation matrix (3, 3)."""
-    # The eigenvector of the largest eigenvalue (Bar-Itzhack, 2000): no special cases.
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(k)[1][:, -1]
-    sign = -1.0 if w < 0 else 1.0
-    return float(sign * x), float(sign * y), float(sign * z), float(sign * w)

@@ -14,8 +14,8 @@ from ohmskin.client.board import BoardReader
 from ohmskin.client.felt import Felt, SharedMemory
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
-from ohmskin.mcap.messages import encode_image
-from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_markers, encode_wrench
+from ohmskin.mcap.messages import encode_image, encode_markers
+from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_wrench
 from ohmskin.outlets.outlet import Outlet, open_outlet
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.topics import Topic, contacts_topic
@@ -38,7 +38,6 @@ class Relay:
     def __init__(
         self, name: str, pictures: list[str], scale: float | None, outlets: list[str], token: str | None
     ) -> None:
-        self._board, self._pictures = SharedMemory(name), [BoardReader(picture) for picture in pictures]
         self._scale = scale
         self._contacts = contacts_topic(name)
         self._markers = Topic(f"{prefix(name)}/markers", "visualization_msgs/msg/MarkerArray", True, 10)
@@ -54,6 +53,8 @@ class Relay:
         topics += [self._wrench] if scale is not None else []
         self.outlets: list[Outlet] = []
         with ExitStack() as stack:
+            self._board = stack.enter_context(closing(SharedMemory(name)))
+            self._pictures = [stack.enter_context(BoardReader(picture)) for picture in pictures]
             for address in outlets:
                 opened = open_outlet(address, topics, f"ohmskin_{name}", token)
                 self.outlets.append(stack.enter_context(closing(opened)))
@@ -85,9 +86,6 @@ class Relay:
     def close(self) -> None:
         """Close outlets and boards."""
         self._stack.close()
-        self._board.close()
-        for picture in self._pictures:
-            picture.close()
 
     def _send_wrenches(self, felt: Felt, scale: float) -> None:
         for patch in felt.patches:

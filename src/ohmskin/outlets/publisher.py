@@ -3,6 +3,7 @@
 import re
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
@@ -53,15 +54,13 @@ class Publisher(Closing):
         self._raster = Raster(skin.mesh(), _PIXELS)
         self._every, self._due = 1 / images, 0.0
         setup = {"skin": skin.name, "domain": describe_domain(skin), "patches": [asdict(patch)]}
-        self._board = Board(name, setup, LARGEST)
-        self._picture: Board | None = None
-        self._relay: RelayProcess | None = None
-        try:
-            self._picture = Board(f"{name}.image", setup | Picture.setup(self._raster), Picture.size(self._raster))
-            self._relay = RelayProcess(name, [f"{name}.image"], scale, outlets, token, images)
-        except BaseException:
-            self.close()
-            raise
+        about, size = setup | Picture.setup(self._raster), Picture.size(self._raster)
+        with ExitStack() as stack:
+            self._board = stack.enter_context(Board(name, setup, LARGEST))
+            self._picture = stack.enter_context(Board(f"{name}.image", about, size))
+            relay = RelayProcess(name, [f"{name}.image"], scale, outlets, token, images)
+            self._relay = stack.enter_context(relay)
+            self._stack = stack.pop_all()
         self.addresses = [f"shm:{name}", *self._relay.addresses]
 
     def publish(self, touch: Touch) -> None:
@@ -69,11 +68,10 @@ class Publisher(Closing):
         # The calendar may be set anew at any time, so that each stamp is taken from how long ago the sample was.
         stamp = time.time_ns() - round((time.monotonic() - touch.time) * 1e9)
         self._board.write(pack(self.felt(touch, stamp), [self.patch]))
-        if self._picture is not None and (now := time.monotonic()) >= self._due:
+        if (now := time.monotonic()) >= self._due:
             self._due = now + self._every
             self._picture.write(Picture.pack(self._raster(touch.percept.image.values), touch.sequence, stamp))
-        if self._relay is not None:
-            self._relay.wake()
+        self._relay.wake()
 
     def felt(self, touch: Touch, stamp: int) -> Felt:
         """What a cycle felt, in the patch's frame."""
@@ -83,11 +81,7 @@ class Publisher(Closing):
 
     def close(self) -> None:
         """End outlets, take the boards away. Safe twice."""
-        if self._relay is not None:
-            self._relay.close()
-        if self._picture is not None:
-            self._picture.close()
-        self._board.close()
+        self._stack.close()
 
 
 def check_settings(scale: float | None, token: str | None, images: float) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ohmskin.child import Child
+from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.outlet import check_outlet
 
@@ -14,7 +15,7 @@ log = logging.getLogger(__name__)
 _START_TIMEOUT = 60.0
 
 
-class RelayProcess:
+class RelayProcess(Closing):
     """A process that publishes what is on some boards. Nothing here waits for it once it runs.
 
     Args:

@@ -1,14 +1,14 @@
 """The topics that are published and the definitions of their messages."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from ohmskin.client.fields import definition
-from ohmskin.client.remote import prefix
-from ohmskin.mcap.schemas import TOPICS as RECORDED
-from ohmskin.outlets.types import Types, dds_name, joined, read_types, rihs01, split
+from ohmskin.client.remote import CONTACTS_HASH, prefix
+from ohmskin.mcap.schemas import TEXTS as RECORDED
+from ohmskin.mcap.schemas import whole_definition
 
-_CONTACTS = """\
+TEXTS = RECORDED | {
+    "ohmskin_msgs/Contacts": """\
 # What one skin, or all skins of a robot, felt last.
 # stamp: last sample of the patch heard of longest ago; frame_id is empty, each contact has its own
 std_msgs/Header header
@@ -16,20 +16,20 @@ uint64 boot              # changes whenever the sender starts anew
 uint64 sequence          # counts up by one, from 1 at a new boot
 ohmskin_msgs/PatchState[] patches
 ohmskin_msgs/PlacedContact[] contacts
-"""
-_PATCH_STATE = """\
+""",
+    "ohmskin_msgs/PatchState": """\
 # How fresh the part of one patch is.
 string name
 string frame_id                     # of its contacts
 builtin_interfaces/Time stamp       # of its last sample; zero if it has not been heard of
 uint64 sequence                     # number of its cycle
 string mode                         # drive mode
-"""
-_PLACED_CONTACT = f"""\
+""",
+    "ohmskin_msgs/PlacedContact": f"""\
 # One place where the robot is touched, in the frame of its patch.
 uint32 patch  # place in the list of patches
-{definition(3)}"""
-_CLOUD = """\
+{definition(3)}""",
+    "sensor_msgs/PointCloud2": """\
 std_msgs/Header header
 uint32 height
 uint32 width
@@ -39,22 +39,21 @@ uint32 point_step
 uint32 row_step
 uint8[] data
 bool is_dense
-"""
-_POINT_FIELD = "string name\nuint32 offset\nuint8 datatype\nuint32 count\n"
-_WRENCH_STAMPED = "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n"
-_WRENCH = "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
-
-TEXTS = dict(entry for kind, text in RECORDED.values() for entry in split(kind, text)) | {
-    "ohmskin_msgs/msg/Contacts": _CONTACTS,
-    "ohmskin_msgs/msg/PatchState": _PATCH_STATE,
-    "ohmskin_msgs/msg/PlacedContact": _PLACED_CONTACT,
-    "sensor_msgs/msg/PointCloud2": _CLOUD,
-    "sensor_msgs/msg/PointField": _POINT_FIELD,
-    "geometry_msgs/msg/WrenchStamped": _WRENCH_STAMPED,
-    "geometry_msgs/msg/Wrench": _WRENCH,
+""",
+    "sensor_msgs/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+    "geometry_msgs/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n",
+    "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n",
 }
-TYPES: Types = {kind: fields for name, text in TEXTS.items() for kind, fields in read_types(name, text).items()}
-"""The fields of every message type that is used."""
+"""Definition of each message type that is recorded or published, without those of the types in it."""
+
+_HASHES = {
+    "ohmskin_msgs/msg/Contacts": CONTACTS_HASH,
+    "visualization_msgs/msg/MarkerArray": "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",
+    "geometry_msgs/msg/WrenchStamped": "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
+    "sensor_msgs/msg/Image": "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47",
+    "sensor_msgs/msg/PointCloud2": "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5",
+}
+"""What names each published type to others (REP 2016), made of the types in it; a test holds them against rosbags'."""
 
 
 @dataclass(frozen=True)
@@ -73,22 +72,28 @@ class Topic:
     reliable: bool
     depth: int
 
-    @cached_property
+    @property
     def hash(self) -> str:
         """RIHS01 of the type."""
-        return rihs01(self.type, TYPES)
+        return _HASHES[self.type]
 
-    @cached_property
+    @property
     def dds_type(self) -> str:
         """The type as DDS calls it."""
-        return dds_name(self.type)
+        return dds_name(self.type.replace("/msg/", "/"))
 
-    @cached_property
+    @property
     def definition(self) -> str:
         """The type's definition with all types in it."""
-        return joined(self.type, TEXTS, TYPES)
+        return whole_definition(self.type.replace("/msg/", "/"), TEXTS)
 
 
 def contacts_topic(name: str) -> Topic:
     """The topic with the contacts of the skin or body of that name."""
     return Topic(f"{prefix(name)}/contacts", "ohmskin_msgs/msg/Contacts", True, 10)
+
+
+def dds_name(kind: str) -> str:
+    """How DDS calls a type: ``sensor_msgs::msg::dds_::Image_`` for ``sensor_msgs/Image``."""
+    package, _, name = kind.partition("/")
+    return f"{package}::msg::dds_::{name}_"

@@ -9,7 +9,8 @@ import hashlib
 import re
 import socket
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 from typing import Any
 
 import zenoh
@@ -53,9 +54,7 @@ class ZenohOutlet:
 
     def _announce(self, topics: Sequence[Topic], node: str) -> None:
         """Declare the node and a publisher for each topic."""
-        self._counts = dict.fromkeys(topics, 0)
-        self._gids: dict[Topic, bytes] = {}
-        self._publishers: dict[Topic, Any] = {}
+        self._publishers: dict[Topic, tuple[Any, bytes, Iterator[int]]] = {}  # with sender's id and numbers
         me = f"@ros2_lv/{DOMAIN}/{self._session.zid()}/0"
         named = "%/%/" + re.sub(r"[^A-Za-z0-9_]", "_", node)
         self._tokens = [self._session.liveliness().declare_token(f"{me}/0/NN/{named}")]
@@ -63,21 +62,21 @@ class ZenohOutlet:
             qos = f"{_RELIABLE if topic.reliable else _BEST_EFFORT}::,{topic.depth}:,:,:,,"
             name = topic.name.replace("/", "%")
             token_key = f"{me}/{number}/MP/{named}/{name}/{topic.dds_type}/{topic.hash}/{qos}"
-            self._gids[topic] = hashlib.sha256(token_key.encode()).digest()[:_GID_BYTES]
-            self._publishers[topic] = self._session.declare_publisher(
+            gid = hashlib.sha256(token_key.encode()).digest()[:_GID_BYTES]
+            publisher = self._session.declare_publisher(
                 data_key(topic.name, topic.dds_type, topic.hash),
                 congestion_control=zenoh.CongestionControl.DROP,  # a subscriber that does not read holds up nobody
                 priority=zenoh.Priority.REAL_TIME if topic.reliable else zenoh.Priority.DATA,
                 express=topic.reliable,  # contacts are small and urgent, images are not
                 reliability=zenoh.Reliability.RELIABLE if topic.reliable else zenoh.Reliability.BEST_EFFORT,
             )
+            self._publishers[topic] = publisher, gid, count(1)
             self._tokens.append(self._session.liveliness().declare_token(token_key))
 
     def send(self, topic: Topic, stamp: int, data: bytes) -> None:
         """Publish one CDR message."""
-        self._counts[topic] += 1
-        attachment = _ATTACHMENT.pack(self._counts[topic], stamp, _GID_BYTES, self._gids[topic])
-        self._publishers[topic].put(data, attachment=attachment)
+        publisher, gid, numbers = self._publishers[topic]
+        publisher.put(data, attachment=_ATTACHMENT.pack(next(numbers), stamp, _GID_BYTES, gid))
 
     def close(self) -> None:
         """Take tokens and publishers back."""

@@ -3,19 +3,19 @@
 import csv
 import os
 import secrets
-import shutil
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from ohmskin.arrays import Ints
 from ohmskin.client.fields import columns, numbers
 from ohmskin.errors import DataError
 from ohmskin.geometry import Raster
@@ -34,7 +34,7 @@ FRAME_COLUMNS = (
 
 _ROWS_AT_ONCE = 65536
 _MOST_VALUES = 2**28  # of one array held in memory
-_FILM_PIXELS = (640, 560)
+_FILM_INCHES, _DPI = (6.4, 5.6), 100
 _RASTER = 256  # as in `draw_image`
 
 
@@ -135,14 +135,10 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
         "frame_flags": np.array([int(r.flags) for r in records], np.uint32),
         "frame_role": np.array([int(r.role) for r in records], np.uint8),
         "frame_pattern": which.astype(np.int64),
-        "voltages": np.concatenate([r.voltages for r in records] or [np.empty(0)]),
-        "voltages_start": _starts([r.voltages.size for r in records]),
-        "currents": np.concatenate([r.currents for r in records] or [np.empty(0)]),
-        "currents_start": _starts([r.currents.size for r in records]),
-        "pattern_injections": _stacked([p.injections for p in patterns], 2),
-        "pattern_injections_start": _starts([p.n_inj for p in patterns]),
-        "pattern_measurements": _stacked([p.measurements for p in patterns], 3),
-        "pattern_measurements_start": _starts([p.n_meas for p in patterns]),
+        **_joined("voltages", [r.voltages for r in records], np.empty(0)),
+        **_joined("currents", [r.currents for r in records], np.empty(0)),
+        **_joined("pattern_injections", [p.injections for p in patterns], np.empty((0, 2), np.int32)),
+        **_joined("pattern_measurements", [p.measurements for p in patterns], np.empty((0, 3), np.int32)),
         "image_time_s": np.array(image_times),
         "images": np.array(images, np.float32).reshape(len(images), *shape),
         "skin_toml": np.array(tape.skin),
@@ -157,17 +153,8 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
     return {name: array.shape for name, array in arrays.items()}
 
 
-def write_picture(path: Path, cycle: Replayed, title: str = "") -> None:
-    """Save one cycle's image with its contacts.
-
-    Raises:
-        DataError: If the file exists or cannot be written.
-    """
-    save_comparison(path, {title or f"{cycle.time:.2f} s": cycle})
-
-
 def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
-    """Save images side by side, each under its title, each with colours of its own.
+    """Save images with their contacts side by side, each under its title, each with colours of its own.
 
     Raises:
         DataError: If the file exists or cannot be written.
@@ -189,28 +176,33 @@ def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
 def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> int:
     """Write an MP4 film of `rate` pictures per recorded second, through ffmpeg; the number of its pictures.
 
+    Each picture is of the newest cycle at its time. Colours stay fixed from the first one on.
+
     Raises:
         DataError: If ffmpeg is not installed or fails, there are no cycles, or the file exists.
     """
-    if (program := shutil.which("ffmpeg")) is None:
+    if not FFMpegWriter.isAvailable():
         raise DataError("a film needs the program ffmpeg: apt-get install ffmpeg; or choose png, csv, npz or parquet")
-    width, height = _FILM_PIXELS
+    cycles = iter(cycles)
+    if (first := next(cycles, None)) is None:
+        raise DataError("nothing was recorded in that time; choose another --start and --seconds")
+    film = _Film(first)
+    writer = FFMpegWriter(rate, extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
+    count, due = 0, first.time
     with _new(path) as part:
-        pictures = f"-f rawvideo -pix_fmt rgba -s {width}x{height} -r {rate:g} -i -"
-        command = [program, *f"-y -loglevel error {pictures} -an -vf format=yuv420p -f mp4".split(), str(part)]
-        count = 0
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-            assert process.stdin is not None
-            assert process.stderr is not None
-            with suppress(BrokenPipeError):
-                for count, picture in enumerate(_pictures(cycles, rate), 1):  # noqa: B007
-                    process.stdin.write(picture)
-                process.stdin.close()
-            complaint = process.stderr.read().decode(errors="replace").strip()
-        if not count:
-            raise DataError("nothing was recorded in that time; choose another --start and --seconds")
-        if process.returncode:
-            raise DataError(f"ffmpeg failed (exit status {process.returncode}): {complaint[:300] or 'no reason given'}")
+        try:
+            with writer.saving(film.figure, str(part), _DPI):
+                for cycle in chain([first], cycles):
+                    while count and due + 1 / rate <= cycle.time:  # nothing new: the film stands still
+                        writer.grab_frame()
+                        count, due = count + 1, due + 1 / rate
+                    if cycle.time + 1e-9 >= due:
+                        film.show(cycle)
+                        writer.grab_frame()
+                        count, due = count + 1, due + 1 / rate
+        except subprocess.CalledProcessError as error:
+            why = error.stderr.strip()[:300] or "no reason given"
+            raise DataError(f"ffmpeg failed (exit status {error.returncode}): {why}") from error
     return count
 
 
@@ -242,43 +234,22 @@ def cycle_at(path: str | Path, at: float, **options: Any) -> Replayed:
     raise DataError(f"no whole cycle was recorded from {at:g} s on; choose an earlier time")
 
 
-def _pictures(cycles: Iterable[Replayed], rate: float) -> Iterator[bytes]:
-    """RGBA pictures, one for each 1 / rate seconds: the newest cycle at that time.
-
-    Colours stay fixed from the first one on.
-    """
-    film: _Film | None = None
-    picture, due = b"", 0.0
-    for cycle in cycles:
-        if film is None:
-            film, due = _Film(cycle), cycle.time
-        while picture and due + 1 / rate <= cycle.time:  # nothing new: the film stands still
-            yield picture
-            due += 1 / rate
-        if cycle.time + 1e-9 < due:
-            continue
-        picture = film.draw(cycle)
-        yield picture
-        due += 1 / rate
-
-
 class _Film:
     """One figure, whose image and contacts are exchanged from picture to picture."""
 
     def __init__(self, first: Replayed) -> None:
-        width, height = _FILM_PIXELS
-        self._figure = Figure(figsize=(width / 100, height / 100), dpi=100, layout="constrained")
-        self._canvas = FigureCanvasAgg(self._figure)
-        self._axes = self._figure.add_subplot()
+        self.figure = Figure(figsize=_FILM_INCHES, dpi=_DPI, layout="constrained")
+        FigureCanvasAgg(self.figure)
+        self._axes = self.figure.add_subplot()
         model = first.known.model
         self._mesh, self._raster = model.mesh, Raster(model.mesh, _RASTER)
         full = max(0.3, 3 * first.thresholds.final)
         image = first.touch.percept.image.values
         self._shown = draw_image(self._axes, model.mesh, image, model.electrodes, limit=full)
-        self._figure.colorbar(self._shown, ax=self._axes, label="relative conductivity change", shrink=0.85)
+        self.figure.colorbar(self._shown, ax=self._axes, label="relative conductivity change", shrink=0.85)
         (self._marks,) = self._axes.plot([], [], "+", color="black", markersize=12)
 
-    def draw(self, cycle: Replayed) -> bytes:
+    def show(self, cycle: Replayed) -> None:
         if cycle.known.model.mesh is not self._mesh:  # after another calibration
             self._mesh = cycle.known.model.mesh
             self._raster = Raster(self._mesh, _RASTER)
@@ -286,20 +257,16 @@ class _Film:
         places = 1e3 * np.array([contact.position for contact in cycle.touch.contacts]).reshape(-1, 2)
         self._marks.set_data(places[:, 0], places[:, 1])
         self._axes.set_title(f"{cycle.touch.mode.name}   {cycle.time:7.2f} s", fontsize=10)
-        self._canvas.draw()
-        return bytes(self._canvas.buffer_rgba())
 
 
 def _within(tape: Tape, start: float, stop: float) -> Any:
     return np.flatnonzero((tape.times >= start) & (tape.times <= stop))
 
 
-def _stacked(rows: list[Ints], width: int) -> Any:
-    return np.concatenate([*rows, np.empty((0, width), np.int64)]).astype(np.int32)
-
-
-def _starts(sizes: list[int]) -> Any:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+def _joined(name: str, parts: Sequence[NDArray], none: NDArray) -> dict[str, NDArray]:
+    """Arrays one after the other, of the type of `none`, and where each starts and the last one ends."""
+    joined = np.concatenate([none, *parts]).astype(none.dtype)
+    return {name: joined, f"{name}_start": np.cumsum([0, *(len(part) for part in parts)], dtype=np.int64)}
 
 
 @contextmanager

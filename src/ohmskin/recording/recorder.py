@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 import ohmskin
+from ohmskin.client.felt import Patch
 from ohmskin.closing import Closing
 from ohmskin.device import Device
 from ohmskin.engine import Engine, State, Touch
@@ -27,6 +28,7 @@ from ohmskin.skin import Mode, Skin
 PIXELS = 64
 """Pixels of a recorded image along the skin's longer side; those of the live page."""
 
+_SHEET = Patch("contacts")  # in its own frame; the name tells its markers from others
 _MOST_PATTERNS = 4096  # remembered as stored; one that was forgotten is stored again
 _HEALTH_EVERY = 1.0  # s
 
@@ -110,7 +112,8 @@ class Recorder(Closing):
             self._image_at = clock + self._image_every
             pixels = self._raster(touch.percept.image.values)
             self._pipe.send(IMAGE, number, stamp, messages.encode_image(pixels, stamp))
-            self._pipe.send(MARKERS, number, stamp, messages.encode_markers(touch.contacts, stamp))
+            contacts = [_SHEET.contact(contact) for contact in touch.contacts]
+            self._pipe.send(MARKERS, number, stamp, messages.encode_markers(contacts, (_SHEET,), stamp))
         if clock >= self._health_at:
             self._health_at = clock + _HEALTH_EVERY
             health = touch.health
@@ -169,12 +172,9 @@ class Recorder(Closing):
     def _store(self, pattern: DrivePattern, stamp: int) -> bool:
         """See to it that the newest pattern in the file with this digest is this one."""
         assert self._pipe is not None
-        if self._named.get(pattern.digest) is pattern:
-            return True
-        if self._named.get(pattern.digest) == pattern:
-            self._named[pattern.digest] = pattern
-            return True
-        if not self._pipe.send(PATTERN, 0, stamp, messages.encode_pattern(pattern)):
+        stored = self._named.get(pattern.digest)
+        known = stored is pattern or stored == pattern
+        if not known and not self._pipe.send(PATTERN, 0, stamp, messages.encode_pattern(pattern)):
             return False
         self._named[pattern.digest] = pattern
         if len(self._named) > _MOST_PATTERNS:
