@@ -1,9 +1,11 @@
 """The public face of the package."""
 
+import ast
 import importlib
 import pkgutil
 import subprocess
 import sys
+from pathlib import Path
 
 import ohmskin
 
@@ -12,6 +14,14 @@ def test_everything_public_is_there_and_lazily_so() -> None:
     for name in ohmskin.__all__:
         assert getattr(ohmskin, name) is not None
     assert set(ohmskin.__all__) == set(ohmskin._HOMES)
+
+
+def test_editors_are_told_of_all_that_is_public() -> None:
+    tree = ast.parse(Path(ohmskin.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    told = {alias.name: node.module for node in imports for alias in node.names}
+    assert told == {name: f"ohmskin.{home}" for name, home in ohmskin._HOMES.items()}
 
 
 def test_every_package_exports_what_it_names() -> None:

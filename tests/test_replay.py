@@ -516,7 +516,7 @@ def test_a_replay_uses_the_modes_that_were_recorded(tmp_path: Path) -> None:
 def test_a_recording_can_be_recorded_and_ends_where_it_ends(
     recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ohmskin.cli.record import record
+    from ohmskin.cli.loop import record
 
     monkeypatch.setattr("signal.signal", lambda *_: None)
     record(tmp_path / "b.mcap", device=f"replay:{recorded[0]}?speed=inf&loop=0")

@@ -17,7 +17,7 @@ from ohmskin import Engine, Skin, connect
 from ohmskin.errors import ModelError
 from ohmskin.robot import Arm, Demonstration, Encounter, summary
 from ohmskin.robot.arm import FINGER, above
-from ohmskin.robot.film import Snapshot
+from ohmskin.robot.film import snapshot
 
 SKIN = Skin.load("paper")
 
@@ -122,11 +122,11 @@ def test_a_snapshot_is_a_png_whatever_its_name_and_says_where_it_cannot_be_writt
 
     film: Any = SimpleNamespace(draw=lambda _: np.zeros((4, 8, 3), np.uint8))
     moment: Any = SimpleNamespace(poke=SimpleNamespace(force=1.0), touch=SimpleNamespace(contacts=[1]))
-    with Snapshot(tmp_path / "arm.picture", film) as snapshot:
-        snapshot.show(moment)
+    with snapshot(tmp_path / "arm.picture", film) as show:
+        show(moment)
     assert (tmp_path / "arm.picture").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ModelError, match="cannot write"), Snapshot(tmp_path, film) as snapshot:
-        snapshot.show(moment)
+    with pytest.raises(ModelError, match="cannot write"), snapshot(tmp_path, film) as show:
+        show(moment)
 
 
 def test_round_skin_is_refused() -> None:

@@ -104,6 +104,9 @@ def test_every_host_is_loopback_unless_told() -> None:
                     if argument.arg == "host" and default is not None:
                         assert ast.literal_eval(default) == "127.0.0.1", f"{path}: {node.name}"
                         seen += 1
+            elif isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "host" and node.value is not None:
+                assert ast.literal_eval(node.value) == "127.0.0.1", f"{path}: line {node.lineno}"
+                seen += 1
     assert seen >= 5
     assert inspect.signature(DeviceServer).parameters["host"].default == "127.0.0.1"
 

@@ -409,7 +409,7 @@ def test_taken_port_gives_the_next_one() -> None:
 
 def test_close_leaves_no_process_and_is_safe_twice() -> None:
     view = LiveView(SETUP, port=0)
-    child = psutil.Process(view.pid)
+    child = psutil.Process(view._child.process.pid)
     with open_socket(view) as browser:
         browser.recv(60)
         view.close()
@@ -422,7 +422,7 @@ def test_close_leaves_no_process_and_is_safe_twice() -> None:
 
 
 def test_interrupt_is_left_to_the_loop(view: LiveView) -> None:
-    os.kill(view.pid, signal.SIGINT)
+    os.kill(view._child.process.pid, signal.SIGINT)
     time.sleep(0.2)
     assert get(view).status == 200
 
@@ -432,7 +432,7 @@ def test_loop_survives_the_death_of_the_page(caplog: pytest.LogCaptureFixture) -
         with open_socket(view) as browser:
             browser.recv(60)
             until(view.wants_frame)
-            psutil.Process(view.pid).kill()
+            psutil.Process(view._child.process.pid).kill()
             until(lambda: not view.wants_frame())
         view.publish({"sequence": 1}, IMAGE, IMAGE)
         view.announce(SETUP)
@@ -440,7 +440,8 @@ def test_loop_survives_the_death_of_the_page(caplog: pytest.LogCaptureFixture) -
 
 
 def test_page_ends_when_its_loop_is_killed() -> None:
-    code = f"from ohmskin.view import LiveView; v = LiveView({SETUP!r}, port=0); print(v.pid, flush=True); input()"
+    code = f"from ohmskin.view import LiveView; v = LiveView({SETUP!r}, port=0)\n"
+    code += "print(v._child.process.pid, flush=True); input()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as loop:
         assert loop.stdout is not None
         child = psutil.Process(int(loop.stdout.readline()))

@@ -1,3 +1,4 @@
+# ruff: noqa: F401
 """ohmskin: a sense of touch from a handful of electrodes.
 
     import ohmskin as ohm
@@ -17,60 +18,26 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "AbsoluteGaussNewton": "inverse",
-    "Baseline": "scan",
-    "Client": "client",
-    "Contact": "contacts",
-    "ContactFinder": "contacts",
-    "ContactFitter": "contacts",
-    "ContactTable": "forward",
-    "Difference": "scan",
-    "Device": "device",
-    "Disc": "geometry",
-    "DrivePattern": "scan",
-    "Electrodes": "geometry",
-    "Engine": "engine",
-    "FloatingPatches": "forward",
-    "Frame": "scan",
-    "GaussNewton": "inverse",
-    "Greit": "inverse",
-    "Image": "inverse",
-    "Kalman": "inverse",
-    "Mesh": "geometry",
-    "OhmskinError": "errors",
-    "Mode": "skin",
-    "Percept": "sensing",
-    "Polygon": "geometry",
-    "Raster": "geometry",
-    "Rectangle": "geometry",
-    "Sensor": "sensing",
-    "Skin": "skin",
-    "SkinModel": "sensing",
-    "SparseBayes": "inverse",
-    "TotalVariation": "inverse",
-    "Touch": "engine",
-    "Tracker": "tracking",
-    "TransferModel": "forward",
-    "VirtualSkin": "skin",
-    "VoltageSource": "forward",
-    "adjacent": "scan",
-    "build": "sensing",
-    "connect": "device",
-    "fit_background": "forward",
-    "mesh_domain": "geometry",
-    "mesh_graded": "geometry",
-    "modes": "sensing",
-    "opposite": "scan",
-    "perceive": "sensing",
-    "read_mesh": "geometry",
-    "read_recording": "importers",
-    "skip": "scan",
-    "thicken": "geometry",
-    "write_mesh": "geometry",
+_PACKAGES = {
+    "client": "Client",
+    "contacts": "Contact ContactFinder ContactFitter",
+    "device": "Device connect",
+    "engine": "Engine Touch",
+    "errors": "OhmskinError",
+    "forward": "ContactTable FloatingPatches TransferModel VoltageSource fit_background",
+    "geometry": "Disc Electrodes Mesh Polygon Raster Rectangle mesh_domain mesh_graded read_mesh thicken write_mesh",
+    "importers": "read_recording",
+    "inverse": "AbsoluteGaussNewton GaussNewton Greit Image Kalman SparseBayes TotalVariation",
+    "scan": "Baseline Difference DrivePattern Frame adjacent opposite skip",
+    "sensing": "Percept Sensor SkinModel build modes perceive",
+    "skin": "Mode Skin VirtualSkin",
+    "tracking": "Tracker",
 }
+_HOMES = {name: package for package, names in _PACKAGES.items() for name in names.split()}
 
-if TYPE_CHECKING:
+__all__ = sorted(_HOMES)
+
+if TYPE_CHECKING:  # for editors
     from ohmskin.client import Client
     from ohmskin.contacts import Contact, ContactFinder, ContactFitter
     from ohmskin.device import Device, connect
@@ -91,72 +58,11 @@ if TYPE_CHECKING:
         write_mesh,
     )
     from ohmskin.importers import read_recording
-    from ohmskin.inverse import (
-        AbsoluteGaussNewton,
-        GaussNewton,
-        Greit,
-        Image,
-        Kalman,
-        SparseBayes,
-        TotalVariation,
-    )
+    from ohmskin.inverse import AbsoluteGaussNewton, GaussNewton, Greit, Image, Kalman, SparseBayes, TotalVariation
     from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, opposite, skip
     from ohmskin.sensing import Percept, Sensor, SkinModel, build, modes, perceive
     from ohmskin.skin import Mode, Skin, VirtualSkin
     from ohmskin.tracking import Tracker
-
-__all__ = [
-    "AbsoluteGaussNewton",
-    "Baseline",
-    "Client",
-    "Contact",
-    "ContactFinder",
-    "ContactFitter",
-    "ContactTable",
-    "Device",
-    "Difference",
-    "Disc",
-    "DrivePattern",
-    "Electrodes",
-    "Engine",
-    "FloatingPatches",
-    "Frame",
-    "GaussNewton",
-    "Greit",
-    "Image",
-    "Kalman",
-    "Mesh",
-    "Mode",
-    "OhmskinError",
-    "Percept",
-    "Polygon",
-    "Raster",
-    "Rectangle",
-    "Sensor",
-    "Skin",
-    "SkinModel",
-    "SparseBayes",
-    "TotalVariation",
-    "Touch",
-    "Tracker",
-    "TransferModel",
-    "VirtualSkin",
-    "VoltageSource",
-    "adjacent",
-    "build",
-    "connect",
-    "fit_background",
-    "mesh_domain",
-    "mesh_graded",
-    "modes",
-    "opposite",
-    "perceive",
-    "read_mesh",
-    "read_recording",
-    "skip",
-    "thicken",
-    "write_mesh",
-]
 
 
 def __getattr__(name: str) -> Any:

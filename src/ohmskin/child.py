@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import IO, Any, Self
+from typing import IO, Any, Self, cast
 
 
 class Child:
@@ -22,7 +22,8 @@ class Child:
         stdout, stderr, pass_fds: As for `subprocess.Popen`.
 
     Attributes:
-        process: The process; its pipes are not buffered.
+        process: The process.
+        stdin, stdout: Its pipes, which are not buffered.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class Child:
             bufsize=0,
             pass_fds=pass_fds,
         )
+        self.stdin, self.stdout = cast(IO[bytes], self.process.stdin), cast(IO[bytes], self.process.stdout)
         if settings is not None:
             text = json.dumps(settings).encode()
             view = memoryview(len(text).to_bytes(4, "little") + text)
@@ -61,18 +63,6 @@ class Child:
     def module(cls, module: str, name: str, settings: Mapping[str, Any], **environment: str) -> Self:
         """A module of ours, whose `main` begins with `begin`."""
         return cls([sys.executable, "-P", "-m", module], name, settings, environment)
-
-    @property
-    def stdin(self) -> IO[bytes]:
-        """Its standard input."""
-        assert self.process.stdin is not None
-        return self.process.stdin
-
-    @property
-    def stdout(self) -> IO[bytes]:
-        """Its standard output."""
-        assert self.process.stdout is not None
-        return self.process.stdout
 
     def ready(self, timeout: float, failure: Callable[[str], Exception]) -> dict[str, Any]:
         """Its first answer, awaited for `timeout` seconds at most.

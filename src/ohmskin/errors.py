@@ -1,20 +1,4 @@
-"""One tree of errors.
-
-    OhmskinError
-    ├── GeometryError       a mesh, domain or electrode layout that cannot be used
-    ├── PatternError        a drive pattern that is malformed or does not fit the electrodes
-    ├── ModelError          a forward or inverse problem that is not well posed
-    ├── SkinError           a skin description that is incomplete or out of range
-    ├── DataError           a recording or frame that cannot be read
-    ├── ViewError           the live page cannot be served or was given something it cannot show
-    ├── PublishError        what is felt cannot be published, or not be heard
-    └── DeviceError         anything between the host and the skin
-        ├── DeviceLost      the device does not answer or has gone; reconnecting may help
-        ├── DeviceRefused   the device answered and said no
-        └── ProtocolError   bytes that are not a valid message of this protocol version
-
-Every message says what is wrong, the value, what is allowed and what to do next.
-"""
+"""One tree of errors. Every message says what is wrong, the value, what is allowed and what to do next."""
 
 
 class OhmskinError(Exception):

@@ -1,4 +1,4 @@
-"""The command line: one command per module, imported when it is called."""
+"""The command line: each command is imported when it is called."""
 
 import os
 import sys
@@ -18,6 +18,12 @@ app = App(
     version=ohmskin.__version__,
     result_action="return_value",
 )
+_TOGETHER = {
+    **dict.fromkeys(("scan", "check-device"), "device"),
+    **dict.fromkeys(("serve-skin", "serve-firmware"), "serve"),
+    **dict.fromkeys(("reproduce", "policies"), "studies"),
+    "record": "loop",
+}
 for _name, (_help, _example) in {
     "live": ("Sense touches, live in the browser or on the terminal.", "ohmskin live --headless --seconds 10"),
     "patches": ("Sense with several skins of one robot.", "ohmskin patches body.toml --publish zenoh"),
@@ -41,8 +47,9 @@ for _name, (_help, _example) in {
     "bench": ("Measure how fast everything is, beside others and the machine's limits.", "ohmskin bench --quick"),
     "info": ("Show versions, skins and modes, estimators, drivers and serial ports.", "ohmskin info"),
 }.items():
-    _module = _name.replace("-", "_")
-    app.command(f"ohmskin.cli.{_module}:{_module}", name=_name, help=f"{_help}\n\nExample: `{_example}`")
+    _function = _name.replace("-", "_")
+    _module = _TOGETHER.get(_name, _function)
+    app.command(f"ohmskin.cli.{_module}:{_function}", name=_name, help=f"{_help}\n\nExample: `{_example}`")
 
 
 def main() -> None:

@@ -2,13 +2,12 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
 from ohmskin.bench import run, write_report
+from ohmskin.cli.options import Names
 
 _COLOURS = {"pass": "green", "short": "red", "not run": "yellow", "": ""}
 
@@ -17,7 +16,7 @@ def bench(
     *,
     quick: bool = False,
     out: Path = Path("bench"),
-    only: Annotated[tuple[str, ...], Parameter(consume_multiple=True)] = (),
+    only: Names = (),
 ) -> None:
     """Measure how fast everything is, beside pyEIT, plain SciPy and the machine's own limits; one thread.
 

@@ -9,7 +9,7 @@ from rich.console import Console
 
 import ohmskin
 from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
-from ohmskin.cli.options import open_skin
+from ohmskin.cli.options import SkinName, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DataError, DeviceError
 from ohmskin.plot.calibration import save_calibration
@@ -22,7 +22,7 @@ _PATIENCE = 200  # cycles without a result, such as while the device is lost, af
 def calibrate(
     *,
     device: str = "virtual:",
-    skin: str = "",
+    skin: SkinName = "",
     out: Path | None = None,
     picture: Path | None = None,
     mode: str = "",
@@ -34,7 +34,6 @@ def calibrate(
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
-        skin: A skin that ships with ohmskin or a .toml file.
         out: File for the calibrated skin; NAME-calibrated.toml unless given.
         picture: Also save the curve as a picture, such as force.png.
         mode: Drive mode to calibrate; the skin's best unless given.
@@ -72,10 +71,7 @@ def calibrate(
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
                 console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
-    try:
-        path.write_text(replace(description, calibration=found).dump(), encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error}; choose another file with --out") from error
+    write(path, replace(description, calibration=found).dump())
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None and force:
         save_calibration(picture, guide.samples, curve)
@@ -93,11 +89,12 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
     virtual = engine.device.capabilities.virtual
     while (step := guide.step) is not None:
         words = f"[{len(guide.samples) + 1} of {len(guide.plan)}] {step}"
+        say(words if virtual else f"{words}, then press Enter")
         if virtual:
-            print(words, flush=True)
             _press(engine, step, skin)
-        else:
-            _ask(f"{words}, then press Enter")
+        elif not sys.stdin.readline():
+            why = "standard input ended before all presses were made"
+            raise DeviceError(f"{why}; run it on a terminal, or with --no-force")
         guide.begin()
         for _ in range(_PATIENCE):
             touch = engine.step()
@@ -106,7 +103,7 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
         else:
             raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; try again")
         strength = guide.samples[-1].strength
-        print(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not felt: it does not count", flush=True)
+        say(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not felt: it does not count")
     if virtual:
         engine.press(0, guide.plan[-1].at, _TIP, 0.0)
 
@@ -115,9 +112,3 @@ def _press(engine: Engine, step: PressStep, skin: Skin) -> None:
     """The pressure that makes this force under the foam that the description tells of."""
     per_pascal = Press(step.at, _TIP, 1.0).force(skin.contact_layer.foam_spread)
     engine.press(0, step.at, _TIP, step.force / per_pascal)
-
-
-def _ask(words: str) -> None:
-    print(words, flush=True)
-    if not sys.stdin.readline():
-        raise DeviceError("standard input ended before all presses were made; run it on a terminal, or with --no-force")

@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from ohmskin.cli.options import Jobs, Scheduler, SkinName
 from ohmskin.dataset import Recipe, generate
 from ohmskin.skin import Skin
 
@@ -15,7 +16,7 @@ def dataset(
     /,
     *,
     count: int = 10_000,
-    skin: str = "paper",
+    skin: SkinName = "paper",
     pattern: str = "complete",
     contacts: tuple[int, int] = (0, 3),
     radius: tuple[float, float] = (4.0, 15.0),
@@ -23,15 +24,14 @@ def dataset(
     gap: float = 5.0,
     pixels: int = 32,
     seed: int = 0,
-    jobs: int | None = None,
-    scheduler: str = "",
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
 ) -> None:
     """Simulate touches for learning: voltages, truth and parameters, in a Zarr group. Run again to go on or add more.
 
     Args:
         output: Folder of the data set; made if it is not there.
         count: Samples wanted in all.
-        skin: A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.
         pattern: What is driven: "complete" (all electrode pairs, of which every pattern is a part) or a mode such as
             16I (its base scan).
         contacts: Least and largest number of contacts.
@@ -40,8 +40,6 @@ def dataset(
         gap: Least distance between the rims of two contacts (mm).
         pixels: Pixels of the truth along the longer side.
         seed: Seed of everything: the same seed gives the same data on any number of workers.
-        jobs: Processes; one per core unless given.
-        scheduler: Address of a Dask scheduler to run on instead, such as tcp://host:8786.
     """
     metres, pascals = (1e-3 * radius[0], 1e-3 * radius[1]), (1e3 * pressure[0], 1e3 * pressure[1])
     recipe = Recipe(Skin.load(skin).dump(), pattern, contacts, metres, pascals, 1e-3 * gap, pixels, seed)

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -49,7 +49,13 @@ def export(
     if target.exists():
         raise OhmskinError(f"{target} exists and is never overwritten; choose another with --output")
     if to in ("png", "mp4"):
-        _show(file, to, target, start or 0.0, stop, at, {"mode": mode, "skin": skin}, rate)
+        cycles = reimage(file, mode=mode, skin=skin, start=start or 0.0, stop=stop)
+        if to == "mp4":
+            print(f"film of {exporting.write_film(target, cycles, rate)} pictures: {target}")
+            return
+        cycle = exporting.strongest(cycles) if at is None else exporting.cycle_at(file, at, mode=mode, skin=skin)
+        exporting.save_comparison(target, {f"{cycle.time:.2f} s": cycle})
+        print(f"picture of {cycle.time:.2f} s: {target}")
         return
     if not is_tape(file):
         raise DataError(f"{file} is no recording of ohmskin (.mcap); recordings of others can become png and mp4")
@@ -65,18 +71,3 @@ def export(
         rows = (exporting.contact_rows if what == "contacts" else exporting.frame_rows)(tape, begin, stop)
         write = exporting.write_csv if to == "csv" else exporting.write_parquet
         print(f"{target}: {write(target, columns, rows)} rows of {', '.join(columns)}")
-
-
-def _show(
-    file: Path, to: str, target: Path, start: float, stop: float, at: float | None, options: dict[str, Any], rate: float
-) -> None:
-    if to == "png":
-        if at is None:
-            cycle = exporting.strongest(reimage(file, start=start, stop=stop, **options))
-        else:
-            cycle = exporting.cycle_at(file, at, **options)
-        exporting.save_comparison(target, {f"{cycle.time:.2f} s": cycle})
-        print(f"picture of {cycle.time:.2f} s: {target}")
-        return
-    count = exporting.write_film(target, reimage(file, start=start, stop=stop, **options), rate)
-    print(f"film of {count} pictures: {target}")

@@ -37,11 +37,18 @@ def image(
         reference: File of the untouched skin, for formats that keep it apart; beside the recording unless given.
         pattern: Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
         frame: Which frame of the recording, or which cycle of one of ours (.mcap), from 0.
-        estimator, prior, rule: Estimator, prior and rule for the regularisation parameter, such as `--estimator
-            absolute --prior matern`.
+        estimator: What makes the image, such as kalman or absolute (see `ohmskin info`).
+        prior: What the estimator believes beforehand, such as paper or matern.
+        rule: How the regularisation parameter is chosen, such as physical or l-curve.
     """
+    target = output or Path(file.stem + ".png")
     if is_tape(file):
-        _image_cycle(file, skin, output or Path(file.stem + ".png"), frame, estimator, prior, rule)
+        cycles = reimage(file, estimator, prior, rule, skin=skin)
+        if frame < 0 or (cycle := next(islice(cycles, frame, None), None)) is None:
+            by_time = f"`ohmskin export {file} --to png --at SECONDS` finds one by time"
+            raise DataError(f"--frame {frame}: {file} has fewer cycles; {by_time}")
+        save_comparison(target, {f"{cycle.time:.2f} s": cycle})
+        _tell(cycle.touch.percept, target)
         return
     recording = read_recording(file, reference=reference, pattern=pattern)
     if not 0 <= frame < len(recording.frames):
@@ -60,21 +67,10 @@ def image(
     for line in [*recording.notes, *quality.report(), *([missing] if missing else []), *match.report()]:
         print(f"# {line}", file=sys.stderr)
     percept = perceive(known, shown, RECORDED.using(estimator, prior, rule))
-    target = output or Path(file.stem + ".png")
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
     save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title)
     _tell(percept, target)
-
-
-def _image_cycle(file: Path, skin: str, target: Path, number: int, estimator: str, prior: str, rule: str) -> None:
-    cycles = reimage(file, estimator, prior, rule, skin=skin)
-    cycle = next(islice(cycles, max(number, 0), None), None)
-    if cycle is None or number < 0:
-        by_time = f"`ohmskin export {file} --to png --at SECONDS` finds one by time"
-        raise DataError(f"--frame {number}: {file} has fewer cycles; {by_time}")
-    save_comparison(target, {f"{cycle.time:.2f} s": cycle})
-    _tell(cycle.touch.percept, target)
 
 
 def _tell(percept: Percept, target: Path) -> None:

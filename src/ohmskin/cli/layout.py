@@ -2,12 +2,15 @@
 
 import json
 import math
-from dataclasses import dataclass, replace
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ohmskin.arrays import as_plain
+from ohmskin.cli.options import SkinName, write
 from ohmskin.drive import (
     DRIVES,
     Candidates,
@@ -34,7 +37,7 @@ _BEST = "best"
 
 def layout(
     *,
-    skin: str = "paper",
+    skin: SkinName = "paper",
     mode: str = "",
     injections: int = 0,
     noise: str = "",
@@ -47,7 +50,6 @@ def layout(
     """Map the least error to which a contact's position can be told, over the sheet; or find a better electrode layout.
 
     Args:
-        skin: A skin that ships with ohmskin or a .toml file.
         mode: What is driven: a mode such as 12B, 16I, 16O or 16P (as usual), or "best", the best fixed injections.
         injections: Of a frame; for adaptive modes the base scan included. As many as the mode has unless given; with
             "best" 28.
@@ -65,79 +67,53 @@ def layout(
     if not 0 < size < shortest / 4:
         raise SkinError(f"--radius {radius:g} mm; it must be below a quarter of the sheet's {1e3 * shortest:g} mm")
     volts = _volts(noise, described)
-    found = [_Judged.of(described, mode, injections, volts, size)]
+    found = [_judge(described, mode, injections, volts, size)]
     if optimise:
+        used, count = found[0][1]["mode"], found[0][1]["injections"]
         current = float(np.median(described.pair_currents()))
         sheet = described.domain, described.sheet.conductivity, 0.75 * described.imaging.mesh_size
-        search = LayoutSearch(*sheet, size, volts, found[0].injections, current)
-        places = tuple((round(float(x), 9), round(float(y), 9)) for x, y in search.best(optimise).positions)
+        search = LayoutSearch(*sheet, size, volts, count, current)
+        places = tuple((x, y) for x, y in np.round(search.best(optimise).positions, 9).tolist())
         kept = described.electrode
-        contacts: dict[str, Any] = {"radius": kept.radius, "contact_resistivity": kept.contact_resistivity}
-        electrode = ElectrodeLayout("listed", positions=places, **contacts)
+        electrode = ElectrodeLayout(
+            "listed", radius=kept.radius, contact_resistivity=kept.contact_resistivity, positions=places
+        )
         imaging = replace(described.imaging, pairs=min(described.imaging.pairs, optimise * (optimise - 1) // 2))
         better = replace(described, name=f"{described.name}-{optimise}", electrode=electrode, imaging=imaging)
-        same = found[0].name if found[0].name == _BEST else found[0].name[-1]
         possible = modes(better)
-        name = same if same == _BEST else next((name for name in possible if name.endswith(same)), "")
+        name = used if used == _BEST else next((name for name in possible if name.endswith(used[-1])), "")
         fixed = name == _BEST or drive_of(possible[name], better).scans == 1
-        found.append(_Judged.of(better, name, injections if fixed else found[0].injections, volts, size))
+        found.append(_judge(better, name, injections if fixed else count, volts, size))
         target = save or Path(f"{described.name}-optimised.toml")
-        _write(target, better.dump())
-    for judged in found:
-        print(judged.line)
+        write(target, better.dump())
+    lines, layouts, maps = zip(*found, strict=True)
+    print("\n".join(lines))
     if json_file is not None:
-        _write(
-            json_file,
-            json.dumps({"noise": volts, "radius": size, "layouts": [judged.told for judged in found]}, indent=1),
-        )
-    save_error_maps(output, [judged.map for judged in found])
+        write(json_file, json.dumps({"noise": volts, "radius": size, "layouts": layouts}, indent=1))
+    save_error_maps(output, maps)
     print(f"picture: {output}" + (f"; skin: {target}" if optimise else ""))
 
 
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A skin and what it can do."""
-
-    skin: Skin
-    name: str
-    injections: int
-    map: ErrorMap
-
-    @classmethod
-    def of(cls, skin: Skin, mode: str, injections: int, noise: float, radius: float) -> "_Judged":
-        table = ContactTable(skin.transfer_model(), radius, pitch=0.45 * skin.imaging.mesh_size)
-        currents = skin.pair_currents()
-        candidates = Candidates.at_currents(complete_pattern(skin.electrodes), len(skin.electrodes), noise, currents)
-        name, count, scheme = _scheme(skin, mode, injections, table, candidates)
-        places = spread_places(table, _PLACES)
-        errors = position_bound(table, places, scheme, noise, currents)
-        title = f"{skin.name}: {'best fixed set' if name == _BEST else name}, {count} injections"
-        return cls(skin, name, count, ErrorMap(title, skin.domain, skin.electrodes, places, errors))
-
-    @property
-    def line(self) -> str:
-        errors, worst = 1e3 * self.map.errors, 1e3 * self.map.places[int(np.argmax(self.map.errors))]
-        frame = part_of(complete_pattern(self.skin.electrodes), np.zeros(self.injections, np.int64))
-        return (
-            f"{self.map.title} ({1e3 * self.skin.cost.time(frame):.3g} ms): "
-            f"position error mean {errors.mean():.3g} mm, median {np.median(errors):.3g} mm, "
-            f"worst {errors.max():.3g} mm at ({worst[0]:.0f}, {worst[1]:.0f}) mm"
-        )
-
-    @property
-    def told(self) -> dict[str, Any]:
-        errors = self.map.errors
-        return {
-            "skin": self.skin.name,
-            "mode": self.name,
-            "injections": self.injections,
-            "mean": float(errors.mean()),
-            "median": float(np.median(errors)),
-            "worst": float(errors.max()),
-            "electrodes": self.skin.electrodes.positions.tolist(),
-            "places": self.map.places.tolist(),
-            "errors": errors.tolist(),
-        }
+def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) -> tuple[str, dict[str, Any], ErrorMap]:
+    """What a skin can do, in a line, as figures and as a map."""
+    table = ContactTable(skin.transfer_model(), radius, pitch=0.45 * skin.imaging.mesh_size)
+    currents, electrodes = skin.pair_currents(), skin.electrodes
+    complete = complete_pattern(electrodes)
+    candidates = Candidates.at_currents(complete, len(electrodes), noise, currents)
+    name, count, scheme = _scheme(skin, mode, injections, table, candidates)
+    places = spread_places(table, _PLACES)
+    errors = position_bound(table, places, scheme, noise, currents)
+    title = f"{skin.name}: {'best fixed set' if name == _BEST else name}, {count} injections"
+    mean, median, worst = float(errors.mean()), float(np.median(errors)), float(errors.max())
+    x, y = 1e3 * places[int(np.argmax(errors))]
+    line = (
+        f"{title} ({1e3 * skin.cost.time(part_of(complete, np.zeros(count, np.int64))):.3g} ms): "
+        f"position error mean {1e3 * mean:.3g} mm, median {1e3 * median:.3g} mm, "
+        f"worst {1e3 * worst:.3g} mm at ({x:.0f}, {y:.0f}) mm"
+    )
+    told = {"skin": skin.name, "mode": name, "injections": count, "mean": mean, "median": median, "worst": worst}
+    arrays = {"electrodes": electrodes.positions, "places": places, "errors": errors}
+    return line, told | as_plain(arrays), ErrorMap(title, skin.domain, electrodes, places, errors)
 
 
 def _scheme(
@@ -173,29 +149,15 @@ def _volts(text: str, skin: Skin) -> float:
     """A noise level in volts."""
     if not text:
         return skin.noise
-    number, factor = text.strip(), 1.0
-    decibels = number.lower().endswith("db")
-    for unit, size in (("db", 1.0), ("uv", 1e-6), ("mv", 1e-3), ("v", 1.0)):
-        if number.lower().endswith(unit):
-            number, factor = number[: -len(unit)], size
-            break
+    found = re.fullmatch(r"([-+.\de]+)\s*(db|uv|mv|v|)", text.strip().lower())
     try:
-        value = float(number)
+        value = float(found[1]) if found else math.nan
     except ValueError:
         value = math.nan
-    if decibels and math.isfinite(value):
+    if found and found[2] == "db" and math.isfinite(value):
         base = adjacent([skin.electrodes.rings[0]])
-        table = skin.pair_currents()
-        first = Candidates.at_currents(base, len(skin.electrodes), 1.0, table)
-        resistance = skin.transfer_model().pair_resistances
-        return float(np.abs(first.weights @ resistance).max()) * 10 ** (-value / 20)
-    if not (math.isfinite(value) and value > 0):
+        first = Candidates.at_currents(base, len(skin.electrodes), 1.0, skin.pair_currents())
+        return float(np.abs(first.weights @ skin.transfer_model().pair_resistances).max()) * 10 ** (-value / 20)
+    if not found or not (math.isfinite(value) and value > 0):
         raise DataError(f"--noise {text!r}; give volts such as 0.2mV, 50uV or 1e-4, or decibels such as 50dB")
-    return value * factor
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write {path}: {error}") from error
+    return value * {"uv": 1e-6, "mv": 1e-3}.get(found[2], 1.0)

@@ -4,8 +4,10 @@ import os
 import signal
 import sys
 import threading
+import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -13,11 +15,40 @@ from cyclopts import Parameter
 from ohmskin.child import when_input_ends
 from ohmskin.device import Device, connect
 from ohmskin.device.replay import ReplayDevice, recorded_skin
-from ohmskin.errors import ModelError, OhmskinError, SkinError
+from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError
 from ohmskin.inverse import PRIORS
 from ohmskin.inverse.choice import RULES
 from ohmskin.inverse.estimators import ESTIMATORS
 from ohmskin.skin import Fault, Skin
+
+DeviceUrl = Annotated[str, Parameter(help="Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.")]
+SkinName = Annotated[str, Parameter(help="A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.")]
+ModeName = Annotated[
+    str, Parameter(help="A mode of the skin, such as 16P or 12B (see `ohmskin info`); the most precise unless given.")
+]
+Lifeline = Annotated[bool, Parameter(show=False)]  # whether to end when standard input ends
+Jobs = Annotated[int | None, Parameter(help="Processes; one per core unless given.")]
+Scheduler = Annotated[str, Parameter(help="Address of a Dask scheduler to run on instead, such as tcp://host:8786.")]
+Numbers = Annotated[tuple[float, ...], Parameter(consume_multiple=True)]  # --noise 45 35 55
+Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True)]  # --only static pairs
+Repeated = Annotated[tuple[str, ...], Parameter(consume_multiple=False)]  # --publish shm --publish zenoh
+
+
+def _positive(_: object, seconds: float | None) -> None:
+    if seconds is not None and not seconds > 0:
+        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
+
+
+def check_seed(_: object, seed: int | None) -> None:
+    """Raise unless noise can be made of this seed."""
+    if seed is not None and not 0 <= seed < 2**63:
+        raise OhmskinError(f"--seed is {seed}; it must be 0 to 2^63 - 1")
+
+
+Seed = Annotated[int | None, Parameter(help="Seed of the noise, to make it repeatable.", validator=check_seed)]
+Seconds = Annotated[
+    float | None, Parameter(help="End after so many seconds; otherwise at Ctrl-C.", validator=_positive)
+]
 
 
 @dataclass(frozen=True)
@@ -44,7 +75,60 @@ Imaging = Annotated[_Imaging, Parameter(name="*")]
 """The options ``--estimator``, ``--prior`` and ``--rule``, checked before anything is opened."""
 
 AS_THE_MODE = _Imaging()
-"""What the mode says."""
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Where a page is served.
+
+    Args:
+        host: Address to serve the page at; one that others can reach needs a token.
+        port: Port of the page; if it is taken, the next free one.
+        token: Password, a part of the page's address.
+        browser: Open the page in a browser if there is a display.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8000
+    token: str = ""
+    browser: bool = True
+
+    @property
+    def address(self) -> tuple[str, int, str | None]:
+        """Host, port and token."""
+        return self.host, self.port, self.token or None
+
+    def open(self, url: str) -> None:
+        """Say where the page is, and show it."""
+        say(f"open {url}   (Ctrl-C ends)")
+        display = sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        if self.browser and display:
+            webbrowser.open(url)
+
+
+Page = Annotated[_Page, Parameter(name="*")]
+"""The options ``--host``, ``--port``, ``--token`` and ``--browser``."""
+
+HERE = _Page()
+
+
+class Stop(threading.Event):
+    """Set, and true, after Ctrl-C or SIGTERM and, with a `lifeline`, at the end of standard input."""
+
+    def __init__(self, lifeline: bool = False) -> None:
+        super().__init__()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+        if lifeline:
+            when_input_ends(self.set)
+
+    def _ask(self, *_: object) -> None:
+        if self.is_set():  # asked twice: leave at once
+            raise KeyboardInterrupt
+        self.set()
+
+    def __bool__(self) -> bool:
+        return self.is_set()
 
 
 def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Device, Skin]:
@@ -69,33 +153,14 @@ def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Dev
         raise
 
 
-def check_seconds(seconds: float | None) -> None:
-    """Raise unless a command may end after so many seconds."""
-    if seconds is not None and not seconds > 0:
-        raise OhmskinError(f"--seconds is {seconds:g}; it must be positive")
-
-
-def check_seed(seed: int | None) -> None:
-    """Raise unless noise can be made of this seed."""
-    if seed is not None and not 0 <= seed < 2**63:
-        raise OhmskinError(f"--seed is {seed}; it must be 0 to 2^63 - 1")
-
-
-def asked_to_stop(lifeline: bool = False) -> threading.Event:
-    """Set at Ctrl-C or SIGTERM and, with a `lifeline`, at the end of standard input."""
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    if lifeline:
-        when_input_ends(stop.set)
-    return stop
-
-
 def say(sentence: str) -> None:
     """Print a sentence now, whoever reads it."""
     print(sentence, flush=True)
 
 
-def has_display() -> bool:
-    """Whether a browser could show a page here."""
-    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+def write(path: Path, text: str) -> None:
+    """Write a file, or raise DataError."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"cannot write {path}: {error}; choose another place") from error

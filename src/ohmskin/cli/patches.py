@@ -2,15 +2,11 @@
 
 import sys
 import time
-import webbrowser
 from contextlib import ExitStack
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from ohmskin.body.body import Body
 from ohmskin.body.patches import Patches
-from ohmskin.cli.options import asked_to_stop, check_seconds, has_display, say
+from ohmskin.cli.options import HERE, Page, Repeated, Seconds, Stop, say
 from ohmskin.client.felt import Felt
 from ohmskin.view.overview import Overview
 
@@ -20,42 +16,30 @@ _TABLE_EVERY = 2.0
 def patches(
     body: str,
     *,
-    publish: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = (),
-    host: str = "127.0.0.1",
-    port: int = 8000,
-    token: str = "",
+    publish: Repeated = (),
+    page: Page = HERE,
     demo: bool = True,
-    browser: bool = True,
     headless: bool = False,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> None:
     """Sense with all patches of a robot: a process for each, one stream of contacts in the robot's frames, one page.
 
     Args:
         body: The body file (TOML): which patches there are, and where on the robot.
         publish: Publish what is felt to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
-        host: Address to serve the page at; one that others can reach needs a token.
-        port: Port of the page; if it is taken, the next free one.
-        token: Password, a part of the page's address.
         demo: Let a demonstration finger wander over each virtual patch.
-        browser: Open the page in a browser if there is a display.
         headless: No page.
-        seconds: End after so many seconds.
     """
-    check_seconds(seconds)
     loaded = Body.load(body)
-    stop = asked_to_stop()
+    stop = Stop()
     with ExitStack() as stack:
-        all_patches = stack.enter_context(Patches(loaded, publish, token or None, demo, report=say))
+        all_patches = stack.enter_context(Patches(loaded, publish, page.token or None, demo, report=say))
         say(f"publishing at {', '.join(all_patches.addresses)}")
         if not headless:
-            page = stack.enter_context(Overview(loaded.name, all_patches.boards, host, port, token or None))
-            say(f"open {page.url}   (Ctrl-C ends)")
-            if browser and has_display():
-                webbrowser.open(page.url)
+            page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address)).url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
         due, count, newest = time.monotonic() + _TABLE_EVERY, 0, None
-        while not stop.is_set() and (now := time.monotonic()) < end:
+        while not stop and (now := time.monotonic()) < end:
             if (felt := all_patches.step()) is not None:
                 newest, count = felt, count + 1
             if now >= due and newest is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ohmskin.cli.live import live
-from ohmskin.cli.options import AS_THE_MODE, Imaging
+from ohmskin.cli.options import AS_THE_MODE, HERE, Imaging, Page, Seconds
 from ohmskin.errors import OhmskinError
 from ohmskin.inverse.estimators import image_of
 
@@ -24,13 +24,10 @@ def replay(
     compare: str = "",
     at: float | None = None,
     output: Path | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8000,
-    token: str = "",
-    browser: bool = True,
+    page: Page = HERE,
     headless: bool = False,
     json: bool = False,
-    seconds: float | None = None,
+    seconds: Seconds = None,
 ) -> None:
     """Replay a recording through the same loop and page as a device, or compare estimators on it.
 
@@ -46,7 +43,8 @@ def replay(
             images side by side.
         at: With --compare: which time; that of the strongest contact unless given.
         output: With --compare: where to put the picture; beside the recording's name in this folder unless given.
-        host, port, token, browser, headless, json, seconds: As for `ohmskin live`.
+        headless: No page: contacts as a table on the terminal.
+        json: No page: a line of JSON for every frame.
     """
     if compare:
         if headless or json or loop:
@@ -64,11 +62,8 @@ def replay(
         skin=skin,
         mode=mode,
         imaging=imaging,
-        host=host,
-        port=port,
-        token=token,
+        page=page,
         demo=False,
-        browser=browser,
         headless=headless,
         json=json,
         seconds=seconds,

@@ -39,20 +39,21 @@ def robot(
     """
     if not 1 <= pokes <= 10_000:
         raise OhmskinError(f"--pokes is {pokes}; choose 1 to 10000")
-    check_seed(seed)
+    check_seed(int, seed)
     for path in (video, picture):
         if path is not None and not path.parent.is_dir():
             raise OhmskinError(f"there is no folder {path.parent}; make it first")
     description = Skin.load(skin)
-    from ohmskin.robot import Demonstration, Encounter, Moment, summary  # here: help needs no MuJoCo
+    from ohmskin.robot import Demonstration, Moment, summary  # here: help needs no MuJoCo
 
     if video or picture:
         from ohmskin.robot.display import check_display
-        from ohmskin.robot.film import Film, Snapshot, Video
+        from ohmskin.robot.film import Film
+        from ohmskin.robot.film import snapshot as to_picture
+        from ohmskin.robot.film import video as to_video
 
         check_display()
     console = Console(stderr=True)
-    encounters: list[Encounter] = []
     with ExitStack() as stack:
         engine = stack.enter_context(
             Engine(lambda: connect("virtual:", skin=description, seed=seed, realtime=False), description, mode)
@@ -63,17 +64,15 @@ def robot(
         if video or picture:
             film = Film(description, demonstration.arm)
             stack.callback(film.close)
-            if picture:
-                shows.append(stack.enter_context(Snapshot(picture, film)).show)
-            if video:
-                shows.append(stack.enter_context(Video(video, film)).show)
+            for file, taken in ((picture, to_picture), (video, to_video)):
+                if file:
+                    shows.append(stack.enter_context(taken(file, film)))
 
         def show(moment: Moment) -> None:
             for each in shows:
                 each(moment)
 
-        for encounter in track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console):
-            encounters.append(encounter)
+        encounters = list(track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console))
     if picture and not picture.exists():
         console.print("no poke was felt, so that there is no picture")
     figures = summary(encounters)
@@ -81,12 +80,8 @@ def robot(
         print(json_module.dumps(figures))
         return
     print(f"{figures['felt']} of {pokes} pokes felt")
-    for name, label, factor, unit in (
-        ("position_error", "position error", 1e3, "mm"),
-        ("reaction_time", "reaction time", 1e3, "ms"),
-        ("peak_force", "peak force", 1.0, "N"),
-    ):
+    for name, factor, unit in (("position_error", 1e3, "mm"), ("reaction_time", 1e3, "ms"), ("peak_force", 1.0, "N")):
         if (spread := figures[name]) is not None:
             assert isinstance(spread, dict)
             said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())
-            print(f"{label:<15} {said} {unit}")
+            print(f"{name.replace('_', ' '):<15} {said} {unit}")

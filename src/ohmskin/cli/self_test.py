@@ -7,16 +7,16 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.calibrate import self_test as run_self_test
-from ohmskin.cli.options import open_skin
+from ohmskin.cli.options import SkinName, open_skin, write
 from ohmskin.errors import DataError
-from ohmskin.plot.self_test import save_self_test
+from ohmskin.plot.calibration import save_self_test
 from ohmskin.skin import Fault
 
 
 def self_test(
     *,
     device: str = "virtual:",
-    skin: str = "",
+    skin: SkinName = "",
     out: Path | None = None,
     json: bool = False,
     fault: tuple[str, ...] = (),
@@ -27,7 +27,6 @@ def self_test(
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
-        skin: A skin that ships with ohmskin or a .toml file.
         out: Folder for self-test.json and self-test.png.
         json: Print JSON instead of a table.
         fault: With virtual: only: something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5
@@ -41,9 +40,8 @@ def self_test(
     if json:
         print(result.to_json())
     else:
-        all_well = f"all {len(description.electrodes)} electrodes are in order"
-        for text in [str(finding) for finding in result.findings] or [all_well]:
-            console.print(text)
+        for finding in result.findings or [f"all {len(description.electrodes)} electrodes are in order"]:
+            console.print(str(finding))
         for remark in result.remarks:
             console.print(f"note: {remark}")
         table = Table("measured", "value", box=None)
@@ -54,9 +52,9 @@ def self_test(
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)
-            (out / "self-test.json").write_text(result.to_json() + "\n", encoding="utf-8")
         except OSError as error:
             raise DataError(f"cannot write to {out}: {error}; choose another folder with --out") from error
+        write(out / "self-test.json", result.to_json() + "\n")
         save_self_test(out / "self-test.png", result, description)
     if result.findings:
         sys.exit(1)

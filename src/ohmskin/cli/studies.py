@@ -1,21 +1,86 @@
-"""What ``ohmskin reproduce`` and ``ohmskin policies`` share: running a study with a progress bar for each group."""
+"""``ohmskin reproduce`` and ``ohmskin policies``: studies, each in one report."""
 
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from ohmskin.cli.options import Jobs, Names, Numbers, Scheduler
+from ohmskin.evaluate.plan import Settings
+from ohmskin.evaluate.policies.comparison import POLICIES
+from ohmskin.evaluate.policies.plan import Settings as PolicySettings
+from ohmskin.evaluate.reproduction import REPRODUCTION
 from ohmskin.evaluate.result import Experiment
 from ohmskin.evaluate.study import Study, assign
 
-S = TypeVar("S")
+S = TypeVar("S", Settings, PolicySettings)
 
 
-def run_study(study: Study[S, Any], settings: S, output: Path, only: tuple[str, ...], **options: Any) -> None:
-    """Run a study and say where its report is; for the options see `Study.run`."""
+def reproduce(
+    *,
+    quick: bool = False,
+    output: Path = Path("reproduction"),
+    noise: Numbers = (),
+    amplitude: Numbers = (),
+    seeds: int | None = None,
+    only: Names = (),
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
+    cache: Path | None = None,
+    fresh: bool = False,
+) -> None:
+    """Reproduce the paper: every figure and table, beside the paper's own figures, with verdicts.
+
+    Args:
+        quick: Few seeds and noise levels: about a minute on two cores.
+        output: Folder for report.html, figures and data.
+        noise: Noise levels (dB below the largest 12B voltage); the first is that of the figures, all make the sweep.
+        amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the
+            sweep.
+        seeds: Noise seeds; 20 unless given, 5 with --quick.
+        only: Figures wanted: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep.
+        cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
+        fresh: Run everything anew.
+    """
+    given = {"noise": noise or None, "amplitude": amplitude or None, "seeds": seeds}
+    usual = Settings.quick() if quick else Settings()
+    _run(REPRODUCTION, usual, given, output, only, cache=cache, jobs=jobs, scheduler=scheduler, fresh=fresh)
+
+
+def policies(
+    *,
+    quick: bool = False,
+    out: Path = Path("policies"),
+    seeds: int | None = None,
+    only: Names = (),
+    jobs: Jobs = None,
+    scheduler: Scheduler = "",
+    cache: Path | None = None,
+    fresh: bool = False,
+) -> None:
+    """Compare drive policies, the paper's, by information and tracking, at equal noise and equal time with their goals.
+
+    Args:
+        quick: Few seeds and trials: a minute or two on two cores.
+        out: Folder for report.md, figures and data.
+        seeds: Noise seeds; 20 unless given, 5 with --quick.
+        only: Sections wanted: static, time, moving, pairs, detection, quiet, robust, cost.
+        cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
+        fresh: Run everything anew.
+    """
+    usual = PolicySettings.quick() if quick else PolicySettings()
+    _run(POLICIES, usual, {"seeds": seeds}, out, only, cache=cache, jobs=jobs, scheduler=scheduler, fresh=fresh)
+
+
+def _run(
+    study: Study[S, Any], usual: S, given: dict[str, Any], output: Path, only: tuple[str, ...], **options: Any
+) -> None:
+    """Run a study with a progress bar for each group, and say where its report is; for the options see `Study.run`."""
+    settings = replace(usual, **{name: value for name, value in given.items() if value is not None})
     started, console = time.monotonic(), Console()
     columns = (TextColumn("{task.description:<10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:

@@ -28,8 +28,7 @@ LARGEST_SETUP = 2**20
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(\.[A-Za-z][A-Za-z0-9_]{0,31}){0,2}")
 _SLOTS = 8
-# words of the head, 8 bytes each
-_MAGIC, _SLOTS_AT, _N_SLOTS, _SLOT_BYTES, _BOOT, _NEWEST, _CLOSED, _SETUP_BYTES = range(8)
+_BOOT, _NEWEST, _CLOSED = 4, 5, 6  # words of the head, 8 bytes each
 _HEAD_BYTES = 64
 _SLOT = struct.Struct("<QII")  # number of the message, its length, checksum of number and message
 _NUMBER = struct.Struct("<Q")
@@ -109,16 +108,13 @@ class Board(Closing):
             fresh.unlink(missing_ok=True)
             os.close(self._lock)
             self._lock = None
-            raise PublishError(
-                f"cannot make the board {path}: {error.strerror}; make room there, or set OHMSKIN_BOARDS to another "
-                "folder"
-            ) from error
+            what = f"cannot make the board {path}: {error.strerror}"
+            raise PublishError(f"{what}; make room there, or set OHMSKIN_BOARDS to another folder") from error
         # a word is stored in one go, other than by `pack_into`
         self._words = memoryview(self._memory)[:_HEAD_BYTES].cast("Q")
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0
         self.boot = int.from_bytes(os.urandom(8), "little") or 1
-        values = (MAGIC, slots_at, _SLOTS, slot_bytes, self.boot, 0, 0, len(text))
-        for place, value in enumerate(values):
+        for place, value in enumerate((MAGIC, slots_at, _SLOTS, slot_bytes, self.boot, 0, 0, len(text))):
             self._words[place] = value
         self._memory[_HEAD_BYTES : _HEAD_BYTES + len(text)] = text
         os.replace(fresh, path)
@@ -165,7 +161,7 @@ class BoardReader(Closing):
         self._path = board_path(name)
         self._memory: mmap.mmap | None = None
         self._words: memoryview | None = None
-        self._identity, self._size = (0, 0), 0
+        self._identity = (0, 0)
         self._number, self._look_at = 0, -1.0
         self.setup: dict[str, Any] = {}
 
@@ -232,14 +228,10 @@ class BoardReader(Closing):
         finally:
             os.close(file)
         words = memoryview(memory)[:_HEAD_BYTES].cast("Q")
-        _, slots_at, n_slots, slot_bytes, _, _, _, setup_bytes = words
-        fits = (
-            _HEAD_BYTES + setup_bytes <= slots_at
-            and slot_bytes > _SLOT.size
-            and slots_at + n_slots * slot_bytes == found.st_size
-        )
+        magic, slots_at, n_slots, slot_bytes, _, _, _, setup_bytes = words
+        fits = _HEAD_BYTES + setup_bytes <= slots_at and slots_at + n_slots * slot_bytes == found.st_size
         try:
-            if words[_MAGIC] != MAGIC or n_slots != _SLOTS or not fits:
+            if magic != MAGIC or n_slots != _SLOTS or slot_bytes <= _SLOT.size or not fits:
                 raise ValueError("its head is not one")
             setup = json.loads(memory[_HEAD_BYTES : _HEAD_BYTES + setup_bytes])
             if not isinstance(setup, dict):

@@ -59,5 +59,4 @@ class Client(Closing):
         return fresh
 
     def close(self) -> None:
-        """Let go. Safe twice."""
         self._source.close()

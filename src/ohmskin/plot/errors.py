@@ -6,15 +6,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.tri import TriContourSet
 
 from ohmskin.arrays import Floats
-from ohmskin.errors import DataError
-from ohmskin.geometry import Electrodes
-from ohmskin.geometry.domain import Domain
+from ohmskin.geometry import Domain, Electrodes
+from ohmskin.plot.picture import outline, save_figure
 
 _LEVELS = 24
 
@@ -53,9 +51,7 @@ def draw_error_map(axes: Axes, shown: ErrorMap, limits: tuple[float, float] | No
     levels = 1e3 * np.geomspace(low * (1 - 1e-3), high * (1 + 1e-3), _LEVELS)
     x, y = 1e3 * shown.places.T
     colours: TriContourSet = axes.tricontourf(x, y, 1e3 * shown.errors, levels=levels, cmap="viridis", norm=LogNorm())
-    arcs = np.append(np.linspace(0, shown.domain.perimeter, 400), shown.domain.corners)
-    rim = 1e3 * shown.domain.rim(np.unique(arcs))
-    axes.plot(*rim.T, color="0.15", linewidth=1)
+    axes.plot(*outline(shown.domain).T, color="0.15", linewidth=1)
     axes.plot(*1e3 * shown.electrodes.positions.T, "o", color="0.15", markersize=5, clip_on=False)
     worst = int(np.argmax(shown.errors))
     axes.plot(*1e3 * shown.places[worst], "x", color="white", markersize=8, markeredgewidth=2)
@@ -73,7 +69,6 @@ def save_error_maps(path: str | Path, maps: Sequence[ErrorMap]) -> None:
         DataError: If the file cannot be written.
     """
     figure = Figure(figsize=(1.2 + 5.0 * len(maps), 4.9), layout="constrained")
-    FigureCanvasAgg(figure)
     low, high = min(float(m.errors.min()) for m in maps), max(float(m.errors.max()) for m in maps)
     axes = np.atleast_1d(figure.subplots(1, len(maps)))
     for place, shown in zip(axes, maps, strict=True):
@@ -81,7 +76,4 @@ def save_error_maps(path: str | Path, maps: Sequence[ErrorMap]) -> None:
     ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if 1e3 * low <= tick <= 1e3 * high]
     bar = figure.colorbar(colours, ax=axes.tolist(), label="expected position error / mm", shrink=0.85, ticks=ticks)
     bar.ax.set_yticklabels([f"{tick:g}" for tick in ticks])
-    try:
-        figure.savefig(path, dpi=150)
-    except (OSError, ValueError) as error:
-        raise DataError(f"cannot write picture {path}: {error}") from error
+    save_figure(figure, path)

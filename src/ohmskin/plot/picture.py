@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError
-from ohmskin.geometry import Electrodes, Mesh, Raster
+from ohmskin.geometry import Domain, Electrodes, Mesh, Raster
 
 _SHADES = "RdBu_r"  # red conducts better, blue worse, white is unchanged
 _PIXELS = 256
@@ -47,14 +47,12 @@ def draw_image(
     x, y = raster.x, raster.y
     edges = tuple(1e3 * edge for edge in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
     shown = axes.imshow(pixels, origin="lower", extent=edges, cmap=_SHADES, vmin=-full, vmax=full, interpolation="none")
-    x, y = 1e3 * electrodes.positions.T
-    axes.plot(x, y, "o", color="0.15", markersize=4, clip_on=False)
+    axes.plot(*1e3 * electrodes.positions.T, "o", color="0.15", markersize=4, clip_on=False)
     middle = 0.5e3 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
     size = 1e3 * float(np.ptp(mesh.nodes, axis=0).max())
-    for number, (px, py) in enumerate(zip(x, y, strict=True)):
-        away = np.array([px, py]) - middle
-        outward = away / max(float(np.linalg.norm(away)), 1e-9) * 0.045 * size
-        place = (px + outward[0], py + outward[1])
+    for number, place in enumerate(1e3 * electrodes.positions):
+        away = place - middle
+        place = place + away / max(float(np.linalg.norm(away)), 1e-9) * 0.045 * size
         axes.annotate(str(number), place, ha="center", va="center", fontsize=7, annotation_clip=False)
     for contact in contacts:
         centre = (1e3 * contact.position[0], 1e3 * contact.position[1])
@@ -83,12 +81,26 @@ def save_picture(
         DataError: If the file cannot be written.
     """
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     shown = draw_image(axes, mesh, values, electrodes, contacts)
     axes.set_title(title, fontsize=10)
     figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.85)
+    save_figure(figure, path)
+
+
+def save_figure(figure: Figure, path: str | Path, dpi: int = 150) -> None:
+    """Save a figure; the file's ending chooses the format.
+
+    Raises:
+        DataError: If the file cannot be written.
+    """
     try:
-        figure.savefig(path, dpi=150)
+        figure.savefig(path, dpi=dpi)
     except (OSError, ValueError) as error:
         raise DataError(f"cannot write picture {path}: {error}") from error
+
+
+def outline(domain: Domain) -> Floats:
+    """The rim of a sheet, (n, 2) in millimetres."""
+    arcs = np.append(np.linspace(0, domain.perimeter, 400), domain.corners)
+    return 1e3 * domain.rim(np.unique(arcs))

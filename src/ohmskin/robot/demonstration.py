@@ -75,15 +75,15 @@ class Demonstration:
         if not engine.device.capabilities.virtual or engine.skin.sheet.shape != "rectangle":
             raise ModelError("the demonstration needs a rectangular skin on the device virtual:")
         self.engine, self.yielding, self.computing = engine, yielding, computing
-        self.arm = Arm(engine.skin.sheet.width, engine.skin.sheet.height)
+        self._size = np.array([engine.skin.sheet.width, engine.skin.sheet.height])
+        self.arm = Arm(*self._size)
         self._random = np.random.default_rng(seed)
         self._felt_at, self._felt_where = -np.inf, np.zeros(2)
 
     def pokes(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[Encounter]:
         """Poke the arm `count` times at random places; `show` is called after every cycle."""
-        size = np.array([self.engine.skin.sheet.width, self.engine.skin.sheet.height])
         for _ in range(count):
-            yield self._encounter(self._random.uniform(0.1, 0.9, 2) * size, show)
+            yield self._encounter(self._random.uniform(0.1, 0.9, 2) * self._size, show)
 
     def _encounter(self, aim: Floats, show: Callable[[Moment], None]) -> Encounter:
         pushed, held, touched_at, reacted_at = 0.0, 0.0, np.nan, np.nan
@@ -123,13 +123,10 @@ class Demonstration:
         if seconds:
             self.arm.advance(seconds, finger)
         poke = self.arm.poke()
-        if poke is not None:
-            size = np.array([self.engine.skin.sheet.width, self.engine.skin.sheet.height])
-            x, y = np.clip(poke.position, 0, size)
-            radius = max(poke.radius, _LEAST_RADIUS)
-            self.engine.press(0, (float(x), float(y)), radius, min(poke.force / (np.pi * radius**2), _MOST_PRESSURE))
-        else:
-            self.engine.press(0, (0.0, 0.0), _LEAST_RADIUS, 0.0)
+        position, radius, force = (poke.position, poke.radius, poke.force) if poke else (np.zeros(2), 0.0, 0.0)
+        x, y = np.clip(position, 0, self._size).tolist()
+        radius = max(radius, _LEAST_RADIUS)
+        self.engine.press(0, (x, y), radius, min(force / (np.pi * radius**2), _MOST_PRESSURE))
         touch = self.engine.step()
         if touch is None:
             raise ModelError(f"the skin was lost: {self.engine.message}; start again")

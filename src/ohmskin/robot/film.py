@@ -2,8 +2,10 @@
 
 import shutil
 import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+from typing import IO, cast
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -80,67 +82,55 @@ class Film:
         scene.ngeom += 1
 
 
-class Snapshot:
-    """A PNG file of the moment of largest force among those with a sensed contact; none if there is none.
+@contextmanager
+def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
+    """A PNG file of the moment of largest force among those shown with a sensed contact; none if there is none.
 
     Raises:
         ModelError: At the end, if the file cannot be written.
     """
+    best, picture = 0.0, np.zeros(0)
 
-    def __init__(self, path: Path, film: Film) -> None:
-        self._path, self._film, self._best, self._picture = path, film, 0.0, np.zeros(0)
+    def show(moment: Moment) -> None:
+        nonlocal best, picture
+        if moment.poke is not None and moment.touch.contacts and moment.poke.force > best:
+            best, picture = moment.poke.force, film.draw(moment)
 
-    def show(self, moment: Moment) -> None:
-        """Keep this moment if it is the best so far."""
-        if moment.poke is not None and moment.touch.contacts and moment.poke.force > self._best:
-            self._best, self._picture = moment.poke.force, self._film.draw(moment)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._picture.size:
+    try:
+        yield show
+    finally:
+        if picture.size:
             try:
-                imsave(self._path, self._picture, format="png")
+                imsave(path, picture, format="png")
             except OSError as error:
-                raise ModelError(f"cannot write {self._path}: {error.strerror}; choose another place") from error
+                raise ModelError(f"cannot write {path}: {error.strerror}; choose another place") from error
 
 
-class Video:
-    """An MP4 file, written by ffmpeg as the pictures come; simulated time at its true speed.
+@contextmanager
+def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
+    """An MP4 file of the moments shown, written by ffmpeg as they come; simulated time at its true speed.
 
     Raises:
-        ModelError: If ffmpeg is not installed or the file cannot be written.
+        ModelError: If ffmpeg is not installed or, at the end, the file cannot be written.
     """
+    if (ffmpeg := shutil.which("ffmpeg")) is None:
+        raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
+    raw = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {2 * _SIDE}x{_SIDE} -r {_RATE} -i -"
+    command = [ffmpeg, *raw.split(), *["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"], str(path)]
+    process, due = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE), 0.0
+    stdin = cast(IO[bytes], process.stdin)
 
-    def __init__(self, path: Path, film: Film) -> None:
-        if (ffmpeg := shutil.which("ffmpeg")) is None:
-            raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
-        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{2 * _SIDE}x{_SIDE}"]
-        command = [ffmpeg, "-y", "-loglevel", "error", *raw]
-        command += ["-r", str(_RATE), "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", str(path)]
-        self._film, self._due = film, 0.0
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    def show(moment: Moment) -> None:
+        nonlocal due
+        if due <= moment.time:
+            picture = film.draw(moment).tobytes()
+            while due <= moment.time:
+                stdin.write(picture)
+                due += 1 / _RATE
 
-    def show(self, moment: Moment) -> None:
-        """Add the pictures that are due."""
-        assert self._process.stdin is not None
-        picture: np.ndarray | None = None
-        while self._due <= moment.time:
-            picture = self._film.draw(moment) if picture is None else picture
-            try:
-                self._process.stdin.write(picture.tobytes())
-            except BrokenPipeError:
-                raise ModelError(f"ffmpeg stopped: {self._end()}") from None
-            self._due += 1 / _RATE
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if (said := self._end()) and kind is None:
-            raise ModelError(f"ffmpeg failed: {said}")
-
-    def _end(self) -> str:
-        said = self._process.communicate()[1].decode(errors="replace").strip()
-        return said.splitlines()[-1] if said and self._process.returncode else ""
+    try:
+        yield show
+    finally:
+        said = process.communicate()[1].decode(errors="replace").strip()
+        if process.returncode:  # which is also why a picture could not be written
+            raise ModelError(f"ffmpeg failed: {said.splitlines()[-1] if said else 'it does not say why'}")

@@ -52,30 +52,17 @@ class LiveView(Closing):
         self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
     ) -> None:
         check_address(host, port, token)
-        setup = check_setup(setup)
-        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
+        setup = self._take(setup)
         self._credits = 0
         self._pending: list[dict[str, Any]] = []
         self._lock = threading.Lock()  # guards _credits and _pending, held for microseconds only
         self._outbox: queue.SimpleQueue[tuple[bytes, bytes] | None] = queue.SimpleQueue()
         self._closing = False
-        settings = json.loads(to_json({"host": host, "port": port, "token": token, "setup": setup}))
-        self._child = Child.module("ohmskin.view.server", "its process", settings)
-        answer = self._child.ready(_START_TIMEOUT, lambda why: ViewError(f"the live page cannot start: {why}"))
-        self._threads = [
-            threading.Thread(target=self._write, name="ohmskin-view-out", daemon=True),
-            threading.Thread(target=self._read, name="ohmskin-view-in", daemon=True),
-        ]
+        self._child, self.port, self.url = start_page("ohmskin.view.server", {"setup": setup}, host, port, token)
+        self.port_was_taken = port not in (0, self.port)
+        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._write, self._read)]
         for thread in self._threads:
             thread.start()
-        self.port: int = answer["port"]
-        self.port_was_taken = port not in (0, self.port)
-        self.url = page_url(host, self.port, token)
-
-    @property
-    def pid(self) -> int:
-        """Number of the page's process."""
-        return self._child.process.pid
 
     def wants_frame(self) -> bool:
         """Whether a browser waits for a frame."""
@@ -108,9 +95,7 @@ class LiveView(Closing):
         Raises:
             ViewError: If the setup is malformed.
         """
-        setup = check_setup(setup)
-        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
-        self._outbox.put((b"S", to_json(setup).encode()))
+        self._outbox.put((b"S", to_json(self._take(setup)).encode()))
 
     def commands(self) -> list[dict[str, Any]]:
         """What browsers asked for since the last call, checked, oldest first; never waits.
@@ -137,6 +122,11 @@ class LiveView(Closing):
             thread.join()
         self._child.close()
 
+    def _take(self, setup: Mapping[str, Any]) -> dict[str, Any]:
+        checked = check_setup(setup)
+        self._shape = (int(checked["raster"]["ny"]), int(checked["raster"]["nx"]))
+        return checked
+
     def _write(self) -> None:
         with suppress(OSError), BufferedWriter(self._child.stdin) as stream:
             while message := self._outbox.get():  # an OSError: the process has gone, which the other thread reports
@@ -159,10 +149,19 @@ class LiveView(Closing):
         self._outbox.put(None)
 
 
-def page_url(host: str, port: int, token: str | None) -> str:
-    """The address of a page for a browser on this machine."""
+def start_page(
+    module: str, settings: Mapping[str, Any], host: str, port: int, token: str | None
+) -> tuple[Child, int, str]:
+    """Start the process that serves a page; it, the page's port, and the page's address for a browser on this machine.
+
+    Raises:
+        ViewError: If it cannot start.
+    """
+    child = Child.module(module, "its process", {**settings, "host": host, "port": port, "token": token})
+    found = child.ready(_START_TIMEOUT, lambda why: ViewError(f"the page cannot start: {why}"))["port"]
     shown = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    return f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/" + (f"?token={token}" if token else "")
+    url = f"http://{f'[{shown}]' if ':' in shown else shown}:{found}/" + (f"?token={token}" if token else "")
+    return child, found, url
 
 
 def check_address(host: str, port: int, token: str | None) -> None:

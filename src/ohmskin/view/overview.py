@@ -5,28 +5,26 @@ It reads the boards itself, so nothing waits for it.
 
 import asyncio
 import contextlib
-import struct
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from ohmskin.child import Child, when_input_ends
+from ohmskin.child import when_input_ends
 from ohmskin.client.board import BoardReader
 from ohmskin.client.felt import Contact, Felt, Patch, SharedMemory
 from ohmskin.closing import Closing
-from ohmskin.errors import PublishError, ViewError
+from ohmskin.errors import PublishError
 from ohmskin.outlets.picture import Picture
-from ohmskin.view.live import check_address, page_url
-from ohmskin.view.server import build_app, listen, make_server, run
-from ohmskin.view.wire import to_json
+from ohmskin.view.live import check_address, start_page
+from ohmskin.view.server import run, serve_page
+from ohmskin.view.wire import pack_frame
 
 _FRAMES_PER_SECOND = 12
 _LARGEST_ANSWER = 16  # bytes; a browser only says that it has drawn
-_START_TIMEOUT = 30.0
-_LENGTH = struct.Struct("<I")
 
 
 class Overview(Closing):
@@ -48,13 +46,10 @@ class Overview(Closing):
         self, name: str, boards: Sequence[str], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
     ) -> None:
         check_address(host, port, token)
-        settings = {"name": name, "boards": list(boards), "host": host, "port": port, "token": token}
-        self._child = Child.module("ohmskin.view.overview", "the page's process", settings)
-        answer = self._child.ready(_START_TIMEOUT, lambda why: ViewError(f"the page cannot start: {why}"))
-        self.url = page_url(host, answer["port"], token)
+        settings = {"name": name, "boards": list(boards)}
+        self._child, _, self.url = start_page("ohmskin.view.overview", settings, host, port, token)
 
     def close(self) -> None:
-        """End the page's process. Safe twice."""
         self._child.close()
 
 
@@ -64,9 +59,8 @@ class BoardsPage:
     def __init__(self, name: str, boards: Sequence[str]) -> None:
         self._name, self._names = name, list(boards)
         self._merged = SharedMemory(name)
-        self._readers = [BoardReader(board) for board in boards]
         self._pictures = [BoardReader(f"{board}.image") for board in boards]
-        self._images: list[tuple[dict[str, Any], bytes]] = [({}, b"")] * len(self._names)
+        self._images: list[tuple[dict[str, Any], NDArray]] = [({}, np.zeros(0))] * len(self._names)
         self._felt: Felt | None = None
 
     def frame(self) -> bytes:
@@ -75,35 +69,27 @@ class BoardsPage:
         with contextlib.suppress(PublishError):  # a board of another version: shown as silent
             self._felt = self._merged.newest() or self._felt
         for number, name in enumerate(self._names):
-            about, image = self._image(number)
-            shown: dict[str, Any] = {
-                "name": name.rpartition(".")[2],
-                "link": "",
-                "age": None,
-                "mode": "",
-                "contacts": [],
-            }
+            (about, image), title = self._image(number), name.rpartition(".")[2]
+            shown: dict[str, Any] = {"name": title, "link": "", "age": None, "mode": "", "contacts": []}
             if self._felt is not None and number < len(self._merged.patches):
                 patch, seen = self._merged.patches[number], self._felt.patches[number]
                 shown |= {"name": patch.name, "link": patch.frame, "mode": seen.mode}
                 shown["age"] = seen.age if seen.sequence else None
                 shown["contacts"] = [_shown(c, patch) for c in self._felt.contacts if c.patch == patch.name]
-            shown |= about
-            patches.append(shown)
+            patches.append(shown | about)
             pixels.append(image)
-        text = to_json({"name": self._name, "patches": patches}).encode()
-        return b"".join([_LENGTH.pack(len(text)), text, *pixels])
+        return pack_frame({"name": self._name, "patches": patches}, *pixels, dtype="i1")
 
-    def _image(self, number: int) -> tuple[dict[str, Any], bytes]:
+    def _image(self, number: int) -> tuple[dict[str, Any], NDArray]:
         """What is known of a patch's shape and image, and its pixels."""
         reader = self._pictures[number]
         if (content := reader.newest()) is not None:
             with contextlib.suppress(PublishError):  # it does not fit its setup: the one before stays
                 values = np.nan_to_num(Picture.unpack(content, reader.setup).pixels)
                 peak = float(np.abs(values).max(initial=0.0))
-                codes = np.round(values * (127 / peak if peak else 0.0)).astype(np.int8)
                 about = {"domain": reader.setup["domain"], "raster": reader.setup["raster"], "peak": peak}
-                self._images[number] = (about | {"size": codes.size}, codes.tobytes())
+                about["size"] = values.size
+                self._images[number] = about, np.round(values * (127 / peak if peak else 0.0))
         return self._images[number]
 
     async def converse(self, channel: WebSocket) -> None:
@@ -125,13 +111,8 @@ def _shown(contact: Contact, patch: Patch) -> dict[str, Any]:
 
 async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
     """Serve until standard input ends."""
-    listener = listen(settings["host"], settings["port"])
     page = BoardsPage(settings["name"], settings["boards"])
-    app = build_app("overview.html", page.converse, settings["host"], settings["token"])
-    server = make_server(app, _LARGEST_ANSWER)
-    when_input_ends(lambda: setattr(server, "should_exit", True))
-    tell(port=listener.getsockname()[1])
-    await server.serve(sockets=[listener])
+    await serve_page("overview.html", page.converse, _LARGEST_ANSWER, settings, tell, when_input_ends)
 
 
 if __name__ == "__main__":

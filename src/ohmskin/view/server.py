@@ -15,6 +15,7 @@ import re
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Generator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
@@ -48,18 +49,18 @@ _HEADERS = {
 }
 
 
+@dataclass(eq=False)
 class Browser:
     """One open page: what it was sent, whether it is ready for more, which presses it holds."""
 
-    def __init__(self, name: str, channel: WebSocket) -> None:
-        self.name = name
-        self.channel = channel
-        self.wake = asyncio.Event()
-        self.setup_due = True
-        self.awaited: int | None = None  # sequence of the frame that it is drawing
-        self.seen = 0
-        self.held: set[str] = set()
-        self.refusals: list[str] = []
+    name: str
+    channel: WebSocket
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    setup_due: bool = True
+    awaited: int | None = None  # sequence of the frame that it is drawing
+    seen: int = 0
+    held: set[str] = field(default_factory=set)
+    refusals: list[str] = field(default_factory=list)
 
 
 class Page:
@@ -80,16 +81,14 @@ class Page:
         if kind == b"S":
             self._setup = json.loads(payload)
             self._frame = b""  # it may not fit the new raster
-            for browser in self._browsers:
-                browser.setup_due = True
-                browser.wake.set()
-            return
-        self._asked = False
-        self._frame = payload
-        length = int.from_bytes(payload[:4], "little")
-        self._sequence = json.loads(payload[4 : 4 + length]).get("sequence", 0)
-        self._arrived += 1
+        else:
+            self._asked = False
+            self._frame = payload
+            length = int.from_bytes(payload[:4], "little")
+            self._sequence = json.loads(payload[4 : 4 + length]).get("sequence", 0)
+            self._arrived += 1
         for browser in self._browsers:
+            browser.setup_due |= kind == b"S"
             browser.wake.set()
 
     async def converse(self, channel: WebSocket) -> None:
@@ -183,8 +182,12 @@ class Guard:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             return
-        if why := self._refusal(scope):
-            await (_refuse_http if scope["type"] == "http" else _refuse_websocket)(why, scope, receive, send)
+        if (why := self._refusal(scope)) and scope["type"] == "http":
+            await PlainTextResponse(why + "\n", status_code=403, headers=_HEADERS)(scope, receive, send)
+            return
+        if why:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": why})  # before accept: a 403
             return
 
         async def send_with_headers(message: Message) -> None:
@@ -211,15 +214,6 @@ class Guard:
         return ""
 
 
-async def _refuse_http(why: str, scope: Scope, receive: Receive, send: Send) -> None:
-    await PlainTextResponse(why + "\n", status_code=403, headers=_HEADERS)(scope, receive, send)
-
-
-async def _refuse_websocket(why: str, scope: Scope, receive: Receive, send: Send) -> None:
-    await receive()
-    await send({"type": "websocket.close", "code": 1008, "reason": why})  # before accept, the server answers 403
-
-
 class Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
@@ -236,72 +230,78 @@ def listen(host: str, port: int) -> socket.socket:
         family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", None, type=socket.SOCK_STREAM)[0]
     except OSError as unknown:
         raise OSError(f"{host!r} is no address of this machine ({unknown.strerror})") from unknown
+    both = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
     for candidate in [port] if port == 0 else range(port, min(port + _PORTS, 65536)):
-        listener = socket.socket(family, socket.SOCK_STREAM)
-        if os.name == "posix":  # elsewhere this option lets two programs share a port
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listener.bind((address[0], candidate))
-            listener.listen(64)
-            return listener
-        except PermissionError as refused:
-            listener.close()
-            raise OSError(f"port {candidate} may not be used ({refused.strerror}); choose one above 1023") from refused
-        except OSError as taken:
-            listener.close()
-            reason = taken
-            if taken.errno != errno.EADDRINUSE:
+            return socket.create_server((address[0], candidate), family=family, backlog=64, dualstack_ipv6=both)
+        except OSError as refused:
+            reason = os.strerror(refused.errno or 0)
+            if refused.errno in (errno.EACCES, errno.EPERM):
+                raise OSError(f"port {candidate} may not be used ({reason}); choose one above 1023") from refused
+            if refused.errno != errno.EADDRINUSE:
                 break
-    raise OSError(f"cannot listen on {host} port {port} or the {_PORTS - 1} after it: {reason.strerror}")
+    raise OSError(f"cannot listen on {host} port {port} or the {_PORTS - 1} after it: {reason}")
 
 
-def build_app(page: str, converse: Callable[[WebSocket], Awaitable[None]], host: str, token: str | None) -> ASGIApp:
-    """A page of the static files, these files, and a socket that `converse` serves, behind the guard."""
+async def serve_page(
+    page: str,
+    converse: Callable[[WebSocket], Awaitable[None]],
+    largest: int,
+    settings: dict[str, Any],
+    tell: Callable[..., None],
+    when_over: Callable[[Callable[[], None]], None],
+) -> None:
+    """Serve a page of the static files, these files, and a socket, behind the guard, until it is over.
+
+    Args:
+        page: The file that is the page.
+        converse: Serves the socket.
+        largest: Bytes of the largest message that a browser may send.
+        settings: Host, port and token.
+        tell: Told the port.
+        when_over: Takes what is to be called in the end, in any thread.
+    """
 
     async def index(request: Request) -> FileResponse:
         return FileResponse(_STATIC / page)
 
     mimetypes.add_type("text/javascript", ".js")  # some systems' tables say otherwise, and browsers insist
     routes = [Route("/", index), WebSocketRoute("/socket", converse), Mount("/static", StaticFiles(directory=_STATIC))]
-    return Guard(Starlette(routes=routes), host, token)
-
-
-def make_server(app: ASGIApp, largest: int) -> Server:
-    """A server without logs of its own that takes messages of at most so many bytes from browsers."""
-    return Server(
-        uvicorn.Config(
-            app,
-            log_level="warning",
-            access_log=False,
-            lifespan="off",
-            loop="asyncio",
-            http="h11",
-            proxy_headers=False,
-            server_header=False,
-            ws_max_size=largest,
-            ws_per_message_deflate=False,  # costs more time than it saves on images of floats
-            timeout_graceful_shutdown=1,
-        )
+    config = uvicorn.Config(
+        Guard(Starlette(routes=routes), settings["host"], settings["token"]),
+        log_level="warning",
+        access_log=False,
+        lifespan="off",
+        loop="asyncio",
+        http="h11",
+        proxy_headers=False,
+        server_header=False,
+        ws_max_size=largest,
+        ws_per_message_deflate=False,  # costs more time than it saves on images of floats
+        timeout_graceful_shutdown=1,
     )
+    server, listener = Server(config), listen(settings["host"], settings["port"])
+    when_over(lambda: setattr(server, "should_exit", True))
+    tell(port=listener.getsockname()[1])
+    await server.serve(sockets=[listener])
 
 
 async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
     """Serve until the loop says so or standard input ends."""
-    listener = listen(settings["host"], settings["port"])
     page = Page(settings["setup"], tell)
-    server = make_server(build_app("index.html", page.converse, settings["host"], settings["token"]), LARGEST_COMMAND)
     loop = asyncio.get_running_loop()
 
-    def listen_to_loop() -> None:
+    def listen_to_loop(end: Callable[[], None]) -> None:
         inbox = os.fdopen(os.dup(0), "rb")
         with contextlib.suppress(RuntimeError):  # the event loop has ended first
             while (message := read_message(inbox)) and message[0] != b"Q":
                 loop.call_soon_threadsafe(page.take, *message)
-            loop.call_soon_threadsafe(setattr, server, "should_exit", True)
+        end()
 
-    threading.Thread(target=listen_to_loop, daemon=True).start()
-    tell(port=listener.getsockname()[1])
-    await server.serve(sockets=[listener])
+    def start(end: Callable[[], None]) -> None:
+        threading.Thread(target=listen_to_loop, args=(end,), daemon=True).start()
+
+    await serve_page("index.html", page.converse, LARGEST_COMMAND, settings, tell, start)
 
 
 def run(serve: Callable[[dict[str, Any], Callable[..., None]], Coroutine[Any, Any, None]]) -> None:

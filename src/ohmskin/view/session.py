@@ -11,7 +11,6 @@ from ohmskin.closing import Closing
 from ohmskin.contacts import Contact
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
-from ohmskin.drive import Drive
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import Health
 from ohmskin.errors import DeviceError, ModelError, PatternError
@@ -42,8 +41,7 @@ class Session(Closing):
         self._demo = demo and engine.device.capabilities.virtual
         self._demo_from = time.monotonic()
         self._demo_pressing = False
-        self._numbers: dict[str, int] = {}  # press number of each press id of the page; 0 is the demonstration's
-        self._presses: dict[str, dict[str, Any]] = {}
+        self._presses: dict[str, tuple[int, dict[str, Any]]] = {}  # number and what it is; 0 is the demonstration's
         self._last: Touch | None = None
         self._recording = engine.device if isinstance(engine.device, ReplayDevice) else None
         self._place = self._recording.position if self._recording else 0.0  # s, of the cycle that is shown
@@ -77,33 +75,31 @@ class Session(Closing):
             self._engine.press(0, *demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from))
             self._demo_pressing = True
         was_lost = self._engine.state is State.LOST
-        if (recording := self._recording) is not None:
-            leading, at = recording.leading, recording.position
-            touch = self._engine.step()
-            if touch and leading:
+        recording = self._recording
+        leading, at = (recording.leading, recording.position) if recording else (False, 0.0)
+        if (touch := self._engine.step()) and recording:
+            if leading:
                 return None
-            if touch:
-                self._arrive(at)
-        else:
-            touch = self._engine.step()
+            self._arrive(at)
         if was_lost and self._engine.state is State.RUNNING:  # a virtual skin started anew has forgotten its presses
-            for name, press in self._presses.items():
-                self._engine.press(self._numbers[name], (press["x"], press["y"]), press["radius"], press["pressure"])
+            for number, press in self._presses.values():
+                self._press(number, press, press["pressure"])
         self._last = touch or self._last
         self._publish()
         return touch
 
     def close(self) -> None:
-        """Close the page. Safe twice."""
         self.view.close()
 
     def _obey(self, command: dict[str, Any]) -> None:
         match command["type"]:
             case "press":
                 self._set_demo(False)
-                number = self._numbers.setdefault(command["id"], self._free_number())
-                self._engine.press(number, (command["x"], command["y"]), command["radius"], command["pressure"])
-                self._presses[command["id"]] = {**command, "demo": False}
+                used = {held: number for held, (number, _) in self._presses.items()}
+                free = next(number for number in range(1, 0x10000) if number not in used.values())
+                number = used.get(command["id"], free)
+                self._press(number, command, command["pressure"])
+                self._presses[command["id"]] = number, command
             case "lift":
                 self._lift(command["id"])
             case "lift_all":
@@ -172,12 +168,12 @@ class Session(Closing):
             self._alone = False
             self._engine.pause(True)
 
-    def _free_number(self) -> int:
-        return next(n for n in range(1, 0x10000) if n not in self._numbers.values())
+    def _press(self, number: int, press: dict[str, Any], pressure: float) -> None:
+        self._engine.press(number, (press["x"], press["y"]), press["radius"], pressure)
 
     def _lift(self, name: str) -> None:
-        if press := self._presses.pop(name, None):
-            self._engine.press(self._numbers.pop(name), (press["x"], press["y"]), press["radius"], 0.0)
+        if held := self._presses.pop(name, None):
+            self._press(*held, 0.0)
 
     def _lift_all(self) -> None:
         for name in list(self._presses):
@@ -201,7 +197,9 @@ class Session(Closing):
             return
         touch = self._last
         base = image = np.full(self._raster.inside.shape, np.nan)
-        scale = 1e3 * self._conductivity()  # relative change to millisiemens
+        known = self._engine.known
+        sheet = float(known.model.conductivity.mean()) if known else self._engine.skin.sheet.conductivity
+        scale = 1e3 * sheet  # relative change to millisiemens
         if touch is not None:
             try:
                 base = image = self._raster(touch.percept.base_image.values) * scale
@@ -211,19 +209,13 @@ class Session(Closing):
                 self._tell(str(error))
         self.view.publish(self._header(touch, scale), base, image)
 
-    def _conductivity(self) -> float:
-        known = self._engine.known
-        return float(known.model.conductivity.mean()) if known else self._engine.skin.sheet.conductivity
-
     def _header(self, touch: Touch | None, scale: float) -> dict[str, Any]:
         engine, fresh = self._engine, time.monotonic() < self._note_until
         header: dict[str, Any] = {
             "sequence": touch.sequence if touch else 0,
             "time": touch.time if touch else time.monotonic(),
             "mode": engine.mode.name,
-            "estimator": engine.mode.estimator,
-            "prior": engine.mode.prior,
-            "rule": engine.mode.rule,
+            **{name: getattr(engine.mode, name) for name in ("estimator", "prior", "rule")},
             "preparing": self._preparing,
             "contacts": [],
             "base_injections": [],
@@ -238,11 +230,12 @@ class Session(Closing):
             "recording": self._playing(),
         }
         if touch and engine.sensor:
-            frames = touch.percept.frames
+            frames, drive = touch.percept.frames, engine.drive(touch.mode)
+            adapts = drive.scans > 1 or drive.adjustable  # what it drives depends on what is touched
             header |= {
                 "contacts": [_shown(contact, scale) for contact in touch.contacts],
                 "base_injections": frames[0].pattern.injections.tolist(),
-                "injections": frames[-1].pattern.injections.tolist() if _adapts(engine.drive(touch.mode)) else [],
+                "injections": frames[-1].pattern.injections.tolist() if adapts else [],
                 "threshold": engine.sensor.thresholds.final * scale,
                 "health": touch.health.figures,
             }
@@ -256,17 +249,13 @@ class Session(Closing):
         return {"position": self._place, "length": recording.duration, "speed": speed, "loop": recording.loop}
 
     def _shown_presses(self) -> list[dict[str, Any]]:
-        names = ("id", "x", "y", "radius", "pressure", "demo")
-        shown = [{name: press[name] for name in names} for press in self._presses.values()]
+        names = ("id", "x", "y", "radius", "pressure")
+        shown: list[dict[str, Any]]
+        shown = [{name: press[name] for name in names} | {"demo": False} for _, press in self._presses.values()]
         if self._demo_pressing:
             (x, y), radius, pressure = demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from)
             shown.append({"id": "demo", "x": x, "y": y, "radius": radius, "pressure": pressure, "demo": True})
         return shown
-
-
-def _adapts(drive: Drive) -> bool:
-    """Whether what it drives depends on what is touched."""
-    return drive.scans > 1 or drive.adjustable
 
 
 def _shown(contact: Contact, scale: float) -> dict[str, Any]:

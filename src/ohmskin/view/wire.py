@@ -4,10 +4,9 @@ import json
 import math
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import IO, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from ohmskin.arrays import as_plain
@@ -57,16 +56,16 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
     try:
         kind = setup["skin"]["domain"]["kind"]
         _box(setup)
-        _require(setup, "version", "skin", "device")
-        _require(setup["skin"], "name")
-        _require(setup["raster"], "x0", "y0", "pitch", "nx", "ny")
-        for mode in setup["modes"]:
-            _require(mode, "name", "title", "available")
-        for choices in (setup.get("choices") or {}).values():
-            for choice in choices:
-                _require(choice, "name", "title")
-        for electrode in setup["skin"]["electrodes"]:
-            _require(electrode, "x", "y")
+        for part, names in (
+            (setup, "version skin device"),
+            (setup["skin"], "name"),
+            (setup["raster"], "x0 y0 pitch nx ny"),
+            *((mode, "name title available") for mode in setup["modes"]),
+            *((choice, "name title") for choices in (setup.get("choices") or {}).values() for choice in choices),
+            *((electrode, "x y") for electrode in setup["skin"]["electrodes"]),
+        ):
+            if missing := [name for name in names.split() if name not in part]:
+                raise KeyError(f"without {', '.join(missing)}")
         if setup["press"] is not None:
             for name in ("radius", "pressure"):
                 low, high, usual = setup["press"][name]
@@ -83,33 +82,40 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
     return dict(plain)
 
 
-def _require(part: Mapping[str, Any], *names: str) -> None:
-    if missing := [name for name in names if name not in part]:
-        raise KeyError(f"without {', '.join(missing)}")
-
-
-def pack_frame(header: Mapping[str, Any], base: NDArray, image: NDArray) -> bytes:
-    """One frame as the browser gets it: header length, JSON header, base and image (ny, nx) as `<f4`."""
+def pack_frame(header: Mapping[str, Any], *images: NDArray, dtype: str = "<f4") -> bytes:
+    """One frame as the browser gets it: header length, JSON header, images (ny, nx) such as base and final one."""
     text = to_json(header).encode()
     text += b" " * (-len(text) % 4)  # the browser maps the arrays in place, which needs multiples of 4
-    return b"".join([_LENGTH.pack(len(text)), text, base.astype("<f4").tobytes(), image.astype("<f4").tobytes()])
+    return b"".join([_LENGTH.pack(len(text)), text, *(image.astype(dtype).tobytes() for image in images)])
 
 
 def to_json(value: object) -> str:
     """Strict JSON: NumPy values become plain ones, numbers that are not finite become null."""
     try:
-        return json.dumps(value, separators=(",", ":"), allow_nan=False, default=_plain)
+        return json.dumps(value, separators=(",", ":"), allow_nan=False, default=as_plain)
     except ValueError:  # rare (a latency before the first frame), so that finite messages are not walked through
         return json.dumps(as_plain(value), separators=(",", ":"), allow_nan=False)
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not JSON")
-
-
 # --- from the browser -------------------------------------------------------------------------------------------------
+
+_COMMANDS: dict[str, tuple[str, ...]] = {
+    "press": ("id", "x", "y", "radius", "pressure"),
+    "lift": ("id",),
+    "lift_all": (),
+    "mode": ("mode",),
+    "estimator": ("estimator", "prior", "rule"),
+    "injections": ("count",),
+    "calibrate": (),
+    "pause": ("paused",),
+    "demo": ("on",),
+    "seek": ("position",),
+    "step": ("cycles",),
+    "speed": ("speed",),
+    "loop": ("on",),
+    "ack": ("sequence",),
+}
+_OF_RECORDINGS = ("seek", "step", "speed", "loop")
 
 
 def read_command(text: str, setup: Mapping[str, Any]) -> dict[str, Any]:
@@ -130,129 +136,70 @@ def read_command(text: str, setup: Mapping[str, Any]) -> dict[str, Any]:
         raise CommandError(f"type must be one of {', '.join(_COMMANDS)}")
     if set(message) != {"type", *fields}:
         raise CommandError(f"{kind} needs exactly these fields: {', '.join(fields) or 'none'}")
-    return {"type": kind} | {name: check(name, message[name], setup) for name, check in fields.items()}
-
-
-def _identifier(name: str, value: object, setup: Mapping[str, Any]) -> str:
-    if not (isinstance(value, str) and _IDENTIFIER.fullmatch(value)):
-        raise CommandError(f"{name} must be 1 to 32 letters, digits, '-' or '_'")
-    return value
-
-
-def _flag(name: str, value: object, setup: Mapping[str, Any]) -> bool:
-    if not isinstance(value, bool):
-        raise CommandError(f"{name} must be true or false")
-    return value
-
-
-def _count(name: str, value: object, setup: Mapping[str, Any]) -> int:
-    return _whole(name, value, 0, 2**53 - 1)
-
-
-def _budget(name: str, value: object, setup: Mapping[str, Any]) -> int:
-    limits = [mode["injections"] for mode in setup["modes"] if mode.get("injections")]
-    if not limits:
-        raise CommandError("no mode of this skin has a choice of injections")
-    low, high = min(limit[0] for limit in limits), max(limit[1] for limit in limits)
-    return _whole(name, value, low, high)
-
-
-def _mode(name: str, value: object, setup: Mapping[str, Any]) -> str:
-    choices = [str(mode["name"]) for mode in setup["modes"] if mode["available"]]
-    if not isinstance(value, str) or value not in choices:
-        raise CommandError(f"{name} must be one of {', '.join(choices)}")
-    return value
-
-
-def _choice(name: str, value: object, setup: Mapping[str, Any]) -> str:
-    choices = [str(entry["name"]) for entry in (setup.get("choices") or {}).get(name, [])]
-    if not isinstance(value, str) or value not in choices:
-        if not choices:
-            raise CommandError(f"there is no choice of {name}")
-        raise CommandError(f"{name} must be one of {', '.join(choices)}")
-    return value
-
-
-def _place(name: str, value: object, setup: Mapping[str, Any]) -> float:
-    x_min, y_min, x_max, y_max = _box(setup)
-    return _within(name, value, *((x_min, x_max) if name == "x" else (y_min, y_max)))
-
-
-def _press_setting(name: str, value: object, setup: Mapping[str, Any]) -> float:
-    if setup["press"] is None:
-        raise CommandError("this device is not virtual; press it with a finger")
-    low, high, _ = setup["press"][name]
-    return _within(name, value, low, high)
-
-
-def _recorded(name: str, value: object, setup: Mapping[str, Any]) -> object:
-    """What only a recording can do, whatever the value."""
-    if setup.get("recording") is None:
+    if kind in _OF_RECORDINGS and setup.get("recording") is None:
         raise CommandError("this device is not a recording; only a recording has a place, a speed and an end")
+    return {"type": kind} | {name: _checked(name, message[name], setup) for name in fields}
+
+
+def _checked(name: str, value: object, setup: Mapping[str, Any]) -> object:
+    """The value of a field, if it is one that the page may send."""
+    match name:
+        case "id" if not (isinstance(value, str) and _IDENTIFIER.fullmatch(value)):
+            raise CommandError(f"{name} must be 1 to 32 letters, digits, '-' or '_'")
+        case "paused" | "on" if not isinstance(value, bool):
+            raise CommandError(f"{name} must be true or false")
+        case "cycles" if type(value) is not int or value not in (-1, 1):
+            raise CommandError(f"{name} must be 1 or -1")
+        case "sequence":
+            return _whole(name, value, 0, 2**53 - 1)
+        case "count":
+            limits = [mode["injections"] for mode in setup["modes"] if mode.get("injections")]
+            if not limits:
+                raise CommandError("no mode of this skin has a choice of injections")
+            return _whole(name, value, min(limit[0] for limit in limits), max(limit[1] for limit in limits))
+        case "mode":
+            return _one_of(name, value, [mode for mode in setup["modes"] if mode["available"]])
+        case "estimator" | "prior" | "rule":
+            return _one_of(name, value, (setup.get("choices") or {}).get(name, []))
+        case "x" | "y":
+            return _within(name, value, *_box(setup)[name])
+        case "radius" | "pressure":
+            if setup["press"] is None:
+                raise CommandError("this device is not virtual; press it with a finger")
+            return _within(name, value, *setup["press"][name][:2])
+        case "position":
+            return _within(name, value, 0.0, setup["recording"]["length"])
+        case "speed" if value is not None:
+            return _within(name, value, *_SPEEDS, ", or null for as fast as it can")
     return value
 
 
-def _position(name: str, value: object, setup: Mapping[str, Any]) -> float:
-    _recorded(name, value, setup)
-    return _within(name, value, 0.0, setup["recording"]["length"])
-
-
-def _step(name: str, value: object, setup: Mapping[str, Any]) -> int:
-    _recorded(name, value, setup)
-    if not isinstance(value, int) or isinstance(value, bool) or value not in (-1, 1):
-        raise CommandError(f"{name} must be 1 or -1")
+def _one_of(name: str, value: object, entries: list[dict[str, Any]]) -> object:
+    if not entries:
+        raise CommandError(f"there is no choice of {name}")
+    if value not in (choices := [str(entry["name"]) for entry in entries]):
+        raise CommandError(f"{name} must be one of {', '.join(choices)}")
     return value
-
-
-def _speed(name: str, value: object, setup: Mapping[str, Any]) -> float | None:
-    _recorded(name, value, setup)
-    if value is None:
-        return None
-    try:
-        return _within(name, value, *_SPEEDS)
-    except CommandError as refusal:
-        raise CommandError(f"{refusal}, or null for as fast as it can") from None
-
-
-def _loop(name: str, value: object, setup: Mapping[str, Any]) -> bool:
-    return _flag(name, _recorded(name, value, setup), setup)
 
 
 def _whole(name: str, value: object, low: int, high: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+    if type(value) is not int or not low <= value <= high:
         raise CommandError(f"{name} must be an integer from {low} to {high}")
     return value
 
 
-def _within(name: str, value: object, low: float, high: float) -> float:
+def _within(name: str, value: object, low: float, high: float, other: str = "") -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CommandError(f"{name} must be a number")
+        raise CommandError(f"{name} must be a number{other}")
     slack = 1e-9 * max(abs(low), abs(high))  # a slider's end is not exactly the number that was sent to it
     if not low - slack <= value <= high + slack:  # also false for NaN
-        raise CommandError(f"{name} must be from {low:g} to {high:g}")
+        raise CommandError(f"{name} must be from {low:g} to {high:g}{other}")
     return min(max(float(value), low), high)
 
 
-def _box(setup: Mapping[str, Any]) -> tuple[float, float, float, float]:
+def _box(setup: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """The least and the largest x and y of the skin."""
     domain = setup["skin"]["domain"]
     if domain["kind"] == "disc":
-        return (-domain["radius"], -domain["radius"], domain["radius"], domain["radius"])
-    return (0.0, 0.0, domain["width"], domain["height"])
-
-
-_COMMANDS: dict[str, dict[str, Callable[[str, object, Mapping[str, Any]], object]]] = {
-    "press": {"id": _identifier, "x": _place, "y": _place, "radius": _press_setting, "pressure": _press_setting},
-    "lift": {"id": _identifier},
-    "lift_all": {},
-    "mode": {"mode": _mode},
-    "estimator": {"estimator": _choice, "prior": _choice, "rule": _choice},
-    "injections": {"count": _budget},
-    "calibrate": {},
-    "pause": {"paused": _flag},
-    "demo": {"on": _flag},
-    "seek": {"position": _position},
-    "step": {"cycles": _step},
-    "speed": {"speed": _speed},
-    "loop": {"on": _loop},
-    "ack": {"sequence": _count},
-}
+        return dict.fromkeys("xy", (-domain["radius"], domain["radius"]))
+    return {"x": (0.0, domain["width"]), "y": (0.0, domain["height"])}

@@ -1,0 +1,163 @@
+"""``ohmskin record``: the loop, without a page, and its recording."""
+
+import gc
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TextIO
+
+from ohmskin.cli.options import AS_THE_MODE, DeviceUrl, Imaging, ModeName, Seconds, SkinName, Stop, open_skin, say
+from ohmskin.device import Device
+from ohmskin.device.replay import ReplayDevice
+from ohmskin.engine import Engine, Touch
+from ohmskin.errors import OhmskinError
+from ohmskin.mcap import Progress
+from ohmskin.recording.player import Player
+from ohmskin.recording.recorder import Recorder
+
+_REPORT_EVERY = 1.0  # s
+
+
+class ProgressReport:
+    """Says how a recording goes, once a second, and warns when something stands in its way."""
+
+    def __init__(self, recorder: Recorder, quiet: bool = False) -> None:
+        self._recorder, self._quiet = recorder, quiet
+        self._due = time.monotonic() + _REPORT_EVERY
+        self._last, self._troubled = Progress(), ""
+
+    def __call__(self, touch: Touch) -> None:
+        now = time.monotonic()
+        if now < self._due:
+            return
+        since, self._due = now - self._due + _REPORT_EVERY, now + _REPORT_EVERY
+        progress = self._recorder.progress
+        if progress.trouble != self._troubled:
+            self._troubled = progress.trouble
+            why = f"warning: the recording stands still: {progress.trouble}; the loop goes on"
+            print(why if progress.trouble else "the recording goes on", file=sys.stderr, flush=True)
+        if not self._quiet:
+            rate = (progress.written - self._last.written) / since
+            dropped = sum(progress.dropped.values())
+            counts = f"{touch.health.rate:6.0f} cycles/s  {progress.frames:8d} frames  {progress.written / 1e6:8.2f} MB"
+            lost = f"  {dropped} messages dropped" if dropped else ""
+            print(f"{counts}  {rate / 1e6:6.2f} MB/s{lost}", flush=True)
+        self._last = progress
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An engine, who leads it if the device is a recording, and who takes what it feels."""
+
+    engine: Engine
+    player: Player | None
+    sinks: list[Callable[[Touch], None]]
+
+    def run(self, stop: object, seconds: float | None, step: Callable[[], Touch | None] | None = None) -> None:
+        """Hand what every cycle feels to the sinks, until told to stop or so many seconds are over.
+
+        Without a `step` of its own, such as a page's, it ends with a recording.
+        """
+        if self.player:
+            step, stop = (self.player.lead(step), stop) if step else (self.player.step, self.player.until(stop))
+        step = step or self.engine.step
+        gc.collect()
+        gc.freeze()  # a full collection of what was set up would stop the loop for many frames
+        end = float("inf") if seconds is None else time.monotonic() + seconds
+        while not stop and time.monotonic() < end:
+            if touch := step():
+                for sink in self.sinks:
+                    sink(touch)
+
+
+@contextmanager
+def open_loop(
+    device: str,
+    skin: str,
+    mode: str,
+    imaging: Imaging,
+    tell: Callable[[str], None],
+    record: Path | None = None,
+    images: float = 30.0,
+    quiet: bool = False,
+    out: TextIO | None = None,
+) -> Iterator[Loop]:
+    """A loop on a device, recorded if there is a file to `record` to; the options are those of `ohmskin record`.
+
+    What the engine says goes to `tell`, what became of the recording to `out` at the end, standard output unless given.
+    While all goes well, a `quiet` one says nothing of the recording.
+    """
+    opened, description = open_skin(device, skin)
+    first = [opened]
+    try:
+        recorder = Recorder(record, description, images) if record is not None else None
+    except BaseException:
+        opened.close()
+        raise
+
+    def open_device() -> Device:
+        found = first.pop() if first else open_skin(device, skin)[0]
+        return recorder.tee(found) if recorder else found
+
+    def report(sentence: str) -> None:
+        if recorder:
+            recorder.note(sentence)
+        tell(sentence)
+
+    try:
+        with Engine(open_device, description, mode, report, **asdict(imaging)) as engine:
+            if recorder:
+                recorder.watch(engine)
+            player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
+            yield Loop(engine, player, [recorder.publish, ProgressReport(recorder, quiet)] if recorder else [])
+    finally:
+        if recorder:
+            print(_summary(recorder.path, recorder.close()), file=out, flush=True)
+
+
+def refuse_existing(file: Path) -> None:
+    """Raise unless a recording can be made here; asked before the device is opened, which takes a while."""
+    if file.exists():
+        raise OhmskinError(f"{file} exists, and a recording is never overwritten; choose another name")
+    if not file.absolute().parent.is_dir():
+        raise OhmskinError(f"cannot record to {file}: there is no folder {file.absolute().parent}; make it first")
+
+
+def _summary(file: Path, progress: Progress) -> str:
+    """What became of a recording, in a sentence."""
+    if not file.exists():
+        return f"nothing was recorded; there is no {file}"
+    lost = ", ".join(f"{count} of {topic}" for topic, count in progress.dropped.items())
+    return (
+        f"{file}: {progress.frames} frames, {progress.written / 1e6:.2f} MB"
+        + (f"; dropped {lost}" if lost else "")
+        + (f"; {progress.trouble}: `ohmskin recover {file}` mends what is there" if progress.trouble else "")
+    )
+
+
+def record(
+    file: Path,
+    *,
+    device: DeviceUrl = "virtual:",
+    skin: SkinName = "",
+    mode: ModeName = "",
+    imaging: Imaging = AS_THE_MODE,
+    seconds: Seconds = None,
+    images: float = 30.0,
+) -> None:
+    """Record a device: raw frames with the patterns really driven, calibration, contacts, images and health, as MCAP.
+
+    Args:
+        file: The recording, such as touch.mcap; an existing file is never overwritten.
+        images: Most images per second; they can be made again from the frames.
+    """
+    refuse_existing(file)
+    stop = Stop()
+    with open_loop(device, skin, mode, imaging, say, file, images) as loop:
+        say(f"{loop.engine.mode.label}; calibrating: keep the skin untouched")
+        loop.engine.calibrate()
+        say(f"recording to {file}   (Ctrl-C ends)")
+        loop.run(stop, seconds)
