@@ -65,7 +65,7 @@ def test_chi_square_of_a_fit_has_its_degrees_of_freedom(table: ContactTable) -> 
     noise, seen = 2e-6, []
     for seed in range(40):
         scan = data(table, [(0.1, 0.09, 0.5)], noise, seed)
-        left = (scan.volts - best_single(trusting(table, noise), scan).caused) / noise
+        left = (scan.volts - scan.caused_by(best_single(trusting(table, noise), scan).caused)) / noise
         seen.append(left @ left)
     freedom = SCAN.n_meas - 4
     assert np.mean(seen) == pytest.approx(freedom, abs=4 * np.sqrt(2 * freedom / len(seen)))

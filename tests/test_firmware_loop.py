@@ -137,7 +137,8 @@ def test_frames_are_those_of_the_twin_and_say_how_fast(
     step = quiet_skin.converter.full_scale / 2**15
     with EmulatedBoard(quiet_skin, image, seed=1) as board, wired(board) as device:
         able = device.capabilities
-        assert able.features == Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.VOLTAGE_SOURCE
+        measured = Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED
+        assert able.features == Feature.VIRTUAL | Feature.VOLTAGE_SOURCE | measured
         assert (able.name, able.n_electrodes, able.full_scale) == ("firmware, paper", 16, 5.0)
         first = device.scan(pattern)
         assert first.flags & FrameFlag.FIRST

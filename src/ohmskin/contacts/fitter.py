@@ -83,6 +83,8 @@ class ContactFitter:
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
+        nothing_said = Information(np.zeros((1, self._candidates.shape[1] + 2)), np.ones((1, 1)))
+        self.refine(nothing_said, self.prior[0][None])  # compile now, not at the first contact
 
     @staticmethod
     def split_threshold(rate: float) -> float:
