@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from ohmskin.engine.quiet import needed
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate import worlds
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.scan import DrivePattern, Frame, needed
 from ohmskin.sensing import Sensor, SkinModel, build, default_mode, drive_of
 from ohmskin.skin import Mode, Skin
 
@@ -211,7 +210,7 @@ def page(told: dict[str, Any]) -> str:
         f"One contact at rest at {told['settings']['places']} random places, 10 mm and more from the rim, and at "
         f"{CORNERS} places in the corners, 10 to 18 mm from both sides, {told['settings']['seeds']} seeds each; "
         "a frame has 28 injections where the drive allows it, drives of four a frame are given seven frames. Where "
-        "nothing is found the error is that of the middle of the sheet; that, and an error beyond 30 mm, count as missed."
+        "nothing is found the error is that of the middle of the sheet; that, and one beyond 30 mm, count as missed."
     )
     return PAGE.format(
         about=about,

@@ -13,10 +13,10 @@ from ohmskin.device import Device
 from ohmskin.drive import Drive, Fixed
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import SLOW, Notices
-from ohmskin.engine.quiet import needed, quiet_frames
+from ohmskin.engine.quiet import quiet_frames
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import DeviceError, DeviceLost, ModelError, PatternError
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.scan import DrivePattern, Frame, needed
 from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
 

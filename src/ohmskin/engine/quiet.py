@@ -1,21 +1,11 @@
 """Quiet frames: every pattern again and again, while nothing touches the skin."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 from ohmskin.device import Capabilities
 from ohmskin.scan import DrivePattern, Frame
 
 _REPEATS = 40  # of each pattern, for the baseline
-
-
-def needed(patterns: Iterable[DrivePattern]) -> list[DrivePattern]:
-    """The patterns without those whose measurements are all part of a longer one."""
-    kept: list[tuple[DrivePattern, set[tuple[int, ...]]]] = []
-    for pattern in sorted(patterns, key=lambda pattern: -pattern.n_meas):
-        measured = set(map(tuple, pattern.quadruples.tolist()))
-        if not any(measured <= theirs for _, theirs in kept):
-            kept.append((pattern, measured))
-    return [pattern for pattern, _ in kept]
 
 
 def quiet_frames(

@@ -23,7 +23,7 @@ from ohmskin.evaluate.worlds import CURRENT, Contacts
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Mesh, Raster
 from ohmskin.inverse import Image
-from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, needed
 from ohmskin.sensing import Percept, Scan, Sensor, SkinModel, build
 from ohmskin.skin import Mode, Skin
 
@@ -110,11 +110,14 @@ class Setup:
             skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
         model = believed(layout, flaw)
         rings = model.electrodes.rings
-        patterns = [adjacent(rings[:1]), adjacent(rings), drives.base_pattern(model.electrodes)]
-        patterns.append(complete_pattern(model.electrodes))
+        patterns = [adjacent(rings[:1]), adjacent(rings), complete_pattern(model.electrodes)]
+        patterns = needed(driven for pattern in patterns for driven in (pattern, pattern.with_driven))
         self._calm = worlds.sheet(world, layout, 1.0 if flaw.since else flaw.wear).untouched  # at calibration
         scans = [self._device(self._calm, (_CALIBRATION, k)) for k in range(QUIET)]
-        self.known = SkinModel(skin, model, [scan(pattern) for pattern in patterns for scan in scans])
+        # discs have point electrodes, which have no contact impedance
+        impedances = np.zeros(len(model.electrodes)) if world == "discs" else None
+        quiet = [scan(pattern) for pattern in patterns for scan in scans]
+        self.known = SkinModel(skin, model, quiet, impedances=impedances)
         if amplitude is not None:  # the reference of the paper's study is free of noise
             exact = self._device(self._calm, (), noise=0.0)
             baseline = Baseline.learn([exact(pattern) for pattern in patterns for _ in range(2)])
@@ -151,10 +154,10 @@ class Setup:
             PatternError: If there is none of that name, or not with so many injections.
         """
         settings = DriveSettings(self.electrodes, lambda: self.design, self.skin.imaging.pairs)
+        drive = DRIVES[mode.drive](settings, 0 if mode.drive in ("rim", "rings") else mode.injections)
         if mode.drive in ("rim", "rings"):
-            (pattern,) = DRIVES[mode.drive](settings, 0).patterns
-            return drives.Fixed(repeated(pattern, mode.injections or pattern.n_inj))
-        return DRIVES[mode.drive](settings, mode.injections)
+            drive = drives.Fixed(repeated(drive.patterns[0], mode.injections or drive.injections))
+        return drives.WithDriven(drive) if mode.driven else drive
 
     def sensor(self, mode: Mode) -> Sensor:
         """The sensor of a mode; made once."""

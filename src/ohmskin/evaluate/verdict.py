@@ -50,7 +50,7 @@ class Goal:
         limit: The bound.
         at_most: Whether the value may not exceed it; otherwise it may not fall below it.
         measured: What was found.
-        unit: ``ratio``, ``%`` or empty for a count.
+        unit: ``ratio``, ``%``, ``mm`` or empty for a count.
         data: How much data the interval comes from, with the number of seeds or trials.
         note: What else one should know.
         key: Whether it is one that was asked for; others are the same questions in other circumstances.
@@ -97,7 +97,7 @@ class Goal:
     def _number(self, value: float) -> str:
         if self.unit == "%":
             return f"{100 * value:.3g} %"
-        return f"{value:.2f}" if self.unit == "ratio" else f"{value:.3g}"
+        return f"{value:.2f}" if self.unit in ("ratio", "mm") else f"{value:.3g}"
 
     def record(self) -> dict[str, Any]:
         """All fields, the verdict and the margin."""

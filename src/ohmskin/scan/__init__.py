@@ -6,7 +6,7 @@ from ohmskin.scan.cost import Cost
 from ohmskin.scan.frame import Frame, FrameFlag
 from ohmskin.scan.network import NetworkFit, reciprocity_residuals
 from ohmskin.scan.pairs import all_pairs, n_pairs, pair_index, two_terminal
-from ohmskin.scan.pattern import DrivePattern, adjacent, measure_others, opposite, skip
+from ohmskin.scan.pattern import DrivePattern, adjacent, measure_others, needed, opposite, skip
 from ohmskin.scan.quality import Quality, Verdict, left_out
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "left_out",
     "measure_others",
     "n_pairs",
+    "needed",
     "opposite",
     "pair_index",
     "reciprocity_residuals",

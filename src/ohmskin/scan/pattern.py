@@ -1,7 +1,7 @@
 """Drive patterns: which electrodes inject current and between which ones the voltage is measured."""
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -184,3 +184,13 @@ def opposite(ring: Sequence[int]) -> DrivePattern:
     """Drive each electrode of one ring against the one half-way round, once; measure at all others of the ring."""
     half = len(ring) // 2
     return measure_others(np.array([(ring[k], ring[k + half]) for k in range(half)]), list(ring))
+
+
+def needed(patterns: Iterable[DrivePattern]) -> list[DrivePattern]:
+    """The patterns without those whose measurements are all part of a longer one, longest first."""
+    kept: list[tuple[DrivePattern, set[tuple[int, ...]]]] = []
+    for pattern in sorted(patterns, key=lambda pattern: -pattern.n_meas):
+        measured = set(map(tuple, pattern.quadruples.tolist()))
+        if not any(measured <= theirs for _, theirs in kept):
+            kept.append((pattern, measured))
+    return [pattern for pattern, _ in kept]

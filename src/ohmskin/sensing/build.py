@@ -96,7 +96,10 @@ def _learned(sensor: Sensor, finder: ContactFinder) -> tuple[Thresholds, float]:
     begin = seconds = np.inf
     for number in range(repeats):
         started = time.monotonic()
-        scan = lambda pattern, number=number: known.quiet.scan(pattern, number)  # noqa: E731
+        # scans of one frame come from repeats far apart: where both drive a pair, their noise is not the same
+        apart, scans = repeats // sensor.drive.scans, range(sensor.drive.scans)
+        turns = iter([(number + k * apart) % repeats for k in scans])
+        scan = lambda pattern, turns=turns: known.quiet.scan(pattern, next(turns))  # noqa: E731
         state, percept = sensor.step(state, scan)
         base.append(finder.highest(percept.base_image))
         final.append(finder.highest(percept.image))

@@ -1,11 +1,14 @@
 """Quiet frames once more: what a scan of the untouched skin gives, without asking the device."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from ohmskin.errors import PatternError
 from ohmskin.scan import DrivePattern, Frame
+
+_APART = 3  # repeats between one and the next from which a pattern takes what it drives several times
 
 
 class QuietScans:
@@ -38,19 +41,23 @@ class QuietScans:
     def scan(self, pattern: DrivePattern, number: int) -> Frame:
         """The frame of a pattern in repeat `number`.
 
+        What it drives several times comes from other repeats each time, so that noise averages out as it would.
+
         Raises:
             PatternError: If one of its voltages was not measured while the skin was quiet.
         """
         if pattern in self._by_pattern:
             return self._by_pattern[pattern][number]
         volts, currents, time = np.empty(pattern.n_meas), np.empty(pattern.n_inj), 0.0
+        seen = Counter[tuple[int, ...]]()
         for k, quadruple in enumerate(pattern.quadruples.tolist()):
             if tuple(quadruple) not in self._home:
                 raise PatternError(
                     f"no quiet reference for source, sink, plus, minus = {quadruple}; calibrate with this pattern"
                 )
             home, row = self._home[tuple(quadruple)]
-            frame = self._by_pattern[home][number]
+            frame = self._by_pattern[home][(number + _APART * seen[tuple(quadruple)]) % self.repeats]
+            seen[tuple(quadruple)] += 1
             volts[k], time = frame.voltages[row], max(time, frame.time)
             currents[pattern.measurements[k, 0]] = frame.currents[home.measurements[row, 0]]
         return Frame(pattern, volts, currents, time)

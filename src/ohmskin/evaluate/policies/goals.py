@@ -28,7 +28,14 @@ Done = Outcome[Settings]
 
 def assess(done: Done) -> list[Goal]:
     """The goals that the results at hand can decide."""
-    goals = {"static": _static, "time": _time, "moving": _moving, "pairs": _pairs, "detection": _detection}
+    goals = {
+        "static": _static,
+        "driven": _driven,
+        "time": _time,
+        "moving": _moving,
+        "pairs": _pairs,
+        "detection": _detection,
+    }
     goals |= {"quiet": _quiet, "cost": _cost}
     return [goal for section, find in goals.items() if section in done.results for goal in find(done)]
 
@@ -121,6 +128,28 @@ def _static(done: Done) -> Iterator[Goal]:
                 ours, theirs = (result["bound"][task.schemes.index(scheme)] for scheme in ("16P", other))
                 data = f"{task.seeds} seeds, {len(result['truth'])} places"
                 yield _ratio("static", text, limit, ours, theirs, data, note, main)
+
+
+def _driven(done: Done) -> Iterator[Goal]:
+    for name, task, result in done.of("driven"):
+        world, decibels, flaw = name.split("/")
+        away, where = errors(result), f"{NAMES[world]}, {decibels} dB, flaw since calibration: {flaw}"
+        seen = {key: away[task.schemes.index(key), task.readers.index("fit, driven")] for key in task.schemes}
+        data = f"{task.seeds} seeds, {len(result['truth'])} places, {task.corners} of them in the corners"
+        asked = {
+            ("discs", "40", "none"): (("16O fused", 1.6, False), ("16P", 1.3, False)),
+            ("pressed", "50", "none"): (("16P", 1.1, False), ("16P", 1.0, True)),
+            ("pressed", "50", "contact impedance x 1.2"): (("16P", 1.2, False),),
+            ("pressed", "50", "contact impedance x 3"): (("16P", 2.0, False),),
+        }
+        for key, limit, corners in asked.get((world, decibels, flaw), ()):
+            text = (
+                f"Driven electrodes measured, fit: mean error of {key} in mm, {'corners' if corners else 'all places'}"
+            )
+            here = 1e3 * seen[key][:, -task.corners :] if corners else 1e3 * seen[key]
+            yield Goal("driven", f"{text} ({where})", limit, True, mean(here), "mm", data)
+        text = f"Driven electrodes measured, fit: mean error of 16P over that of the best fixed set of 28 ({where})"
+        yield _ratio("driven", text, 1.0, seen["16P"], seen["best"], data, "RATIO", flaw == "none")
 
 
 def _time(done: Done) -> Iterator[Goal]:

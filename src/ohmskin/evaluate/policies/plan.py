@@ -13,12 +13,15 @@ from ohmskin.evaluate.policies.tracked import Cost, Detection, Moving, Quiet
 from ohmskin.evaluate.result import Groups, chosen
 from ohmskin.evaluate.worlds import WORLDS
 
-SECTIONS = ("static", "time", "moving", "pairs", "detection", "quiet", "robust", "cost")
+SECTIONS = ("static", "driven", "time", "moving", "pairs", "detection", "quiet", "robust", "cost")
 
 DISTANCES = tuple(d / 1000 for d in (12, 15, 17, 20, 25, 30))
 STRENGTHS = (0.5, 1.4)  # of 6 mm discs: the usual contact's change; about the usual contact's whole effect
 READ = ("centroid", "fit")  # readers
+CORNERS = 20  # places 10 to 18 mm from both sides
+DRIVEN = ("fit", "fit, driven")  # without and with the electrodes that carry the current
 SCHEMES = ("12B", "16I", "best/16", "16P/16", "best", "16O fused", "16P")
+SINCE = {"none": SOUND, "contact impedance x 1.2": Flaw(1.2, True), "contact impedance x 3": Flaw(3.0, True)}
 FLAWS = {
     "none": SOUND,
     "contact impedance x 3": Flaw(wear=3.0),
@@ -91,6 +94,12 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
         found["moving"][world] = Moving(world, level, s.seeds, s.frames)
         for others in (0, 1, 2):
             found["detection"][f"{world}/{others}"] = Detection(world, level, s.trials, others)
+    for (world, decibels), (name, flaw) in product(
+        (("discs", 40.0), ("discs", 50.0), ("pressed", 50.0)), SINCE.items()
+    ):
+        if world == "pressed" or flaw is SOUND:  # point electrodes have no contact impedance
+            task = Static(world, decibels, s.seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
+            found["driven"][f"{world}/{decibels:g}/{name}"] = replace(task, flaw=flaw)
     blocks = max(1, s.quiet // 12_500)
     for block in range(blocks):  # a quiet skin is noise alone: one world is as good as the other
         found["quiet"][f"discs/{block}"] = Quiet("discs", level, s.quiet // blocks, seed=block)
@@ -108,7 +117,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
             seeds = -(-s.seeds // s.draws) if drawn else s.seeds
             drawn_flaw, first, side = replace(flaw, draw=draw), draw * seeds, min(s.side, 5)
             frames, trackers = ("16I", "best", "16O fused", "16P"), ("16T/4", "rotating/4")
-            static = Static("pressed", s.levels[-1], seeds, frames, READ, side, 0, "", drawn_flaw, first)
+            static = Static("pressed", s.levels[-1], seeds, frames, READ, side, 0, 0, "", drawn_flaw, first)
             moving = Moving("pressed", s.levels[-1], seeds, s.frames, (), (), trackers, drawn_flaw, first)
             found["robust"][f"static/{name}/{draw}"], found["robust"][f"moving/{name}/{draw}"] = static, moving
     found["cost"]["tracker"] = Cost(level, frames=s.timed)

@@ -21,8 +21,10 @@ INSTRUMENTS = ("parallel", "multiplexed")
 YARDSTICK = "16O fused"  # whose time on an instrument all schemes get
 
 
-def scheme(key: str, reader: str = "centroid") -> Mode:
-    """The mode of a key, a drive or a drive and its injections, such as ``16P/16``, with a reader (`READERS`).
+def scheme(key: str, reading: str = "centroid") -> Mode:
+    """The mode of a key, a drive or a drive and its injections, such as ``16P/16``, with a reader of `READERS`.
+
+    ``fit, driven``: the reader ``fit``, electrodes that carry the current measured, too.
 
     Raises:
         OhmskinError: If there is none.
@@ -32,7 +34,8 @@ def scheme(key: str, reader: str = "centroid") -> Mode:
         choices = ", ".join(SCHEMES)
         raise OhmskinError(f"no scheme {key!r}; choose from {choices}, with /INJECTIONS if not the usual number")
     _, name, usual = SCHEMES[drive]
-    return Mode(key, name, reader, injections=int(count) if count else usual)
+    reader, _, driven = reading.partition(", ")
+    return Mode(key, name, reader, injections=int(count) if count else usual, driven=bool(driven))
 
 
 def within(key: str, instrument: str, setup: Setup) -> Mode:

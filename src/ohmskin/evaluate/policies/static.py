@@ -28,9 +28,10 @@ class Static:
         decibels: Noise level (dB).
         seeds: Number of noise seeds.
         schemes: Keys, see `schemes.scheme`.
-        readers: Of `ohmskin.sensing.READERS`.
+        readers: As for `schemes.scheme`.
         side: Places along a side of the lattice, those of Fig. 7.
         random: Number of random places, drawn once, at least 10 mm from the rim.
+        corners: Number of places in the corners beside it, 10 to 18 mm from both sides.
         instrument: Where given, all schemes have the time that the paper's has on it; see `schemes.within`.
         flaw: What is wrong with the model or the skin.
         first: Number of the first seed.
@@ -43,6 +44,7 @@ class Static:
     readers: tuple[str, ...] = ("centroid", "fit")
     side: int = 9
     random: int = 79
+    corners: int = 0
     instrument: str = ""
     flaw: Flaw = SOUND
     first: int = 0
@@ -50,17 +52,22 @@ class Static:
     def run(self) -> Result:
         """Results: ``truth`` (n_places, 2) and ``estimate`` (n_schemes, n_readers, n_seeds, n_places, 2) in metres,
         NaN where nothing was found; ``bound`` (n_schemes, n_seeds, n_places), see `bound_of`, of the patterns
-        that were driven, NaN on the pressed twin, which has no discs; ``injections`` (n_schemes,).
+        that were driven for the last reader, NaN on the pressed twin, which has no discs; ``injections`` (n_schemes,).
         """
-        where, truth = setup(self.world, self.decibels, flaw=self.flaw), static_places(self.side, self.random)
+        where, truth = (
+            setup(self.world, self.decibels, flaw=self.flaw),
+            static_places(self.side, self.random, self.corners),
+        )
         compared = [within(key, self.instrument, where) if self.instrument else scheme(key) for key in self.schemes]
+        ways = [scheme(self.schemes[0], reading) for reading in self.readers]
         estimate = np.full((len(compared), len(self.readers), self.seeds, len(truth), 2), np.nan)
         bound = np.full((len(compared), self.seeds, len(truth)), np.nan)
         for p, place in enumerate(truth):
             contacts = (contact(self.world, *place),)
             for seed, (s, each) in product(range(self.seeds), enumerate(compared)):
-                for e, reader in enumerate(self.readers):
-                    seen = where.see(replace(each, reader=reader), contacts, self.first + seed)
+                for e, way in enumerate(ways):
+                    mode = replace(each, reader=way.reader, driven=way.driven)
+                    seen = where.see(mode, contacts, self.first + seed)
                     estimate[s, e, seed, p] = seen.strongest
                 if self.world == "discs":
                     bound[s, seed, p] = bound_of(where, seen.differences, place)
@@ -68,9 +75,11 @@ class Static:
         return {"truth": truth, "estimate": estimate, "bound": bound, "injections": injections}
 
 
-def static_places(side: int, count: int) -> Floats:
-    """The lattice of Fig. 7 and `count` random places (side^2 + count, 2) in metres."""
-    return np.vstack([places(side), np.random.default_rng(81).uniform(0.01, 0.19, (count, 2))])
+def static_places(side: int, count: int, corners: int = 0) -> Floats:
+    """The lattice of Fig. 7, `count` random places, and `corners` in the corners (side^2 + count + corners, 2) (m)."""
+    inside = np.random.default_rng(5).uniform(0.010, 0.018, (corners, 2))
+    far = np.resize([[0.0, 0.0], [0.2, 0.0], [0.0, 0.2], [0.2, 0.2]], (corners, 2))
+    return np.vstack([places(side), np.random.default_rng(81).uniform(0.01, 0.19, (count, 2)), np.abs(far - inside)])
 
 
 def bound_of(setup: Setup, data: tuple[Difference, ...], place: Floats) -> float:

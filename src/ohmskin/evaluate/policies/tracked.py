@@ -69,7 +69,7 @@ class Moving:
                 seen = (where.see(scheme(key, reader), there, self.first + seed, k) for k, there in enumerate(frames))
                 framewise[s, e, seed] = [view.strongest for view in seen]
             for t, key in enumerate(self.trackers):
-                for k, percept in enumerate(where.follow(scheme(key, "tracked"), frames, self.first + seed)):
+                for k, percept in enumerate(where.follow(scheme(key, "tracked, driven"), frames, self.first + seed)):
                     count[t, seed, k] = len(percept.contacts)
                     if percept.contacts:
                         strongest = max(percept.contacts, key=lambda c: c.strength)
@@ -126,7 +126,7 @@ class Detection:
             contacts = tuple(contact(self.world, *place) for place in places)
             there = [contacts[:-1]] * _BEFORE + [contacts] * _PATIENCE
             # the round of exploring injections may be anywhere when the contact comes
-            seen = where.follow(scheme(f"16T/{self.injections}", "tracked"), there, trial, turn=trial)
+            seen = where.follow(scheme(f"16T/{self.injections}", "tracked, driven"), there, trial, turn=trial)
             for k, percept in enumerate(seen):
                 found = [c.position for c in percept.contacts]
                 if _BEFORE // 2 <= k < _BEFORE:
@@ -158,7 +158,7 @@ class Quiet:
     def run(self) -> Result:
         """Results: ``births`` (), contacts reported, each once; ``frames`` (), in which any was reported."""
         where = setup(self.world, self.decibels)
-        mode, known, busy = scheme(f"16T/{self.injections}", "tracked"), set[int](), 0
+        mode, known, busy = scheme(f"16T/{self.injections}", "tracked, driven"), set[int](), 0
         for percept in where.follow(mode, repeat((), self.frames), 9, self.seed):
             known |= {c.id for c in percept.contacts}
             busy += bool(percept.contacts)
@@ -199,7 +199,7 @@ class Cost:
     def run(self) -> Result:
         """Results: ``choose`` and ``update`` (n_contacts + 1, n_frames) in seconds, with 0, 1, ... contacts."""
         where = setup("discs", self.decibels)
-        sensor = where.sensor(scheme(f"16T/{self.injections}", "tracked"))
+        sensor = where.sensor(scheme(f"16T/{self.injections}", "tracked, driven"))
         places = ((0.06, 0.07), (0.14, 0.13), (0.06, 0.15), (0.15, 0.05))
         choose, update = np.empty((2, self.contacts + 1, self.frames))
         for n in range(self.contacts + 1):
