@@ -42,7 +42,14 @@ class Candidates:
     weights: sp.csr_array
 
     @classmethod
-    def at_currents(cls, pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> Self:
+    def at_currents(
+        cls,
+        pattern: DrivePattern,
+        n_elec: int,
+        noise: float,
+        currents: ArrayLike = CURRENT,
+        contacts: float | None = None,
+    ) -> Self:
         """Candidates whose currents are given or measured.
 
         Args:
@@ -50,11 +57,14 @@ class Candidates:
             n_elec: Number of electrodes.
             noise: Standard deviation of a voltage (V).
             currents: One value, or one for each electrode pair (n_pairs,) in amperes: see `pair_currents`.
+            contacts: Standard deviation of what is not known of a contact impedance (ohm), where driven electrodes are
+                measured, too (`DrivePattern.with_driven`); None: they are not.
 
         Raises:
             ModelError: If noise or currents are not positive, or the currents do not fit.
         """
-        return cls(pattern, whitened(pattern, n_elec, noise, currents))
+        measured = pattern if contacts is None else pattern.with_driven
+        return cls(pattern, whitened(measured, n_elec, noise, currents, contacts or 0.0))
 
     def __len__(self) -> int:
         return self.pattern.n_inj
@@ -70,7 +80,9 @@ class Candidates:
         return rows if rows.shape[-2] <= d else np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def whitened(pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT) -> sp.csr_array:
+def whitened(
+    pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT, contacts: float = 0.0
+) -> sp.csr_array:
     """A pattern's voltages over their noise, by pairs (n_meas, n_pairs); arguments as `Candidates.at_currents`."""
     given = np.asarray(currents, float)
     if given.shape not in ((), (n_pairs(n_elec),)) or not (np.isfinite(given) & (given > 0)).all():
@@ -81,7 +93,8 @@ def whitened(pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLi
     pattern.check(n_elec)
     source, sink, _, _ = pattern.quadruples.T
     amperes = np.broadcast_to(given, n_pairs(n_elec))[pair_index(source, sink, n_elec)]
-    return sp.csr_array(sp.diags_array(amperes / noise) @ pattern.combination(n_elec))
+    noises = np.hypot(noise, np.where(pattern.driven, amperes * contacts, 0.0))
+    return sp.csr_array(sp.diags_array(amperes / noises) @ pattern.combination(n_elec))
 
 
 @dataclass(frozen=True, eq=False)

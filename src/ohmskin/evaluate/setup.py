@@ -125,11 +125,11 @@ class Setup:
         self.model, self.electrodes, self.skin = self.known.model, model.electrodes, skin
         self._sensors: dict[Mode, Sensor] = {}
 
-    @cached_property
-    def design(self) -> tuple[ContactTable, drives.Candidates]:
+    def design(self, driven: bool) -> tuple[ContactTable, drives.Candidates]:
         """What informed drives choose from: the responses of contacts, and all injections at `CURRENT`."""
-        complete = complete_pattern(self.electrodes)
-        return self.table, drives.Candidates.at_currents(complete, len(self.electrodes), self.noise, CURRENT)
+        complete, n_elec = complete_pattern(self.electrodes), len(self.electrodes)
+        contacts = float(np.mean(self.skin.contact_change(self.known.impedances))) if driven else None
+        return self.table, drives.Candidates.at_currents(complete, n_elec, self.noise, CURRENT, contacts)
 
     @cached_property
     def raster(self) -> Raster:
@@ -153,7 +153,7 @@ class Setup:
         Raises:
             PatternError: If there is none of that name, or not with so many injections.
         """
-        settings = DriveSettings(self.electrodes, lambda: self.design, self.skin.imaging.pairs)
+        settings = DriveSettings(self.electrodes, lambda: self.design(mode.driven), self.skin.imaging.pairs)
         drive = DRIVES[mode.drive](settings, 0 if mode.drive in ("rim", "rings") else mode.injections)
         if mode.drive in ("rim", "rings"):
             drive = drives.Fixed(repeated(drive.patterns[0], mode.injections or drive.injections))

@@ -1,6 +1,7 @@
 """From a mode to a sensor: its parts by their names, gamma_0 learned from the quiet frames, compiled where possible."""
 
 import time
+from functools import partial
 
 import numpy as np
 
@@ -31,9 +32,10 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
     Raises:
         PatternError: If there is none of that name, or the skin does not allow it.
     """
-    settings = DriveSettings(skin.electrodes, skin.design, skin.imaging.pairs)
+    driven = driven and mode.driven
+    settings = DriveSettings(skin.electrodes, partial(skin.design, driven), skin.imaging.pairs)
     drive = DRIVES[mode.drive](settings, mode.injections)
-    return WithDriven(drive) if mode.driven and driven else drive
+    return WithDriven(drive) if driven else drive
 
 
 def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
@@ -62,8 +64,9 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
         known, drive, READERS["centroid"](known, estimator, np.inf), locator, Thresholds(0, 0), mode.fuse, window
     )
     thresholds, seconds = _learned(blind, finder)
-    locator = Locator(quick, ContactFinder(thresholds.base, imaging.fraction, imaging.dip, imaging.bipolar))
     reader = READERS[mode.reader](known, estimator, thresholds.final)
+    finder = ContactFinder(thresholds.base, imaging.fraction, imaging.dip, imaging.bipolar)
+    locator = Locator(quick, finder, getattr(reader, "fitter", None))
     middle = known.model.mesh.centroids[:, :2].mean(axis=0)
     drive.next([Target(middle, 1e-6 * np.eye(2), 1e-4, imaging.mesh_size)], 1)  # makes its tables, if it has any, now
     sensor = Sensor(known, drive, reader, locator, thresholds, mode.fuse, window)

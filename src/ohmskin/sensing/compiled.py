@@ -238,7 +238,8 @@ class Compiled:
             def noise_std(cells: ArrayLike) -> Floats:
                 return cycle.estimator.reconstruct(*map(known.difference, used)).noise_std(cells)
 
-            return Made(Image(values.astype(float), noise_std))
+            kept = values.astype(float)  # the next cycle writes over them
+            return Made(lambda: Image(kept, noise_std))
 
         look = image(cycle.base_image, frames[0])
         estimate = image(cycle.image, *frames[0 if cycle.fuse else 1 :])

@@ -17,8 +17,6 @@ from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Skin
 
 _CONTACT_ERROR = 0.05  # share of its signal that a disc gets wrong of a contact; up to 0.04 on the contact-layer twin
-_CHANGE = 0.2  # share by which contact impedances change unseen: screws on a sprayed sheet do when pressed nearby
-_LEAST_CONTACT = 0.01  # of the sheet's resistance, which every contact is taken to have
 _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
 
 
@@ -137,7 +135,7 @@ class SkinModel:
             _CONTACT_ERROR,
             bipolar=self.skin.imaging.bipolar,
             gain=self.gain,
-            contacts=_CHANGE * np.maximum(self.impedances, _LEAST_CONTACT / self.skin.sheet.conductivity),
+            contacts=self.skin.contact_change(self.impedances),
         )
 
     @cached_property
@@ -148,8 +146,7 @@ class SkinModel:
         """
         if self._impedances is not None:
             return self._impedances
-        electrode, quiet = self.skin.electrode, self.quiet.driven
-        described = electrode.contact_resistivity / (np.pi * electrode.radius**2)
+        described, quiet = self.skin.electrode.contact_impedance, self.quiet.driven
         found = np.full(len(self.skin.electrodes), described)
         if quiet is None:
             return found

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from ohmskin.contacts import Contact, ContactFinder
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
@@ -76,11 +76,13 @@ class DetectionReader:
         estimator: What makes the image.
         detect: Finds contacts, given the estimate and the recent scans.
         tracker: Follows them.
+        fitter: What fits contacts to data, if that is how they are found; base scans are then looked at likewise.
     """
 
     estimator: Estimator
     detect: Callable[[Estimate, Sequence[Difference]], Sequence[Contact]]
     tracker: Tracker = field(default_factory=Tracker)
+    fitter: ContactFitter | None = None
 
     def start(self, before: Belief | None = None) -> Belief:
         """Nothing touches the skin."""
@@ -111,6 +113,11 @@ class FilterReader:
     estimator: Estimator
     filter: ContactFilter
     injections: int
+
+    @property
+    def fitter(self) -> ContactFitter:
+        """What fits contacts to data."""
+        return self.filter.fitter
 
     def start(self, before: Belief | None = None) -> Belief:
         """Nothing touches the skin; what is known of its drift is kept."""
@@ -144,7 +151,7 @@ def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     def detect(_: Estimate, recent: Sequence[Difference]) -> Sequence[Contact]:
         return fitter.contacts(fitter.fit(*recent))
 
-    return DetectionReader(estimator, detect)
+    return DetectionReader(estimator, detect, fitter=fitter)
 
 
 def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

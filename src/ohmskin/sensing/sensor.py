@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.contacts import Contact, ContactFinder, find_regions
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions
 from ohmskin.drive import Drive, Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
@@ -109,20 +110,35 @@ class Implementation(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Locator:
-    """Tells roughly where a base scan shows contacts: the regions of its image (eq. 6).
+    """Tells roughly where a base scan shows contacts: the regions of its image (eq. 6), or what is fitted to it.
 
     Args:
         estimator: Makes the image.
         finder: Threshold gamma_0, least share of the highest region, and dip between two.
+        fitter: Fits contacts to the scan; None: they are told from the image.
     """
 
     estimator: GaussNewton
     finder: ContactFinder
+    fitter: ContactFitter | None = None
 
-    def targets(self, image: Image) -> list[Target]:
-        """The regions, strongest first; the highest place where nothing exceeds gamma_0, which finds weak contacts."""
-        cells, finder = self.estimator.cells, self.finder
-        values = image.values
+    def look(self, scans: Sequence[Difference]) -> Estimate:
+        """The image of scans."""
+        return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
+
+    def targets(self, scans: Sequence[Difference], look: Estimate) -> list[Target]:
+        """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones."""
+        if self.fitter is None:
+            return self._regions(look.image)
+        found = targets_of(self.fitter.contacts(self.fitter.fit(*scans)))
+        if found:
+            return found
+        height = self.fitter.heights(*self.fitter.scores(self.fitter.information(*scans)))
+        radius = self.fitter.table.radius
+        return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
+
+    def _regions(self, image: Image) -> list[Target]:
+        cells, finder, values = self.estimator.cells, self.finder, image.values
         threshold = max(finder.threshold, finder.fraction * float(values.max()))
         regions = find_regions(values, cells, threshold, finder.dip)
         if not regions:
@@ -231,23 +247,28 @@ class Sensor:
         """The scans of one frame, each chosen by what is known then."""
         frames: list[Frame] = []
         scans: list[Difference] = []
-        look: Image | None = None
+        look: Estimate | None = None
         targets = targets_of(state.belief.contacts)
         for number in range(self.drive.scans):
             frames.append(scan(self.drive.next(targets, state.turn + number)))
             scans.append(self.known.difference(frames[-1]))
             if number + 1 < self.drive.scans:
                 scans[-1] = self.known.at_usual_currents(scans[-1])
-                look = self.locator.estimator.reconstruct(*undriven(scans))
-                targets = self.locator.targets(look)
-        return Measured(tuple(frames), tuple(scans), None if look is None else Made(look))
+                look = self.locator.look(scans[:])
+                targets = self.locator.targets(scans, look)
+        return Measured(tuple(frames), tuple(scans), look)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Made:
-    """An image that is there already."""
+    """An image that is made when it is first asked for."""
 
-    image: Image
+    make: Callable[[], Image]
+
+    @cached_property
+    def image(self) -> Image:
+        """The image."""
+        return self.make()
 
 
 def targets_of(contacts: Sequence[Contact]) -> list[Target]:

@@ -27,6 +27,7 @@ from ohmskin.skin.mode import Mode, modes_of
 _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
 _UNCALIBRATED, _LAYOUT = Calibration(), ElectrodeLayout()
 _LARGEST_FILE = 2**20
+_CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
 _FORMER = {"bipolar": "falls"}  # entries by the names that files written before 0.2 have, and digests keep
 
 
@@ -230,12 +231,20 @@ class Skin:
         step = 2 * self.converter.full_scale / 2**self.converter.bits
         return float(np.hypot(self.converter.noise, step / np.sqrt(12)))
 
-    def design(self) -> tuple[ContactTable, Candidates]:
+    def design(self, driven: bool = False) -> tuple[ContactTable, Candidates]:
         """What drive design needs: the responses of contacts, and all injections with their currents and noise.
 
-        Made once.
+        Made once. `driven`: electrodes that carry the current are measured, too.
         """
-        return _design(self)
+        table, complete = _table(self), complete_pattern(self.electrodes)
+        contacts = float(self.contact_change(self.electrode.contact_impedance)) if driven else None
+        currents = self.pair_currents()
+        return table, Candidates.at_currents(complete, len(self.electrodes), self.noise, currents, contacts)
+
+    def contact_change(self, impedance: Floats | float) -> Floats:
+        """Standard deviation of how contact impedances (ohm) change unseen: screws on a sprayed sheet do when pressed
+        nearby, and every contact is taken to have a hundredth of the sheet's resistance."""
+        return np.asarray(_CHANGE * np.maximum(impedance, _LEAST_CONTACT / self.sheet.conductivity))
 
     def mesh(self) -> Mesh:
         """The estimator's mesh, with a node at every electrode."""
@@ -252,11 +261,9 @@ class Skin:
 
 
 @lru_cache(maxsize=8)
-def _design(skin: Skin) -> tuple[ContactTable, Candidates]:
+def _table(skin: Skin) -> ContactTable:
     size = skin.imaging.mesh_size
-    table = ContactTable(skin.transfer_model(), radius=1.5 * size, pitch=0.7 * size)
-    complete = complete_pattern(skin.electrodes)
-    return table, Candidates.at_currents(complete, len(skin.electrodes), skin.noise, skin.pair_currents())
+    return ContactTable(skin.transfer_model(), radius=1.5 * size, pitch=0.7 * size)
 
 
 def shipped_skins() -> list[str]:

@@ -1,5 +1,6 @@
 """Where the electrodes of a skin are, as its description says."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,11 @@ class ElectrodeLayout:
         if isinstance(given, list | tuple):
             pairs = tuple(tuple(place) if isinstance(place, list) else place for place in given)
             object.__setattr__(self, "positions", pairs)
+
+    @property
+    def contact_impedance(self) -> float:
+        """Of each electrode (ohm)."""
+        return self.contact_resistivity / (math.pi * self.radius**2)
 
     def on(self, domain: Domain) -> Electrodes:
         """The electrodes on a sheet that `check` has passed."""
