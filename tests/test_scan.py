@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import (
     Baseline,
+    Difference,
     DrivePattern,
     Frame,
     adjacent,
     all_pairs,
     measure_others,
     n_pairs,
+    needed,
     opposite,
     pair_index,
     skip,
@@ -340,3 +342,31 @@ def test_a_measurement_of_several_patterns_takes_the_mean_of_all() -> None:
     again = frame_of(s, half, np.ones(6), 1e-3, 3)
     expected = (frames[1].voltages + again.voltages) / 2
     np.testing.assert_allclose(Baseline.learn([unknown, frames[1], again]).reference(half), expected, rtol=1e-12)
+
+
+def test_a_pattern_with_driven_electrodes_measures_source_and_sink_beside_what_it_measured() -> None:
+    pattern = adjacent([range(12), range(12, 16)])
+    driven = pattern.with_driven
+    assert not pattern.driven.any()
+    assert driven.driven.sum() == 2 * pattern.n_inj
+    assert set(map(tuple, pattern.quadruples.tolist())) < set(map(tuple, driven.quadruples.tolist()))
+    for k, (source, sink) in enumerate(pattern.injections):
+        own = driven.measurements[(driven.measurements[:, 0] == k) & driven.driven]
+        assert own[0, 1] == source
+        assert own[1, 2] == sink
+    assert driven.with_driven == driven
+    assert needed([pattern, driven, adjacent([range(12)])]) == [driven, adjacent([range(12)])]
+    # all that can be measured of an injection: n - 1 voltages, independent of each other
+    whole = measure_others([[0, 7]], range(16)).with_driven
+    assert np.linalg.matrix_rank(whole.combination(16).toarray()) == 15
+
+
+def test_what_undriven_electrodes_say_is_a_difference_of_its_own() -> None:
+    pattern = adjacent([range(8)]).with_driven
+    volts = np.arange(pattern.n_meas, dtype=float)
+    difference = Difference(pattern, np.ones(pattern.n_meas), volts, None, 2 * volts)
+    undriven = difference.undriven
+    assert undriven.pattern == adjacent([range(8)])
+    np.testing.assert_array_equal(undriven.volts, volts[~pattern.driven])
+    np.testing.assert_array_equal(undriven.reference, 2 * volts[~pattern.driven])
+    assert undriven.undriven is undriven

@@ -1,6 +1,7 @@
 """Sensors: any drive with any reader, any estimator; modes of a skin's own; parts that others register."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
@@ -8,10 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from direct import DirectDevice
 
 from ohmskin import registry
-from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed
+from ohmskin.device import Feature
+from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, part_of
+from ohmskin.engine import Engine
 from ohmskin.errors import ModelError, PatternError, SkinError
+from ohmskin.evaluate import worlds
 from ohmskin.inverse import PRIORS, RULES, graph_laplacian
 from ohmskin.inverse.estimators import ESTIMATORS
 from ohmskin.inverse.estimators import Settings as EstimatorSettings
@@ -31,6 +36,7 @@ from ohmskin.sensing import (
     perceive,
 )
 from ohmskin.sensing.model import kinds_of_noise
+from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Mode, Skin, VirtualSkin, shipped_skins
 
 PAPER = Skin.load("paper")
@@ -378,3 +384,76 @@ def test_white_noise_and_errors_of_measured_currents_are_told_apart(gain: float)
     # of a difference, which has the reference's own share of the noise
     assert white == pytest.approx(sigma * np.sqrt(1 + 1 / repeats), rel=0.02)
     assert share == pytest.approx(gain * np.sqrt(1 + 1 / repeats), rel=0.05, abs=1e-4)
+
+
+CORNERS = [(0.012, 0.014), (0.187, 0.016), (0.013, 0.183), (0.184, 0.188)]
+
+
+@pytest.mark.parametrize("mode", ["16P", "16T"])
+def test_a_press_in_a_corner_is_placed_by_the_electrodes_that_carry_the_current(mode: str) -> None:
+    """Fifteen frames each: without them the errors are 2 to 17 mm (docs/modes.md)."""
+    device = DirectDevice(VirtualSkin(PAPER, seed=5))
+    with Engine(lambda: device, PAPER, mode) as engine:
+        engine.calibrate()
+        assert engine.known is not None
+        assert engine.known.quiet.driven is not None
+        for at in CORNERS:
+            engine.press(1, at, 8e-3, 20e3)
+            touch = [engine.step() for _ in range(15)][-1]
+            assert touch is not None
+            assert all(frame.pattern.driven.any() for frame in touch.percept.frames)
+            (contact,) = touch.contacts
+            assert np.hypot(*np.subtract(contact.position, at)) < 3e-3
+            engine.press(1, at, 8e-3, 0.0)
+            assert not [engine.step() for _ in range(15)][-1].contacts  # type: ignore[union-attr]
+        assert all(not engine.step().contacts for _ in range(200))  # type: ignore[union-attr]
+
+
+def test_a_device_that_cannot_measure_driven_electrodes_does_without() -> None:
+    device = DirectDevice(VirtualSkin(PAPER, seed=5))
+    device.capabilities = replace(device.capabilities, features=Feature.VIRTUAL)
+    with Engine(lambda: device, PAPER) as engine:
+        engine.calibrate()
+        engine.press(1, PLACES[0], 8e-3, 20e3)
+        touch = [engine.step() for _ in range(8)][-1]
+        assert touch is not None
+        assert not any(frame.pattern.driven.any() for frame in touch.percept.frames)
+        assert np.hypot(*np.subtract(touch.contacts[0].position, PLACES[0])) < 3e-3
+
+
+@pytest.mark.parametrize("change", [0.9, 1.2])
+def test_a_change_of_all_contact_impedances_moves_no_contact(change: float) -> None:
+    """At 50 dB, 3.5 ohm when calibrated; without driven electrodes a fifth less already shows contacts."""
+    noise = worlds.noise_volts("pressed", 50)
+
+    def scanner(resistance: np.ndarray, seed: int) -> Callable[[DrivePattern], Frame]:
+        random = np.random.default_rng(seed)
+
+        def scan(pattern: DrivePattern) -> Frame:
+            volts = worlds.voltages(resistance, pattern) + noise * random.standard_normal(pattern.n_meas)
+            return Frame(pattern, volts, np.full(pattern.n_inj, worlds.CURRENT), 0.0)
+
+        return scan
+
+    mode = Mode("driven", "best", "fit", injections=28, driven=True)
+    calm = scanner(worlds.sheet("pressed", "grid").untouched, 1)
+    (pattern,) = drive_of(mode, PAPER).patterns
+    sensor = build(mode, SkinModel(PAPER, PAPER.transfer_model(), [calm(pattern) for _ in range(40)]))
+    errors = []
+    for seed, at in enumerate([*PLACES, *CORNERS[:2]]):
+        pressed = worlds.touched("pressed", "grid", (worlds.contact("pressed", *at),), change)
+        _, percept = sensor.step(sensor.start(), scanner(pressed, seed))
+        assert len(percept.detections) == 1
+        errors.append(np.hypot(*np.subtract(percept.detections[0].position, at)))
+    assert np.mean(errors) < 2e-3
+    changed = worlds.sheet("pressed", "grid", change).untouched
+    assert not any(sensor.step(sensor.start(), scanner(changed, 100 + k))[1].detections for k in range(20))
+
+
+def test_quiet_scans_take_what_a_pattern_drives_twice_from_two_repeats() -> None:
+    one = adjacent([range(8)])
+    quiet = QuietScans([Frame(one, np.full(one.n_meas, float(k)), np.ones(one.n_inj), 0.0) for k in range(10)])
+    twice = part_of(one, np.array([2, 2]))
+    volts = quiet.scan(twice, 1).voltages.reshape(2, -1)
+    assert volts[0, 0] == 1.0
+    assert volts[1, 0] not in (volts[0, 0], 0.0)
