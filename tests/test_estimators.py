@@ -699,7 +699,7 @@ def test_a_contact_that_only_raises_conductivity_is_not_fitted_to_a_fall() -> No
     start = np.array([[0.08, 0.12, 1e-4, 0.011**2]])
     for bipolar in (False, True):
         fit = fitter(bipolar=bipolar)
-        assert (fit.refine(fit.information(difference), start).params[0, 2] > 0) != bipolar
+        assert (fit.refine(fit.information(difference)[0], start).params[0, 2] > 0) != bipolar
     (contact,) = fit.contacts(fit.fit(difference))
     assert np.linalg.norm(np.subtract(contact.position, (0.08, 0.12))) < 0.002
     assert contact.strength < 0

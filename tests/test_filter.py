@@ -127,7 +127,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     references = [np.random.default_rng(k).normal(size=scan.pattern.n_meas) for k, scan in enumerate(scans)]
     scans = [replace(scan, reference=known) for scan, known in zip(scans, references, strict=True)]
     errors = Errors(0.3, gain=0.2, contacts=np.linspace(50.0, 300.0, 16))
-    found = Information.of(16, errors, scans)
+    found, _ = Information.of(16, errors, scans)
     known = np.ones(sum(scan.pattern.n_meas for scan in scans), bool)
     known[[3, scans[0].pattern.n_meas + 5]] = False
     currents = np.where(known, np.concatenate([scan.currents for scan in scans]), 0.0)
@@ -170,11 +170,12 @@ def test_data_of_driven_electrodes_count_as_much_less_as_their_larger_changes_er
     scan = random_difference(base_pattern(SKIN.electrodes).with_driven, 2)
     driven = scan.pattern.driven
     scan.volts[driven] *= 100
-    plain, wary = (Information.of(16, Errors(0.1, model=model), [scan]) for model in (0.0, 0.05))
+    (plain, _), (told, wary) = (Information.of(16, Errors(0.1, model=model), [scan]) for model in (0.0, 0.05))
     usual, theirs = (np.hypot(0.1, 0.05 * np.sqrt(np.mean(scan.volts[kind] ** 2))) for kind in (~driven, driven))
     expected = np.sum(scan.volts[~driven] ** 2) + np.sum((usual / theirs * scan.volts[driven]) ** 2)
     assert plain.constant == pytest.approx(np.sum(scan.volts**2) / 0.1**2)
-    assert wary.constant == pytest.approx(expected / 0.1**2)
+    assert told.constant == pytest.approx(expected / 0.1**2)
+    assert wary.constant == pytest.approx(told.constant / (1 + (0.05 * told.signal) ** 2))
 
 
 def test_slopes_of_contacts_are_those_of_finite_differences() -> None:
@@ -198,7 +199,7 @@ def test_scores_of_quiet_data_are_standard_normal_and_alarms_no_more_frequent_th
     judge = fitter("discs", 50, false_alarms=rate)
     heights, alarms, frames = [], 0, 800
     for _ in range(frames):
-        height = judge.heights(*judge.scores(judge.information(rig.measure(base_pattern(SKIN.electrodes)))))
+        height = judge.heights(*judge.scores(judge.information(rig.measure(base_pattern(SKIN.electrodes)))[0]))
         heights.append(height)
         alarms += bool(height.max() > judge.bar)
     assert np.std(heights) == pytest.approx(1.0, abs=0.03)
@@ -410,7 +411,7 @@ def test_noise_of_the_reference_which_all_frames_share_does_not_add_up_to_a_cont
     rig, pattern = Rig("discs", 50, 18), base_pattern(SKIN.electrodes)
     error = rig.measure(pattern)
     judge = rig.filter.fitter
-    height = judge.heights(*judge.scores(judge.information(error))).max()
+    height = judge.heights(*judge.scores(judge.information(error)[0])).max()
     error = replace(error, volts=error.volts * 0.8 * rig.filter.bar / height)
     found = []
     for repeats in (1.0, np.inf):
@@ -477,6 +478,7 @@ def test_what_the_foam_keeps_of_a_press_is_no_contact_and_soon_forgotten() -> No
     assert len(light.contacts) == 1  # a quarter as hard as before, on the same spot
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("times", "most", "off"), [(1.0, 1, 3e-3), (3.0, 2, 9e-3)])
 def test_single_pairs_may_drift_by_about_the_noise(times: float, most: int, off: float) -> None:
     """Random changes of two-terminal resistances that grow within two minutes, by the noise, and by three times that.

@@ -96,13 +96,13 @@ class ContactFitter:
 
     # --- what is measured ---------------------------------------------------------------------------------------------
 
-    def information(self, *scans: Difference, wary: bool = False) -> Information:
-        """What one scan says, or several fused; `wary` of the model's error.
+    def information(self, *scans: Difference) -> tuple[Information, Information]:
+        """What one scan says, or several fused; and the same wary of the model's error.
 
         Raises:
             DataError: If no finite datum is left.
         """
-        return Information.of(self.table.n_elec, self.errors, scans, wary)
+        return Information.of(self.table.n_elec, self.errors, scans)
 
     def allowance(self, data: Information) -> float:
         """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
@@ -225,7 +225,7 @@ class ContactFitter:
         Raises:
             DataError: If no finite datum is left.
         """
-        told, data = self.information(*scans), self.information(*scans, wary=True)
+        told, data = self.information(*scans)
         found = nothing(self.table.responses.shape[1])
         while len(found.params) < self.most:
             score, power = self.scores(told.less(found.caused).beside(found.slopes))

@@ -50,11 +50,11 @@ class Information:
     plain: Floats
 
     @classmethod
-    def of(cls, n_elec: int, errors: Errors, scans: Sequence[Difference], wary: bool = False) -> "Information":
-        """What scans say whose contacts are in the same state. Channels that are not finite are left out.
+    def of(cls, n_elec: int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
+        """What scans say whose contacts are in the same state, and the same wary: the model's error is noise, too.
 
-        Data of driven electrodes count as much less as their larger changes are modelled worse. `wary`: the model's
-        error is a part of the noise.
+        Channels that are not finite are left out. Data of driven electrodes count as much less as their larger changes
+        are modelled worse.
 
         Raises:
             DataError: If no finite datum is left.
@@ -84,24 +84,12 @@ class Information:
             plain[at[distinct], pair_index(one[distinct], other[distinct], n_elec)] += sign * amperes[distinct]
         plain[at, pair_index(a, b, n_elec)] -= amperes * loading[known]
         plain[:, -2], plain[:, -1] = np.nan_to_num(quiet[known]) * share, volts[known] * share
-        if wary:
-            larger = np.hypot(1.0, errors.model * np.sqrt(np.mean(plain[:, -1] ** 2)))
-            plain, amperes = plain / larger, amperes / larger
-        rows = plain
-        if errors.gain > 0:  # the rows of an injection follow each other
-            gains, first = errors.gain * plain[:, -2], np.flatnonzero(np.diff(which, prepend=-1))
-            squares = np.add.reduceat(gains**2, first)
-            shrink = (1 - 1 / np.sqrt(1 + squares)) / np.maximum(squares, 1e-300)
-            inside = np.repeat(np.arange(len(first)), np.diff(first, append=len(a)))
-            seen = np.add.reduceat(gains[:, None] * rows, first, axis=0) * shrink[:, None]
-            rows = rows - gains[:, None] * seen[inside]
-            if errors.contacts is not None and driven.any():
-                contacts = _contact_errors(a, b, c, d, amperes, errors.contacts)
-                across = np.add.reduceat(gains[:, None] * contacts, first, axis=0) * shrink[:, None]
-                rows = _beside(rows, contacts - gains[:, None] * across[inside])
-        elif errors.contacts is not None and driven.any():
-            rows = _beside(rows, _contact_errors(a, b, c, d, amperes, errors.contacts))
-        return cls(rows, plain)
+        larger = float(np.hypot(1.0, errors.model * np.sqrt(np.mean(plain[:, -1] ** 2))))
+        contacts = None
+        if errors.contacts is not None and driven.any():
+            contacts = _contact_errors(a, b, c, d, amperes, errors.contacts)
+        told, wary = (_whitened(plain / by, which, errors.gain, contacts, by) for by in (1.0, larger))
+        return cls(told, plain), cls(wary, plain / larger)
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
@@ -158,6 +146,24 @@ class Information:
     def size(self, changes: Floats) -> float:
         """How large changes (n_pairs,) are in the data, in standard deviations of white noise."""
         return float(np.linalg.norm(self.plain[:, : len(changes)] @ changes))
+
+
+def _whitened(plain: Floats, which: Ints, gain: float, contacts: Floats | None, larger: float) -> Floats:
+    """Rows of equal noise, those of an injection behind each other, beside errors of currents and contacts (n, k)."""
+    rows = plain
+    contacts = None if contacts is None else contacts / larger
+    if gain > 0:
+        errors, first = gain * plain[:, -2], np.flatnonzero(np.diff(which, prepend=-1))
+        squares = np.add.reduceat(errors**2, first)
+        shrink = (1 - 1 / np.sqrt(1 + squares)) / np.maximum(squares, 1e-300)
+        inside = np.repeat(np.arange(len(first)), np.diff(first, append=len(plain)))
+
+        def beside(columns: Floats) -> Floats:
+            seen = np.add.reduceat(errors[:, None] * columns, first, axis=0) * shrink[:, None]
+            return np.asarray(columns - errors[:, None] * seen[inside])
+
+        rows, contacts = beside(rows), None if contacts is None else beside(contacts)
+    return rows if contacts is None else _beside(rows, contacts)
 
 
 def _beside(rows: Floats, errors: Floats) -> Floats:

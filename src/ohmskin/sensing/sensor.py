@@ -133,7 +133,7 @@ class Locator:
         found = targets_of(self.fitter.contacts(self.fitter.fit(*scans)))
         if found:
             return found
-        height = self.fitter.heights(*self.fitter.scores(self.fitter.information(*scans)))
+        height = self.fitter.heights(*self.fitter.scores(self.fitter.information(*scans)[0]))
         radius = self.fitter.table.radius
         return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
 

@@ -24,7 +24,7 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
     if difference.reference is not None:
         volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
     corrected = replace(difference, volts=volts)
-    data, wary = fitter.information(corrected), fitter.information(corrected, wary=True)
+    data, wary = fitter.information(corrected)
     beside = (beside_common(each, state.common_drift[1]) for each in (data, wary))
     return Reading(corrected, data, *beside)
 

@@ -158,7 +158,7 @@ def unlike_one(where: Setup, patterns: Sequence[DrivePattern], truth: Floats, ef
     volts = [CURRENT * pattern.combination(where.table.n_elec) @ change for pattern in patterns]
     scans = [Difference(p, np.full(p.n_meas, CURRENT), v) for p, v in zip(patterns, volts, strict=True)]
     fitter, unknown = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0), np.zeros(4)
-    told = fitter.information(*scans)
+    told, _ = fitter.information(*scans)
     between = np.linspace(truth[0], truth[1], 5)  # the best one may be in the middle, or close to one of the two
     starts = [np.array([[*at, 2 * effect, radius**2]]) for at in between for radius in (RADIUS, 2 * RADIUS)]
     found = [fitter.refine(told, start, unknown, np.diag(unknown), rounds=40) for start in starts]
