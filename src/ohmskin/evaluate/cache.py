@@ -16,7 +16,8 @@ from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.result import Experiment, Result
 
 # what results do not depend on: other packages, and what comes after the results
-_BESIDE = {"cli", "view", "engine", "device", "plot", "record", "publish", "learn"}
+_BESIDE = {"bench", "body", "calibrate", "cli", "client", "dataset", "device", "engine", "importers", "mcap", "outlets"}
+_BESIDE |= {"plot", "recording", "robot", "view"}
 _AFTER = {"cache", "claims", "comparison", "figures", "goals", "paper", "plan", "report", "reproduction", "resolution"}
 _AFTER |= {"runner", "statistics", "study", "verdict"}
 

@@ -136,7 +136,7 @@ class RecordingWriter:
     def __init__(self, path: str, metadata: dict[str, dict[str, str]], attachments: dict[str, str]) -> None:
         self.disk = Disk(path)
         self.frames = self.lost = 0
-        self._recent = self._messages = 0
+        self._recent = 0
         self._owed: dict[bytes, tuple[int, int, int, bytes]] = {}  # patterns that later frames will refer to
         self._due = float("inf")
         self._writer = open_writer(self.disk, 2**30)  # chunks end where `_add` says
