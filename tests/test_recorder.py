@@ -317,7 +317,7 @@ def test_the_guides_example_runs_and_its_page_shows_it(tmp_path: Path) -> None:
     command = [sys.executable, "-W", "error", str(GUIDE / "recording.py"), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "(ohmskin_msgs/msg/Frame): 108 voltages" in done.stdout
+    assert "(ohmskin_msgs/msg/Frame): 1800 voltages" in done.stdout  # the first frame of calibration
     assert (tmp_path / "recording.png").read_bytes().startswith(b"\x89PNG")
     page = (GUIDE / "recording.md").read_text()
     assert f"```python\n{(GUIDE / 'recording.py').read_text()}```" in page

@@ -38,7 +38,7 @@ static uart_t host = {USART1, USART1_IRQ, {received, sizeof received, 0, 0, 0}, 
  */
 static board_t about = {
     .name = "ohmskin F107",
-    .features = FEATURE_CURRENT_MEASURED | FEATURE_VOLTAGE_SOURCE,
+    .features = FEATURE_CURRENT_MEASURED | FEATURE_VOLTAGE_SOURCE | FEATURE_DRIVEN_MEASURED,
     .excitation = 5.0f,
     .full_scale = 5.0f,
     .settle_time = 100e-6f,

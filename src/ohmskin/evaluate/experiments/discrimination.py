@@ -76,8 +76,8 @@ class Discrimination(Bench):
 def _rates(seen: View, contacts: Contacts) -> dict[str, Any]:
     truth, places = ([contact.position for contact in each] for each in (contacts, seen.contacts))
     statistic, one, two = one_or_two(seen.setup.trusting_fitter, *seen.differences)
-    volts = np.concatenate([d.volts for d in seen.differences])
-    left = (volts - (one if len(truth) == 1 else two).caused) / seen.setup.noise
+    caused = (one if len(truth) == 1 else two).caused
+    left = np.concatenate([d.volts - d.caused_by(caused) for d in seen.differences]) / seen.setup.noise
     return {
         "dip": len(places) > 1 if len(truth) == 1 else told(places, truth),
         "statistic": statistic,
