@@ -90,3 +90,10 @@ def test_intersection_over_union() -> None:
     a, b = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
     a[:2], b[1:3] = True, True
     assert intersection_over_union(a, b) == pytest.approx(1 / 3)
+
+
+def test_a_ratio_whose_resamples_may_draw_nothing_has_no_upper_end() -> None:
+    ratio = ratio_of_means([1.0, 0.5], [0.5, 0.0])
+    assert ratio.value == 3.0
+    assert ratio.low == 2.0
+    assert ratio.high == np.inf

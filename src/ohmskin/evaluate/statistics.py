@@ -52,7 +52,9 @@ def fewer(a: ArrayLike, b: ArrayLike) -> float:
 def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
     """The mean of a over the mean of b, and its interval; shapes as for `mean`, seeds and places drawn in pairs."""
     a, b = np.asarray(a, float), np.asarray(b, float)
-    return _estimate(a.mean() / b.mean(), _means(a) / _means(b))
+    ours, theirs = _means(a), _means(b)
+    ratios = np.divide(ours, theirs, out=np.full(len(ours), np.inf), where=theirs != 0)  # few seeds may draw nothing
+    return _estimate(a.mean() / b.mean(), ratios, "linear" if np.isfinite(ratios).all() else "nearest")
 
 
 def mean(values: ArrayLike) -> Estimate:
