@@ -122,7 +122,7 @@ def test_info_lists_what_can_be_chosen() -> None:
 def test_headless_table_over_a_pseudo_terminal() -> None:
     with serving("--pty") as (address, _):
         assert address.startswith("serial://")
-        result = ohmskin("live", "--headless", "--seconds", "1", "--device", address)
+        result = ohmskin("live", "--headless", "--mode", "12B", "--seconds", "1", "--device", address)
     assert result.returncode == 0, result.stderr
     lines = result.stdout.splitlines()
     assert "extent/cm2" in lines[1]
@@ -158,14 +158,14 @@ def test_live_replays_a_recording(tank_folder: Path) -> None:
 
 
 def test_live_ends_cleanly_and_leaves_no_process_behind() -> None:
-    with live("--seconds", "60") as (_, process):
+    with live("--mode", "12B", "--seconds", "60") as (_, process):
         family = children(process.pid)
         assert len(family) == 2  # the virtual skin and the page
     assert all_gone(family)
 
 
 def test_a_killed_live_takes_its_processes_with_it() -> None:
-    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--port", "0"]
+    command = [sys.executable, "-m", "ohmskin", "live", "--mode", "12B", "--no-browser", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()
@@ -181,7 +181,7 @@ def test_a_page_port_in_use_gets_the_next_one() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        result = ohmskin("live", "--no-browser", "--port", str(port), "--seconds", "0.5")
+        result = ohmskin("live", "--mode", "12B", "--no-browser", "--port", str(port), "--seconds", "0.5")
     assert f"port {port} is in use" in result.stdout
     found = re.search(r"127\.0\.0\.1:(\d+)/", result.stdout)
     assert found
@@ -197,7 +197,7 @@ def test_a_lost_device_is_told_and_found_again() -> None:
     assert server.stdout is not None
     address = re.search(r"tcp://\S+:(\d+)", server.stdout.readline())
     assert address
-    command = [sys.executable, "-m", "ohmskin", "live", "--headless", "--device", address[0]]
+    command = [sys.executable, "-m", "ohmskin", "live", "--headless", "--mode", "12B", "--device", address[0]]
     sensed = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert sensed.stdout is not None
     os.set_blocking(sensed.stdout.fileno(), True)

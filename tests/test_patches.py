@@ -308,6 +308,7 @@ def test_a_page_for_others_needs_a_token() -> None:
 @pytest.fixture
 def torso(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
     body = BODY.replace('skin = "paper-rim16"\nmode = "16B"', 'mode = "12B"')
+    body = body.replace('link = "base"', 'link = "base"\nmode = "12B"')
     command = [
         sys.executable,
         "-m",

@@ -22,7 +22,7 @@ from ohmskin.evaluate.runner import run_experiments
 from ohmskin.evaluate.verdict import NO, OPEN, YES
 
 TINY = Settings(noise=(45.0, 50.0), amplitude=(0.1,), seeds=2, distances=(0.04, 0.02), side=3)
-BRIEF = [Localisation("discs", float(db), 0.1, 1, side=2, methods=("12B", "16O")) for db in (40, 50, 60)]
+BRIEF = [Localisation("discs", float(db), 0.1, 1, side=2, methods=("12B", "16O")) for db in (40, 60)]
 LONG = [Localisation("discs", float(db), 0.1, 25, side=3, methods=("12B", "16O")) for db in range(40, 56, 2)]
 
 
@@ -36,7 +36,7 @@ def test_results_are_kept_and_found_again(tmp_path: Path) -> None:
     cache, seen = Cache(tmp_path), []
     first = run_experiments(BRIEF, cache, jobs=1, progress=lambda task, cached: seen.append(cached))
     again = run_experiments(BRIEF, cache, jobs=1, progress=lambda task, cached: seen.append(cached))
-    assert seen == [False] * 3 + [True] * 3
+    assert seen == [False] * 2 + [True] * 2
     assert all(same(first[task], again[task]) for task in BRIEF)
     assert not list(tmp_path.glob("*.part"))
     fresh: list[bool] = []

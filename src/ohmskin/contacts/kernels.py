@@ -16,7 +16,7 @@ def onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Fl
         position[axis] = min(max(position[axis], low[axis]), high[axis])
     there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
     if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
-        position[:] = there
+        position[0], position[1] = there[0], there[1]
 
 
 @njit(cache=True, nogil=True)
@@ -47,11 +47,11 @@ def refined(
     damping = 1e-3
     cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
     for _ in range(rounds):
-        damped = normal.copy()
-        for i in range(len(damped)):
-            damped[i, i] *= 1 + damping
-        step = np.linalg.solve(damped, gradient)
-        if step @ gradient < _ENOUGH:
+        step, slope = gradient.copy(), 0.0
+        damped_step(normal, damping, step)
+        for i in range(len(step)):
+            slope += step[i] * gradient[i]
+        if slope < _ENOUGH:
             break
         moved = params.copy()
         for k in range(len(params)):
@@ -65,7 +65,9 @@ def refined(
         trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
         gain = cost - trial[0]
         if gain > 0:
-            params[:] = moved
+            for k in range(len(params)):
+                for i in range(params.shape[1]):
+                    params[k, i] = moved[k, i]
             cost, normal, gradient, caused, slopes = trial
             damping /= 8
         else:
@@ -73,6 +75,25 @@ def refined(
         if abs(gain) < _ENOUGH or damping > 1e4:
             break
     return cost, normal, caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def damped_step(normal: Floats, damping: float, step: Floats) -> None:
+    """Solves (normal + damping diag(normal)) x = step, in place (Cholesky); normal is symmetric, positive definite."""
+    n, lower = len(step), np.empty_like(normal)
+    for i in range(n):
+        for j in range(i + 1):
+            total = normal[i, j] * (1 + damping) if i == j else normal[i, j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            lower[i, j] = np.sqrt(max(total, 1e-300)) if i == j else total / lower[j, j]
+        for k in range(i):
+            step[i] -= lower[i, k] * step[k]
+        step[i] /= lower[i, i]
+    for i in range(n - 1, -1, -1):
+        step[i] /= lower[i, i]
+        for k in range(i):
+            step[k] -= lower[i, k] * step[i]
 
 
 @njit(cache=True, nogil=True)

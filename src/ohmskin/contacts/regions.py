@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, Shorts, Singles
 from ohmskin.geometry import Cells
 
 
@@ -50,18 +50,28 @@ def find_regions(values: Floats, cells: Cells, threshold: float, dip: float = 1.
     return regions
 
 
-@njit(cache=True, nogil=True)
-def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) -> Ints:
+def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) -> Shorts:
     """Label (n_elem,) each element above `threshold` with its peak, 0 the highest peak; -1 below the threshold.
 
-    Elements are visited from the highest down and join the region of a higher neighbour; where two regions meet, they
-    become one unless the meeting point lies `dip` below both peaks (their persistence).
+    Two regions that meet become one unless the meeting point lies `dip` below both peaks (their persistence).
     """
-    n = len(values)
     above = np.flatnonzero(values > threshold)
-    order = above[np.argsort(-values[above], kind="mergesort")]
-    parent = np.full(n, -1, np.int64)
-    for e in order:
+    order = above[np.argsort(-values[above], kind="stable")][::-1].copy()
+    parent, labels = np.empty((2, len(values)), np.int32)
+    join_peaks(values.astype(np.float32), neighbours.astype(np.int32), order, dip, parent, labels)
+    return labels
+
+
+@njit(cache=True, nogil=True)
+def join_peaks(values: Singles, neighbours: Shorts, order: Ints, dip: float, parent: Shorts, labels: Shorts) -> int:
+    """`label_peaks` of the elements `order`, the highest last, into `labels`; `parent` is memory. How many peaks.
+
+    Elements are visited from the highest down and join the region of a higher neighbour.
+    """
+    labels[:] = -1
+    parent[:] = -1
+    for at in range(len(order) - 1, -1, -1):
+        e = order[at]
         root = -1
         for k in range(neighbours.shape[1]):
             other = neighbours[e, k]
@@ -78,14 +88,13 @@ def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) 
                     parent[low] = high
                 root = high
         parent[e] = e if root < 0 else root
-    labels = np.full(n, -1, np.int64)
     count = 0
-    for e in order:
-        root = e
+    for at in range(len(order) - 1, -1, -1):
+        root = order[at]
         while parent[root] != root:
             root = parent[root]
         if labels[root] < 0:
             labels[root] = count
             count += 1
-        labels[e] = labels[root]
-    return labels
+        labels[order[at]] = labels[root]
+    return count

@@ -12,7 +12,7 @@ from ohmskin.closing import Closing
 from ohmskin.device import Device
 from ohmskin.drive import Drive, Fixed
 from ohmskin.engine.health import HealthMonitor
-from ohmskin.engine.notices import SLOW, Notices
+from ohmskin.engine.notices import Notices
 from ohmskin.engine.quiet import quiet_frames
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import DeviceError, DeviceLost, ModelError, PatternError
@@ -89,7 +89,7 @@ class Engine(Closing):
         return self._notices.message
 
     def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
-        """Learn the quiet skin: reference data and noise, then gamma_0 of every mode. Nothing may touch it meanwhile.
+        """Learn the quiet skin: reference data and noise, then gamma_0 of the mode. Nothing may touch it meanwhile.
 
         Args:
             progress: Called with the share done, 0 to 1.
@@ -102,9 +102,7 @@ class Engine(Closing):
         try:
             quiet = list(self.device.reference) or self._quiet_frames(lambda share: progress(0.7 * share))
             known = SkinModel(self.skin, self._sheet, quiet)
-            sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}
-            if sensors[self.mode].seconds < SLOW:  # else the others are made when they are asked for
-                sensors |= self._others(known, lambda share: progress(0.7 + 0.3 * share))
+            sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}  # the others when they are asked for
         except DeviceLost as error:
             self._lose(error)
             raise
@@ -255,17 +253,6 @@ class Engine(Closing):
             device.close()
             raise
         return device
-
-    def _others(self, known: SkinModel, progress: Callable[[float], None]) -> dict[Mode, Sensor]:
-        """The sensors of all modes but this one; modes that are not possible are dropped, and told."""
-        sensors: dict[Mode, Sensor] = {}
-        for done, mode in enumerate([mode for mode in self.modes.values() if mode != self.mode]):
-            progress(done / len(self.modes))
-            try:
-                sensors[mode] = build(mode, known, self.drive(mode))
-            except (ModelError, PatternError) as error:
-                self._drop(mode, error)
-        return sensors
 
     def _drop(self, mode: Mode, error: Exception) -> None:
         """Go without a mode that is not possible, unless it is the one wanted."""

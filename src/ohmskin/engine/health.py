@@ -70,7 +70,7 @@ class HealthMonitor:
         self._marks.append((now, self._waited))
         while self._marks[0][0] < now - _SPAN and len(self._marks) > 2:
             self._marks.popleft()
-        if now >= self._next:
+        if now >= self._next or noise != self._told.noise:
             self._next = now + 0.2
             (first, waited_first), count = self._marks[0], len(self._marks)
             span = max(now - first, 1e-9)

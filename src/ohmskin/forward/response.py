@@ -134,13 +134,17 @@ def respond(
     """
     first = np.empty(2, np.int64)
     weights = np.empty((2, 2, 4))  # of each axis: the four cubic B-splines that reach the place, and their derivatives
-    for axis, place in enumerate((x, y)):
-        at = min(max((place - low[axis]) / pitch[axis], 0.0), float(steps[axis]))
+    for axis in range(2):
+        at = min(max(((y if axis else x) - low[axis]) / pitch[axis], 0.0), float(steps[axis]))
         first[axis] = min(int(at), steps[axis] - 1)
         t = at - first[axis]
-        s = 1 - t
-        weights[axis, 0] = np.array([s**3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
-        weights[axis, 1] = np.array([-(s**2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2]) / (2 * pitch[axis])
+        s, value, slope = 1 - t, weights[axis, 0], weights[axis, 1]
+        value[0], value[1], value[3] = s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, t**3 / 6
+        value[2] = 1 - value[0] - value[1] - value[3]
+        slope[0], slope[1], slope[3] = -(s**2) / 2, 1.5 * t**2 - 2 * t, t**2 / 2
+        slope[2] = -slope[0] - slope[1] - slope[3]
+        for k in range(4):
+            slope[k] /= pitch[axis]
     layer = 0
     while layer < len(squares) - 2 and square >= squares[layer + 1]:
         layer += 1

@@ -11,7 +11,7 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Shorts, Singles
 from ohmskin.forward.tiles import padded, solve_front, tile
-from ohmskin.sensing.primitives import add_row, cell, choose, closest, combine, factorise, flood, largest, pair, project
+from ohmskin.sensing.primitives import add_row, choose, closest, combine, factorise, flood, largest, pair, project
 
 NOISE, AMPLITUDE, MODEL_ERROR, GAMMA_BASE, GAMMA_FINAL, FRACTION, DIP, FUSE, TRACE = range(9)
 
@@ -233,7 +233,7 @@ def _sum_regions(image: Singles, t: Tables, space: Workspace, above: int, count:
         regions[r, :] = 0.0
         regions[r, 4] = -np.inf
     for at in range(above - 1, -1, -1):  # from the highest: a region's first cell is its peak
-        p = cell(space.keys[at], len(image))
+        p = space.keys[at]
         r = space.labels[p]
         if r >= count:
             continue

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Shorts, Singles
+from ohmskin.contacts.regions import join_peaks
 from ohmskin.forward.tiles import eliminate_front, padded, tile
 
 
@@ -75,52 +76,19 @@ def flood(
     """`ohmskin.contacts.label_peaks` without new memory: `labels` of the cells above a threshold, not negative.
 
     Returns:
-        How many regions there are, and how many cells above, left in `keys`, see `cell`, the highest last.
+        How many regions there are, and how many cells above, left in `keys`, the highest last.
     """
     above = 0
     bits = image.view(np.int32)
-    labels[:] = -1
-    parent[:] = -1
     for p in range(len(image)):
         if image[p] > threshold:
             # of positive floats the bits sort as the values do; of equal ones the lower number is the higher key
             keys[above] = (np.int64(bits[p]) << 32) | np.int64(len(image) - p)
             above += 1
     keys[:above].sort()
-    for at in range(above - 1, -1, -1):
-        e = cell(keys[at], len(image))
-        root = -1
-        for k in range(neighbours.shape[1]):
-            other = neighbours[e, k]
-            if other < 0 or parent[other] < 0:
-                continue
-            while parent[other] != other:
-                parent[other] = parent[parent[other]]
-                other = parent[other]
-            if root < 0:
-                root = other
-            elif other != root:
-                high, low = (root, other) if image[root] >= image[other] else (other, root)
-                if image[e] > (1.0 - dip) * image[low]:
-                    parent[low] = high
-                root = high
-        parent[e] = e if root < 0 else root
-    count = 0
-    for at in range(above - 1, -1, -1):
-        e = cell(keys[at], len(image))
-        root = e
-        while parent[root] != root:
-            root = parent[root]
-        if labels[root] < 0:
-            labels[root] = count
-            count += 1
-        labels[e] = labels[root]
-    return count, above
-
-
-@njit(cache=True, nogil=True)
-def cell(key: int, n_cells: int) -> int:
-    return n_cells - (key & 0xFFFFFFFF)
+    for at in range(above):
+        keys[at] = len(image) - (keys[at] & 0xFFFFFFFF)
+    return join_peaks(image, neighbours, keys[:above], dip, parent, labels), above
 
 
 @njit(cache=True, nogil=True)
@@ -136,7 +104,9 @@ def closest(centroids: Floats, x: float, y: float, anchors: Floats) -> None:
                 best1, p1, best2, p2 = best2, p2, best1, p1
             if best1 < best0:
                 best0, p0, best1, p1 = best1, p1, best0, p0
-    anchors[0], anchors[1], anchors[2] = centroids[p0], centroids[p1], centroids[p2]
+    for axis in range(2):
+        anchors[0, axis], anchors[1, axis] = centroids[p0, axis], centroids[p1, axis]
+        anchors[2, axis] = centroids[p2, axis]
 
 
 @njit(cache=True, nogil=True)
