@@ -5,6 +5,7 @@ drift, bending, cross-talk between cables, and that the patches also touch each 
 """
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,11 @@ from ohmskin.scan import DrivePattern, Frame, FrameFlag
 from ohmskin.skin.description import Skin
 from ohmskin.skin.faults import PICKUP, Fault, Wiring
 from ohmskin.skin.twin import Press, PressedSheet
+
+
+@lru_cache(maxsize=8)
+def _sheet(skin: Skin, contact_factors: tuple[float, ...]) -> PressedSheet:
+    return PressedSheet(skin, contact_factors)
 
 
 class VirtualSkin:
@@ -32,7 +38,7 @@ class VirtualSkin:
     def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = ()) -> None:
         self.skin = skin
         self.wiring = Wiring(faults, len(skin.electrodes))
-        self.sheet = PressedSheet(skin, self.wiring.contact_factors)
+        self.sheet = _sheet(skin, tuple(self.wiring.contact_factors.tolist()))
         self.reset(seed)
 
     def reset(self, seed: int | Sequence[int] | None = None, presses: Iterable[Press] = ()) -> None:
