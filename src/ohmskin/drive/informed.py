@@ -6,7 +6,7 @@ somewhere in that cell. A frame takes the next ones of that order, so that frame
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -224,12 +224,15 @@ class PositionDrive(SecondScan):
     @cached_property
     def ranking(self) -> Ranking:
         """What to drive for a contact in each cell; made when first asked for, in about a second."""
-        table, candidates = self._design()
-        prior = ContactPrior.usual(table.radius, _BASED)
-        return Ranking(table, candidates, depth=self.pairs, known=[int(k) for k in self._base], prior=prior)
+        return _behind_base(*self._design(), self.pairs, tuple(self._base.tolist()))
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
         return _in_turn(self.ranking, [anchors.mean(axis=0) for anchors in regions], self.pairs, turn=0)
+
+
+@lru_cache(maxsize=8)
+def _behind_base(table: ContactTable, candidates: Candidates, depth: int, base: tuple[int, ...]) -> Ranking:
+    return Ranking(table, candidates, depth, base, ContactPrior.usual(table.radius, _BASED))
 
 
 def _in_turn(ranking: Ranking, positions: Sequence[Floats], count: int, turn: int) -> Ints:

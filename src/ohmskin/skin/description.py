@@ -236,10 +236,7 @@ class Skin:
 
         Made once. `driven`: electrodes that carry the current are measured, too.
         """
-        table, complete = _table(self), complete_pattern(self.electrodes)
-        contacts = float(self.contact_change(self.electrode.contact_impedance)) if driven else None
-        currents = self.pair_currents()
-        return table, Candidates.at_currents(complete, len(self.electrodes), self.noise, currents, contacts)
+        return _design(self, driven)
 
     def contact_change(self, impedance: Floats | float) -> Floats:
         """Standard deviation of how contact impedances (ohm) change unseen: screws on a sprayed sheet do when pressed
@@ -264,6 +261,14 @@ class Skin:
 def _table(skin: Skin) -> ContactTable:
     size = skin.imaging.mesh_size
     return ContactTable(skin.transfer_model(), radius=1.5 * size, pitch=0.7 * size)
+
+
+@lru_cache(maxsize=8)
+def _design(skin: Skin, driven: bool) -> tuple[ContactTable, Candidates]:
+    complete = complete_pattern(skin.electrodes)
+    contacts = float(skin.contact_change(skin.electrode.contact_impedance)) if driven else None
+    currents = skin.pair_currents()
+    return _table(skin), Candidates.at_currents(complete, len(skin.electrodes), skin.noise, currents, contacts)
 
 
 def shipped_skins() -> list[str]:
