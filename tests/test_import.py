@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import scipy.io
 import scipy.sparse as sp
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ohmskin.errors import DataError
@@ -370,6 +370,7 @@ VALID = valid()
     changes=st.lists(st.tuples(st.integers(0, len(VALID) - 1), st.integers(0, 255)), min_size=1, max_size=6),
     cut=st.integers(0, 400),
 )
+@example(changes=[(156, 48)], cut=0)  # a shape of no numbers whose other lengths are more than an integer holds
 def test_damaged_matlab_files_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]], cut: int) -> None:
     content = bytearray(VALID)
     for at, value in changes:

@@ -47,7 +47,7 @@ def test_at_its_places_the_table_is_the_integral_itself() -> None:
         assert error(shown.responses[k], shown(shown.places[k]).values[0]) < 1e-12
 
 
-@pytest.mark.parametrize("share", [0.5, 0.6, 0.9, 1.1, 1.4, 1.5])
+@pytest.mark.parametrize("share", [0.5, 0.6, 0.9, 1.1, 1.4, 1.5, 1.75, 2.25, 3.0])
 def test_between_places_and_radii_it_is_the_integral_but_at_the_elements_of_an_electrode(share: float) -> None:
     """Where the rim of a disc crosses the elements at a point electrode, which hold a singularity, the integral is not
     smooth."""
@@ -55,9 +55,9 @@ def test_between_places_and_radii_it_is_the_integral_but_at_the_elements_of_an_e
         error(table()(place, share * RADIUS).values[0], integral(place, share * RADIUS, model()))
         for place in inner_places(80)
     ]
-    assert np.median(errors) < 6e-3
-    assert np.quantile(errors, 0.9) < 0.03
-    assert max(errors) < 0.1
+    assert np.median(errors) < (6e-3 if share <= 1.5 else 0.03)  # large discs reach more electrodes
+    assert np.quantile(errors, 0.9) < (0.03 if share <= 1.5 else 0.15)
+    assert max(errors) < (0.1 if share <= 1.5 else 0.25)
 
 
 def test_slopes_and_widening_are_the_derivatives_of_the_values() -> None:
@@ -86,7 +86,7 @@ def test_places_off_the_sheet_count_as_the_closest_on_it() -> None:
         table()([[-0.01, 0.07], [0.25, 0.3]]).values, table()([[0.0, 0.07], [0.2, 0.141]]).values, rtol=1e-12
     )
     np.testing.assert_allclose(
-        table()([[0.1, 0.07]], 5.0).values, table()([[0.1, 0.07]], 2 * RADIUS).values, rtol=1e-12
+        table()([[0.1, 0.07]], 5.0).values, table()([[0.1, 0.07]], 3 * RADIUS).values, rtol=1e-12
     )
 
 

@@ -21,8 +21,10 @@ from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.scan import Difference
 
-_LEAST, _MOST = 0.1, 4.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
+_LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
+_ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
+_OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
 _BLUR = 2.0  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
@@ -171,7 +173,7 @@ class ContactFitter:
         start: Floats,
         mean: Floats | None = None,
         information: Floats | None = None,
-        rounds: int = 12,
+        rounds: int = 40,
     ) -> Solution:
         """The contacts near `start` (n, 4) that explain the data best (Levenberg and Marquardt).
 
@@ -229,15 +231,14 @@ class ContactFitter:
         found = nothing(self.table.responses.shape[1])
         while len(found.params) < self.most:
             score, power = self.scores(told.less(found.caused).beside(found.slopes))
-            if self.heights(score, power).max() < self.bar + self.model_error * told.size(found.caused):
+            more = [self.split(told, data, found, k) for k in range(len(found.params))]
+            if self.heights(score, power).max() >= self.bar + self.model_error * told.size(found.caused):
+                more.append(self.added(data, score, power, found.params))
+            better = [self._cleared(data, one) for one in more if one is not None]
+            better = [one for one in better if len(one.params) > len(found.params)]
+            if not better:
                 break
-            count = len(found.params)
-            found = self._cleared(data, self.added(data, score, power, found.params))
-            if len(found.params) <= count:
-                break
-        for k in range(len(found.params)):
-            if len(found.params) < self.most:
-                found = self.split(told, data, found, k) or found
+            found = min(better, key=lambda one: one.cost)
         return found
 
     def _cleared(self, data: Information, found: Solution) -> Solution:
@@ -278,7 +279,16 @@ class ContactFitter:
         pair[:, :2] = self.onto(one[:2] + np.outer([reach, -reach], axis))
         pair[:, 2] /= 2
         pair[:, 3] = self.table.radius**2 / 2
-        two = self.refine(data, np.vstack([np.delete(found.params, k, axis=0), pair]), rounds=25)
+        start = np.vstack([np.delete(found.params, k, axis=0), pair])
+        centre, precision = self.prior
+        mean, information = np.tile(centre, len(start)), np.diag(np.tile(precision, len(start)))
+        unlike = np.zeros(len(mean))
+        unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
+        information += np.outer(unlike, unlike)
+        two = self.refine(data, start, mean, information)
+        away = np.linalg.norm(two.params[-1, :2] - two.params[-2, :2])
+        if away < _OVERLAP * np.sqrt(two.params[-2:, 3]).sum():
+            return None
         return two if self.gained(told, found, two) > (self.split_bar if bar is None else bar) else None
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.forward.response import Grid, Spline, respond
+from ohmskin.forward.response import Grid, Spline, respond, scatter
 
 _ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a standard deviation
 
@@ -21,7 +21,7 @@ def onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Fl
 
 @njit(cache=True, nogil=True)
 def responses(
-    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats
+    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats, fields: Floats
 ) -> tuple[Floats, Floats]:
     """What contacts (n, 4) cause (n_pairs,), and the slopes (4 n, n_pairs)."""
     n_pairs = knots.shape[-1]
@@ -35,6 +35,7 @@ def responses(
             own[0, p] *= effect
             own[1, p] *= effect
             own[3, p] *= effect
+    scatter(params, fields, low, pitch, steps, caused, slopes)
     return caused, slopes
 
 
@@ -102,10 +103,7 @@ def _linearised(
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
     caused, slopes = responses(params, *spline)
-    seen = slopes @ matrix
-    left = vector.copy()
-    for k in range(len(params)):
-        left -= params[k, 2] * seen[4 * k + 2]
+    seen, left = slopes @ matrix, vector - matrix @ caused
     off = mean - params.copy().reshape(-1)
     pull = prior @ off
     cost = float(constant - caused @ (vector + left) + off @ pull)

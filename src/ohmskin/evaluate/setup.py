@@ -25,7 +25,7 @@ from ohmskin.geometry import Mesh, Raster
 from ohmskin.inverse import Image
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, needed
 from ohmskin.sensing import Percept, Scan, Sensor, SkinModel, build
-from ohmskin.skin import Mode, Skin
+from ohmskin.skin import Mode
 
 PERIOD = 10e-3  # seconds between frames
 PIXELS = 64  # of the images that figures of merit are taken from, along a side
@@ -105,7 +105,7 @@ class Setup:
         self, world: str, decibels: float, amplitude: float | None = None, layout: str = "grid", flaw: Flaw = SOUND
     ) -> None:
         self.world, self.layout, self.flaw = world, layout, flaw
-        self.noise, skin = worlds.noise_volts(world, decibels), Skin.load(worlds.LAYOUTS[layout])
+        self.noise, skin = worlds.noise_volts(world, decibels), worlds.skin_of(world, layout)
         if amplitude is not None:
             skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
         model = believed(layout, flaw)

@@ -32,6 +32,7 @@ LAYOUTS = {"grid": "paper", "rim": "paper-rim16"}  # electrode layouts and the s
 WORLD_NAMES = {"discs": "discs of raised conductivity", "pressed": "contact-layer twin"}
 WORLDS = tuple(WORLD_NAMES)
 CONTACT_STRENGTH = {"discs": 0.5, "pressed": 20e3}  # relative change of conductivity | pascals
+CONTACT_ERROR = {"discs": 0.01, "pressed": 0.05}  # what a disc gets wrong of a contact: little of discs on a mesh
 CONTACT_RADIUS = {"discs": 10e-3, "pressed": 8e-3}  # metres
 
 Contacts = tuple[Shape, ...]
@@ -79,6 +80,12 @@ def _pressed(skin: Skin) -> Sheet:
         return twin.under_pressure(pressure)
 
     return Sheet(twin.mesh, twin.untouched, touched)
+
+
+def skin_of(world: str, layout: str) -> Skin:
+    """What a description of the skin of a world says."""
+    skin = Skin.load(LAYOUTS[layout])
+    return replace(skin, imaging=replace(skin.imaging, contact_error=CONTACT_ERROR[world]))
 
 
 @lru_cache(maxsize=8)

@@ -2,7 +2,7 @@
 
 A contact is a disc that changes the conductivity by a share e over an area a; to first order its effect on the
 resistance of every electrode pair is e a times the mean, over the disc, of the sensitivity per area. Cubic splines
-over the sheet at five radii hold it; between them it is nearly linear in r^2 (the mean of f over a disc is f + r^2/8
+over the sheet at eight radii hold it; between them it is nearly linear in r^2 (the mean of f over a disc is f + r^2/8
 laplace f + ...).
 """
 
@@ -19,10 +19,10 @@ from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry.overlap import disc_overlap
 
-Spline = tuple[Floats, Floats, Floats, Ints, Floats]
+Spline = tuple[Floats, Floats, Floats, Ints, Floats, Floats]
 Grid = tuple[Floats, Floats, Floats, Floats, float]
 
-_SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5])  # radii kept, as shares of the usual one; one of them is the usual one
+_SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0])  # radii kept, in usual ones
 _WHOLE = 0.995  # share of a disc on the sheet that counts as all of it; meshes cut round rims short
 _LEAST_COVER = 0.25  # share of a disc that must lie on the sheet; places beyond take the closest such place's response
 
@@ -50,8 +50,7 @@ class ContactTable:
 
     Args:
         model: Of the untouched sheet; the finer its mesh (half the radius and less), the smoother the table.
-        radius: Usual radius of a contact (m); responses are kept at 0.5 to 1.5 times it, and
-            extended linearly in the squared radius beyond.
+        radius: Usual radius of a contact (m); responses are kept at 0.5 to 3 times it.
         pitch: Distance of the places at which responses are kept (m).
 
     Attributes:
@@ -85,21 +84,21 @@ class ContactTable:
             r = share * radius
             cover = disc_overlap(mesh, grid.reshape(-1, 2), r)
             area = cover.sum(axis=1)
-            mean = (sp.diags_array(1 / np.maximum(area, 1e-300)) @ cover) @ density
+            cover = sp.diags_array(1 / np.maximum(area, 1e-300)) @ cover
             covered.append(area / (np.pi * r**2))
             off = (covered[-1] < _LEAST_COVER * (1 - 1e-9)).reshape(grid.shape[:2])
             closest = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
-            layers.append(mean.reshape(*grid.shape[:2], -1)[closest[0], closest[1]])
+            layers.append((cover @ density).reshape(*grid.shape[:2], -1)[closest[0], closest[1]])
+            if share == 1.0:
+                field = (cover @ _fields(model)).reshape(*grid.shape[:2], -1)[closest[0], closest[1]]
+                self._fields = _knots(field)
         usual = list(_SPREAD).index(1.0)
         # the smallest disc says best whether its centre is on the sheet
         inside = covered[0] >= _LEAST_COVER * (1 - 1e-9)
         self.places: Floats = grid.reshape(-1, 2)[inside]
         self.whole: NDArray[np.bool_] = covered[usual][inside] > _WHOLE
-        knots = np.stack(layers, axis=2)
-        self.responses: Floats = layers[usual].reshape(-1, knots.shape[-1])[inside]
-        for axis in (0, 1):
-            knots = spline_filter1d(knots, order=3, axis=axis, mode="mirror")
-        self._knots = np.pad(knots, ((1, 2), (1, 2), (0, 0), (0, 0)), mode="reflect")
+        self.responses: Floats = layers[usual].reshape(-1, layers[usual].shape[-1])[inside]
+        self._knots = _knots(np.stack(layers, axis=2))
         off = ~inside.reshape(grid.shape[:2])
         row, column = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
         reach = radius if off.any() else np.inf
@@ -108,32 +107,38 @@ class ContactTable:
     @property
     def spline(self) -> Spline:
         """What `respond` reads."""
-        return self._knots, self._low, self._pitch, self._steps, (_SPREAD * self.radius) ** 2
+        return self._knots, self._low, self._pitch, self._steps, (_SPREAD * self.radius) ** 2, self._fields
 
     def __call__(self, positions: ArrayLike, radius: ArrayLike | None = None) -> ContactResponse:
         """Responses of contacts at positions (n, 2) (m) with radii, one or (n,) (m); the usual one unless given.
 
-        Positions off the table's rectangle count as the closest in it, radii beyond twice the usual one as that.
+        Positions off the table's rectangle count as the closest in it, radii beyond three times the usual one as that.
         """
         positions = np.asarray(positions, float).reshape(-1, 2)
-        r = np.minimum(np.asarray(self.radius if radius is None else radius, float), 2 * self.radius)
+        r = np.minimum(np.asarray(self.radius if radius is None else radius, float), _SPREAD[-1] * self.radius)
         found = np.empty((len(positions), 4, self._knots.shape[-1]))
         for (x, y), square, own in zip(positions, np.broadcast_to(r**2, len(positions)), found, strict=True):
-            respond(x, y, square, *self.spline, own)
+            respond(x, y, square, *self.spline[:5], own)
         return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def respond(
-    x: float, y: float, square: float, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats,
-    out: Floats,
-) -> None:  # fmt: skip
-    """Response of one contact at (x, y) (m) of a squared radius (m2), per square metre of its effect.
+def _knots(values: Floats) -> Floats:
+    """Coefficients of the cubic spline through values on a grid (n_x, n_y, ...), with those beyond its border."""
+    for axis in (0, 1):
+        values = spline_filter1d(values, order=3, axis=axis, mode="mirror")
+    return np.pad(values, ((1, 2), (1, 2), *((0, 0),) * (values.ndim - 2)), mode="reflect")
 
-    Into `out` (4, n_pairs): the derivatives by x and y (ohm/m3), the values (ohm/m2), and that by the squared radius.
-    """
-    first = np.empty(2, np.int64)
-    weights = np.empty((2, 2, 4))  # of each axis: the four cubic B-splines that reach the place, and their derivatives
+
+def _fields(model: TransferModel) -> Floats:
+    """Field (n_elem, 2 n_elec) of 1 A into each electrode, first along x, times the root of the conductivity."""
+    caused = np.einsum("ekd,ekn->edn", model.gradients, model.potentials[model.mesh.elements])
+    return np.asarray((np.sqrt(model.conductivity)[:, None, None] * caused).reshape(len(caused), -1))
+
+
+@njit(cache=True, nogil=True)
+def weigh(x: float, y: float, low: Floats, pitch: Floats, steps: Ints, first: Ints, weights: Floats) -> None:
+    """The cubic B-splines that reach a place: the number of the first of four along each axis, `first` (2,), and
+    `weights` (2, 2, 4), of each axis, their values and derivatives."""
     for axis in range(2):
         at = min(max(((y if axis else x) - low[axis]) / pitch[axis], 0.0), float(steps[axis]))
         first[axis] = min(int(at), steps[axis] - 1)
@@ -145,6 +150,19 @@ def respond(
         slope[2] = -slope[0] - slope[1] - slope[3]
         for k in range(4):
             slope[k] /= pitch[axis]
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def respond(
+    x: float, y: float, square: float, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats,
+    out: Floats,
+) -> None:  # fmt: skip
+    """Response of one contact at (x, y) (m) of a squared radius (m2), per square metre of its effect.
+
+    Into `out` (4, n_pairs): the derivatives by x and y (ohm/m3), the values (ohm/m2), and that by the squared radius.
+    """
+    first, weights = np.empty(2, np.int64), np.empty((2, 2, 4))
+    weigh(x, y, low, pitch, steps, first, weights)
     layer = 0
     while layer < len(squares) - 2 and square >= squares[layer + 1]:
         layer += 1
@@ -163,6 +181,57 @@ def respond(
                 out[1, p] += across * mixed
                 out[2, p] += both * mixed
                 out[3, p] += both * wider / width
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def scatter(
+    params: Floats, fields: Floats, low: Floats, pitch: Floats, steps: Ints, caused: Floats, slopes: Floats
+) -> None:
+    """Adds what contacts (n, 4) do to each other's fields to what they cause (n_pairs,) and the slopes (4 n, n_pairs).
+
+    With a = u_x - i u_y the field of a pair of electrodes, a disc of effect e adds e conj(a) / (2 pi d^2) to it at a
+    distance d = d_x + i d_y: two dipoles (Rayleigh 1892). Discs that overlap count as if they touched.
+    """
+    n, n_elec = len(params), fields.shape[2] // 2
+    if n < 2:
+        return
+    first, weights = np.empty(2, np.int64), np.empty((2, 2, 4))
+    field, slope = np.zeros((n, n_elec), np.complex128), np.zeros((n, n_elec), np.complex128)
+    for k in range(n):
+        weigh(params[k, 0], params[k, 1], low, pitch, steps, first, weights)
+        for i in range(4):
+            for j in range(4):
+                both, along = weights[0, 0, i] * weights[1, 0, j], weights[0, 1, i] * weights[1, 0, j]
+                knot = fields[first[0] + i, first[1] + j]
+                for m in range(n_elec):
+                    field[k, m] += both * complex(knot[m], -knot[n_elec + m])
+                    slope[k, m] += along * complex(knot[m], -knot[n_elec + m])
+    for k in range(n):
+        for other in range(k):
+            apart = complex(params[other, 0] - params[k, 0], params[other, 1] - params[k, 1])
+            least = np.sqrt(params[k, 3]) + np.sqrt(params[other, 3])
+            if abs(apart) < 1e-3 * least:
+                continue
+            touching = abs(apart) < least
+            if touching:
+                apart *= least / abs(apart)
+            effects = -params[k, 2] * params[other, 2] / np.pi
+            p = 0
+            for i in range(n_elec):
+                for j in range(i + 1, n_elec):
+                    one, two = (field[k, i] - field[k, j]).conjugate(), (field[other, i] - field[other, j]).conjugate()
+                    mutual = one * two / apart**2
+                    caused[p] += effects * mutual.real
+                    slopes[4 * k + 2, p] -= params[other, 2] / np.pi * mutual.real
+                    slopes[4 * other + 2, p] -= params[k, 2] / np.pi * mutual.real
+                    nearer = 0j if touching else 2 * mutual / apart
+                    by_one = (slope[k, i] - slope[k, j]).conjugate() * two / apart**2
+                    by_two = (slope[other, i] - slope[other, j]).conjugate() * one / apart**2
+                    slopes[4 * k, p] += effects * (by_one.real + nearer.real)
+                    slopes[4 * k + 1, p] += effects * (by_one.imag - nearer.imag)
+                    slopes[4 * other, p] += effects * (by_two.real - nearer.real)
+                    slopes[4 * other + 1, p] += effects * (by_two.imag + nearer.imag)
+                    p += 1
 
 
 def effective_change(log_ratio: ArrayLike, dim: int = 2) -> tuple[Floats, Floats]:

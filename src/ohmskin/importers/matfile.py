@@ -168,9 +168,11 @@ class _Reader:
 
     def _filled(self, shape: tuple[int, ...], rest: list[_Element], name: str) -> np.ndarray:
         array = self._array(*rest[0]) if rest else np.empty(0)
-        if array.size != math.prod(shape):
-            raise _DamagedError(f"is damaged: {name!r} claims the shape {shape} and has {array.size} numbers")
-        return array.reshape(shape, order="F")
+        try:
+            return array.reshape(shape, order="F")
+        except ValueError:
+            text = f"is damaged: {name!r} claims the shape {shape} and has {array.size} numbers"
+            raise _DamagedError(text) from None
 
     def _parts(self, kind: int, count: int, rest: list[_Element], depth: int) -> list[Any]:
         """Cells as a list of values, structs as a list of dicts."""

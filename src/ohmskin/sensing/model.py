@@ -16,7 +16,6 @@ from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality
 from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Skin
 
-_CONTACT_ERROR = 0.05  # share of its signal that a disc gets wrong of a contact; up to 0.04 on the contact-layer twin
 _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
 
 
@@ -132,7 +131,7 @@ class SkinModel:
         return ContactFitter(
             table,
             self._white * floor,
-            _CONTACT_ERROR,
+            self.skin.imaging.contact_error,
             bipolar=self.skin.imaging.bipolar,
             gain=self.gain,
             contacts=self.skin.contact_change(self.impedances),
