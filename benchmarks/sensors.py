@@ -48,7 +48,7 @@ class World:
 
     def __init__(self, kind: str, decibels: float) -> None:
         self.kind, self.noise = kind, worlds.noise_volts(kind, decibels)
-        skin = Skin.load("paper")
+        skin = worlds.skin_of(kind, "grid")
         current = replace(skin.excitation, source="current", amplitude=worlds.CURRENT)
         exact = replace(skin.converter, noise=self.noise, bits=32)
         self.skin = replace(skin, excitation=current, converter=exact)

@@ -144,7 +144,8 @@ class Setup:
     @cached_property
     def trusting_fitter(self) -> ContactFitter:
         """Fits contacts without allowance for errors of the model: for tests whose learned threshold covers them."""
-        return ContactFitter(self.table, self.known.fitter.noise, model_error=0.0)
+        errors = self.known.fitter.errors
+        return ContactFitter(self.table, errors.noise, model_error=0.0, gain=errors.gain, contacts=errors.contacts)
 
     def drive(self, mode: Mode) -> Drive:
         """The drive of a mode, for the electrodes where they are believed to be. Patterns without a choice are driven

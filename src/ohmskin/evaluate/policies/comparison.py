@@ -174,7 +174,7 @@ def _pairs(done: Done) -> list[Block]:
         right, false = goals.pair_rates(result)
         for s, key in enumerate(task.schemes):
             where = f"+{100 * task.strength:g} %, {task.decibels:g} dB"
-            own, own_false = (result["counted"][s] == 2) & result["near"][s], result["counted_single"][s] > 1
+            own, own_false = result["own"][s], result["counted_single"][s] > 1
             rows += [
                 (where, key, "test", right[s], f"{100 * np.mean(false[s]):.2g} %"),
                 ("", "", "fit's own count", own, f"{100 * np.mean(own_false):.2g} %"),
@@ -190,7 +190,8 @@ def _pairs(done: Done) -> list[Block]:
         "Pearson's between the pair and the single disc, of any place, size and strength, that looks most like it, "
         "both known in every number: no test that takes each single disc for two in at most 1 % of cases does better. "
         "It is given for the injections driven, for every choice of 28 different ones (an upper bound), and for all "
-        "120; contacts act linearly in it. No contact lies closer than 11 mm to an electrode: a disc over a point "
+        "120; contacts act linearly in it. Electrodes that carry the current are measured, too. No contact lies "
+        "closer than 11 mm to an electrode: a disc over a point "
         "electrode, whose field is singular, looks like nothing else, and one such single contact would set the "
         "threshold for all."
     )

@@ -26,6 +26,7 @@ ALPHA = 0.01  # rate of false twos
 # and it is said.
 _CLEAR = 11e-3  # metres from a contact's centre to an electrode
 _MARGIN = 15e-3  # metres from a contact's centre to the rim
+READING = "fit, driven"  # electrodes that carry the current are measured, too
 _EXACT = 1e-2  # share of the noise to which an oracle's disc is fitted
 
 
@@ -55,26 +56,28 @@ class Pairs:
 
     def run(self) -> Result:
         """Results: ``statistic`` (n_schemes, n_distances, n_where, n_seeds), see `one_or_two`; ``near`` (same),
-        whether each of its two discs is closer to its own true contact than half their distance; ``counted`` (same),
-        contacts that reader ``fit`` finds by itself. ``learn`` (n_schemes, n_singles) and ``check`` (n_schemes, 2
-        n_singles), the statistic of single contacts; ``counted_single`` (as ``check``), contacts counted in those.
+        whether each of its two discs is closer to its own true contact than half their distance; ``own`` (same),
+        whether the reader by itself finds two contacts, and so placed. ``learn`` (n_schemes, n_singles) and ``check``
+        (n_schemes, 2 n_singles), the statistic of single contacts; ``counted_single`` (as ``check``), how many
+        contacts are counted there.
         """
         where = setup("discs", self.decibels)
         shape = (len(self.schemes), len(self.distances), self.where, self.seeds)
-        statistic, near, counted = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, int)
+        statistic, near, own = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, bool)
         for d, w, truth, contacts in _pairs(self, where):
             for seed, (s, key) in product(range(self.seeds), enumerate(self.schemes)):
-                seen, at = where.see(scheme(key, "fit"), contacts, seed), (s, d, w, seed)
+                seen, at = where.see(scheme(key, READING), contacts, seed), (s, d, w, seed)
                 statistic[at], _, two = one_or_two(where.trusting_fitter, *seen.differences)
-                near[at], counted[at] = told(two.params[:, :2], truth), len(seen.contacts)
-        found = {"statistic": statistic, "near": near, "counted": counted}
+                near[at] = told(two.params[:, :2], truth)
+                own[at] = len(seen.contacts) == 2 and told([one.position for one in seen.contacts], truth)
+        found = {"statistic": statistic, "near": near, "own": own}
         for part, name in enumerate(("learn", "check")):
             places = single_places((1 + part) * self.singles, part, where.electrodes.positions)
             found[name] = np.empty((len(self.schemes), len(places)))
             counts = np.empty(found[name].shape, int)
             for (k, (x, y)), (s, key) in product(enumerate(places), enumerate(self.schemes)):
                 contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
-                seen = where.see(scheme(key, "fit"), contacts, k)
+                seen = where.see(scheme(key, READING), contacts, k)
                 found[name][s, k] = one_or_two(where.trusting_fitter, *seen.differences)[0]
                 counts[s, k] = len(seen.contacts)
         return found | {"counted_single": counts}
@@ -116,10 +119,10 @@ class PairLimits:
         shape = (len(self.distances), self.where)
         found = {"distance": np.empty((len(self.schemes), *shape)), "any": np.empty(shape), "all": np.empty(shape)}
         effect = float(effective_change(np.log1p(self.strength))[0]) * np.pi * RADIUS**2
-        complete = complete_pattern(where.electrodes)
+        complete = complete_pattern(where.electrodes).with_driven
         for d, w, truth, contacts in _pairs(self, where):
             for s, key in enumerate(self.schemes):
-                sensor = where.sensor(scheme(key))
+                sensor = where.sensor(scheme(key, READING))
                 _, seen = sensor.step(sensor.start(), quiet.scan(contacts, 0))
                 left = unlike_one(where, [frame.pattern for frame in seen.frames], truth, effect)
                 found["distance"][s, d, w] = np.linalg.norm(left)
