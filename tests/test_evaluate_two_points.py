@@ -6,10 +6,17 @@ from scipy.stats import chi2
 
 from ohmskin.contacts import ContactFitter
 from ohmskin.drive import OptimalDrive
+from ohmskin.evaluate import worlds
 from ohmskin.evaluate.experiments.discrimination import Area, areas
+from ohmskin.evaluate.policies.pairs import RADIUS as RADIUS_OF_PAIRS
+from ohmskin.evaluate.policies.pairs import apart, pair_places
+from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.resolution import limits, smallest
+from ohmskin.evaluate.setup import setup
+from ohmskin.evaluate.shapes import disc
 from ohmskin.evaluate.two_points import best_pair, best_single, one_or_two, told
 from ohmskin.forward import ContactTable, TransferModel
+from ohmskin.forward.response import effective_change
 from ohmskin.geometry import mesh_domain
 from ohmskin.scan import Difference, DrivePattern, adjacent
 from ohmskin.skin import Skin
@@ -129,3 +136,43 @@ def test_limits_tell_how_sure_they_are() -> None:
     assert found.overall[0] == 0.01
     assert set(found.resampled[0]) == {0.02, 0.01}
     assert 0.7 < np.mean(found.resampled[0] == 0.01) < 0.95  # binomial: P(5 or more of 10 at 0.6) = 0.83
+
+
+@pytest.mark.parametrize("strength", [0.5, 1.4])
+@pytest.mark.parametrize("distance", [12e-3, 20e-3])
+def test_two_discs_disturb_each_other_as_finite_elements_say(strength: float, distance: float) -> None:
+    """What two discs change together less what each changes alone, on a mesh of its own and at any strength."""
+    where = setup("discs", 60)
+    effect = float(effective_change(np.log1p(strength))[0]) * np.pi * RADIUS_OF_PAIRS**2
+    left = []
+    for spot in pair_places(6, 25e-3, where.electrodes.positions):
+        truth = apart(spot, distance)
+        discs = tuple(disc(x, y, RADIUS_OF_PAIRS, strength) for x, y in truth)
+        both, *each = (across(worlds.touched("discs", "grid", some)) for some in (discs, discs[:1], discs[1:]))
+        mutual = both - sum(each) + across(worlds.sheet("discs", "grid").untouched)
+        contacts = np.array([[*at, effect, RADIUS_OF_PAIRS**2] for at in truth])
+        fitter = where.known.fitter
+        caused, alone = fitter.responses(contacts)[0], (fitter.responses(contacts[[k]])[0] for k in range(2))
+        left.append(np.linalg.norm(caused - sum(alone) - mutual) / np.linalg.norm(mutual))
+    assert np.max(left) < 0.3
+    assert np.mean(left) < 0.2
+
+
+def across(resistance: np.ndarray) -> np.ndarray:
+    """Two-terminal resistances (n_pairs,)."""
+    i, j = np.triu_indices(len(resistance), 1)
+    return resistance[i, i] + resistance[j, j] - 2 * resistance[i, j]
+
+
+@pytest.mark.parametrize("radius", [10e-3, 15e-3, 20e-3])
+def test_a_large_contact_is_one_and_as_large_as_it_is(radius: float) -> None:
+    where, random = setup("discs", 50), np.random.default_rng(4)
+    counts, sizes, misses = [], [], []
+    for seed, at in enumerate(random.uniform(0.03, 0.17, (20, 2))):
+        contacts = where.see(scheme("16P", "fit, driven"), (disc(*at, radius, 0.5),), seed).contacts
+        counts.append(len(contacts))
+        sizes.append(contacts[0].radius / radius)
+        misses.append(np.hypot(*np.subtract(contacts[0].position, at)))
+    assert counts.count(1) >= 18, counts
+    assert np.median(sizes) == pytest.approx(1.0, abs=0.15)
+    assert np.median(misses) < 2e-3

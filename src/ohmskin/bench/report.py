@@ -23,7 +23,7 @@ Everything is measured in one run, in turns, on one thread, in CPU time unless a
 median over the rounds, the spread its quartiles. Unless a figure names another, and but for the live loop, which has
 the paper's skin as it ships, the sheet is the paper's square with 12 electrodes on the rim and 4 inside, its mesh
 regular, and the same for all programs. pyEIT is used as its own examples use it. Compiled code is loaded before the
-clock starts: the very first run on a machine compiles it, which takes about a minute. Set-up means from nodes and
+clock starts: the very first run on a machine compiles it, which takes half a minute. Set-up means from nodes and
 triangles to the first image; making the mesh is not part of it.
 """
 
