@@ -170,9 +170,9 @@ def _beside(rows: Floats, errors: Floats) -> Floats:
     """(I + E E^T)^(-1/2) rows, for errors E (n_rows, k)."""
     if not errors.shape[1]:
         return rows
-    basis, sizes, _ = np.linalg.svd(errors, full_matrices=False)
-    shrink = 1 - 1 / np.sqrt(1 + sizes**2)
-    return np.asarray(rows - (basis * shrink) @ (basis.T @ rows))
+    squares, turn = np.linalg.eigh(errors.T @ errors)
+    root = np.sqrt(1 + np.maximum(squares, 0.0))
+    return np.asarray(rows - errors @ ((turn / (root * (root + 1))) @ (turn.T @ (errors.T @ rows))))
 
 
 def _contact_errors(a: Ints, b: Ints, c: Ints, d: Ints, amperes: Floats, spread: Floats) -> Floats:
