@@ -52,7 +52,9 @@ class Static:
     def run(self) -> Result:
         """Results: ``truth`` (n_places, 2) and ``estimate`` (n_schemes, n_readers, n_seeds, n_places, 2) in metres,
         NaN where nothing was found; ``bound`` (n_schemes, n_seeds, n_places), see `bound_of`, of the patterns
-        that were driven for the last reader, NaN on the pressed twin, which has no discs; ``injections`` (n_schemes,).
+        that were driven for the last reader, NaN on the pressed twin, which has no discs; ``injections`` (n_schemes,);
+        ``stated`` (n_schemes, n_readers, n_seeds, n_places), the root of the stated variance of x and y together (m),
+        and ``nees`` (same), the squared error over the stated covariance; NaN where a reader states none.
         """
         where, truth = (
             setup(self.world, self.decibels, flaw=self.flaw),
@@ -61,6 +63,7 @@ class Static:
         compared = [within(key, self.instrument, where) if self.instrument else scheme(key) for key in self.schemes]
         ways = [scheme(self.schemes[0], reading) for reading in self.readers]
         estimate = np.full((len(compared), len(self.readers), self.seeds, len(truth), 2), np.nan)
+        stated, nees = np.full((2, *estimate.shape[:-1]), np.nan)
         bound = np.full((len(compared), self.seeds, len(truth)), np.nan)
         for p, place in enumerate(truth):
             contacts = (contact(self.world, *place),)
@@ -69,10 +72,15 @@ class Static:
                     mode = replace(each, reader=way.reader, driven=way.driven)
                     seen = where.see(mode, contacts, self.first + seed)
                     estimate[s, e, seed, p] = seen.strongest
+                    if seen.contacts and seen.contacts[0].covariance is not None:
+                        covariance, off = np.array(seen.contacts[0].covariance), seen.strongest - place
+                        stated[s, e, seed, p] = np.sqrt(np.trace(covariance))
+                        nees[s, e, seed, p] = off @ np.linalg.solve(covariance, off)
                 if self.world == "discs":
                     bound[s, seed, p] = bound_of(where, seen.differences, place)
         injections = np.array([each.injections for each in compared])
-        return {"truth": truth, "estimate": estimate, "bound": bound, "injections": injections}
+        found = {"truth": truth, "estimate": estimate, "bound": bound, "injections": injections}
+        return found | {"stated": stated, "nees": nees}
 
 
 def static_places(side: int, count: int, corners: int = 0) -> Floats:
