@@ -128,8 +128,8 @@ def _driven(done: Done) -> list[Block]:
         "*Driven*: source and sink of each injection are measured, too. Contact impedances are not known for sure; "
         "flaws came after the calibration. Discs have point electrodes, without contact impedance. "
         f"{task.corners} places lie in the corners, 10 to 18 mm from both sides. Mean errors in mm (95 %); how "
-        "often the true place is within the ellipse that is to hold it so often; the error's root mean square as stated "
-        "and as it is, in mm:"
+        "often the true place is within the ellipse that is to hold it so often; the error's root mean square as "
+        "stated and as it is, in mm:"
     )
     head = ("data", "dB", "flaw", "mode", "reader", "open places", "corners", "all", f"off by over {1e3 * MISS:.0f} mm")
     return [text, Table((*head, "within the 50 / 90 % ellipse", "stated / true"), rows)]
