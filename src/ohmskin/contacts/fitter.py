@@ -264,7 +264,7 @@ class ContactFitter:
             bar: The least gain, in units of the noise's variance; `split_bar` unless given.
         """
         one = found.params[k]
-        # an equal pair differs from one contact by the second derivative along its axis: which axis gains most?
+        # an equal pair differs from one contact by the second derivative along its axis: does any promise a gain?
         reach = np.sqrt(max(one[3], self.table.radius**2))
         axes = _DIRECTIONS[: _HALO // 2]
         ends = one[:2] + reach * np.concatenate([axes, -axes, [[0.0, 0.0]]])
@@ -274,18 +274,20 @@ class ContactFitter:
         height = bend @ left.vector / np.sqrt(np.maximum(power, 1e-12 * power.max()))
         if height.max() < 1.0:
             return None
-        axis = axes[int(np.argmax(height))]
-        pair = np.stack([one, one])
-        pair[:, :2] = self.onto(one[:2] + np.outer([reach, -reach], axis))
-        pair[:, 2] /= 2
-        pair[:, 3] = self.table.radius**2 / 2
-        start = np.vstack([np.delete(found.params, k, axis=0), pair])
-        centre, precision = self.prior
-        mean, information = np.tile(centre, len(start)), np.diag(np.tile(precision, len(start)))
+        count, (centre, precision) = len(found.params) + 1, self.prior
+        mean, information = np.tile(centre, count), np.diag(np.tile(precision, count))
         unlike = np.zeros(len(mean))
         unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
         information += np.outer(unlike, unlike)
-        two = self.refine(data, start, mean, information)
+        tried = []
+        for axis in axes:
+            pair = np.stack([one, one])
+            pair[:, :2] = self.onto(one[:2] + np.outer([reach, -reach], axis))
+            pair[:, 2] /= 2
+            pair[:, 3] = self.table.radius**2 / 2
+            start = np.vstack([np.delete(found.params, k, axis=0), pair])
+            tried.append(self.refine(data, start, mean, information))
+        two = min(tried, key=lambda each: each.cost)
         away = np.linalg.norm(two.params[-1, :2] - two.params[-2, :2])
         if away < _OVERLAP * np.sqrt(two.params[-2:, 3]).sum():
             return None

@@ -35,7 +35,7 @@ def responses(
             own[0, p] *= effect
             own[1, p] *= effect
             own[3, p] *= effect
-    scatter(params, fields, low, pitch, steps, caused, slopes)
+    scatter(params, fields, low, pitch, steps, np.sqrt(squares[0]), caused, slopes)
     return caused, slopes
 
 

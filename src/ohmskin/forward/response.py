@@ -185,12 +185,13 @@ def respond(
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def scatter(
-    params: Floats, fields: Floats, low: Floats, pitch: Floats, steps: Ints, caused: Floats, slopes: Floats
-) -> None:
+    params: Floats, fields: Floats, low: Floats, pitch: Floats, steps: Ints, least: float, caused: Floats,
+    slopes: Floats,
+) -> None:  # fmt: skip
     """Adds what contacts (n, 4) do to each other's fields to what they cause (n_pairs,) and the slopes (4 n, n_pairs).
 
     With a = u_x - i u_y the field of a pair of electrodes, a disc of effect e adds e conj(a) / (2 pi d^2) to it at a
-    distance d = d_x + i d_y: two dipoles (Rayleigh 1892). Discs that overlap count as if they touched.
+    distance d = d_x + i d_y: two dipoles (Rayleigh 1892); below `least` (m), deep in each other, ever less.
     """
     n, n_elec = len(params), fields.shape[2] // 2
     if n < 2:
@@ -208,29 +209,28 @@ def scatter(
                     slope[k, m] += along * complex(knot[m], -knot[n_elec + m])
     for k in range(n):
         for other in range(k):
-            apart = complex(params[other, 0] - params[k, 0], params[other, 1] - params[k, 1])
-            least = np.sqrt(params[k, 3]) + np.sqrt(params[other, 3])
-            if abs(apart) < 1e-3 * least:
-                continue
-            touching = abs(apart) < least
-            if touching:
-                apart *= least / abs(apart)
+            x, y = params[other, 0] - params[k, 0], params[other, 1] - params[k, 1]
+            square, back = x * x + y * y, complex(x, -y)
+            below = square**2 + least**4
+            near = back**2 / below
+            by_x = 2 * back / below - 4 * square * x / below * near
+            by_y = -2j * back / below - 4 * square * y / below * near
             effects = -params[k, 2] * params[other, 2] / np.pi
             p = 0
             for i in range(n_elec):
                 for j in range(i + 1, n_elec):
                     one, two = (field[k, i] - field[k, j]).conjugate(), (field[other, i] - field[other, j]).conjugate()
-                    mutual = one * two / apart**2
-                    caused[p] += effects * mutual.real
-                    slopes[4 * k + 2, p] -= params[other, 2] / np.pi * mutual.real
-                    slopes[4 * other + 2, p] -= params[k, 2] / np.pi * mutual.real
-                    nearer = 0j if touching else 2 * mutual / apart
-                    by_one = (slope[k, i] - slope[k, j]).conjugate() * two / apart**2
-                    by_two = (slope[other, i] - slope[other, j]).conjugate() * one / apart**2
-                    slopes[4 * k, p] += effects * (by_one.real + nearer.real)
-                    slopes[4 * k + 1, p] += effects * (by_one.imag - nearer.imag)
-                    slopes[4 * other, p] += effects * (by_two.real - nearer.real)
-                    slopes[4 * other + 1, p] += effects * (by_two.imag + nearer.imag)
+                    mutual = one * two
+                    felt, along, across = (mutual * near).real, (mutual * by_x).real, (mutual * by_y).real
+                    by_one = (slope[k, i] - slope[k, j]).conjugate() * two * near
+                    by_two = (slope[other, i] - slope[other, j]).conjugate() * one * near
+                    caused[p] += effects * felt
+                    slopes[4 * k + 2, p] -= params[other, 2] / np.pi * felt
+                    slopes[4 * other + 2, p] -= params[k, 2] / np.pi * felt
+                    slopes[4 * k, p] += effects * (by_one.real - along)
+                    slopes[4 * k + 1, p] += effects * (by_one.imag - across)
+                    slopes[4 * other, p] += effects * (by_two.real + along)
+                    slopes[4 * other + 1, p] += effects * (by_two.imag + across)
                     p += 1
 
 
