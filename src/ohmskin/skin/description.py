@@ -86,13 +86,14 @@ class Converter:
 class Imaging:
     """How images and contacts are made of the measurements; see `GaussNewton`, `Sensor` and `ContactFinder`.
 
-    `contact_error` is the share of a contact's signal that a disc gets wrong: up to 0.04 under a layer of patches.
+    `contact_error` is the share of a contact's signal that a disc gets wrong; with less than 0.07 what patches do to it
+    is taken for a second contact.
     """
 
     mesh_size: float = number(5.5e-3, 1e-6, 10, "m")
     amplitude: float = number(0.1, 1e-9, 1e9)
     model_error: float = number(0.02, 0, 1)
-    contact_error: float = number(0.05, 0, 1)
+    contact_error: float = number(0.07, 0, 1)
     pairs: int = number(16, 1, 32640)
     fuse: bool = True
     bipolar: bool = False
