@@ -16,7 +16,7 @@ from ohmskin.evaluate import policies, worlds
 from ohmskin.evaluate.cache import describe, key
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.flaws import Flaw, misplaced, waves
-from ohmskin.evaluate.policies.goals import QUIET, pair_rates
+from ohmskin.evaluate.policies.goals import QUIET
 from ohmskin.evaluate.policies.pairs import RADIUS, apart, best_of, ideal_power, pair_places, single_places, unlike_one
 from ohmskin.evaluate.policies.plan import FLAWS
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS, instrument_cost, scheme, within
@@ -344,14 +344,29 @@ def test_static_goals_take_the_right_rows_and_count_what_is_not_found() -> None:
     assert errors(lost) == pytest.approx(0.06)  # the sheet's middle is taken for it
 
 
-def test_pairs_need_the_statistic_and_the_places_and_false_twos_come_from_other_singles() -> None:
-    statistic = np.full((1, 1, 1, 4), 10.0)
-    near = np.array([True, True, False, True]).reshape(1, 1, 1, 4)
-    statistic[..., 3] = 1.0
-    learn, check = np.linspace(0, 5, 200)[None], np.concatenate([np.full(99, 0.0), [6.0]])[None]
-    right, false = pair_rates({"statistic": statistic, "near": near, "learn": learn, "check": check})
-    assert right.ravel().tolist() == [1, 1, 0, 0]
-    assert false.mean() == pytest.approx(0.01)
+def test_pairs_are_judged_by_what_the_fit_counts_and_false_twos_by_single_contacts() -> None:
+    settings = policies.Settings(fine=(50.0,), singles=100, where=1)
+    names = policies.plan(settings, ("pairs",))["pairs"]
+    results = {}
+    for name, task in names.items():
+        shape = len(task.schemes), len(task.distances), 1
+        if name.startswith("limit"):
+            results[name] = {
+                "distance": np.full(shape, 9.0),
+                "any": np.full(shape[1:], 9.0),
+                "all": np.full(shape[1:], 9.0),
+            }
+            continue
+        right = np.ones((*shape, settings.seeds), bool)
+        right[:, list(task.distances).index(0.02), :, ::2] = False
+        counted = np.ones((len(task.schemes), 100), int)
+        counted[:, 0] = 2
+        results[name] = {"right": right, "counted": counted}
+    found = {g.text: g for g in policies.assess(comparison("pairs", results, settings))}
+    told = [g for text, g in found.items() if "20 mm apart" in text]
+    assert [g.measured.value for g in told] == [0.5, 0.5]
+    assert {g.verdict for g in told} == {OPEN}  # half of twenty may be three quarters
+    assert {g.measured.value for text, g in found.items() if "counted as two" in text} == {0.01}
 
 
 def test_detection_counts_three_frames_and_quiet_frames_count_births() -> None:

@@ -254,13 +254,6 @@ class Engine(Closing):
             raise
         return device
 
-    def _drop(self, mode: Mode, error: Exception) -> None:
-        """Go without a mode that is not possible, unless it is the one wanted."""
-        if mode == self.mode:
-            raise error
-        del self.modes[mode.name]
-        self._notices.say(f"mode {mode.name} is not possible: {error}")
-
     def _sensor(self, mode: Mode) -> Sensor:
         """The sensor of a mode; made when it is first asked for."""
         assert self.known is not None
@@ -281,8 +274,11 @@ class Engine(Closing):
         for mode in list(self.modes.values()):
             try:
                 patterns |= dict.fromkeys(self.drive(mode).patterns)
-            except PatternError as error:
-                self._drop(mode, error)
+            except PatternError as error:  # go without it, unless it is the one wanted
+                if mode == self.mode:
+                    raise
+                del self.modes[mode.name]
+                self._notices.say(f"mode {mode.name} is not possible: {error}")
         return quiet_frames(needed(patterns), self.device.capabilities, self._scan, progress)
 
     def _scan(self, pattern: DrivePattern) -> Frame:

@@ -177,29 +177,22 @@ def _moving(done: Done) -> list[Block]:
 def _pairs(done: Done) -> list[Block]:
     rows = []
     for _, task, result, limits, power in goals.pair_groups(done):
-        right, false = goals.pair_rates(result)
         for s, key in enumerate(task.schemes):
             where = f"+{100 * task.strength:g} %, {task.decibels:g} dB"
-            own, own_false = result["own"][s], result["counted_single"][s] > 1
-            rows += [
-                (where, key, "test", right[s], f"{100 * np.mean(false[s]):.2g} %"),
-                ("", "", "fit's own count", own, f"{100 * np.mean(own_false):.2g} %"),
-                ("", "", "ideal test", power[s], "1 %"),
-            ]
+            false = f"{100 * np.mean(result['counted'][s] > 1):.2g} %"
+            rows += [(where, key, "fit", result["right"][s], false), ("", "", "ideal test", power[s], "1 %")]
         rows.append(("", "any 28", "ideal test, at most", ideal_power(limits["any"]), "1 %"))
         rows.append(("", "all 120", "ideal test", ideal_power(limits["all"]), "1 %"))
     text = (
         "Share of pairs told apart in per cent, by distance; a pair counts if both contacts are also placed closer to "
-        "their own true place than half their distance. The test compares two fitted contacts with one, as the product "
-        "does (`ContactFitter.split`), but with a threshold from single contacts, of the size of one of the two or "
-        "with the area of both. *Fit's own count* is what the product does by itself. The ideal test is Neyman and "
+        "their own true place than half their distance. *Fit*: what the product counts and places by itself "
+        "(`ContactFitter.split`). The ideal test is Neyman and "
         "Pearson's between the pair and the single disc, of any place, size and strength, that looks most like it, "
         "both known in every number: no test that takes each single disc for two in at most 1 % of cases does better. "
         "It is given for the injections driven, for every choice of 28 different ones (an upper bound), and for all "
         "120; contacts act linearly in it. Electrodes that carry the current are measured, too. No contact lies "
         "closer than 11 mm to an electrode: a disc over a point "
-        "electrode, whose field is singular, looks like nothing else, and one such single contact would set the "
-        "threshold for all."
+        "electrode, whose field is singular, looks like nothing else."
     )
     head = ("discs", "mode", "decided by", *(f"{1e3 * d:g} mm" for d in task.distances), "false twos")
     cells = [(*row, *(f"{100 * rate.mean():.0f}" for rate in rates), false) for *row, rates, false in rows]

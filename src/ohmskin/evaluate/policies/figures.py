@@ -116,7 +116,7 @@ def pairs(done: Done) -> list[Drawn]:
     for name, task, result, limits, power in groups:
         decibels, strength = name.split("/")
         axes, x = grid[rows.index(strength), columns.index(decibels)], 1e3 * np.array(task.distances)
-        right, _ = goals.pair_rates(result)
+        right = result["right"].astype(float)
         for s, key in enumerate(task.schemes):
             values, low, high = np.array([astuple(mean(rates)) for rates in 100 * right[s].mean(axis=1)]).T
             axes.plot(x, values, "o-", color=COLOURS[key], markersize=3, linewidth=1.3, label=key)
@@ -130,9 +130,9 @@ def pairs(done: Done) -> list[Drawn]:
         axes.grid()
     grid[-1, -1].legend(*grid[0, -1].get_legend_handles_labels(), frameon=False, loc="lower right")
     caption = (
-        f"Two discs of 6 mm radius told from one, at most {100 * ALPHA:g} % of single contacts taken for two. "
-        f"{right.shape[3]} noise seeds at each of {right.shape[2]} places, drawn at random. Solid: two fitted contacts "
-        "against one, the threshold set on other single contacts; bands are 95 % bootstrap intervals over seeds. "
+        f"Two discs of 6 mm radius told from one; ideal tests take {100 * ALPHA:g} % of single contacts for two. "
+        f"{right.shape[3]} noise seeds at each of {right.shape[2]} places, drawn at random. Solid: contacts "
+        "counted and placed by the fit; bands are 95 % bootstrap intervals over seeds. "
         "Dotted: the ideal test on the same injections, which knows both hypotheses in every number. Dash-dotted: an "
         "upper bound for it over every choice of 28 injections."
     )

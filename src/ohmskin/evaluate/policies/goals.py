@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power, threshold
+from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power
 from ohmskin.evaluate.policies.plan import Settings
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.policies.static import Static
@@ -50,14 +50,6 @@ def moving_errors(result: Result) -> tuple[Floats, Floats]:
     n_seeds)."""
     framewise, tracked = (errors(result, name)[..., SETTLE:].mean(axis=-1) for name in ("framewise", "tracked"))
     return framewise, tracked
-
-
-def pair_rates(result: Result) -> tuple[Floats, Floats]:
-    """Pairs told apart (n_schemes, n_distances, n_where, n_seeds) and single contacts taken for two (n_schemes,
-    n_check)."""
-    cut = threshold(result["learn"])
-    right = (result["statistic"] > cut[:, None, None, None]) & result["near"]
-    return right.astype(float), (result["check"] > cut[:, None]).astype(float)
 
 
 def robust_errors(done: Done) -> dict[str, dict[tuple[str, str], Floats]]:
@@ -177,19 +169,18 @@ def _moving(done: Done) -> Iterator[Goal]:
 
 def _pairs(done: Done) -> Iterator[Goal]:
     for _, task, result, limits, power in pair_groups(done):
-        right, _ = pair_rates(result)
+        right = result["right"].astype(float)
         row, any_choice = task.schemes.index("16P"), ideal_power(limits["any"])
         where, key = f"+{100 * task.strength:g} %, {task.decibels:g} dB", task.strength == 0.5
         for d, distance in enumerate(task.distances):
             if asked := ASKED_PAIRS.get((task.decibels, distance)):
                 text = f"Two contacts of 6 mm radius {1e3 * distance:g} mm apart counted and placed by 16P ({where})"
                 data = f"{right.shape[3]} seeds at {right.shape[2]} places"
-                note = f"a threshold learned from single contacts gives {100 * right[row, d].mean():.0f} %"
-                note = f"{note}, an ideal test would reach {100 * power[row, d].mean():.0f} % with these injections"
+                note = f"an ideal test would reach {100 * power[row, d].mean():.0f} % with these injections"
                 note = f"{note}, at most {100 * any_choice[d].mean():.0f} % with any 28"
-                rate = mean(result["own"][row, d].astype(float).T)
+                rate = mean(right[row, d].T)
                 yield Goal("pairs", text, asked, False, rate, "%", data, note, key)
-        text, false = f"One contact counted as two by 16P ({where})", result["counted_single"] > 1
+        text, false = f"One contact counted as two by 16P ({where})", result["counted"] > 1
         data = f"{false.shape[1]} single contacts"
         rate = share(int(false[row].sum()), false.shape[1])
         yield Goal("pairs", text, ALPHA, True, rate, "%", data, "", key)

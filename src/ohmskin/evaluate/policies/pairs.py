@@ -14,7 +14,7 @@ from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.shapes import disc
-from ohmskin.evaluate.two_points import one_or_two, told
+from ohmskin.evaluate.two_points import told
 from ohmskin.evaluate.worlds import CURRENT, Contacts
 from ohmskin.forward.response import effective_change
 from ohmskin.scan import Difference, DrivePattern
@@ -22,8 +22,7 @@ from ohmskin.scan import Difference, DrivePattern
 RADIUS = 6e-3  # metres
 ALPHA = 0.01  # rate of false twos
 # A disc over a point electrode, where the field is singular, looks like nothing else: two of a hundred single contacts
-# that happened to lie there had statistics of thousands, and would have set the threshold for all. They are left out,
-# and it is said.
+# that happened to lie there had statistics of thousands. They are left out, and it is said.
 _CLEAR = 11e-3  # metres from a contact's centre to an electrode
 _MARGIN = 15e-3  # metres from a contact's centre to the rim
 READING = "fit, driven"  # electrodes that carry the current are measured, too
@@ -32,14 +31,14 @@ _EXACT = 1e-2  # share of the noise to which an oracle's disc is fitted
 
 @dataclass(frozen=True)
 class Pairs:
-    """Two discs side by side at several distances, and single ones for the threshold and for the rate of false twos.
+    """Two discs side by side at several distances, and single ones for the rate of false twos.
 
     A single one is as large as one of the two, or has the area of both, which looks most like them.
 
     Args:
         decibels: Noise level (dB).
         seeds: Noise seeds of each pair.
-        singles: Single contacts, each with one noise seed: so many to set the threshold, twice as many to check it.
+        singles: Single contacts, each with one noise seed.
         distances: Between the centres (m).
         where: Places, and directions, of the pairs, drawn once.
         strength: Relative conductivity change of each disc (1).
@@ -55,40 +54,22 @@ class Pairs:
     schemes: tuple[str, ...] = ("16O fused", "16P")
 
     def run(self) -> Result:
-        """Results: ``statistic`` (n_schemes, n_distances, n_where, n_seeds), see `one_or_two`; ``near`` (same),
-        whether each of its two discs is closer to its own true contact than half their distance; ``own`` (same),
-        whether the reader by itself finds two contacts, and so placed. ``learn`` (n_schemes, n_singles) and ``check``
-        (n_schemes, 2 n_singles), the statistic of single contacts; ``counted_single`` (as ``check``), how many
-        contacts are counted there.
+        """Results: ``right`` (n_schemes, n_distances, n_where, n_seeds), whether the reader finds two contacts, each
+        closer to its own true one than half their distance; ``counted`` (n_schemes, n_singles), contacts found where
+        there is one.
         """
         where = setup("discs", self.decibels)
-        shape = (len(self.schemes), len(self.distances), self.where, self.seeds)
-        statistic, near, own = np.zeros(shape), np.zeros(shape, bool), np.zeros(shape, bool)
+        right = np.zeros((len(self.schemes), len(self.distances), self.where, self.seeds), bool)
         for d, w, truth, contacts in _pairs(self, where):
             for seed, (s, key) in product(range(self.seeds), enumerate(self.schemes)):
-                seen, at = where.see(scheme(key, READING), contacts, seed), (s, d, w, seed)
-                statistic[at], _, two = one_or_two(where.trusting_fitter, *seen.differences)
-                near[at] = told(two.params[:, :2], truth)
-                own[at] = len(seen.contacts) == 2 and told([one.position for one in seen.contacts], truth)
-        found = {"statistic": statistic, "near": near, "own": own}
-        for part, name in enumerate(("learn", "check")):
-            places = single_places((1 + part) * self.singles, part, where.electrodes.positions)
-            found[name] = np.empty((len(self.schemes), len(places)))
-            counts = np.empty(found[name].shape, int)
-            for (k, (x, y)), (s, key) in product(enumerate(places), enumerate(self.schemes)):
-                contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
-                seen = where.see(scheme(key, READING), contacts, k)
-                found[name][s, k] = one_or_two(where.trusting_fitter, *seen.differences)[0]
-                counts[s, k] = len(seen.contacts)
-        return found | {"counted_single": counts}
-
-
-def threshold(learn: Floats) -> Floats:
-    """What the statistic must exceed for two contacts (n_schemes,), from that of single ones (n_schemes, n_singles).
-
-    For half the rate of false twos that is allowed, because the threshold is known only as well as the data tell.
-    """
-    return np.asarray(np.quantile(learn, 1 - ALPHA / 2, axis=1, method="higher"))
+                seen = where.see(scheme(key, READING), contacts, seed).contacts
+                right[s, d, w, seed] = len(seen) == 2 and told([one.position for one in seen], truth)
+        places = single_places(self.singles, 1, where.electrodes.positions)
+        counted = np.empty((len(self.schemes), len(places)), int)
+        for (k, (x, y)), (s, key) in product(enumerate(places), enumerate(self.schemes)):
+            contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
+            counted[s, k] = len(where.see(scheme(key, READING), contacts, k).contacts)
+        return {"right": right, "counted": counted}
 
 
 @dataclass(frozen=True)

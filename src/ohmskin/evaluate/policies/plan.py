@@ -45,7 +45,7 @@ class Settings:
         frames: Length of a moving contact's path.
         fine: Noise levels of pairs (dB).
         where: Places of pairs.
-        singles: Single contacts to set the pairs' threshold, twice as many to check it.
+        singles: Single contacts that may be taken for two.
         trials: New contacts to detect, per case.
         quiet: Frames without a contact.
         draws: Of random flaws.
@@ -62,7 +62,7 @@ class Settings:
     frames: int = 60
     fine: tuple[float, ...] = (50.0, 60.0)
     where: int = 12
-    singles: int = 500
+    singles: int = 1000
     trials: int = 600
     quiet: int = 100_000
     draws: int = 5
