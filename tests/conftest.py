@@ -79,8 +79,9 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 def pytest_unconfigure() -> None:
-    """Whatever keeps the interpreter from ending is shown and ended."""
-    faulthandler.dump_traceback_later(END, exit=True, file=sys.__stderr__)
+    """Whatever keeps the interpreter from ending is shown and ended; xdist ends its workers."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        faulthandler.dump_traceback_later(END, exit=True, file=sys.__stderr__)
 
 
 @pytest.fixture(scope="session")
