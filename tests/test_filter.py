@@ -478,7 +478,6 @@ def test_what_the_foam_keeps_of_a_press_is_no_contact_and_soon_forgotten() -> No
     assert len(light.contacts) == 1  # a quarter as hard as before, on the same spot
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("times", "most", "off"), [(1.0, 1, 3e-3), (3.0, 2, 9e-3)])
 def test_single_pairs_may_drift_by_about_the_noise(times: float, most: int, off: float) -> None:
     """Random changes of two-terminal resistances that grow within two minutes, by the noise, and by three times that.

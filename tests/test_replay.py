@@ -346,7 +346,6 @@ def test_a_recording_without_images_is_exported_without_images(tmp_path: Path) -
     assert "image_x_m" not in shapes
 
 
-@pytest.mark.long
 def test_pictures_and_films(
     recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -143,7 +143,6 @@ def test_skin_of_another_shape() -> None:
         assert np.median(encounter.errors) < 12e-3
 
 
-@pytest.mark.long
 def test_command_line_draws_and_films(tmp_path: Path) -> None:
     picture, video = tmp_path / "arm.png", tmp_path / "arm.mp4"
     arguments = ["robot", "--pokes", "1", "--mode", "16O", "--picture", str(picture), "--video", str(video), "--json"]

@@ -263,13 +263,17 @@ class Skin:
 
 
 @lru_cache(maxsize=8)
+def _table(skin: Skin) -> ContactTable:
+    size = skin.imaging.mesh_size
+    return ContactTable(skin.transfer_model(), radius=1.5 * size, pitch=0.7 * size)
+
+
+@lru_cache(maxsize=8)
 def _design(skin: Skin, driven: bool) -> tuple[ContactTable, Candidates]:
     complete = complete_pattern(skin.electrodes)
     contacts = float(skin.contact_change(skin.electrode.contact_impedance)) if driven else None
     currents = skin.pair_currents()
-    size = skin.imaging.mesh_size
-    table = ContactTable(skin.transfer_model(), radius=1.5 * size, pitch=0.7 * size)
-    return table, Candidates.at_currents(complete, len(skin.electrodes), skin.noise, currents, contacts)
+    return _table(skin), Candidates.at_currents(complete, len(skin.electrodes), skin.noise, currents, contacts)
 
 
 def shipped_skins() -> list[str]:
