@@ -78,9 +78,9 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
             failed.add_note(message)
 
 
-def pytest_unconfigure() -> None:
-    """Whatever keeps the interpreter from ending is shown and ended; xdist ends its workers."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Whatever keeps the interpreter from ending is shown and ended; xdist ends its own workers."""
+    if not hasattr(config, "workerinput"):  # not by xdist's variable, which a pytest that a test starts inherits
         faulthandler.dump_traceback_later(END, exit=True, file=sys.__stderr__)
 
 
