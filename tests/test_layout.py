@@ -34,6 +34,14 @@ def run(*arguments: str, cwd: Path) -> "CompletedProcess[str]":
     return ohmskin("layout", *arguments, cwd=cwd)
 
 
+def sites_of(positions: np.ndarray) -> np.ndarray:
+    """The sites closest to positions, in the order in which electrodes are numbered."""
+    sites = search().sites
+    closest = np.linalg.norm(sites[:, None] - positions, axis=2).argmin(axis=0)
+    numbered = arranged(SHEET, sites[closest]).positions
+    return np.array([np.linalg.norm(sites - place, axis=1).argmin() for place in numbered])
+
+
 # --- the search -------------------------------------------------------------------------------------------------------
 
 
@@ -49,7 +57,7 @@ def test_the_quick_error_of_a_layout_is_that_of_a_contact_table_on_a_mesh_of_its
         ContactPrior.usual(RADIUS).covariance()
     )
     true = np.sqrt(np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2))
-    found = search().errors(search().sites_of(electrodes.positions))
+    found = search().errors(sites_of(electrodes.positions))
     ratio = found / true
     assert np.median(np.abs(ratio - 1)) < 0.06
     assert ratio.mean() == pytest.approx(1.0, abs=0.05)
@@ -73,16 +81,16 @@ def test_the_layout_found_is_better_than_the_papers_and_no_single_exchange_impro
     best = search().best(16)
     assert len(best) == 16
     np.testing.assert_array_equal(best.positions, search().best(16).positions)
-    errors = search().errors(search().sites_of(best.positions))
+    errors = search().errors(sites_of(best.positions))
     for usual in (Electrodes.grid(SHEET), Electrodes.rim(SHEET, 16)):
-        assert errors.max() < 0.6 * search().errors(search().sites_of(usual.positions)).max()
-        assert errors.mean() < search().errors(search().sites_of(usual.positions)).mean()
-    chosen = {int(k) for k in search().sites_of(best.positions)}
+        assert errors.max() < 0.6 * search().errors(sites_of(usual.positions)).max()
+        assert errors.mean() < search().errors(sites_of(usual.positions)).mean()
+    chosen = {int(k) for k in sites_of(best.positions)}
     kept = [one for one in search().orbits if set(one.tolist()) <= chosen]
     assert sum(len(one) for one in kept) == 16  # mirror images are all there
 
     def score(orbits: list[np.ndarray]) -> float:
-        sites = search().sites_of(search().sites[np.concatenate(orbits)])
+        sites = sites_of(search().sites[np.concatenate(orbits)])
         return float(np.mean(search().errors(sites) ** 16)) if search().on_rim[sites].sum() >= 4 else np.inf
 
     now = score(kept)
@@ -97,10 +105,7 @@ def test_any_number_of_electrodes_can_be_placed_and_more_are_better(count: int) 
     best, more = search().best(count), search().best(count + 4)
     assert (len(best), len(more)) == (count, count + 4)
     assert len(best.rings[0]) >= 4
-    assert (
-        search().errors(search().sites_of(more.positions)).max()
-        < search().errors(search().sites_of(best.positions)).max()
-    )
+    assert search().errors(sites_of(more.positions)).max() < search().errors(sites_of(best.positions)).max()
 
 
 def test_discs_and_oblong_sheets_can_be_searched_and_other_shapes_are_refused() -> None:

@@ -54,7 +54,7 @@ for name, found in errors.items():
 # the drive of a tracker: four injections a frame, two of them exploring
 drive = InformedPolicy(electrodes, lambda: (table, candidates), injections=4)
 contact = Target(np.array([0.06, 0.13]), np.diag([4e-3, 4e-3]) ** 2, effect=1.5e-4, radius=10e-3)
-print(drive.explain([contact], turn=0))
+print("next:", *(f"{a}-{b}" for a, b in drive.next([contact], turn=0).injections))
 start = time.perf_counter()
 for turn in range(1000):
     drive.next([contact], turn)

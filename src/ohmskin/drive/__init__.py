@@ -4,7 +4,7 @@ from ohmskin.drive.bound import ContactPrior, best_fixed, position_bound
 from ohmskin.drive.design import Candidates, Choice, Search, exchange, greedy, pair_currents
 from ohmskin.drive.drive import Drive, Exploration, Fixed, SecondScan, Target, TwoScans, WithDriven
 from ohmskin.drive.drives import DRIVES, DriveSettings
-from ohmskin.drive.informed import InformedPolicy, Plan, PositionDrive, Ranking
+from ohmskin.drive.informed import InformedPolicy, PositionDrive, Ranking
 from ohmskin.drive.layout import LayoutSearch, arranged
 from ohmskin.drive.optimal import LocalDrive, OptimalDrive, pair_weights, take_turns
 from ohmskin.drive.patterns import base_pattern, complete_pattern, part_of
@@ -22,7 +22,6 @@ __all__ = [
     "LayoutSearch",
     "LocalDrive",
     "OptimalDrive",
-    "Plan",
     "PositionDrive",
     "Ranking",
     "Search",

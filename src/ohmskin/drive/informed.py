@@ -5,7 +5,6 @@ somewhere in that cell. A frame takes the next ones of that order, so that frame
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
 
@@ -97,28 +96,6 @@ def _ranked(rows: Floats, covariance: Floats, depth: int) -> tuple[Ints, Floats]
     return np.append(search.chosen, kept[rest.chosen]), np.append(values, rest.values[1:])
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A frame's injections, and what they are good for.
-
-    Args:
-        pattern: What to drive.
-        explored: How many of the injections, the first ones, explore.
-        before: (n_targets,) expected root-mean-square error of each contact's position before the frame (m).
-        after: (n_targets,) and after it (m).
-    """
-
-    pattern: DrivePattern
-    explored: int
-    before: Floats
-    after: Floats
-
-    def __str__(self) -> str:
-        pairs = " ".join(f"{a}-{b}" for a, b in self.pattern.injections)
-        errors = ", ".join(f"{1e3 * b:.2f} to {1e3 * a:.2f} mm" for b, a in zip(self.before, self.after, strict=True))
-        return f"{pairs} ({self.explored} exploring); position error {errors or 'of no contact'}"
-
-
 class InformedPolicy(Exploration):
     """Spends a frame's injections where they say most about the contacts, and keeps exploring.
 
@@ -163,18 +140,6 @@ class InformedPolicy(Exploration):
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
         """The pattern of frame number `turn` (from 0), given what is believed of the contacts."""
         return part_of(self.complete, self._choose(targets, turn))
-
-    def explain(self, targets: Sequence[Target], turn: int) -> Plan:
-        """The pattern of `next`, and how well the contacts will be located by it."""
-        chosen = self._choose(targets, turn)
-        pattern = part_of(self.complete, chosen)
-        if not targets:
-            return Plan(pattern, len(chosen), np.empty(0), np.empty(0))
-        search = self._search(targets)
-        before = np.sqrt(search.sums[0])
-        for number in chosen:
-            search.take(int(number))
-        return Plan(pattern, self._exploring, before, np.sqrt(search.sums[0]))
 
     @property
     def _exploring(self) -> int:

@@ -104,11 +104,6 @@ class LayoutSearch:
         information = columns.swapaxes(1, 2) @ (self._gram(n_elec) @ columns) + np.linalg.inv(self._prior.covariance())
         return np.asarray(np.sqrt(np.trace(np.linalg.inv(information)[:, :2, :2], axis1=1, axis2=2)))
 
-    def sites_of(self, positions: Floats) -> Ints:
-        """The sites (n,) closest to positions (n, 2) in metres, in the order in which electrodes are numbered."""
-        closest = np.linalg.norm(self.sites[:, None] - positions, axis=2).argmin(axis=0)
-        return self._numbered(closest)
-
     def best(self, count: int) -> Electrodes:
         """The layout of `count` electrodes with the least worst error, by exchange of sites and their mirror images.
 

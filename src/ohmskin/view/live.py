@@ -17,7 +17,7 @@ from ohmskin.child import Child
 from ohmskin.client.remote import is_loopback
 from ohmskin.closing import Closing
 from ohmskin.errors import ViewError
-from ohmskin.view.wire import check_setup, pack_frame, to_json, write_message
+from ohmskin.view.wire import check_setup, pack_frame, write_message
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +52,8 @@ class LiveView(Closing):
         self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
     ) -> None:
         check_address(host, port, token)
-        setup = self._take(setup)
+        setup = check_setup(setup)
+        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
         self._credits = 0
         self._pending: list[dict[str, Any]] = []
         self._lock = threading.Lock()  # guards _credits and _pending, held for microseconds only
@@ -89,14 +90,6 @@ class LiveView(Closing):
             self._credits = 0
         self._outbox.put((b"F", pack_frame(header, base, image)))
 
-    def announce(self, setup: Mapping[str, Any]) -> None:
-        """Tell all browsers, now and later, that skin, raster or modes have changed.
-
-        Raises:
-            ViewError: If the setup is malformed.
-        """
-        self._outbox.put((b"S", to_json(self._take(setup)).encode()))
-
     def commands(self) -> list[dict[str, Any]]:
         """What browsers asked for since the last call, checked, oldest first; never waits.
 
@@ -121,11 +114,6 @@ class LiveView(Closing):
         for thread in self._threads:
             thread.join()
         self._child.close()
-
-    def _take(self, setup: Mapping[str, Any]) -> dict[str, Any]:
-        checked = check_setup(setup)
-        self._shape = (int(checked["raster"]["ny"]), int(checked["raster"]["nx"]))
-        return checked
 
     def _write(self) -> None:
         with suppress(OSError), BufferedWriter(self._child.stdin) as stream:

@@ -56,7 +56,6 @@ class Browser:
     name: str
     channel: WebSocket
     wake: asyncio.Event = field(default_factory=asyncio.Event)
-    setup_due: bool = True
     awaited: int | None = None  # sequence of the frame that it is drawing
     seen: int = 0
     held: set[str] = field(default_factory=set)
@@ -76,19 +75,13 @@ class Page:
         self._asked = False
         self._names = 0
 
-    def take(self, kind: bytes, payload: bytes) -> None:
-        """A message of the loop: a new setup or a frame."""
-        if kind == b"S":
-            self._setup = json.loads(payload)
-            self._frame = b""  # it may not fit the new raster
-        else:
-            self._asked = False
-            self._frame = payload
-            length = int.from_bytes(payload[:4], "little")
-            self._sequence = json.loads(payload[4 : 4 + length]).get("sequence", 0)
-            self._arrived += 1
+    def take(self, _: bytes, frame: bytes) -> None:
+        """A message of the loop: a frame."""
+        self._asked, self._frame = False, frame
+        length = int.from_bytes(frame[:4], "little")
+        self._sequence = json.loads(frame[4 : 4 + length]).get("sequence", 0)
+        self._arrived += 1
         for browser in self._browsers:
-            browser.setup_due |= kind == b"S"
             browser.wake.set()
 
     async def converse(self, channel: WebSocket) -> None:
@@ -114,12 +107,10 @@ class Page:
     async def _feed(self, browser: Browser) -> None:
         # The only place that sends: a browser that does not read holds up nothing but this task.
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await browser.channel.send_text(to_json(self._setup | {"type": "setup", "client": browser.name}))
             while True:
                 await browser.wake.wait()
                 browser.wake.clear()
-                if browser.setup_due:
-                    browser.setup_due = False
-                    await browser.channel.send_text(to_json(self._setup | {"type": "setup", "client": browser.name}))
                 while browser.refusals:
                     await browser.channel.send_text(to_json({"type": "refused", "message": browser.refusals.pop(0)}))
                 if browser.awaited is None and browser.seen < self._arrived and self._frame:

@@ -121,7 +121,6 @@ function draw(now) {
   if (now - textTime > TEXT_EVERY || !ready) showText(now);
   else setTimeout(requestDraw, TEXT_EVERY); // the last change must not stay unsaid
   if (unacknowledged !== null) {
-    // Also for a frame that a new setup has overtaken: the server sends no other before it hears of this one.
     link.send({ type: "ack", sequence: unacknowledged });
     unacknowledged = null;
     ready ||= frame !== null;
