@@ -323,7 +323,7 @@ def test_another_contact_is_found_while_one_is_tracked(decibels: int) -> None:
 def test_nothing_is_felt_on_a_quiet_skin() -> None:
     rig = Rig("discs", 40, 9)
     for _ in range(1500):
-        assert not rig.frame().held
+        assert not rig.frame().tracks
 
 
 def test_a_moving_contact_is_followed_with_its_velocity() -> None:
@@ -363,28 +363,28 @@ def resting(rig: Rig, effect: float, lifted: float = 0.0) -> TrackState:
     params, square = np.array([0.07, 0.13, 1e-4, rig.filter.fitter.table.radius**2]), 1e-14
     state = rig.filter.start().with_contact(params, np.diag([1e-8, 1e-8, square, 1e-12]), 0.1)
     state.mean[0, 2], state.mean[0, 4:] = effect, (0.08, -0.06)
-    return replace(state, held=(replace(state.held[0], lifted=lifted),), time=3.0)
+    return replace(state, tracks=(replace(state.tracks[0], lifted=lifted),), time=3.0)
 
 
 def test_a_contact_that_is_lifted_stands_still() -> None:
     rig = Rig("discs", 50, 15)
     pressing = with_lifts(resting(rig, 9e-5), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
-    assert not pressing.held[0].lifted
+    assert not pressing.tracks[0].lifted
     assert pressing.mean[0, 4:].tolist() == [0.08, -0.06]
     gone = with_lifts(resting(rig, 0.5e-5), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
-    assert gone.held[0].lifted
+    assert gone.tracks[0].lifted
     assert gone.mean[0, 4:].tolist() == [0.0, 0.0]
 
 
 def test_a_lifted_contact_that_is_there_again_before_it_is_forgotten_is_a_new_one() -> None:
     rig = Rig("discs", 50, 16)
     still = with_lifts(resting(rig, 1e-5, lifted=0.2), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
-    assert still.held[0].lifted == pytest.approx(0.2 + STEP)
-    assert (still.held[0].id, still.next_id) == (1, 2)
+    assert still.tracks[0].lifted == pytest.approx(0.2 + STEP)
+    assert (still.tracks[0].id, still.next_id) == (1, 2)
     again = with_lifts(resting(rig, 8e-5, lifted=0.2), rig.filter.fitter, rig.filter.bar, 30.0, STEP)
-    assert not again.held[0].lifted
-    assert (again.held[0].id, again.next_id, again.held[0].since) == (2, 3, 3.0)
-    assert again.held[0].peak == pytest.approx(8e-5)
+    assert not again.tracks[0].lifted
+    assert (again.tracks[0].id, again.next_id, again.tracks[0].since) == (2, 3, 3.0)
+    assert again.tracks[0].peak == pytest.approx(8e-5)
 
 
 def test_of_two_contacts_taken_for_one_the_older_name_stays() -> None:
@@ -396,8 +396,8 @@ def test_of_two_contacts_taken_for_one_the_older_name_stays() -> None:
         doubled = state.without([0])
         for name, side in zip(names, (-1e-3, 1e-3), strict=True):
             doubled = doubled.with_contact(params + np.array([side, 0.0, 0.0, 0.0]), covariance, 0.1, name)
-        doubled = replace(doubled, held=tuple(replace(held, since=-1.0) for held in doubled.held))
-        (kept,) = with_revision(doubled, rig.filter.fitter, rig.filter.split_bar, 0.1, 0).held
+        doubled = replace(doubled, tracks=tuple(replace(track, since=-1.0) for track in doubled.tracks))
+        (kept,) = with_revision(doubled, rig.filter.fitter, rig.filter.split_bar, 0.1, 0).tracks
         assert kept.id == 3
 
 
@@ -419,7 +419,7 @@ def test_noise_of_the_reference_which_all_frames_share_does_not_add_up_to_a_cont
         state = filter_.start()
         for _ in range(12):
             state = filter_.update(state, error, STEP)
-        found.append(len(state.held))
+        found.append(len(state.tracks))
     assert found[0] == 0
     assert found[1] > 0  # as if each frame had noise of its own
 

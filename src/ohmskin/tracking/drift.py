@@ -56,7 +56,9 @@ def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: f
     """The state with part of its newest frame's residual, as much as belongs to a time (s), taken for drift."""
     newest = state.history[0]
     share, left = elapsed / (elapsed + _time(state, motion)), newest.residual
-    if state.held:  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
+    if (
+        state.tracks
+    ):  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
         left = left.beside(fitter.responses(state.params)[1])
         share /= 1 + fitter.model_error**2 * newest.energy / len(left.plain)
     ridge = _RIDGE * np.sum(left.plain[:, :-2] ** 2) / len(left.plain)
@@ -66,4 +68,4 @@ def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: f
 
 def _time(state: TrackState, motion: Motion) -> float:
     """Over which what no contact explains becomes drift (s): sooner where there are only lifted ones."""
-    return motion.settling if state.held and not state.pressing else motion.drifting
+    return motion.settling if state.tracks and not state.pressing else motion.drifting

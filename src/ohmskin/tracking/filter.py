@@ -89,7 +89,7 @@ class ContactFilter:
     def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
         """The state after a frame, its contacts being those that it holds, and how they explain it."""
         measured = state.measured
-        if not state.held:
+        if not state.tracks:
             return state, nothing(len(state.drift))
         before = state.covariance[np.ix_(measured, measured)]
         seen = self.fitter.refine(reading.wary, state.params, state.params.ravel(), inverse(before), rounds=3)
@@ -107,7 +107,7 @@ class ContactFilter:
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
         faded = after.echo * float(np.exp(-2 * elapsed / self.motion.creeping))
         energy = max(reading.data.size(seen.caused) ** 2, faded)
-        effects = {held.id: float(effect) for held, effect in zip(after.held, after.mean[:, 2], strict=True)}
+        effects = {track.id: float(effect) for track, effect in zip(after.tracks, after.mean[:, 2], strict=True)}
         unforeseen = beside_common(innovation, after.common_drift[1])
         residual = reading.data.less(seen.caused)
         newest = Residuals(reading, innovation, residual, energy, effects, after.time, unforeseen)
@@ -124,13 +124,13 @@ class ContactFilter:
         for k in state.pressing:
             contact = self.fitter.contact(state.params[k], state.covariance_of(k))
             velocity = float(state.mean[k, 4]), float(state.mean[k, 5])
-            found.append(replace(contact, id=state.held[k].id, velocity=velocity))
+            found.append(replace(contact, id=state.tracks[k].id, velocity=velocity))
         return tuple(sorted(found, key=lambda contact: -abs(contact.strength)))
 
 
 def _innovation(before: TrackState, after: TrackState, reading: Reading, seen: Solution) -> Information:
     """What a frame says that was not foreseen, beside what its contacts may have caused of it."""
-    if not before.held:
+    if not before.tracks:
         return reading.data
     spread = np.linalg.cholesky(_balanced(before.covariance[np.ix_(before.measured, before.measured)]))
     foreseen = seen.caused - seen.slopes @ (after.params - before.params).ravel()

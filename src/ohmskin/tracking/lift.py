@@ -6,7 +6,7 @@ import numpy as np
 
 from ohmskin.contacts.fitter import FAINT, ContactFitter
 from ohmskin.tracking.revision import NEAR
-from ohmskin.tracking.state import STATE, HeldTrack, TrackState
+from ohmskin.tracking.state import STATE, Track, TrackState
 
 _LIFTED, _AGAIN = 0.1, 0.2  # shares of its peak below which a contact is lifted, above which it is there again
 _SETTLED = 5.0  # settling times after which nothing is left of a lifted contact
@@ -23,9 +23,9 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
         elapsed: Since the frame before (s).
     """
     state = _without_double(state, fitter)
-    held, mean, drift, next_id = [], state.mean.copy(), state.drift, state.next_id
+    tracks, mean, drift, next_id = [], state.mean.copy(), state.drift, state.next_id
     share = 1 - np.exp(-elapsed / settling)
-    for k, one in enumerate(state.held):
+    for k, one in enumerate(state.tracks):
         effect, std = state.effect(k)
         if not one.lifted:
             one = replace(one, peak=max(one.peak, effect))
@@ -33,7 +33,7 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
                 one = replace(one, lifted=max(elapsed, 1e-9))
                 mean[k, 4:] = 0.0
         elif effect > max(_AGAIN * one.peak, bar * std):
-            one = HeldTrack(next_id, effect, state.time)
+            one = Track(next_id, effect, state.time)
             next_id += 1
         else:
             one = replace(one, lifted=one.lifted + elapsed)
@@ -41,30 +41,30 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
                 response = fitter.table(mean[k, None, :2], np.sqrt(mean[k, 3])).values[0]
                 drift = drift + share * mean[k, 2] * response
                 mean[k, 2] *= 1 - share
-        held.append(one)
-    state = replace(state, held=tuple(held), mean=mean, drift=drift, next_id=next_id)
-    return state.without([k for k, one in enumerate(held) if one.lifted > _SETTLED * settling])
+        tracks.append(one)
+    state = replace(state, tracks=tuple(tracks), mean=mean, drift=drift, next_id=next_id)
+    return state.without([k for k, one in enumerate(tracks) if one.lifted > _SETTLED * settling])
 
 
-def _faint(effect: float, std: float, held: HeldTrack) -> bool:
+def _faint(effect: float, std: float, track: Track) -> bool:
     """Whether so small an effect, known as well as that (m2), is no press any more."""
-    return effect < max(_LIFTED * held.peak, FAINT * std)
+    return effect < max(_LIFTED * track.peak, FAINT * std)
 
 
 def _without_double(state: TrackState, fitter: ContactFitter) -> TrackState:
     """The state without a faint contact beside another one, which takes over its effect: two were seen where one is."""
-    if len(state.held) < 2:
+    if len(state.tracks) < 2:
         return state
     apart = np.linalg.norm(state.mean[:, None, :2] - state.mean[:, :2], axis=2)
-    for k, one in enumerate(state.held):
+    for k, one in enumerate(state.tracks):
         beside = [j for j in state.pressing if j != k]
         near = beside and apart[k, beside].min() < NEAR * fitter.table.radius
         if near and (one.lifted or _faint(*state.effect(k), one)):
-            held = list(state.held)
+            tracks = list(state.tracks)
             if not one.lifted:
                 heir = min(beside, key=lambda j: float(apart[k, j]))
-                held[heir] = replace(held[heir], id=min(one.id, held[heir].id))
-            return _known_gone(replace(state, held=tuple(held)), fitter, k)
+                tracks[heir] = replace(tracks[heir], id=min(one.id, tracks[heir].id))
+            return _known_gone(replace(state, tracks=tuple(tracks)), fitter, k)
     return state
 
 

@@ -41,7 +41,7 @@ class Motion:
 
 def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
     """The state some time later (s): contacts go on, ever more slowly, and are known less and less well."""
-    n, square = len(state.held), fitter.table.radius**2
+    n, square = len(state.tracks), fitter.table.radius**2
     common_drift = (state.common_drift[0], state.common_drift[1] + motion.warming**2 * elapsed)
     state = replace(state, common_drift=common_drift, time=state.time + elapsed)
     if not n:

@@ -34,7 +34,7 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     """
     pressing = state.pressing
     for k in pressing:
-        young = state.held[k].since >= state.history[-1].time  # its first frame may have misled
+        young = state.tracks[k].since >= state.history[-1].time  # its first frame may have misled
         if young and (placed := _placed(state, fitter, speed, k)) is not None:
             return placed
     for place, k in enumerate(pressing):
@@ -70,7 +70,7 @@ def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k
         return state
     closer, farther = np.argsort(np.linalg.norm(two.params[:, :2] - state.mean[k, :2], axis=1))
     rest, covariances = state.without([k]), two.covariances
-    kept = rest.with_contact(two.params[closer], covariances[closer], speed, state.held[k].id)
+    kept = rest.with_contact(two.params[closer], covariances[closer], speed, state.tracks[k].id)
     return replace(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
 
 
@@ -86,7 +86,7 @@ def _merged(
     two, one = fitter.refine(data, pair), fitter.refine(data, start[None])
     if fitter.gained(told, one, two) > _HYSTERESIS * bar:
         return None
-    kept = min(state.held[k].id for k in both)
+    kept = min(state.tracks[k].id for k in both)
     return replace(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
@@ -94,11 +94,11 @@ def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) ->
     """What the newest frames say in which the chosen contacts rested, less the others; and the same as it is fitted."""
     chosen = list(chosen)
     speed = float(np.linalg.norm(state.mean[chosen, PER_CONTACT:], axis=1).max())
-    came = max(state.held[k].since for k in chosen)
+    came = max(state.tracks[k].since for k in chosen)
     play = [3 * state.effect(k)[1] + 0.1 * abs(state.mean[k, 2]) for k in chosen]
     used = []
     for residuals in state.history:
-        effects = np.array([residuals.effects.get(state.held[k].id, np.nan) for k in chosen])
+        effects = np.array([residuals.effects.get(state.tracks[k].id, np.nan) for k in chosen])
         absent = np.isnan(effects).any() and residuals.time < came
         changed = (np.abs(effects - state.mean[chosen, 2]) > play).any()
         if absent or changed or (state.time - residuals.time) * speed > fitter.table.radius / 4:

@@ -15,7 +15,7 @@ STATE = 6  # x, y, effect, squared radius, velocity
 
 
 @dataclass(frozen=True)
-class HeldTrack:
+class Track:
     """What is remembered of a contact beside its state.
 
     Args:
@@ -36,7 +36,7 @@ class TrackState:
     """What is believed to touch the skin. Start with ``ContactFilter.start()``.
 
     Args:
-        held: The contacts in the order in which they came, lifted ones included.
+        tracks: The contacts in the order in which they came, lifted ones included.
         mean: (n, 6) x, y (m), effect (m2), squared radius (m2) and velocity (m/s) of each.
         covariance: (6 n, 6 n) of all of them together.
         common_drift: Common relative change of all resistances since the calibration, and its variance (1).
@@ -49,7 +49,7 @@ class TrackState:
         history: The last frames, newest first.
     """
 
-    held: tuple[HeldTrack, ...]
+    tracks: tuple[Track, ...]
     mean: Floats
     covariance: Floats = field(repr=False)
     common_drift: tuple[float, float]
@@ -78,12 +78,12 @@ class TrackState:
     @property
     def measured(self) -> Ints:
         """Where in the state of all contacts the parameters are that a frame depends on (4 n,)."""
-        return (np.arange(len(self.held))[:, None] * STATE + np.arange(PER_CONTACT)).ravel()
+        return (np.arange(len(self.tracks))[:, None] * STATE + np.arange(PER_CONTACT)).ravel()
 
     @property
     def pressing(self) -> list[int]:
         """The numbers of the contacts that are not lifted."""
-        return [k for k, held in enumerate(self.held) if not held.lifted]
+        return [k for k, track in enumerate(self.tracks) if not track.lifted]
 
     def covariance_of(self, k: int) -> Floats:
         """Of the parameters of contact number k (4, 4)."""
@@ -103,19 +103,19 @@ class TrackState:
             speed: Standard deviation of its velocity (m/s).
             name: Its name, the next one unless given.
         """
-        known, end = STATE * len(self.held), STATE * len(self.held) + PER_CONTACT
+        known, end = STATE * len(self.tracks), STATE * len(self.tracks) + PER_CONTACT
         whole = np.zeros((known + STATE, known + STATE))
         whole[:known, :known] = self.covariance
         whole[known:end, known:end] = covariance
         whole[[-2, -1], [-2, -1]] = speed**2
-        held = HeldTrack(self.next_id if name is None else name, abs(float(params[2])), self.time)
+        track = Track(self.next_id if name is None else name, abs(float(params[2])), self.time)
         mean = np.vstack([self.mean, [*params, 0.0, 0.0]])
         next_id = self.next_id + (name is None)
-        return replace(self, held=(*self.held, held), mean=mean, covariance=whole, next_id=next_id)
+        return replace(self, tracks=(*self.tracks, track), mean=mean, covariance=whole, next_id=next_id)
 
     def without(self, gone: Sequence[int]) -> "TrackState":
         """The state without some of its contacts."""
-        kept = np.array([k for k in range(len(self.held)) if k not in gone], int)
+        kept = np.array([k for k in range(len(self.tracks)) if k not in gone], int)
         state = (kept[:, None] * STATE + np.arange(STATE)).ravel()
-        held = tuple(self.held[k] for k in kept)
-        return replace(self, held=held, mean=self.mean[kept], covariance=self.covariance[np.ix_(state, state)])
+        tracks = tuple(self.tracks[k] for k in kept)
+        return replace(self, tracks=tracks, mean=self.mean[kept], covariance=self.covariance[np.ix_(state, state)])
