@@ -171,7 +171,8 @@ def test_a_calibration_is_kept_in_the_file_and_old_files_still_load(quiet: Calib
     assert PAPER.calibration == Calibration()
     with pytest.raises(SkinError, match="not calibrated to newtons; run `ohmskin calibrate`"):
         PAPER.calibration.force(1e-4)
-    assert skin.transfer_model().conductivity[0] == quiet.conductivity
+    np.testing.assert_allclose(skin.transfer_model().conductivity, quiet.conductivity, rtol=0.03)
+    assert skin.transfer_model().conductivity.mean() == pytest.approx(PAPER.sheet.conductivity, rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from ohmskin.calibrate.force import ForceCurve, PressSample, fit_force
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
 from ohmskin.calibrate.self_test import SelfTest, self_test
+from ohmskin.calibrate.sheet import SheetFit, fit_sheet
 from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
 
 __all__ = [
@@ -15,9 +16,11 @@ __all__ = [
     "PressSample",
     "PressStep",
     "SelfTest",
+    "SheetFit",
     "calibrate_quiet",
     "diagnose",
     "fit_force",
+    "fit_sheet",
     "press_plan",
     "self_test",
     "terminal_pattern",

@@ -1,21 +1,35 @@
-"""Calibration of the untouched skin: conductivity, contacts, noise and drift."""
+"""Calibration of the untouched skin: electrodes, sheet, contacts, noise and drift."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.calibrate.measures import check_fit, mean_frame, measure_noise, scan_whole
-from ohmskin.calibrate.wiring import diagnose, terminal_pattern
+from ohmskin.calibrate.sheet import SheetFit, fit_sheet
+from ohmskin.calibrate.wiring import diagnose, potentials, terminal_pattern
 from ohmskin.device import Device
+from ohmskin.drive import complete_pattern
 from ohmskin.errors import DataError, DeviceError
-from ohmskin.scan import Frame
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Electrodes
+from ohmskin.scan import Frame, all_pairs
 from ohmskin.skin import Calibration, Skin
 
 _SCANS = 24
 _TELLING = 0.02  # share of a typical pair's resistance that the mesh may be off at an electrode
+_FINE = 0.25  # of the estimator's edges: a mesh on which a driven electrode's resistance is right to 0.3 %
 
 
-def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = _SCANS) -> Calibration:
+def calibrate_quiet(
+    device: Device,
+    skin: Skin,
+    version: str = "",
+    scans: int = _SCANS,
+    report: Callable[[str], None] = lambda sentence: None,
+) -> Calibration:
     """Measure the untouched skin. Forces come later, see `PressGuide` and `fit_force`.
 
     Args:
@@ -23,6 +37,7 @@ def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = 
         skin: What it should be; its own calibration, if any, is not used.
         version: Of ohmskin, to be noted down.
         scans: Scans of all pairs, 3 at least. The longer they take, the better is drift told from noise.
+        report: Told what the skin is like, and if electrodes and sheet cannot be told and stay as described.
 
     Raises:
         DataError: If an electrode is not in order; the message says which.
@@ -43,7 +58,7 @@ def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = 
     beyond = float(np.median(diagnosis.series))
     told = beyond > _TELLING * float(np.median(diagnosis.pair_resistances))
     noise = measure_noise(frames, list(range(n_elec)), skin)
-    return Calibration(
+    found = Calibration(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         version=version,
         made_for=skin.digest,
@@ -52,8 +67,66 @@ def calibrate_quiet(device: Device, skin: Skin, version: str = "", scans: int = 
         misfit=diagnosis.misfit,
         noise=noise.typical,
         drift=_drift(frames),
-        pair_resistances=tuple(float(f"{ohms:.7g}") for ohms in diagnosis.pair_resistances),
+        pair_resistances=_rounded(diagnosis.pair_resistances),
     )
+    try:
+        skin, fit = self_calibrated(replace(skin, calibration=found), mean, noise.typical / np.sqrt(scans))
+    except DataError as error:
+        report(f"electrodes and sheet stay as described: {error}")
+        return found
+    worst = int(np.argmax(fit.moved))
+    apart = f"{1e3 * fit.moved.mean():.2g} mm, electrode {worst} {1e3 * fit.moved[worst]:.2g} mm"
+    left = f"{100 * fit.before:.2g} % of the quiet voltages unexplained before, {100 * fit.after:.2g} % now"
+    report(f"electrodes are off by {apart}, the sheet is uneven by {100 * fit.uneven:.2g} %: {left}")
+    return skin.calibration
+
+
+def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, SheetFit]:
+    """The skin with its electrodes where they are, its sheet as uneven as it is, and its contacts as they are.
+
+    At corners a contact cannot be told from the sheet about it: no four-terminal resistance knows of either.
+
+    Args:
+        skin: With conductivity and pair resistances of its calibration.
+        frame: A quiet scan of `terminal_pattern`, best a mean of several.
+        noise: Standard deviation of its voltages (V).
+
+    Raises:
+        DataError: If no such skin explains the scan.
+    """
+    calibration, described = skin.calibration, skin.electrode.on(skin.domain)
+
+    def with_sheet(electrodes: Electrodes, log_conductivity: Floats) -> Skin:
+        places = tuple((float(x), float(y)) for x, y in electrodes.positions)
+        waves = log_conductivity - log_conductivity[0] * (np.arange(len(log_conductivity)) == 0)
+        level = calibration.conductivity * float(np.exp(log_conductivity[0]))
+        found = replace(calibration, positions=places, log_conductivity=_rounded(waves), conductivity=level)
+        return replace(skin, calibration=found)
+
+    def build(electrodes: Electrodes, log_conductivity: Floats) -> TransferModel:
+        return with_sheet(electrodes, log_conductivity).electrode_model()
+
+    pattern = complete_pattern(described)  # with the injections of the frame
+    which, plus, minus = pattern.measurements.T
+    volts, currents = potentials(frame, len(described)), frame.currents[which]
+    resistances = (volts[which, plus] - volts[which, minus]) / currents
+    fit = fit_sheet(skin.domain, described, build, pattern, resistances, np.sqrt(2) * noise / currents)
+    found = with_sheet(fit.model.electrodes, fit.log_conductivity)
+    mesh = found.mesh_for(found.discs, _FINE * skin.imaging.mesh_size)
+    beyond = (
+        calibration.pair_resistances - TransferModel(mesh, found.discs, found.conductivity_on(mesh)).pair_resistances
+    )
+    ends = np.zeros((len(beyond), len(described)))
+    np.put_along_axis(ends, all_pairs(len(described)), 1.0, axis=1)
+    impedances = np.maximum(skin.electrode.contact_impedance + np.linalg.lstsq(ends, beyond, rcond=None)[0], 0.0)
+    contacts, unexplained = _rounded(impedances), _rounded(np.array([fit.before, fit.after]))
+    told = replace(found.calibration, contact_impedances=contacts, unexplained=unexplained)
+    return replace(skin, calibration=told), fit
+
+
+def _rounded(values: Floats) -> tuple[float, ...]:
+    """Numbers as they are written down."""
+    return tuple(float(f"{value:.7g}") for value in values)
 
 
 def _drift(frames: list[Frame]) -> float:

@@ -10,7 +10,6 @@ from scipy.optimize import least_squares
 
 from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
-from ohmskin.geometry import mesh_domain
 from ohmskin.scan import all_pairs, pair_index, two_terminal
 from ohmskin.skin import Skin
 
@@ -210,9 +209,8 @@ def _sheet(skin: Skin) -> tuple[Floats, Floats]:
 
     The columns are the pair resistances, and their change with a conductivity that varies linearly and quadratically.
     """
-    electrodes = skin.electrodes.with_discs(skin.electrode.radius, skin.electrode.contact_resistivity)
-    mesh = mesh_domain(skin.domain, _MESH * skin.imaging.mesh_size)
-    model = TransferModel(mesh, electrodes, skin.sheet.conductivity)
+    mesh = skin.mesh_for(skin.discs, _MESH * skin.imaging.mesh_size)
+    model = TransferModel(mesh, skin.discs, skin.sheet.conductivity)
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     x, y = ((mesh.centroids - (low + high) / 2) / ((high - low).max() / 2)).T
     slow = np.column_stack([x, y, x * x, x * y, y * y]) * model.conductivity[:, None]

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 import ohmskin
@@ -13,6 +14,7 @@ from ohmskin.cli.options import SkinName, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DataError, DeviceError
 from ohmskin.plot.calibration import save_calibration
+from ohmskin.sensing import mode_named
 from ohmskin.skin import Calibration, Press, Skin
 
 _TIP = 8e-3  # m, radius of the virtual finger
@@ -35,7 +37,7 @@ def calibrate(
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
         out: File for the calibrated skin; NAME-calibrated.toml unless given.
-        picture: Also save the curve as a picture, such as force.png.
+        picture: Also save the sheet as found, and the curve, as a picture, such as calibration.png.
         mode: Drive mode to calibrate; the skin's best unless given.
         weights: Weights to put on (g), all on the same small foot.
         places: At how many places.
@@ -45,26 +47,29 @@ def calibrate(
     opened, description = open_skin(device, skin)
     description = replace(description, calibration=Calibration())
     path = out or Path(f"{description.name}-calibrated.toml")
-    with opened, Engine(lambda: opened, description, mode) as engine:
+    with opened:
+        mode_named(description, mode)
         plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
-        for file in (path, picture) if picture and force else (path,):
+        for file in (path, picture) if picture else (path,):
             _check_writable(file)  # now, rather than after an hour of presses
         console.print("measuring the quiet skin; nothing may touch it")
-        found = calibrate_quiet(opened, description, ohmskin.__version__)
-        more = found.contact_resistance
-        contact = f"{more:.3g} ohm more than described" if more else "as described"
-        sheet = f"sheet {1e3 * found.conductivity:.4g} mS per square, misfit {100 * found.misfit:.2g} %"
-        console.print(f"{sheet}; contacts {contact}")
+        found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
+        if ohms := found.contact_impedances:
+            contacts = f"contacts about {np.median(ohms):.2g} ohm"
+        else:
+            contacts = f"contacts {found.contact_resistance:.2g} ohm more than described"
+        console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square; {contacts}")
         console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
+        calibrated, guide, curve = replace(description, calibration=found), PressGuide(plan), None
         if force:
-            console.print(f"learning what mode {engine.mode.name} sees of it")
-            engine.calibrate()
-            guide = PressGuide(plan)
-            _walk(engine, guide, description)
-            curve = fit_force(guide.samples)
-            found = curve.put_into(replace(found, mode=engine.mode.name))
+            with Engine(lambda: opened, calibrated, mode) as engine:
+                console.print(f"learning what mode {engine.mode.name} sees of it")
+                engine.calibrate()
+                _walk(engine, guide, calibrated)
+                curve = fit_force(guide.samples)
+                found = curve.put_into(replace(found, mode=engine.mode.name))
             console.print(
-                f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {engine.mode.name}: "
+                f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
                 f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
                 f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
             )
@@ -73,8 +78,8 @@ def calibrate(
                 console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
     write(path, replace(description, calibration=found).dump())
     console.print(f"wrote {path}; use it with --skin {path}")
-    if picture is not None and force:
-        save_calibration(picture, guide.samples, curve)
+    if picture is not None:
+        save_calibration(picture, calibrated, guide.samples, curve)
 
 
 def _check_writable(path: Path) -> None:

@@ -1,5 +1,6 @@
 """What an estimator believes of a sheet, and what may be wrong with that."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,10 +8,11 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.worlds import LAYOUTS
 from ohmskin.forward import TransferModel
-from ohmskin.geometry import Electrodes, Mesh, mesh_domain
+from ohmskin.forward.conductivity import cosines
+from ohmskin.geometry import Domain, Electrodes, mesh_domain
 from ohmskin.skin import Skin
 
-_WAVES = 4  # half waves along a side of the sheet, up to which the believed conductivity is wavy
+_BUMP = 30e-3  # m, width of the bumps of an uneven sheet
 
 
 @dataclass(frozen=True)
@@ -22,27 +24,40 @@ class Flaw:
         since: Whether it grew after the calibration, so that the reference does not know it.
         misplaced: Distance between where an electrode is and where it is believed to be (m); in a random direction, on
             the rim along it.
-        uneven: Standard deviation of the believed conductivity, as a share; smooth, with half waves of 50 mm and
-            longer.
-        draw: Which random directions and waves.
+        uneven: Standard deviation of the believed conductivity, as a share; smooth, of bumps of some 30 mm.
+        calibrated: Whether places of electrodes and conductivity are then told from quiet voltages, see `fit_sheet`.
+        draw: Which random directions and bumps.
     """
 
     wear: float = 1.0
     since: bool = False
     misplaced: float = 0.0
     uneven: float = 0.0
+    calibrated: bool = False
     draw: int = 0
 
 
 SOUND = Flaw()
 
 
-def believed(layout: str = "grid", flaw: Flaw = SOUND) -> TransferModel:
-    """The estimator's model of the untouched sheet, with the electrodes where they are believed to be."""
+Build = Callable[[Electrodes, Floats], TransferModel]
+
+
+def believed(layout: str = "grid", flaw: Flaw = SOUND) -> tuple[Electrodes, Build]:
+    """Where the electrodes are believed to be, and what makes models of the untouched sheet as it is believed to be.
+
+    They have electrodes where they are told, and a factor on the conductivity as `fit_sheet` takes it.
+    """
     skin, random = Skin.load(LAYOUTS[layout]), np.random.default_rng([flaw.draw, 7])
-    electrodes = misplaced(skin, flaw.misplaced, random) if flaw.misplaced else skin.electrodes
-    mesh = mesh_domain(skin.domain, skin.imaging.mesh_size, electrodes.positions)
-    return TransferModel(mesh, electrodes, skin.sheet.conductivity * (1 + flaw.uneven * waves(mesh, random)))
+    placed = misplaced(skin, flaw.misplaced, random) if flaw.misplaced else skin.electrodes
+    uneven = Bumps(skin.domain, random)
+
+    def build(electrodes: Electrodes, log_conductivity: Floats) -> TransferModel:
+        mesh = skin.mesh_for(electrodes)
+        even = skin.sheet.conductivity * np.exp(cosines(mesh.centroids, skin.domain.bounds, log_conductivity))
+        return TransferModel(mesh, electrodes, even * (1 + flaw.uneven * uneven(mesh.centroids)))
+
+    return placed, build
 
 
 def misplaced(skin: Skin, distance: float, random: np.random.Generator) -> Electrodes:
@@ -59,12 +74,21 @@ def misplaced(skin: Skin, distance: float, random: np.random.Generator) -> Elect
     return true.mapped(lambda _: moved)
 
 
-def waves(mesh: Mesh, random: np.random.Generator) -> Floats:
-    """A smooth random field (n_elem,) of mean zero and standard deviation one over the sheet."""
-    at = (mesh.centroids - mesh.nodes.min(axis=0)) / np.ptp(mesh.nodes, axis=0)
-    kx, ky = np.meshgrid(np.arange(_WAVES + 1), np.arange(_WAVES + 1))
-    terms = np.cos(np.pi * np.outer(at[:, 0], kx.ravel())) * np.cos(np.pi * np.outer(at[:, 1], ky.ravel()))
-    field = terms @ random.standard_normal(kx.size)
-    field -= np.average(field, weights=mesh.measures)
-    unit: Floats = field / np.sqrt(np.average(field**2, weights=mesh.measures))
-    return unit
+class Bumps:
+    """A smooth random field of mean zero and standard deviation one over a sheet."""
+
+    def __init__(self, domain: Domain, random: np.random.Generator) -> None:
+        x0, y0, x1, y1 = domain.bounds
+        count = max(4, round(4 * (x1 - x0 + 2 * _BUMP) * (y1 - y0 + 2 * _BUMP) / (np.pi * _BUMP**2)))
+        self._places = random.uniform((x0 - _BUMP, y0 - _BUMP), (x1 + _BUMP, y1 + _BUMP), (count, 2))
+        self._heights = random.standard_normal(count)
+        self._mean, self._std = 0.0, 1.0
+        mesh = mesh_domain(domain, (x1 - x0) / 50)
+        values = self(mesh.centroids)
+        self._mean = float(np.average(values, weights=mesh.measures))
+        self._std = float(np.sqrt(np.average((values - self._mean) ** 2, weights=mesh.measures)))
+
+    def __call__(self, points: Floats) -> Floats:
+        """Values (n,) at points (n, 2) (m)."""
+        squares = ((points[:, None] - self._places) ** 2).sum(axis=-1)
+        return np.asarray((np.exp(-squares / (2 * _BUMP**2)) @ self._heights - self._mean) / self._std)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ohmskin import drive as drives
 from ohmskin.arrays import Floats
+from ohmskin.calibrate.sheet import fit_sheet
 from ohmskin.contacts import Contact, ContactFitter, find_regions
 from ohmskin.drive import DRIVES, Drive, DriveSettings, complete_pattern
 from ohmskin.evaluate import worlds
@@ -108,12 +109,21 @@ class Setup:
         self.noise, skin = worlds.noise_volts(world, decibels), worlds.skin_of(world, layout)
         if amplitude is not None:
             skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
-        model = believed(layout, flaw)
-        rings = model.electrodes.rings
-        patterns = [adjacent(rings[:1]), adjacent(rings), complete_pattern(model.electrodes)]
+        electrodes, make = believed(layout, flaw)
+        rings, complete = electrodes.rings, complete_pattern(electrodes)
+        patterns = [adjacent(rings[:1]), adjacent(rings), complete]
         patterns = needed(driven for pattern in patterns for driven in (pattern, pattern.with_driven))
         self._calm = worlds.sheet(world, layout, 1.0 if flaw.since else flaw.wear).untouched  # at calibration
         scans = [self._device(self._calm, (_CALIBRATION, k)) for k in range(QUIET)]
+        log_conductivity = np.zeros(1)
+        if flaw.calibrated:
+            measured = np.mean([scan(complete).voltages for scan in scans], axis=0) / CURRENT
+            if world != "discs":  # which have point electrodes
+                electrodes = electrodes.with_discs(skin.electrode.radius, skin.electrode.contact_resistivity)
+            noise = self.noise / CURRENT / np.sqrt(QUIET)
+            fit = fit_sheet(skin.domain, electrodes, make, complete, measured, noise)
+            electrodes, log_conductivity = fit.model.electrodes.with_points(), fit.log_conductivity
+        model = make(electrodes, log_conductivity)
         # discs have point electrodes, which have no contact impedance
         impedances = np.zeros(len(model.electrodes)) if world == "discs" else None
         quiet = [scan(pattern) for pattern in patterns for scan in scans]

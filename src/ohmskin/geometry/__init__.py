@@ -6,7 +6,7 @@ from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.files import read_mesh, write_mesh
 from ohmskin.geometry.graded import mesh_graded, mesh_surface
 from ohmskin.geometry.mesh import Mesh
-from ohmskin.geometry.meshing import mesh_domain
+from ohmskin.geometry.meshing import electrode_points, mesh_domain
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import Raster
 from ohmskin.geometry.thick import thicken
@@ -21,6 +21,7 @@ __all__ = [
     "Polygon",
     "Raster",
     "Rectangle",
+    "electrode_points",
     "mesh_domain",
     "mesh_graded",
     "mesh_surface",

@@ -4,25 +4,62 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ohmskin.calibrate import ForceCurve, PressSample, SelfTest
+from ohmskin.geometry import Raster
 from ohmskin.plot.picture import outline, save_figure
 from ohmskin.scan import all_pairs
 from ohmskin.skin import Calibration, Skin
 
 _UP, _DOWN = "#2166ac", "#d6604d"
+_LONGER = 5
 _GOOD, _BAD = "#1b7837", "#c51b22"
 
 
-def save_calibration(path: Path, samples: Sequence[PressSample], curve: ForceCurve) -> None:
-    """Save the curve, loading and unloading, and what is left over, as a picture; the file's ending chooses the format.
+def save_calibration(path: Path, skin: Skin, samples: Sequence[PressSample], curve: ForceCurve | None) -> None:
+    """Save the sheet as it was found, and the curve to newtons, if any, loading and unloading, and what is left over.
+
+    The file's ending chooses the format.
 
     Raises:
         DataError: If the file cannot be written.
     """
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = Figure(figsize=(15, 4.6) if curve else (5.6, 4.6), layout="constrained")
+    first, *others = figure.subplots(1, 3 if curve else 1, squeeze=False)[0]
+    _draw_sheet(first, skin)
+    if curve:
+        _draw_curve(others[0], others[1], samples, curve)
+    save_figure(figure, path, dpi=130)
+
+
+def _draw_sheet(axes: Axes, skin: Skin) -> None:
+    """Conductivity against its mean, and how electrodes are displaced, `_LONGER` times as far."""
+    raster = Raster(skin.mesh(), 80)
+    values = skin.conductivity_on(skin.mesh())
+    change = 100 * raster(values / values.mean() - 1)
+    x0, y0, x1, y1 = (1e3 * bound for bound in skin.domain.bounds)
+    most = max(float(np.nanmax(np.abs(change))), 1.0)
+    shown = axes.imshow(change, origin="lower", extent=(x0, x1, y0, y1), cmap="RdBu_r", vmin=-most, vmax=most)
+    label = "conductivity against its mean / %"
+    axes.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.04, 1.0)), label=label)
+    axes.plot(*outline(skin.domain).T, color="0.4", linewidth=0.8)
+    described = 1e3 * skin.electrode.on(skin.domain).positions
+    moved = 1e3 * skin.electrodes.positions - described
+    axes.plot(*described.T, "o", color="0.3", markersize=4, clip_on=False)
+    there = described + _LONGER * moved
+    axes.plot(*np.stack([described, there]).transpose(2, 0, 1), color="black", linewidth=1.5, clip_on=False)
+    axes.set(xlabel="x / mm", ylabel="y / mm", aspect="equal", xlim=(x0 - 8, x1 + 8), ylim=(y0 - 8, y1 + 8))
+    farthest = float(np.linalg.norm(moved, axis=1).max())
+    title = f"electrodes off by up to {farthest:.2g} mm (lines: {_LONGER} times)"
+    if skin.calibration.unexplained:
+        before, after = (f"{100 * share:.2g} %" for share in skin.calibration.unexplained)
+        title += f"\nunexplained: {before} as described, {after} as found"
+    axes.set_title(title, fontsize=9)
+
+
+def _draw_curve(left: Axes, right: Axes, samples: Sequence[PressSample], curve: ForceCurve) -> None:
     calibration = Calibration(strengths=curve.strengths, forces=curve.forces)
     line = np.linspace(0, 1.05 * max(sample.strength for sample in samples), 300)
     left.plot(1e6 * line, calibration.force(line), color="0.3", linewidth=1.2, label="calibration")
@@ -41,7 +78,6 @@ def save_calibration(path: Path, samples: Sequence[PressSample], curve: ForceCur
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, fontsize=8)
-    save_figure(figure, path, dpi=130)
 
 
 def save_self_test(path: Path, result: SelfTest, skin: Skin) -> None:

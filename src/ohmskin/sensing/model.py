@@ -146,6 +146,8 @@ class SkinModel:
         if self._impedances is not None:
             return self._impedances
         described, quiet = self.skin.electrode.contact_impedance, self.quiet.driven
+        if calibrated := self.skin.calibration.contact_impedances:
+            return np.fmax(calibrated, described)
         found = np.full(len(self.skin.electrodes), described)
         if quiet is None:
             return found

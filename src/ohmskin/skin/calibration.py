@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import SkinError
-from ohmskin.skin.checks import check_table, number, numbers
+from ohmskin.geometry import Domain
+from ohmskin.skin.checks import check_table, number, numbers, places
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,12 @@ class Calibration:
         made_for: `Skin.digest` of what it was made for.
         mode: Drive mode that the strengths were measured in.
         conductivity: Fitted sheet conductivity (S per square).
+        positions: (n_elec, 2) where the electrodes were found (m); as described unless given.
+        log_conductivity: (n_waves^2,) coefficients of `forward.conductivity.cosines`, a field by which the logarithm of
+            the conductivity differs from place to place; even unless given.
+        contact_impedances: (n_elec,) of the electrodes (ohm); as described unless given.
+        unexplained: Root mean square of what is left of four-terminal resistances, as a share of theirs: as described,
+            and with positions and conductivity as found.
         contact_resistance: Median series resistance at an electrode beyond the described (ohm); 0 if too small to tell.
         misfit: Root mean square of measured less modelled pair resistances, as a share of the resistance.
         noise: Standard deviation of a voltage (V).
@@ -36,6 +43,10 @@ class Calibration:
     made_for: str = ""
     mode: str = ""
     conductivity: float = number(0.0, 0, 1e6, "S per square")
+    positions: tuple[tuple[float, float], ...] = ()
+    log_conductivity: tuple[float, ...] = numbers(10, "", -10)
+    contact_impedances: tuple[float, ...] = numbers(1e9, "ohm")
+    unexplained: tuple[float, ...] = numbers(1e3)
     contact_resistance: float = number(0.0, 0, 1e9, "ohm")
     misfit: float = number(0.0, 0, 1e3, "")
     noise: float = number(0.0, 0, 1e3, "V")
@@ -47,13 +58,24 @@ class Calibration:
     hysteresis: float = number(0.0, 0, 1e3, "")
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", places(self.positions))
         check_table("calibration", self)
+        if len(self.log_conductivity) != round(len(self.log_conductivity) ** 0.5) ** 2:
+            raise SkinError(f"calibration.log_conductivity has {len(self.log_conductivity)} entries; 36, or a square")
         if len(self.strengths) != len(self.forces) or len(self.strengths) == 1:
             counts = f"{len(self.strengths)} strengths and {len(self.forces)} forces"
             raise SkinError(f"calibration has {counts}; as many of both, two or more")
         for name, values in (("strengths", self.strengths), ("forces", self.forces)):
             if any(b <= a for a, b in pairwise(values)):
                 raise SkinError(f"calibration.{name} must rise from each to the next; they are {list(values)}")
+
+    def check(self, domain: Domain, n_elec: int) -> None:
+        """Raise SkinError unless what was found fits a sheet with so many electrodes."""
+        for name, given in (("positions", self.positions), ("contact_impedances", self.contact_impedances)):
+            if given and len(given) != n_elec:
+                raise SkinError(f"calibration.{name} has {len(given)} entries for {n_elec} electrodes; calibrate again")
+        if self.positions and not (domain.depth(self.positions) > -1e-6).all():
+            raise SkinError("calibration.positions has electrodes off the sheet; calibrate again")
 
     def force(self, strength: ArrayLike) -> NDArray[np.float64]:
         """The force (N) of contacts of some `strength` (m2), any shape: a monotone curve through what was measured.

@@ -53,9 +53,9 @@ def number(default: float, low: float, high: float, unit: str = "") -> Any:
     return field(default=default, metadata={"low": low, "high": high, "unit": unit})
 
 
-def numbers(high: float, unit: str = "") -> Any:
-    """A list of numbers within 0..high, empty unless given."""
-    return field(default=(), metadata={"low": 0.0, "high": high, "unit": unit})
+def numbers(high: float, unit: str = "", low: float = 0.0) -> Any:
+    """A list of numbers within low..high, empty unless given."""
+    return field(default=(), metadata={"low": low, "high": high, "unit": unit})
 
 
 def choice(default: str, *choices: str) -> Any:
@@ -95,6 +95,13 @@ def _range(told: Any) -> str:
 def is_number(value: Any) -> bool:
     """Whether a value of a TOML file is a number, which true and false are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def places(given: Any) -> Any:
+    """Places as they are kept: TOML gives lists, and a description must be hashable."""
+    if not isinstance(given, list | tuple):
+        return given
+    return tuple(tuple(place) if isinstance(place, list) else place for place in given)
 
 
 def _is_place(place: Any) -> bool:

@@ -17,7 +17,8 @@ from ohmskin.arrays import Floats
 from ohmskin.drive import Candidates, complete_pattern, pair_currents
 from ohmskin.errors import SkinError
 from ohmskin.forward import ContactTable, TransferModel, VoltageSource
-from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Rectangle, mesh_domain
+from ohmskin.forward.conductivity import cosines
+from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Rectangle, electrode_points, mesh_domain
 from ohmskin.scan import Cost, n_pairs
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.checks import check_names, check_table, choice, number, read_text, read_toml
@@ -28,6 +29,7 @@ _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
 _UNCALIBRATED, _LAYOUT = Calibration(), ElectrodeLayout()
 _LARGEST_FILE = 2**20
 _CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
+_CLOSEST = 0.02  # share of the edges of a mesh that its nodes are apart at an electrode
 _FORMER = {"bipolar": "falls"}  # entries by the names that files written before 0.2 have, and digests keep
 
 
@@ -120,6 +122,8 @@ class Skin:
             if table.name not in ("name", "modes"):
                 check_table(table.name, getattr(self, table.name))
         self.electrode.check(self.domain)
+        if self.calibration.positions or self.calibration.contact_impedances:
+            self.calibration.check(self.domain, len(self.electrode.on(self.domain)))
         if self.calibration.date and self.calibration.made_for != self.digest:
             raise SkinError(
                 f"the calibration of {self.calibration.date} was made for another skin (sheet, electrodes, imaging "
@@ -207,8 +211,14 @@ class Skin:
 
     @cached_property
     def electrodes(self) -> Electrodes:
-        """The electrode layout."""
-        return self.electrode.on(self.domain)
+        """The electrodes, where they are described, or where a calibration found them."""
+        described, found = self.electrode.on(self.domain), self.calibration.positions
+        return described.mapped(lambda _: found) if found else described
+
+    @property
+    def discs(self) -> Electrodes:
+        """The electrodes of their real size."""
+        return self.electrodes.with_discs(self.electrode.radius, self.electrode.contact_resistivity)
 
     @property
     def cost(self) -> Cost:
@@ -250,16 +260,33 @@ class Skin:
 
     def mesh(self) -> Mesh:
         """The estimator's mesh, with a node at every electrode."""
-        return mesh_domain(self.domain, self.imaging.mesh_size, self.electrodes.positions)
+        return self.mesh_for(self.electrodes)
+
+    def mesh_for(self, electrodes: Electrodes, size: float = 0.0) -> Mesh:
+        """A mesh of the sheet with edges `size` (m), the estimator's unless given, and a node at every electrode.
+
+        It is finer where discs are, see `electrode_points`.
+        """
+        size = size or self.imaging.mesh_size
+        if not electrodes.are_areas.any():
+            return mesh_domain(self.domain, size, electrodes.positions)
+        points = electrode_points(self.domain, electrodes, 1.05 * _CLOSEST * size)
+        return mesh_domain(self.domain, size, points, closest=_CLOSEST)
+
+    def conductivity_on(self, mesh: Mesh) -> Floats:
+        """The conductivity (n_elem,) of the untouched sheet on a mesh, as calibrated, if it is (S per square)."""
+        level, uneven = self.calibration.conductivity or self.sheet.conductivity, self.calibration.log_conductivity
+        return level * np.exp(cosines(mesh.centroids, self.domain.bounds, uneven or (0.0,)))
 
     def transfer_model(self) -> TransferModel:
-        """The estimator's forward model of the untouched sheet, factorised; of the calibrated conductivity, if any."""
-        return TransferModel(self.mesh(), self.electrodes, self.calibration.conductivity or self.sheet.conductivity)
+        """The estimator's forward model of the untouched sheet, factorised."""
+        mesh = self.mesh()
+        return TransferModel(mesh, self.electrodes, self.conductivity_on(mesh))
 
     def electrode_model(self) -> TransferModel:
         """The same with electrodes of their real size, which driven electrodes need to have a resistance."""
-        discs = self.electrodes.with_discs(self.electrode.radius, self.electrode.contact_resistivity)
-        return TransferModel(mesh_domain(self.domain, self.imaging.mesh_size), discs, self.sheet.conductivity)
+        mesh = self.mesh_for(self.discs)
+        return TransferModel(mesh, self.discs, self.conductivity_on(mesh))
 
 
 @lru_cache(maxsize=8)

@@ -8,7 +8,7 @@ import numpy as np
 from ohmskin.drive import arranged
 from ohmskin.errors import GeometryError, SkinError
 from ohmskin.geometry import Domain, Electrodes, Rectangle
-from ohmskin.skin.checks import choice, number
+from ohmskin.skin.checks import choice, number, places
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,7 @@ class ElectrodeLayout:
     positions: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        given = self.positions  # TOML gives lists; a description must be hashable
-        if isinstance(given, list | tuple):
-            pairs = tuple(tuple(place) if isinstance(place, list) else place for place in given)
-            object.__setattr__(self, "positions", pairs)
+        object.__setattr__(self, "positions", places(self.positions))
 
     @property
     def contact_impedance(self) -> float:

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
-from ohmskin.geometry import mesh_domain
 from ohmskin.skin.description import Skin
 
 _SAMPLES = 4  # points along each side of a patch at which it touches the sheet
@@ -63,7 +62,7 @@ class PressedSheet:
     Electrodes are discs with contact impedance (`TransferModel`), patches floating conductors (`FloatingPatches`).
 
     Args:
-        skin: What to model. The sheet's mesh has finer edges than the estimator's and no node at the electrodes.
+        skin: What to model. The sheet's mesh has finer edges than the estimator's.
         contact_factors: Factor on each electrode's contact impedance (n_elec,), for poor contacts.
 
     Attributes:
@@ -73,11 +72,11 @@ class PressedSheet:
 
     def __init__(self, skin: Skin, contact_factors: ArrayLike = 1.0) -> None:
         self.skin = skin
-        self.mesh = mesh_domain(skin.domain, 0.66 * skin.imaging.mesh_size)
+        self.mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
         factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
         resistivity = skin.electrode.contact_resistivity * factors
-        electrodes = skin.electrodes.with_discs(skin.electrode.radius, resistivity)
-        model = TransferModel(self.mesh, electrodes, skin.sheet.conductivity)
+        electrodes = skin.discs.with_contact_impedances(resistivity)
+        model = TransferModel(self.mesh, electrodes, skin.conductivity_on(self.mesh))
         self._patches = FloatingPatches(model, *self._patch_points())
         self._tree = cKDTree(self._patches.points)
         self.untouched: Floats = _against_last(model.transfer_resistance)

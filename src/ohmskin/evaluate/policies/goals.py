@@ -9,7 +9,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power
-from ohmskin.evaluate.policies.plan import Settings
+from ohmskin.evaluate.policies.plan import OFF, TOLD, Settings
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.result import Outcome, Result
@@ -122,17 +122,31 @@ def _static(done: Done) -> Iterator[Goal]:
                 yield _ratio("static", text, limit, ours, theirs, data, note, main)
 
 
-def _driven(done: Done) -> Iterator[Goal]:
+def driven_groups(done: Done) -> Iterator[tuple[str, float, str, Static, Result]]:
+    """World, noise level, flaw, experiment and results, all draws of a flaw beside each other as seeds."""
+    groups: dict[str, list[tuple[Static, Result]]] = {}
     for name, task, result in done.of("driven"):
+        groups.setdefault(name.rpartition("/")[0], []).append((task, result))
+    for name, ran in groups.items():
         world, decibels, flaw = name.split("/")
-        away, where = errors(result), f"{NAMES[world]}, {decibels} dB, flaw since calibration: {flaw}"
+        merged = dict(ran[0][1])
+        for key in ("estimate", "stated", "nees"):
+            merged[key] = np.concatenate([result[key] for _, result in ran], axis=2)
+        yield world, float(decibels), flaw, ran[0][0], merged
+
+
+def _driven(done: Done) -> Iterator[Goal]:
+    sound: dict[tuple[str, float], Floats] = {}
+    for world, decibels, flaw, task, result in driven_groups(done):
+        away, where = errors(result), f"{NAMES[world]}, {decibels:g} dB, flaw: {flaw}"
         seen = {key: away[task.schemes.index(key), task.readers.index("fit, driven")] for key in task.schemes}
-        data = f"{task.seeds} seeds, {len(result['truth'])} places, {task.corners} of them in the corners"
+        sound.setdefault((world, decibels), seen["16P"])
+        data = f"{away.shape[2]} seeds, {len(result['truth'])} places, {task.corners} of them in the corners"
         asked = {
-            ("discs", "40", "none"): (("16O fused", 1.6, False), ("16P", 1.3, False)),
-            ("pressed", "50", "none"): (("16P", 1.1, False), ("16P", 1.0, True)),
-            ("pressed", "50", "contact impedance x 1.2"): (("16P", 1.2, False),),
-            ("pressed", "50", "contact impedance x 3"): (("16P", 2.0, False),),
+            ("discs", 40.0, "none"): (("16O fused", 1.6, False), ("16P", 1.3, False)),
+            ("pressed", 50.0, "none"): (("16P", 1.1, False), ("16P", 1.0, True)),
+            ("pressed", 50.0, "contact impedance x 1.2"): (("16P", 1.2, False),),
+            ("pressed", 50.0, "contact impedance x 3"): (("16P", 2.0, False),),
         }
         for key, limit, corners in asked.get((world, decibels, flaw), ()):
             text = (
@@ -140,8 +154,12 @@ def _driven(done: Done) -> Iterator[Goal]:
             )
             here = 1e3 * seen[key][:, -task.corners :] if corners else 1e3 * seen[key]
             yield Goal("driven", f"{text} ({where})", limit, True, mean(here), "mm", data)
-        text = f"Driven electrodes measured, fit: mean error of 16P over that of the best fixed set of 28 ({where})"
-        yield _ratio("driven", text, 1.0, seen["16P"], seen["best"], data, "RATIO", flaw == "none")
+        if flaw in (OFF, TOLD):
+            text = f"Driven electrodes measured, fit: mean error of 16P over that on the sound skin ({where})"
+            yield _ratio("driven", text, 1.1, seen["16P"], sound[world, decibels], data, "RATIO", flaw == TOLD)
+        else:
+            text = f"Driven electrodes measured, fit: mean error of 16P over that of the best fixed set of 28 ({where})"
+            yield _ratio("driven", text, 1.0, seen["16P"], seen["best"], data, "RATIO", flaw == "none")
 
 
 def _time(done: Done) -> Iterator[Goal]:

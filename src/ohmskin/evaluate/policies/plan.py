@@ -1,5 +1,6 @@
 """Which experiments make up the comparison of policies: one place that names every level, count and distance."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Self
@@ -21,7 +22,15 @@ READ = ("centroid", "fit")  # readers
 CORNERS = 20  # places 10 to 18 mm from both sides
 DRIVEN = ("fit", "fit, driven")  # without and with the electrodes that carry the current
 SCHEMES = ("12B", "16I", "best/16", "16P/16", "best", "16O fused", "16P")
-SINCE = {"none": SOUND, "contact impedance x 1.2": Flaw(1.2, True), "contact impedance x 3": Flaw(3.0, True)}
+OFF = "electrodes 2 mm off, uneven by 5 %"
+TOLD = f"{OFF}, self-calibrated"
+WITH_DRIVEN = {  # flaws; those of contact impedance came after the calibration
+    "none": SOUND,
+    "contact impedance x 1.2": Flaw(1.2, True),
+    "contact impedance x 3": Flaw(3.0, True),
+    OFF: Flaw(misplaced=2e-3, uneven=0.05),
+    TOLD: Flaw(misplaced=2e-3, uneven=0.05, calibrated=True),
+}
 FLAWS = {
     "none": SOUND,
     "contact impedance x 3": Flaw(wear=3.0),
@@ -95,11 +104,12 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
         for others in (0, 1, 2):
             found["detection"][f"{world}/{others}"] = Detection(world, level, s.trials, others)
     for (world, decibels), (name, flaw) in product(
-        (("discs", 40.0), ("discs", 50.0), ("pressed", 50.0)), SINCE.items()
+        (("discs", 40.0), ("discs", 50.0), ("pressed", 50.0)), WITH_DRIVEN.items()
     ):
-        if world == "pressed" or flaw is SOUND:  # point electrodes have no contact impedance
-            task = Static(world, decibels, s.seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
-            found["driven"][f"{world}/{decibels:g}/{name}"] = replace(task, flaw=flaw)
+        if world == "pressed" or not flaw.since:  # point electrodes have no contact impedance
+            for draw, seeds, own in _draws(flaw, s):
+                usual = Static(world, decibels, seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
+                found["driven"][f"{world}/{decibels:g}/{name}/{draw}"] = replace(usual, flaw=own, first=draw * seeds)
     blocks = max(1, s.quiet // 12_500)
     for block in range(blocks):  # a quiet skin is noise alone: one world is as good as the other
         found["quiet"][f"discs/{block}"] = Quiet("discs", level, s.quiet // blocks, seed=block)
@@ -112,13 +122,18 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
         found["pairs"][f"told/{name}"] = Pairs(decibels, s.seeds, s.singles, *discs)
         found["pairs"][f"limit/{name}"] = PairLimits(decibels, *discs)
     for name, flaw in FLAWS.items():
-        drawn = flaw.misplaced or flaw.uneven
-        for draw in range(s.draws if drawn else 1):
-            seeds = -(-s.seeds // s.draws) if drawn else s.seeds
-            drawn_flaw, first, side = replace(flaw, draw=draw), draw * seeds, min(s.side, 5)
+        for draw, seeds, own in _draws(flaw, s):
+            first, side = draw * seeds, min(s.side, 5)
             frames, trackers = ("16I", "best", "16O fused", "16P"), ("16T/4", "rotating/4")
-            static = Static("pressed", s.levels[-1], seeds, frames, READ, side, 0, 0, "", drawn_flaw, first)
-            moving = Moving("pressed", s.levels[-1], seeds, s.frames, (), (), trackers, drawn_flaw, first)
+            static = Static("pressed", s.levels[-1], seeds, frames, READ, side, 0, 0, "", own, first)
+            moving = Moving("pressed", s.levels[-1], seeds, s.frames, (), (), trackers, own, first)
             found["robust"][f"static/{name}/{draw}"], found["robust"][f"moving/{name}/{draw}"] = static, moving
     found["cost"]["tracker"] = Cost(level, frames=s.timed)
     return chosen(found, only, "section")
+
+
+def _draws(flaw: Flaw, settings: Settings) -> Iterator[tuple[int, int, Flaw]]:
+    """Number, noise seeds and flaw of each draw of a flaw; of one that is not random there is one."""
+    draws = settings.draws if flaw.misplaced or flaw.uneven else 1
+    for draw in range(draws):
+        yield draw, -(-settings.seeds // draws), replace(flaw, draw=draw)

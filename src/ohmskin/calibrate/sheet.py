@@ -1,0 +1,204 @@
+"""What a quiet skin is really like: where its electrodes are, how even its sheet is, from one complete scan in volts.
+
+Screws go in a millimetre or two off, and a sprayed sheet is uneven by some per cent; both cost more accuracy than noise
+does. The four-terminal resistances of all injections, in which contact resistances do not count, tell both:
+Gauss-Newton from the description, with priors of what may well be, on the estimator's own mesh, so that what that gets
+wrong of the untouched sheet is made good, too.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.errors import DataError, ModelError, OhmskinError
+from ohmskin.forward import TransferModel
+from ohmskin.forward.conductivity import cosines
+from ohmskin.geometry import Domain, Electrodes
+from ohmskin.scan import DrivePattern, all_pairs
+
+WAVES = 6  # half waves of the logarithm of the conductivity along each side, 0 to 5
+_PLACE = 0.01  # standard deviation of an electrode's place, as a share of the sheet's shorter side: 2 mm of 20 cm
+_UNEVEN = 0.05  # of the conductivity
+_LEVEL = 1.0  # of the logarithm of its mean
+_ERROR = 2e-3  # error of the model, as a share of a resistance
+_FLOOR = 0.3  # the same of one that is nearly zero, as a share of that of a typical one
+_CORNER = 4e-3  # share of the shorter side within which an electrode is at a corner, where a mesh has a node
+_REACH = 2.5  # radii of an electrode within which the field that it stands in is told
+_ROUNDS = 8
+_CONVERGED = 1e-2  # share of the cost by which a round must lower it
+_EXPLAINED = 2.0  # root mean square of what is left, in standard deviations, above which the sheet is not like this
+_FARTHEST = 4.0  # standard deviations by which an electrode may be off
+
+Build = Callable[[Electrodes, Floats], TransferModel]
+
+
+@dataclass(frozen=True, eq=False)
+class SheetFit:
+    """A model of the untouched skin that explains what was measured.
+
+    Args:
+        model: With electrodes where they are, and the sheet as it is.
+        log_conductivity: (`WAVES`^2,) coefficients of `cosines`: logarithm of its factor on the described conductivity.
+        moved: (n_elec,) how far electrodes are from where they are described (m).
+        uneven: Standard deviation of the conductivity over the sheet, as a share of its mean.
+        before: Root mean square of what the description leaves of four-terminal resistances, at the best mean
+            conductivity, as a share of theirs.
+        after: The same of the fit.
+    """
+
+    model: TransferModel
+    log_conductivity: Floats = field(repr=False)
+    moved: Floats = field(repr=False)
+    uneven: float
+    before: float
+    after: float
+
+
+def fit_sheet(
+    domain: Domain,
+    described: Electrodes,
+    build: Build,
+    pattern: DrivePattern,
+    resistances: Floats,
+    noise: Floats | float,
+) -> SheetFit:
+    """Fit places of electrodes, along the rim for those on it, and conductivity to the untouched skin.
+
+    Args:
+        domain: The sheet, flat.
+        described: The electrodes as described.
+        build: A model of the sheet with electrodes there and such a factor on its conductivity.
+        pattern: What was driven, without driven electrodes.
+        resistances: (n_meas,) measured transfer resistances (ohm); what is not finite is left out.
+        noise: Their standard deviation, one or (n_meas,) (ohm).
+
+    Raises:
+        DataError: If no such sheet explains the data; the message says how much is left.
+    """
+    known = np.isfinite(resistances)
+    measured, rows = resistances[known], pattern.combination(len(described))[known]
+    unknowns = _Unknowns(domain, described)
+    typical = float(np.sqrt(np.mean(measured**2)))
+    error = _ERROR * np.maximum(np.abs(measured), _FLOOR * typical)
+    std = np.hypot(error, np.broadcast_to(noise, known.shape)[known])
+
+    def at(u: Floats) -> tuple[TransferModel, Floats, float]:
+        model = build(unknowns.electrodes(u), unknowns.log_conductivity(u))
+        left = (measured - rows @ model.pair_resistances) / std
+        return model, left, float(left @ left + np.sum((u / unknowns.std) ** 2))
+
+    u = unknowns.scaled(build(described, np.zeros(WAVES**2)), rows, measured)
+    model, left, cost = at(u)
+    before = float(np.sqrt(np.mean((left * std) ** 2))) / typical
+    for _ in range(_ROUNDS):
+        slopes = (rows @ unknowns.slopes(u, model)) / std[:, None]
+        normal = slopes.T @ slopes + np.diag(unknowns.std**-2.0)
+        step = np.linalg.solve(normal, slopes.T @ left - u / unknowns.std**2)
+        last = cost
+        step /= max(1.0, float(np.abs(step / unknowns.std).max()) / _FARTHEST)
+        while True:  # half the way and less, until the cost falls
+            try:
+                other, its_left, its_cost = at(u + step)
+            except OhmskinError:  # two electrodes at one place, or one off the sheet
+                other, its_left, its_cost = model, left, np.inf
+            if its_cost < cost or np.abs(step / unknowns.std).max() < 1e-2:
+                break
+            step /= 2
+        if its_cost < cost:
+            u, model, left, cost = u + step, other, its_left, its_cost
+        if last - cost < _CONVERGED * last:
+            break
+    after = float(np.sqrt(np.mean((left * std) ** 2))) / typical
+    moved = np.linalg.norm(model.electrodes.positions - described.positions, axis=1)
+    farthest, most = int(np.argmax(moved)), _FARTHEST * float(unknowns.std[0])
+    if not np.sqrt(np.mean(left**2)) < _EXPLAINED or moved[farthest] > most:
+        raise DataError(
+            f"the quiet skin is not the one described: {100 * before:.2g} % of its resistances are unlike the "
+            f"description's, and {100 * after:.2g} % are with electrodes moved by up to {1e3 * moved[farthest]:.2g} mm "
+            f"(electrode {farthest}; at most {1e3 * most:.2g} mm) and an uneven sheet; check size, places and order of "
+            "the electrodes, and that nothing touches the skin"
+        )
+    factor = np.exp(cosines(model.mesh.centroids, domain.bounds, unknowns.log_conductivity(u)))
+    mean = np.average(factor, weights=model.mesh.measures)
+    uneven = float(np.sqrt(np.average((factor / mean - 1) ** 2, weights=model.mesh.measures)))
+    return SheetFit(model, unknowns.log_conductivity(u), moved, uneven, before, after)
+
+
+class _Unknowns:
+    """What is fitted: for each electrode a way along the rim or along x, for each a way along y, and the waves."""
+
+    def __init__(self, domain: Domain, described: Electrodes) -> None:
+        if described.positions.shape[1] != 2:
+            raise ModelError("places of electrodes are told on flat sheets only")
+        self.domain, self.described, n_elec = domain, described, len(described)
+        x0, y0, x1, y1 = domain.bounds
+        shorter = min(x1 - x0, y1 - y0)
+        self.on_rim = domain.depth(described.positions) < 1e-6 * shorter
+        self.arcs, self._at_corner = domain.arc(described.positions), _CORNER * shorter
+        waves = np.full(WAVES**2, _UNEVEN / np.sqrt((WAVES**2 - 1) / 4))
+        waves[0] = _LEVEL
+        places = np.full(2 * n_elec, _PLACE * shorter)
+        places[n_elec:][self.on_rim] = 1e-9
+        self.std = np.concatenate([places, waves])
+
+    def electrodes(self, u: Floats) -> Electrodes:
+        """Where the electrodes are."""
+        n_elec = len(self.described)
+        places = self.described.positions + np.column_stack([u[:n_elec], u[n_elec : 2 * n_elec]])
+        if self.on_rim.any():
+            arcs, corners = (self.arcs + u[:n_elec])[self.on_rim], np.asarray(self.domain.corners)
+            for corner in corners:
+                half = self.domain.perimeter / 2
+                beside = np.abs((arcs - corner + half) % (2 * half) - half) < self._at_corner
+                arcs = np.where(beside, corner, arcs)
+            places[self.on_rim] = self.domain.rim(arcs)
+        return self.described.mapped(lambda _: places)
+
+    def log_conductivity(self, u: Floats) -> Floats:
+        """Coefficients of `cosines`."""
+        return u[2 * len(self.described) :]
+
+    def scaled(self, model: TransferModel, rows: Floats, measured: Floats) -> Floats:
+        """The description, its mean conductivity as measured."""
+        modelled = rows @ model.pair_resistances
+        u = np.zeros(len(self.std))
+        scale = float(modelled @ modelled) / float(modelled @ measured)
+        if not scale > 0:
+            raise DataError("the quiet skin's resistances have the wrong sign: are sources and sinks exchanged?")
+        u[2 * len(self.described)] = np.log(scale)
+        return u
+
+    def slopes(self, u: Floats, model: TransferModel) -> Floats:
+        """(n_pairs, n_unknowns) of the two-terminal resistances, up to what contact resistances do to them.
+
+        An electrode that moves feels the field of the current of others; by reciprocity so do they.
+        """
+        n_elec = len(self.described)
+        along = np.tile(np.eye(2), (n_elec, 1, 1))  # (n_elec, 2 ways, 2)
+        arcs, step = self.arcs + u[:n_elec], 1e-6 * self.domain.perimeter
+        tangent = (self.domain.rim(arcs + step) - self.domain.rim(arcs)) / step
+        along[self.on_rim, 0] = tangent[self.on_rim]
+        field = np.einsum("kwd,kdj->wkj", along, _fields(model))  # slope of the potential of each drive at each one
+        pairs = all_pairs(n_elec)
+        i, j = pairs.T
+        which = np.arange(len(pairs))
+        ways = np.zeros((len(pairs), 2, n_elec))
+        ways[which, :, i] = 2 * (field[:, i, i] - field[:, i, j]).T
+        ways[which, :, j] = -2 * (field[:, j, i] - field[:, j, j]).T
+        waves = cosines(model.mesh.centroids, self.domain.bounds)
+        return np.hstack([ways.reshape(len(pairs), -1), model.pair_sensitivity @ (model.conductivity[:, None] * waves)])
+
+
+def _fields(model: TransferModel) -> Floats:
+    """Gradients (n_elec, 2, n_elec) of the potential that the current of each electrode makes at each (V/m/A)."""
+    mesh = model.mesh
+    gradients = np.einsum("ekd,ekj->edj", mesh.gradients, model.potentials[mesh.elements])
+    found = np.empty((len(model.electrodes), 2, len(model.electrodes)))
+    for k, (place, extent) in enumerate(zip(model.electrodes.positions, model.electrodes.extents, strict=True)):
+        distance = np.linalg.norm(mesh.nodes - place, axis=1)
+        near = (mesh.elements == distance.argmin()).any(axis=1)
+        near |= np.linalg.norm(mesh.centroids - place, axis=1) < _REACH * extent
+        found[k] = np.tensordot(mesh.measures[near], gradients[near], 1) / mesh.measures[near].sum()
+    return found
