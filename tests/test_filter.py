@@ -126,7 +126,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     scans[0].volts[3], scans[1].currents[5] = np.nan, np.inf
     references = [np.random.default_rng(k).normal(size=scan.pattern.n_meas) for k, scan in enumerate(scans)]
     scans = [replace(scan, reference=known) for scan, known in zip(scans, references, strict=True)]
-    errors = Errors(0.3, gain=0.2, contacts=np.linspace(50.0, 300.0, 16))
+    errors = Errors(0.3, gain=0.2, contacts=np.random.default_rng(5).normal(0, 100.0, (120, 16)))
     found, _ = Information.of(16, errors, scans)
     known = np.ones(sum(scan.pattern.n_meas for scan in scans), bool)
     known[[3, scans[0].pattern.n_meas + 5]] = False
@@ -134,14 +134,8 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     rows = np.vstack([scan.combination(16).toarray() for scan in scans]) * currents[:, None]
     reference = np.concatenate(references)
     injection = np.concatenate([scans[0].pattern.measurements[:, 0], 100 + scans[1].pattern.measurements[:, 0]])
-    source, sink, plus, minus = np.concatenate([scan.pattern.quadruples for scan in scans]).T
     directions = [errors.gain * reference * (injection == number) for number in np.unique(injection)]
-    for electrode, spread in enumerate(
-        errors.contacts
-    ):  # the drop over a contact: plus at the source, minus at the sink
-        into = (source == electrode).astype(float) - (sink == electrode)
-        across = (plus == electrode).astype(float) - (minus == electrode)
-        directions.append(spread * currents * into * across)
+    directions += list((rows @ errors.contacts).T)
     wrong = np.column_stack(directions)[known]
     whole = np.column_stack([rows, reference, np.concatenate([scan.volts for scan in scans])])[known]
     covariance = 0.3**2 * np.eye(known.sum()) + wrong @ wrong.T

@@ -128,7 +128,7 @@ def test_flaws_are_as_large_as_they_say() -> None:
 
 def test_wear_since_the_calibration_shows_on_a_quiet_skin_and_wear_before_it_does_not() -> None:
     pattern = adjacent(Skin.load("paper").electrodes.rings)
-    known, since = (setup("pressed", 120, flaw=Flaw(wear=3.0, since=after)) for after in (False, True))
+    known, since = (setup("pressed", 120, flaw=flaw) for flaw in (Flaw(3.0), Flaw(since=3.0)))
     quiet, worn = (where.known.difference(where.scan((), 0)(pattern)).volts for where in (known, since))
     assert np.abs(quiet).max() < 6 * known.noise
     assert np.abs(worn).max() > 20 * since.noise

@@ -45,7 +45,8 @@ class ContactFitter:
         most: Most contacts to look for.
         bipolar: Whether contacts may lower the conductivity, too.
         gain: Standard deviation of the relative error of a measured current (1).
-        contacts: (n_elec,) of a change of each contact impedance since calibration (ohm); None: they are known.
+        contacts: (n_pairs, n_elec) change of two-terminal resistances with each contact impedance, for one standard
+            deviation of its change since calibration (ohm); None: they are known.
 
     Attributes:
         errors: How data err.

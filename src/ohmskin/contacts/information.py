@@ -27,7 +27,8 @@ class Errors:
     Args:
         noise: Standard deviation of a difference of voltages (V).
         gain: Of the relative error of a measured current, the same in all voltages of an injection (1).
-        contacts: (n_elec,) of a change of each electrode's contact impedance (ohm); None: they are known.
+        contacts: (n_pairs, n_elec) change of two-terminal resistances with each electrode's contact impedance, for one
+            standard deviation of it (ohm); None: they are known.
         model: How far the model of a contact errs, as a share of the root mean square of the data (1).
     """
 
@@ -86,8 +87,8 @@ class Information:
         plain[:, -2], plain[:, -1] = np.nan_to_num(quiet[known]) * share, volts[known] * share
         larger = float(np.hypot(1.0, errors.model * np.sqrt(np.mean(plain[:, -1] ** 2))))
         contacts = None
-        if errors.contacts is not None and driven.any():
-            contacts = _contact_errors(a, b, c, d, amperes, errors.contacts)
+        if errors.contacts is not None:
+            contacts = plain[:, :-2] @ errors.contacts
         told, wary = (_whitened(plain / by, which, errors.gain, contacts, by) for by in (1.0, larger))
         return cls(told, plain), cls(wary, plain / larger)
 
@@ -173,14 +174,6 @@ def _beside(rows: Floats, errors: Floats) -> Floats:
     squares, turn = np.linalg.eigh(errors.T @ errors)
     root = np.sqrt(1 + np.maximum(squares, 0.0))
     return np.asarray(rows - errors @ ((turn / (root * (root + 1))) @ (turn.T @ (errors.T @ rows))))
-
-
-def _contact_errors(a: Ints, b: Ints, c: Ints, d: Ints, amperes: Floats, spread: Floats) -> Floats:
-    """What a change of each contact impedance does (n_rows, n_elec): the drop at an electrode driven and measured."""
-    electrodes = np.arange(len(spread))
-    into = (a[:, None] == electrodes).astype(float) - (b[:, None] == electrodes)
-    across = (c[:, None] == electrodes).astype(float) - (d[:, None] == electrodes)
-    return np.asarray(amperes[:, None] * into * across * spread)
 
 
 def _shares(volts: Floats, driven: Bools, errors: Errors) -> Floats:

@@ -20,8 +20,8 @@ class Flaw:
     """What is wrong with the model, or with the skin since its calibration.
 
     Args:
-        wear: Contact impedance of the electrodes over the usual one.
-        since: Whether it grew after the calibration, so that the reference does not know it.
+        wear: Contact impedance of the electrodes over the usual one, when the skin is calibrated.
+        since: By how many times it has grown since, of which the reference knows nothing.
         misplaced: Distance between where an electrode is and where it is believed to be (m); in a random direction, on
             the rim along it.
         uneven: Standard deviation of the believed conductivity, as a share; smooth, of bumps of some 30 mm.
@@ -30,7 +30,7 @@ class Flaw:
     """
 
     wear: float = 1.0
-    since: bool = False
+    since: float = 1.0
     misplaced: float = 0.0
     uneven: float = 0.0
     calibrated: bool = False

@@ -113,7 +113,7 @@ class Setup:
         rings, complete = electrodes.rings, complete_pattern(electrodes)
         patterns = [adjacent(rings[:1]), adjacent(rings), complete]
         patterns = needed(driven for pattern in patterns for driven in (pattern, pattern.with_driven))
-        self._calm = worlds.sheet(world, layout, 1.0 if flaw.since else flaw.wear).untouched  # at calibration
+        self._calm = worlds.sheet(world, layout, flaw.wear).untouched  # at calibration
         scans = [self._device(self._calm, (_CALIBRATION, k)) for k in range(QUIET)]
         log_conductivity = np.zeros(1)
         if flaw.calibrated:
@@ -198,8 +198,8 @@ class Setup:
     def scan(self, contacts: Contacts, *seed: int, time: float = 0.0) -> Scan:
         """A device that measures the sheet under contacts at `CURRENT`, with noise of its seed, at a time (s)."""
         now = self._calm
-        if contacts or self.flaw.since:
-            now = worlds.touched(self.world, self.layout, contacts, self.flaw.wear)
+        if contacts or self.flaw.since != 1:
+            now = worlds.touched(self.world, self.layout, contacts, self.flaw.wear * self.flaw.since)
         return self._device(now, (*seed, zlib.crc32(repr(contacts).encode())), time)
 
     def _device(self, resistance: Floats, seed: tuple[int, ...], time: float = 0.0, noise: float | None = None) -> Scan:

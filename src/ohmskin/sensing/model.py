@@ -12,7 +12,7 @@ from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.inverse import GaussNewton
 from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Settings
-from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality, all_pairs
 from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Skin
 
@@ -134,8 +134,21 @@ class SkinModel:
             self.skin.imaging.contact_error,
             bipolar=self.skin.imaging.bipolar,
             gain=self.gain,
-            contacts=self.skin.contact_change(self.impedances),
+            contacts=self.contact_changes,
         )
+
+    @cached_property
+    def contact_changes(self) -> Floats:
+        """Change of two-terminal resistances (n_pairs, n_elec) with a standard deviation of each contact (ohm).
+
+        Idle electrodes shunt the sheet, so that undriven voltages know of their contacts, too. Where there are no
+        contact impedances, electrodes are points, and what comes is in series with them.
+        """
+        change = self.skin.contact_change(self.impedances)
+        if not self.impedances.any():
+            return np.asarray((all_pairs(len(change))[:, :, None] == np.arange(len(change))).any(axis=1) * change)
+        model, areas = self._electrode_model
+        return model.with_contact_impedances(areas * self.impedances).pair_contact_sensitivity * areas * change
 
     @cached_property
     def impedances(self) -> Floats:
@@ -145,14 +158,13 @@ class SkinModel:
         """
         if self._impedances is not None:
             return self._impedances
-        described, quiet = self.skin.electrode.contact_impedance, self.quiet.driven
+        model, areas = self._electrode_model
+        described, quiet = self.skin.electrode.contact_resistivity / areas, self.quiet.driven
         if calibrated := self.skin.calibration.contact_impedances:
             return np.fmax(calibrated, described)
-        found = np.full(len(self.skin.electrodes), described)
         if quiet is None:
-            return found
-        model = self.skin.electrode_model()
-        model = model.scaled(self.model.conductivity.mean() / model.conductivity.mean())
+            return described
+        found = described.copy()
         excess = (self.baseline.reference(quiet) - model.voltages(quiet))[quiet.driven]
         source, sink, plus, minus = quiet.quadruples[quiet.driven].T
         electrodes = np.where((plus == source) | (minus == source), source, sink)
@@ -160,6 +172,15 @@ class SkinModel:
         for number in np.unique(electrodes):
             found[number] += np.nanmedian(excess[electrodes == number])
         return np.asarray(np.fmax(found, described))
+
+    @cached_property
+    def _electrode_model(self) -> tuple[TransferModel, Floats]:
+        """The skin with electrodes of real size, scaled to the quiet data; their areas on the sheet (n_elec,) (m2)."""
+        model = self.skin.electrode_model()
+        model = model.with_conductivity(
+            model.conductivity * (self.model.conductivity.mean() / model.conductivity.mean())
+        )
+        return model, np.array([model.quadratures[k].extent for k in range(len(model.electrodes))])
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:

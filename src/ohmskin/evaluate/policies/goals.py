@@ -9,7 +9,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power
-from ohmskin.evaluate.policies.plan import OFF, TOLD, Settings
+from ohmskin.evaluate.policies.plan import OFF, POOR, TOLD, Settings
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.result import Outcome, Result
@@ -154,6 +154,10 @@ def _driven(done: Done) -> Iterator[Goal]:
             )
             here = 1e3 * seen[key][:, -task.corners :] if corners else 1e3 * seen[key]
             yield Goal("driven", f"{text} ({where})", limit, True, mean(here), "mm", data)
+        if flaw == "contact impedance x 1.2" or flaw in POOR:
+            text = f"Driven electrodes measured, fit: mean error of 16P over that without them ({where})"
+            without = away[task.schemes.index("16P"), task.readers.index("fit")]
+            yield _ratio("driven", text, 1.05, seen["16P"], without, data, "RATIO", False)
         if flaw in (OFF, TOLD):
             text = f"Driven electrodes measured, fit: mean error of 16P over that on the sound skin ({where})"
             yield _ratio("driven", text, 1.1, seen["16P"], sound[world, decibels], data, "RATIO", flaw == TOLD)

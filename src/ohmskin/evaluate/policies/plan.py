@@ -24,17 +24,22 @@ DRIVEN = ("fit", "fit, driven")  # without and with the electrodes that carry th
 SCHEMES = ("12B", "16I", "best/16", "16P/16", "best", "16O fused", "16P")
 OFF = "electrodes 2 mm off, uneven by 5 %"
 TOLD = f"{OFF}, self-calibrated"
-WITH_DRIVEN = {  # flaws; those of contact impedance came after the calibration
+POOR = {
+    f"contacts of {ohms} ohm, x {since:g}": Flaw(ohms / 3.54, since)
+    for ohms, since in ((30, 1.2), (300, 1.2), (300, 0.8))
+}
+WITH_DRIVEN = {  # flaws; contact impedances, of 3.54 ohm unless said, have changed by a factor since the calibration
     "none": SOUND,
-    "contact impedance x 1.2": Flaw(1.2, True),
-    "contact impedance x 3": Flaw(3.0, True),
+    "contact impedance x 1.2": Flaw(since=1.2),
+    "contact impedance x 3": Flaw(since=3.0),
+    **POOR,
     OFF: Flaw(misplaced=2e-3, uneven=0.05),
     TOLD: Flaw(misplaced=2e-3, uneven=0.05, calibrated=True),
 }
 FLAWS = {
     "none": SOUND,
     "contact impedance x 3": Flaw(wear=3.0),
-    "contact impedance x 3 since calibration": Flaw(wear=3.0, since=True),
+    "contact impedance x 3 since calibration": Flaw(since=3.0),
     "electrodes 2 mm off": Flaw(misplaced=2e-3),
     "conductivity uneven by 5 %": Flaw(uneven=0.05),
     "all three, x 3 throughout": Flaw(wear=3.0, misplaced=2e-3, uneven=0.05),
@@ -106,7 +111,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     for (world, decibels), (name, flaw) in product(
         (("discs", 40.0), ("discs", 50.0), ("pressed", 50.0)), WITH_DRIVEN.items()
     ):
-        if world == "pressed" or not flaw.since:  # point electrodes have no contact impedance
+        if world == "pressed" or flaw.since == 1:  # point electrodes have no contact impedance
             for draw, seeds, own in _draws(flaw, s):
                 usual = Static(world, decibels, seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
                 found["driven"][f"{world}/{decibels:g}/{name}/{draw}"] = replace(usual, flaw=own, first=draw * seeds)
