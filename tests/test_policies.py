@@ -501,3 +501,42 @@ def test_the_command_runs_and_says_where_the_report_is(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     assert "report: new/report.md" in done.stdout
     assert "Choosing the next pattern" in (tmp_path / "new" / "report.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_contact_impedances_that_change_are_followed_while_nothing_touches(seed: int) -> None:
+    """Three times as high since the calibration: five seconds of quiet later contacts are placed as on a sound skin."""
+    places = np.random.default_rng(seed).uniform(0.02, 0.18, (12, 2))
+    corner = np.array([[0.014, 0.015], [0.186, 0.015], [0.014, 0.185]])
+    errors = {}
+    for since in (1.0, 3.0):
+        where, mode = setup("pressed", 50.0, flaw=Flaw(since=since)), scheme("16P", "fit, driven")
+        sensor = where.sensor(mode)
+        fresh = state = sensor.start()
+        for k in range(100):
+            state, percept = sensor.step(state, where.scan((), seed, k, time=0.05 * k))
+            assert not percept.detections
+        for name, begin in (("at once", fresh), ("after quiet", state)):
+            found = []
+            for at in (*places, *corner):
+                _, percept = sensor.step(begin, where.scan((contact("pressed", *at),), seed, time=5.05))
+                assert len(percept.detections) >= 1
+                found.append(np.linalg.norm(np.subtract(percept.detections[0].position, at)))
+            errors[since, name] = float(np.mean(found))
+    assert errors[3.0, "at once"] > 1.3 * errors[1.0, "at once"]
+    assert errors[3.0, "after quiet"] < 1.1 * errors[1.0, "at once"]
+    assert errors[1.0, "after quiet"] == pytest.approx(errors[1.0, "at once"], rel=0.05)
+
+
+def test_what_touches_is_not_taken_for_contact_impedances() -> None:
+    """A finger that rests for ten seconds stays where it is, and of its size."""
+    where = setup("pressed", 50.0)
+    sensor = where.sensor(scheme("16P", "fit, driven"))
+    touch, state = (contact("pressed", 0.03, 0.17),), sensor.start()
+    strengths = []
+    for k in range(120):
+        there = touch if k >= 20 else ()
+        state, percept = sensor.step(state, where.scan(there, 3, k, time=0.1 * k))
+        strengths += [found.strength for found in percept.detections[:1]]
+    assert len(strengths) == 100
+    assert np.mean(strengths[-10:]) == pytest.approx(np.mean(strengths[:10]), rel=0.05)

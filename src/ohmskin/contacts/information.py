@@ -37,6 +37,15 @@ class Errors:
     contacts: Floats | None = None
     model: float = 0.0
 
+    def drift(self, scans: Sequence[Difference]) -> Floats:
+        """Likeliest change (n_pairs,) of two-terminal resistances by contacts, if nothing touches the skin (ohm)."""
+        assert self.contacts is not None
+        whole = [scan.currents[:, None] * (scan.combination(self.contacts.shape[1]) @ self.contacts) for scan in scans]
+        rows, volts = np.vstack(whole), np.concatenate([scan.volts for scan in scans])
+        known = np.isfinite(volts) & np.isfinite(rows).all(axis=1)
+        rows, volts = rows[known] / self.noise, volts[known] / self.noise
+        return np.asarray(self.contacts @ np.linalg.solve(rows.T @ rows + np.eye(rows.shape[1]), rows.T @ volts))
+
 
 @dataclass(frozen=True, eq=False)
 class Information:

@@ -1,7 +1,7 @@
 """The untouched skin: reference data and noise, learned from quiet frames."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -57,6 +57,10 @@ class Difference:
         a, b, c, d = self.pattern.quadruples.T
         own = 0.0 if self.source_loading is None else self.source_loading * pairs[a, b]
         return np.asarray(self.currents * (0.5 * (pairs[a, d] + pairs[b, c] - pairs[a, c] - pairs[b, d]) - own))
+
+    def less(self, changes: Floats) -> "Difference":
+        """What is left of it once changes (n_pairs,) of the two-terminal resistances (ohm) are known to be a part."""
+        return replace(self, volts=self.volts - self.caused_by(changes))
 
     def combination(self, n_elec: int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) from changes of two-terminal resistances to these volts, per ampere.

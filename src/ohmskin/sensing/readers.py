@@ -5,9 +5,12 @@ Other packages add theirs with an entry point of the group ``ohmskin.readers``: 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+import numpy as np
+
+from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
@@ -16,6 +19,8 @@ from ohmskin.registry import Registry
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
+
+_FOLLOWED = 2.0  # s of quiet in which a change of contact impedances is followed to 1/e
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +32,15 @@ class Belief:
         detections: The contacts that the frame shows by itself, strongest first.
         contacts: The contacts to report: confirmed by several frames, with ids.
         tracks: What is remembered of them.
+        drift: Change of two-terminal resistances (n_pairs,) because contact impedances have changed since the
+            calibration (ohm), if the reader follows it.
     """
 
     estimate: Estimate
     detections: tuple[Contact, ...] = ()
     contacts: tuple[Contact, ...] = ()
     tracks: Tracks | TrackState = field(default=Tracks(), repr=False)
+    drift: Floats | None = field(default=None, repr=False)
 
     @property
     def image(self) -> Image:
@@ -86,12 +94,21 @@ class DetectionReader:
 
     def start(self, before: Belief | None = None) -> Belief:
         """Nothing touches the skin."""
-        return Belief(self.estimator.start(), tracks=before.tracks if before else Tracks())
+        if before is None:
+            return Belief(self.estimator.start())
+        return Belief(self.estimator.start(), tracks=before.tracks, drift=before.drift)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more."""
+        """What is believed after one frame more. Contact impedances that change are followed while nothing touches."""
+        measured, drift = recent, before.drift
+        if drift is not None:
+            new, recent = ([scan.less(drift) for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
-        return self.follow(before, estimate, self.detect(estimate, recent))
+        after = self.follow(before, estimate, self.detect(estimate, recent))
+        if self.fitter is not None and self.fitter.errors.contacts is not None and not after.detections:
+            last = 0.0 if drift is None else drift
+            drift = last - np.expm1(-elapsed / _FOLLOWED) * (self.fitter.errors.drift(measured) - last)
+        return replace(after, drift=drift)
 
     def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
         """What is believed after a frame that showed these contacts."""
