@@ -17,6 +17,7 @@ from ohmskin.geometry import (
     Mesh,
     Polygon,
     Rectangle,
+    electrode_points,
     mesh_domain,
     mesh_graded,
     mesh_surface,
@@ -470,6 +471,33 @@ def test_refined_at_electrodes_a_graded_mesh_beats_an_even_one_of_more_nodes() -
     error = [relative(TransferModel(mesh, electrodes, S).transfer_resistance, fine) for mesh in (graded, even)]
     assert error[0] < 1e-2
     assert error[0] < error[1] / 3
+
+
+def test_rings_of_nodes_resolve_discs_as_gmsh_does() -> None:
+    """What contact impedances three times as high do to undriven voltages, on edges twice as long as the radius."""
+    discs, pattern = GRID.with_discs(3e-3, 1e-4), adjacent(GRID.rings)
+
+    def voltages(mesh: Mesh) -> np.ndarray:
+        models = (TransferModel(mesh, discs.with_contact_impedances(z), S) for z in (1e-4, 3e-4))
+        return np.array([model.voltages(pattern) for model in models])
+
+    exact = voltages(mesh_graded(SHEET, 5e-3, discs, fine=2.5e-4))
+    ringed = voltages(mesh_domain(SHEET, 6e-3, electrode_points(SHEET, discs, 1.3e-4), closest=0.02))
+    plain = voltages(mesh_domain(SHEET, 6e-3, discs))
+    assert relative(ringed, exact) < 2e-3 < relative(plain, exact)
+    assert relative(np.diff(ringed, axis=0), np.diff(exact, axis=0)) < 0.1
+    assert relative(np.diff(plain, axis=0), np.diff(exact, axis=0)) > 0.5
+
+
+def test_rings_keep_to_their_electrode_and_off_the_corners() -> None:
+    """Electrodes 7 mm apart, one of them 2 mm from a corner."""
+    near = Electrodes.at([[0.002, 0.0], [0.009, 0.0], [0.1, 0.1], [0.107, 0.1], [0.1, 0.2]]).with_discs(3e-3, 1e-4)
+    points = electrode_points(SHEET, near, 1e-4)
+    assert len(mesh_domain(SHEET, 5e-3, points, closest=0.02).nodes_at(near.positions, tolerance=1e-12)) == 5
+    between = points[(points[:, 1] > 0.095) & (points[:, 1] < 0.105)]
+    own = np.linalg.norm(between[:, None] - near.positions[2:4], axis=2)
+    assert (own.min(axis=1) < 12.1e-3).all()
+    assert np.linalg.norm(points, axis=1).min() > 1e-4  # a corner is a node of the mesh anyhow
 
 
 @pytest.mark.parametrize("domain", [SHEET, Disc(0.1), ell()], ids=["rectangle", "disc", "polygon"])

@@ -98,6 +98,7 @@ LONG = {
     "test_guides.py::test_example_runs*[[]regularisation": "another example, and the text of all",
     "test_import.py::test_the_example_of": "what these examples call",
     "test_layout.py::test_a_better_layout": "the search itself",
+    "test_policies.py::test_contact_impedances*[[]1": "another seed",
     "test_policies.py::test_the_report_has": "the command with one section",
     "test_policies.py::test_a_second_run": "the cache in test_reproduce.py",
     "test_recorder.py::test_at_most_ten*[[]302": "the same killed at two other moments",
@@ -113,6 +114,7 @@ LONG = {
     "test_robot.py::test_command_line_draws": "the same command without pictures",
     "test_robot.py::test_skin_of_another_shape": "the paper's skin",
     "test_robot.py::test_same_seed_same_run": "the seeds of the virtual skin",
+    "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_scale.py::test_with_many_electrodes": "the same with sixteen",
 }
 
