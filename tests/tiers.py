@@ -81,6 +81,7 @@ class Row:
 # What takes long and is seldom broken alone; each line says what of the same feature runs every day.
 LONG = {
     "test_calibrate.py::test_the_virtual_skin_calibrates_itself": "the same calibration runs in its parts",
+    "test_domains.py::test_rings_of_nodes": "what a contact impedance does in test_policies.py",
     "test_examples.py::test_example[[]03": "two other examples",
     "test_examples.py::test_example[[]04": "two other examples",
     "test_examples.py::test_example[[]05": "two other examples",
@@ -95,6 +96,7 @@ LONG = {
     "test_guides.py::test_example_runs*[[]estimators": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]meshes": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]priors": "another example, and the text of all",
+    "test_guides.py::test_example_runs*[[]tracking": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]regularisation": "another example, and the text of all",
     "test_import.py::test_the_example_of": "what these examples call",
     "test_layout.py::test_a_better_layout": "the search itself",
@@ -114,6 +116,8 @@ LONG = {
     "test_robot.py::test_command_line_draws": "the same command without pictures",
     "test_robot.py::test_skin_of_another_shape": "the paper's skin",
     "test_robot.py::test_same_seed_same_run": "the seeds of the virtual skin",
+    "test_sensing.py::test_a_change_of_all_contact*[[]0.9": "the change the other way",
+    "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_scale.py::test_with_many_electrodes": "the same with sixteen",
 }
