@@ -113,13 +113,14 @@ def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, Sheet
     fit = fit_sheet(skin.domain, described, build, pattern, resistances, np.sqrt(2) * noise / currents)
     found = with_sheet(fit.model.electrodes, fit.log_conductivity)
     mesh = found.mesh_for(found.discs, _FINE * skin.imaging.mesh_size)
-    beyond = (
-        calibration.pair_resistances - TransferModel(mesh, found.discs, found.conductivity_on(mesh)).pair_resistances
-    )
+    fine = TransferModel(mesh, found.discs, found.conductivity_on(mesh))
+    beyond = calibration.pair_resistances - fine.pair_resistances
     ends = np.zeros((len(beyond), len(described)))
     np.put_along_axis(ends, all_pairs(len(described)), 1.0, axis=1)
-    impedances = np.maximum(skin.electrode.contact_impedance + np.linalg.lstsq(ends, beyond, rcond=None)[0], 0.0)
-    contacts, unexplained = _rounded(impedances), _rounded(np.array([fit.before, fit.after]))
+    impedances = (
+        np.linalg.lstsq(ends, beyond, rcond=None)[0] + skin.electrode.contact_resistivity / fine.electrode_extents
+    )
+    contacts, unexplained = _rounded(np.maximum(impedances, 0.0)), _rounded(np.array([fit.before, fit.after]))
     told = replace(found.calibration, contact_impedances=contacts, unexplained=unexplained)
     return replace(skin, calibration=told), fit
 

@@ -187,7 +187,7 @@ class _Unknowns:
         ways = np.zeros((len(pairs), 2, n_elec))
         ways[which, :, i] = 2 * (field[:, i, i] - field[:, i, j]).T
         ways[which, :, j] = -2 * (field[:, j, i] - field[:, j, j]).T
-        waves = cosines(model.mesh.centroids, self.domain.bounds)
+        waves = cosines(model.mesh.centroids, self.domain.bounds, np.eye(WAVES**2))
         return np.hstack([ways.reshape(len(pairs), -1), model.pair_sensitivity @ (model.conductivity[:, None] * waves)])
 
 

@@ -56,18 +56,19 @@ def _unit(mesh: Mesh) -> str:
     return "siemens per square" if mesh.dim == 2 else "siemens per metre"
 
 
-def cosines(points: Floats, bounds: tuple[float, float, float, float], coefficients: ArrayLike | None = None) -> Floats:
+def cosines(points: Floats, bounds: tuple[float, float, float, float], coefficients: ArrayLike) -> Floats:
     """A smooth field on a flat sheet: products of cosines with 0, 1, 2, ... half waves along x and along y.
 
     Args:
         points: (n, 2) in metres.
         bounds: (x_min, y_min, x_max, y_max) of the sheet (m).
-        coefficients: (n_waves^2,), those of one number of half waves along x beside each other, the constant first.
+        coefficients: (n_waves^2,) or (n_waves^2, k), those of one number of half waves along x beside each other, the
+            constant first.
 
     Returns:
-        (n,) values of the field, or (n, 36) of each product for 0 to 5 half waves if no coefficients are given.
+        (n,) or (n, k) values of the fields.
     """
-    given = np.eye(36) if coefficients is None else np.asarray(coefficients, float)
+    given = np.asarray(coefficients, float)
     at = (points - np.array(bounds[:2])) / (np.array(bounds[2:]) - np.array(bounds[:2]))
     x, y = (np.cos(np.pi * np.outer(along, np.arange(round(len(given) ** 0.5)))) for along in at.T)
     return np.asarray((x[:, :, None] * y[:, None, :]).reshape(len(points), -1) @ given)

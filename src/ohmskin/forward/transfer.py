@@ -102,6 +102,12 @@ class TransferModel:
         return self.conductivity[:, None, None] * (self._root @ self._root.swapaxes(1, 2))
 
     @cached_property
+    def electrode_extents(self) -> Floats:
+        """How much of each electrode lies on the skin (n_elec,), in m2 of a disc and in m of a rim segment."""
+        found = [self.quadratures[k].extent if k in self.quadratures else 0.0 for k in range(len(self.electrodes))]
+        return np.array(found)
+
+    @cached_property
     def transfer_resistance(self) -> Floats:
         """S of eq. (3), (n_elec, n_elec) in ohms: zero-mean electrode potentials for zero-sum currents.
 

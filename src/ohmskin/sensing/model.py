@@ -180,7 +180,7 @@ class SkinModel:
         model = model.with_conductivity(
             model.conductivity * (self.model.conductivity.mean() / model.conductivity.mean())
         )
-        return model, np.array([model.quadratures[k].extent for k in range(len(model.electrodes))])
+        return model, model.electrode_extents
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:
