@@ -232,10 +232,10 @@ def test_a_mistake_gets_one_line_and_no_traceback(tmp_path: Path) -> None:
         ({"noise": "nandB"}, "--noise 'nandB'"),
         ({"radius": 60.0}, "--radius 60 mm"),
         ({"skin": "nosuch"}, "no skin named 'nosuch'"),
-        ({"mode": "12B", "output": Path("nosuch/map.png")}, "cannot write picture"),
-        ({"mode": "12B", "json_file": Path("nosuch/map.json")}, "cannot write nosuch/map.json"),
-        ({"optimise": 500, "mode": "12B"}, "500 electrodes to place"),
-        ({"optimise": -5, "mode": "12B"}, "-5 electrodes to place"),
+        ({"output": Path("nosuch/map.png")}, "cannot write nosuch/map.png"),
+        ({"json_file": Path("nosuch/map.json")}, "cannot write nosuch/map.json"),
+        ({"optimise": 500}, "500 electrodes to place"),
+        ({"optimise": -5}, "-5 electrodes to place"),
     ],
 )
 def test_a_mistake_is_named(

@@ -1,6 +1,5 @@
 """``ohmskin calibrate``: the quiet skin, its sheet and contacts, and newtons."""
 
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from rich.console import Console
 
 import ohmskin
 from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
-from ohmskin.cli.options import SkinName, open_skin, say, write
+from ohmskin.cli.options import SkinName, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DataError, DeviceError
 from ohmskin.plot.calibration import save_calibration
@@ -51,7 +50,7 @@ def calibrate(
         mode_named(description, mode)
         plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
         for file in (path, picture) if picture else (path,):
-            _check_writable(file)  # now, rather than after an hour of presses
+            check_writable(file)  # now, rather than after an hour of presses
         console.print("measuring the quiet skin; nothing may touch it")
         found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
         if ohms := found.contact_impedances:
@@ -80,13 +79,6 @@ def calibrate(
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
         save_calibration(picture, calibrated, guide.samples, curve)
-
-
-def _check_writable(path: Path) -> None:
-    """Raise DataError if a file cannot be written."""
-    place = path if path.exists() else path.parent
-    if path.is_dir() or not os.access(place, os.W_OK):
-        raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or read-only'}")
 
 
 def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ohmskin.arrays import as_plain
-from ohmskin.cli.options import SkinName, write
+from ohmskin.cli.options import SkinName, check_writable, write
 from ohmskin.drive import (
     DRIVES,
     Candidates,
@@ -23,6 +23,7 @@ from ohmskin.drive import (
     position_bound,
 )
 from ohmskin.drive.bound import Scheme, spread_places
+from ohmskin.drive.layout import check_count
 from ohmskin.errors import DataError, PatternError, SkinError
 from ohmskin.forward import ContactTable
 from ohmskin.plot import ErrorMap, save_error_maps
@@ -61,11 +62,16 @@ def layout(
         json_file: Where to put all figures, as JSON; nowhere unless given.
         save: With --optimise, where to put the skin that was found; SKIN-optimised.toml in this folder unless given.
     """
+    for path in (output, json_file, save):
+        if path is not None:
+            check_writable(path)
     described = Skin.load(skin)
     size = 1e-3 * radius
     shortest = float(np.ptp(np.reshape(described.domain.bounds, (2, 2)), axis=0).min())
     if not 0 < size < shortest / 4:
         raise SkinError(f"--radius {radius:g} mm; it must be below a quarter of the sheet's {1e3 * shortest:g} mm")
+    if optimise:
+        check_count(optimise, described.domain)
     volts = _volts(noise, described)
     found = [_judge(described, mode, injections, volts, size)]
     if optimise:

@@ -164,3 +164,10 @@ def write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error}; choose another place") from error
+
+
+def check_writable(path: Path) -> None:
+    """Raise DataError if a file cannot be written; told before anything is computed for it."""
+    place = path if path.exists() else path.parent
+    if path.is_dir() or not os.access(place, os.W_OK):
+        raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or read-only'}")

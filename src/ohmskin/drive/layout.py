@@ -110,8 +110,7 @@ class LayoutSearch:
         Raises:
             GeometryError: If there are not so many sites, or fewer than four electrodes.
         """
-        if not _LEAST_ON_RIM <= count <= len(self.sites) // 2:
-            raise GeometryError(f"{count} electrodes to place; between {_LEAST_ON_RIM} and {len(self.sites) // 2}")
+        check_count(count, self.domain)
         found = [self._exchanged(start) for start in self._starts(count)]
         return arranged(self.domain, self.sites[min(found, key=lambda pair: pair[0])[1]])
 
@@ -170,6 +169,17 @@ class LayoutSearch:
                 orbits, score, kept = [*orbits[:at], trials[best], *orbits[at + 1 :]], scores[best], 0
             kept, at = kept + 1, (at + 1) % len(orbits)
         return score, np.concatenate([self.orbits[k] for k in orbits])
+
+
+def check_count(count: int, domain: Domain) -> None:
+    """Raise GeometryError if so many electrodes cannot be placed on a sheet: there are fewer sites, or fewer than four.
+
+    Raises:
+        GeometryError: Also if the sheet is neither a rectangle nor a disc.
+    """
+    most = len(_sites(domain)[0]) // 2
+    if not _LEAST_ON_RIM <= count <= most:
+        raise GeometryError(f"{count} electrodes to place; between {_LEAST_ON_RIM} and {most}")
 
 
 def _sites(domain: Domain) -> tuple[Floats, np.ndarray]:

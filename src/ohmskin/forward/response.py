@@ -6,6 +6,7 @@ over the sheet at eight radii hold it; between them it is nearly linear in r^2 (
 laplace f + ...).
 """
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,6 +104,13 @@ class ContactTable:
         row, column = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
         reach = radius if off.any() else np.inf
         self.sheet: Grid = low, high, self._pitch, np.ascontiguousarray(grid[row, column]), reach
+
+    def scaled(self, factor: float) -> "ContactTable":
+        """The table of the same sheet with all conductances multiplied by `factor`, as `TransferModel.scaled`."""
+        other = copy(self)
+        other.responses, other._knots = self.responses / factor, self._knots / factor
+        other._fields = self._fields / np.sqrt(factor)
+        return other
 
     @property
     def spline(self) -> Spline:

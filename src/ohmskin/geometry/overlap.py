@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
@@ -29,9 +30,7 @@ def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:
     corners = mesh.nodes[mesh.elements]
     reach = np.linalg.norm(corners - mesh.centroids[:, None], axis=2).max()
     row, element = _near(centres, mesh.centroids, radius + reach)
-    p = corners[element] - centres[row][:, None]
-    area = sum(_edge(p[:, k], p[:, (k + 1) % 3], radius) for k in range(3))
-    area = np.clip(area, 0.0, mesh.measures[element])
+    area = np.clip(_areas(corners, centres, row, element, float(radius)), 0.0, mesh.measures[element])
     return sp.csr_array((area, (row, element)), shape=(len(centres), mesh.n_elem))
 
 
@@ -52,22 +51,29 @@ def _near(centres: Floats, points: Floats, radius: float) -> tuple[Ints, Ints]:
     return pairs["i"], pairs["j"]
 
 
-def _edge(a: Floats, b: Floats, radius: float) -> Floats:
-    """Signed area (n,) between the disc's centre at the origin and the part of segments a-b (n, 2) seen from it."""
-    d = b - a
-    along = np.einsum("ij,ij->i", d, d)
-    middle = -np.einsum("ij,ij->i", a, d) / along
-    offset = np.einsum("ij,ij->i", a, a) - along * middle**2  # squared distance of the line from the centre
-    reach = np.sqrt(np.maximum(radius**2 - offset, 0.0) / along)
-    enter, leave = np.clip(middle - reach, 0.0, 1.0), np.clip(middle + reach, 0.0, 1.0)
-    p, q = a + enter[:, None] * d, a + leave[:, None] * d
-    area: Floats = 0.5 * _cross(p, q) + 0.5 * radius**2 * (_angle(a, p) + _angle(q, b))
-    return area
+@njit(cache=True, nogil=True)
+def _areas(corners: Floats, centres: Floats, row: Ints, element: Ints, radius: float) -> Floats:
+    """Area (n_pairs,) of triangle `element` (corners (n_elem, 3, 2)) inside the disc round centre `row`."""
+    areas = np.zeros(len(row))
+    for n in range(len(row)):
+        triangle, (x, y) = corners[element[n]], centres[row[n]]
+        for k in range(3):
+            after = (k + 1) % 3
+            areas[n] += _edge(
+                triangle[k, 0] - x, triangle[k, 1] - y, triangle[after, 0] - x, triangle[after, 1] - y, radius
+            )
+    return areas
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-
-
-def _angle(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.arctan2(_cross(a, b), np.einsum("ij,ij->i", a, b)))
+@njit(cache=True, nogil=True)
+def _edge(ax: float, ay: float, bx: float, by: float, radius: float) -> float:
+    """Signed area between the disc's centre at the origin and the part of the segment a-b seen from it."""
+    dx, dy = bx - ax, by - ay
+    along = dx * dx + dy * dy
+    middle = -(ax * dx + ay * dy) / along
+    offset = ax * ax + ay * ay - along * middle**2  # squared distance of the line from the centre
+    reach = np.sqrt(max(radius**2 - offset, 0.0) / along)
+    enter, leave = min(max(middle - reach, 0.0), 1.0), min(max(middle + reach, 0.0), 1.0)
+    px, py, qx, qy = ax + enter * dx, ay + enter * dy, ax + leave * dx, ay + leave * dy
+    sectors = np.arctan2(ax * py - ay * px, ax * px + ay * py) + np.arctan2(qx * by - qy * bx, qx * bx + qy * by)
+    return float(0.5 * (px * qy - py * qx) + 0.5 * radius**2 * sectors)

@@ -9,7 +9,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
-from ohmskin.forward import ContactTable, TransferModel
+from ohmskin.forward import TransferModel
 from ohmskin.inverse import GaussNewton
 from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Settings
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality, all_pairs
@@ -57,7 +57,8 @@ class SkinModel:
         if not known.any():
             raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
         modelled, measured, volts = modelled[known], measured[known], quiet[0].voltages[known]
-        self.model = model.scaled(float(modelled @ modelled / (modelled @ measured)))
+        self._described, self._scale = model, float(modelled @ modelled / (modelled @ measured))
+        self.model = model.scaled(self._scale)
         floor = _LEAST_NOISE * float(np.nanmax(np.where(np.isfinite(volts), np.abs(volts), 0.0)))
         self.noise = max(self.baseline.difference_noise, floor)
         self._white, self.gain = kinds_of_noise(self.baseline, quiet)
@@ -125,8 +126,7 @@ class SkinModel:
         Raises:
             ModelError: If the sheet is not flat.
         """
-        size = self.skin.imaging.mesh_size
-        table = ContactTable(self.model, radius=1.5 * size, pitch=0.7 * size)
+        table = self.skin.contact_table(self._described).scaled(self._scale)
         floor = max(self.noise / max(self.baseline.difference_noise, 1e-300), 1.0)  # on recordings without noise
         return ContactFitter(
             table,

@@ -279,9 +279,12 @@ class Skin:
         return level * np.exp(cosines(mesh.centroids, self.domain.bounds, uneven or (0.0,)))
 
     def transfer_model(self) -> TransferModel:
-        """The estimator's forward model of the untouched sheet, factorised."""
-        mesh = self.mesh()
-        return TransferModel(mesh, self.electrodes, self.conductivity_on(mesh))
+        """The estimator's forward model of the untouched sheet, factorised; made once."""
+        return _transfer_model(self)
+
+    def contact_table(self, model: TransferModel) -> ContactTable:
+        """The responses of contacts of the usual size on a model of this skin; made once for each model."""
+        return _contact_table(model, self.imaging.mesh_size)
 
     def electrode_model(self) -> TransferModel:
         """The same with electrodes of their real size, which driven electrodes need to have a resistance."""
@@ -290,9 +293,14 @@ class Skin:
 
 
 @lru_cache(maxsize=8)
-def _table(skin: Skin) -> ContactTable:
-    size = skin.imaging.mesh_size
-    return ContactTable(skin.transfer_model(), radius=1.5 * size, pitch=0.7 * size)
+def _transfer_model(skin: Skin) -> TransferModel:
+    mesh = skin.mesh()
+    return TransferModel(mesh, skin.electrodes, skin.conductivity_on(mesh))
+
+
+@lru_cache(maxsize=8)
+def _contact_table(model: TransferModel, mesh_size: float) -> ContactTable:
+    return ContactTable(model, radius=1.5 * mesh_size, pitch=0.7 * mesh_size)
 
 
 @lru_cache(maxsize=8)
@@ -300,7 +308,8 @@ def _design(skin: Skin, driven: bool) -> tuple[ContactTable, Candidates]:
     complete = complete_pattern(skin.electrodes)
     contacts = float(skin.contact_change(skin.electrode.contact_impedance)) if driven else None
     currents = skin.pair_currents()
-    return _table(skin), Candidates.at_currents(complete, len(skin.electrodes), skin.noise, currents, contacts)
+    table = skin.contact_table(skin.transfer_model())
+    return table, Candidates.at_currents(complete, len(skin.electrodes), skin.noise, currents, contacts)
 
 
 def shipped_skins() -> list[str]:
