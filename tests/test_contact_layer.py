@@ -10,7 +10,7 @@ import pytest
 from ohmskin.errors import ModelError
 from ohmskin.forward import FloatingPatches, LocalUpdate, TransferModel, fit_background
 from ohmskin.forward.assembly import assemble
-from ohmskin.forward.update import patch_change
+from ohmskin.forward.patches import log_means
 from ohmskin.geometry import Electrodes, Rectangle, mesh_domain, thicken
 from ohmskin.scan import DrivePattern, all_pairs, measure_others
 
@@ -109,20 +109,14 @@ def test_a_thick_skin_can_be_pressed_on_its_face() -> None:
     )
 
 
-def test_what_patches_add_is_their_definition() -> None:
-    """M = sum over patches of A^T (diag(g) - g g^T / sum g) A."""
-    rng = np.random.default_rng(2)
-    corners = np.array([rng.choice(30, 3, replace=False) for _ in range(40)])
-    weights, joint, owner = rng.dirichlet(np.ones(3), 40), rng.uniform(0.1, 2, 40), rng.integers(0, 7, 40)
-    nodes, change = patch_change(corners, weights, joint, owner)
-    at = np.zeros((40, 30))
-    np.add.at(at, (np.arange(40)[:, None], corners), weights)
-    expected = np.zeros((30, 30))
-    for p in range(7):
-        a, g = at[owner == p], joint[owner == p]
-        expected += a.T @ (np.diag(g) - np.outer(g, g) / g.sum()) @ a
-    np.testing.assert_allclose(change, expected[np.ix_(nodes, nodes)], atol=1e-14)
-    assert set(nodes) == set(corners.ravel())
+def test_means_of_the_logarithm_are_integrals() -> None:
+    """Against a midpoint rule; targets inside, on an edge of, near and far from rectangles."""
+    steps = (np.arange(1500) + 0.5) / 1500 - 0.5
+    for target in [(0.0, 0.0), (0.1, -0.2), (0.5, 0.1), (0.5, 1.0), (0.9, -1.3), (3.9, 2.0), (4.5, 4.0)]:
+        x, y = target[0] - steps[:, None], target[1] - 2 * steps
+        expected = 0.5 * np.log(x**2 + y**2).mean()
+        found = log_means(np.array([target]), np.zeros((1, 2)), np.array([[1.0, 2.0]]))[0, 0]
+        assert found == pytest.approx(expected, abs=2e-5)
 
 
 @pytest.mark.parametrize("electrodes", ["mixed", "points"])
@@ -190,6 +184,10 @@ def test_thousands_of_presses_take_a_second() -> None:
         (
             lambda m: FloatingPatches(m, np.zeros((3, 3)), np.zeros(3, int)),
             r"patch points have shape \(3, 3\); this mesh needs",
+        ),
+        (
+            lambda m: FloatingPatches(TransferModel(m.mesh, GRID, np.diag([S, 2 * S])), [[0.1, 0.1]], [0], 1e-3),
+            "sizes need a flat sheet",
         ),
         (lambda m: FloatingPatches(m, *lattice()).transfer_resistance(np.ones(3)), r"conductances have shape \(3,\)"),
         (lambda m: LocalUpdate(m, [-1]), "nodes to update must be integers within"),

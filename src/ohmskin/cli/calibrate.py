@@ -11,7 +11,7 @@ import ohmskin
 from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
 from ohmskin.cli.options import SkinName, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
-from ohmskin.errors import DataError, DeviceError
+from ohmskin.errors import DeviceError
 from ohmskin.plot.calibration import save_calibration
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Calibration, Press, Skin

@@ -2,10 +2,11 @@
 
 from ohmskin.forward.calibration import BackgroundFit, fit_background
 from ohmskin.forward.excitation import Response, VoltageSource, drive_currents, drive_voltages
+from ohmskin.forward.patches import FloatingPatches
 from ohmskin.forward.response import ContactResponse, ContactTable
 from ohmskin.forward.touches import TouchTable
 from ohmskin.forward.transfer import TransferModel
-from ohmskin.forward.update import FloatingPatches, LocalUpdate
+from ohmskin.forward.update import LocalUpdate
 
 __all__ = [
     "BackgroundFit",

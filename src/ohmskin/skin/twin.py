@@ -12,7 +12,9 @@ from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
 from ohmskin.skin.description import Skin
 
-_SAMPLES = 4  # points along each side of a patch at which it touches the sheet
+# Contacts along each side of a patch, closer at its edges, where the current enters, and places along each side of a
+# contact at which the pressure is looked at: presses of 5 mm and more do to 1.5 % what they do with ever more of them.
+_CONTACTS, _PLACES, _GRADED = 8, 3, 0.8
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,7 @@ class PressedSheet:
     Attributes:
         untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included;
             the last electrode is the reference.
+        contact_points: (n_points, 2) places at which the pressure of patches on the sheet counts (m).
     """
 
     def __init__(self, skin: Skin, contact_factors: ArrayLike = 1.0) -> None:
@@ -77,46 +80,48 @@ class PressedSheet:
         resistivity = skin.electrode.contact_resistivity * factors
         electrodes = skin.discs.with_contact_impedances(resistivity)
         model = TransferModel(self.mesh, electrodes, skin.conductivity_on(self.mesh))
-        self._patches = FloatingPatches(model, *self._patch_points())
+        self._patches = FloatingPatches(model, *self._contacts())
+        self._areas = self._patches.sizes.prod(axis=1)
+        places = ((np.arange(_PLACES) + 0.5) / _PLACES - 0.5)[:, None] * np.ones(_PLACES)
+        offsets = np.stack([places.T.ravel(), places.ravel()], axis=1)
+        self.contact_points: Floats = (self._patches.points[:, None] + offsets * self._patches.sizes[:, None]).reshape(
+            -1, 2
+        )
         self._tree = cKDTree(self._patches.points)
+        self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
-        middle = self._patches.points[len(self._patches.points) // 2]
-        # compile now, not at the first touch
-        self.transfer_resistance([Press((float(middle[0]), float(middle[1])), 1e-2, 1.0)])
 
-    def _patch_points(self) -> tuple[Floats, Ints]:
-        """Where (n_points, 2) the patches can touch the sheet, and the patch (n_points,) of each point."""
+    def _contacts(self) -> tuple[Floats, Ints, Floats]:
+        """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
         layer, (x0, y0, x1, y1) = self.skin.contact_layer, self.skin.domain.bounds
         x = x0 + (np.arange(layer.columns) + 0.5) * (x1 - x0) / layer.columns
         y = y0 + (np.arange(layer.rows) + 0.5) * (y1 - y0) / layer.rows
         centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        step = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5) * layer.patch
-        offsets = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
-        return (centres[:, None] + offsets).reshape(-1, 2), np.repeat(np.arange(len(centres)), len(offsets))
-
-    @property
-    def contact_points(self) -> Floats:
-        """Points (n_points, 2) at which the patches touch the sheet when pressed (m)."""
-        return self._patches.points
+        even = np.arange(_CONTACTS + 1) / _CONTACTS
+        ends = layer.patch * ((1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even))
+        middle, side = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
+        offsets, sizes = (np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2) for one in (middle, side))
+        points = (centres[:, None] + offsets).reshape(-1, 2)
+        return points, np.repeat(np.arange(len(centres)), len(offsets)), np.tile(sizes, (len(centres), 1))
 
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
-        spread = self.skin.contact_layer.foam_spread
-        pressure = np.zeros(len(self.contact_points))
+        spread, each = self.skin.contact_layer.foam_spread, _PLACES**2
+        pressure = np.zeros((len(self._areas), each))
         for press in presses:
-            near = np.array(self._tree.query_ball_point(press.position, press.radius + spread), np.int64)
-            pressure[near] += press.pressure_at(self.contact_points[near], spread)
-        return self.under_pressure(pressure)
+            near = self._tree.query_ball_point(press.position, press.radius + spread + self._reach)
+            pressure[near] += press.pressure_at(self.contact_points.reshape(-1, each, 2)[near], spread)
+        return self.under_pressure(pressure.ravel())
 
     def under_pressure(self, pressure: Floats) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under a pressure (n_points,) (Pa) at `contact_points`."""
-        layer = self.skin.contact_layer
-        touching = np.flatnonzero(pressure > 0)
+        layer, at = self.skin.contact_layer, pressure.reshape(len(self._areas), -1)
+        touching = np.flatnonzero(at.any(axis=1))
         if not len(touching):
             return self.untouched
-        conductance = np.zeros(len(pressure))
-        per_area = layer.conductance * (pressure[touching] / layer.pressure_scale) ** layer.exponent
-        conductance[touching] = per_area * (layer.patch / _SAMPLES) ** 2
+        per_area = layer.conductance * (at[touching] / layer.pressure_scale) ** layer.exponent
+        conductance = np.zeros(len(at))
+        conductance[touching] = per_area.mean(axis=1) * self._areas[touching]
         return _against_last(self._patches.transfer_resistance(conductance))
 
 

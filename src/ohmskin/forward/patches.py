@@ -1,0 +1,281 @@
+"""A layer of floating conductors that short a sheet where they are pressed on it.
+
+Each patch is a conductor of one potential and no net current, joined to the sheet at its contacts by conductances g
+that the pressure makes. With the potentials X that the electrodes cause at the contacts, G the potential at each for
+1 A into each, and B the patch of each, currents J into the patches of potentials U follow from
+
+    (G + 1/g) J + B U = X,    B^T J = 0,    and    R = R_0 - X^T J.
+
+Under a hard press the current enters within tenths of a millimetre of a patch's edge, which no mesh of the whole sheet
+resolves. So where contacts have an area, the mesh's G is corrected near each patch: by the logarithm's exact mean over
+the area of a contact, with mirror images beyond the rim, less what the mesh makes of that logarithm round the patch.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
+
+from ohmskin.arrays import Bools, Floats, Ints
+from ohmskin.errors import ModelError
+from ohmskin.forward.assembly import local_stiffness
+from ohmskin.forward.quadrature import Surface
+from ohmskin.forward.transfer import TransferModel
+from ohmskin.forward.update import LocalUpdate
+from ohmskin.geometry import Mesh
+
+_NEAR = 2.5  # edges of the mesh from a contact within which it does not resolve what the contact causes
+_AROUND = 4.0  # edges round a patch to which what the mesh makes of its contacts is looked at
+_SMALL = 3.0  # sides of a contact beyond which it is nearly a point
+
+
+class FloatingPatches:
+    """A skin with a layer of floating conductors. Any press costs a dense system in the contacts that it closes.
+
+    Args:
+        model: The untouched skin.
+        points: (n_points, dim) middles of the contacts between patches and skin (m). Those off the mesh are left out,
+            see `kept`.
+        patches: (n_points,) number of the patch that each contact belongs to.
+        sizes: (n_points, 2) sides of each contact along x and y (m), on a flat sheet; points of the mesh unless given.
+
+    Attributes:
+        kept: (n_points,) which of the points lie on the mesh; in space, within a quarter of an edge of its surface.
+        points, patches, sizes: Those points, their patches, and their sides.
+        update: The local update it makes.
+
+    Raises:
+        ModelError: If shapes do not fit, no point lies on the mesh, or there are sizes on a skin that is not flat or
+            does not conduct alike in all directions.
+    """
+
+    def __init__(
+        self, model: TransferModel, points: ArrayLike, patches: ArrayLike, sizes: ArrayLike | None = None
+    ) -> None:
+        where, owner = np.asarray(points, float), np.asarray(patches)
+        if owner.shape != (len(where),) or owner.dtype.kind not in "iu":
+            given = f"patches have shape {owner.shape} and type {owner.dtype}"
+            raise ModelError(f"{given}; need integers ({len(where)},), one per point")
+        if where.ndim != 2 or where.shape[1] != model.mesh.nodes.shape[1]:
+            raise ModelError(f"patch points have shape {where.shape}; this mesh needs (n, {model.mesh.nodes.shape[1]})")
+        corners, weights, self.kept = _on_skin(model.mesh, where)
+        if not self.kept.any():
+            raise ModelError("no point of a patch lies on the mesh; give points in its coordinates (m)")
+        self.points, self.patches = where[self.kept], owner[self.kept].astype(np.int64)
+        corners = corners[self.kept]
+        self.update = LocalUpdate(model, np.unique(corners))
+        self._corners: Ints = np.searchsorted(self.update.nodes, corners)
+        self._weights: Floats = np.ascontiguousarray(weights[self.kept])
+        self._caused: Floats = np.einsum("pk,pke->pe", self._weights, self.update.caused[self._corners])
+        self.sizes: Floats = np.broadcast_to(np.asarray(0.0 if sizes is None else sizes, float), (len(where), 2))[
+            self.kept
+        ]
+        self._near = (
+            _NearField(model, self.points, self.patches, self.sizes, corners, self._weights)
+            if sizes is not None
+            else None
+        )
+
+    @property
+    def model(self) -> TransferModel:
+        """The untouched skin."""
+        return self.update.model
+
+    def transfer_resistance(self, conductance: ArrayLike) -> Floats:
+        """(n_elec, n_elec) transfer resistances in ohms, as `TransferModel.transfer_resistance`.
+
+        Args:
+            conductance: (n_points,) between skin and patch at each of `points`, 0 where they do not touch (siemens).
+
+        Raises:
+            ModelError: If a conductance is negative or not finite, or there is not one for each point.
+        """
+        joint = np.asarray(conductance, float)
+        if joint.shape != (len(self.points),):
+            raise ModelError(f"conductances have shape {joint.shape}; give ({len(self.points)},), one per point")
+        if not (joint.min() >= 0 and joint.max() < np.inf):
+            raise ModelError("a patch conductance is negative or not finite; give 0 where a patch does not touch")
+        touching = np.flatnonzero(joint)
+        if not len(touching):
+            return self.model.transfer_resistance
+        numbers, owner = np.unique(self.patches[touching], return_inverse=True)
+        nodes, at = np.unique(self._corners[touching], return_inverse=True)
+        green = _interpolated(self.update.green_among(nodes), at.reshape(len(touching), -1), self._weights[touching])
+        if self._near is not None:
+            self._near.add_to(green, touching, numbers)
+        green[np.diag_indices_from(green)] += 1 / joint[touching]
+        member = np.zeros((len(touching), len(numbers)))
+        member[np.arange(len(touching)), owner] = 1.0
+        caused = self._caused[touching]
+        solved = cho_solve(cho_factor(green, lower=True, overwrite_a=True), np.hstack([caused, member]))
+        direct, floating = np.split(solved, [caused.shape[1]], axis=1)
+        drop = caused.T @ (direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct))
+        return np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
+
+
+def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, Bools]:
+    """Nodes (n, k) and barycentric coordinates (n, k) of points on the skin, and which (n,) are on it."""
+    if mesh.nodes.shape[1] == 2:
+        element, weights = mesh.locate(points)
+        return mesh.elements[element], weights, element >= 0
+    nodes, weights, distance = Surface(mesh).project(points)
+    corners = mesh.nodes[nodes]
+    edge = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    return nodes, weights, distance <= edge / 4
+
+
+@njit(cache=True, nogil=True)
+def _interpolated(green: Floats, corners: Ints, weights: Floats) -> Floats:
+    """(n, n) from values at nodes (m, m) to values at points, each with its nodes and weights (n, k)."""
+    n, k = corners.shape
+    half, whole = np.zeros((n, green.shape[1])), np.zeros((n, n))
+    for i in range(n):
+        for c in range(k):
+            half[i] += weights[i, c] * green[corners[i, c]]
+    for i in range(n):
+        for j in range(n):
+            for c in range(k):
+                whole[i, j] += half[i, corners[j, c]] * weights[j, c]
+    return whole
+
+
+class _NearField:
+    """What a mesh misses of the potentials that contacts of a patch cause at contacts nearby, on a flat sheet."""
+
+    def __init__(
+        self, model: TransferModel, points: Floats, patches: Ints, sizes: Floats, corners: Ints, weights: Floats
+    ) -> None:
+        mesh = model.mesh
+        if mesh.nodes.shape[1] != 2 or model.tensors.ndim > 1:
+            raise ModelError("contacts with sizes need a flat sheet that conducts alike in all directions; leave sizes")
+        self.model, self.points, self.patches, self.sizes = model, points, patches, sizes
+        self.corners, self.weights = corners, weights
+        self._element = mesh.locate(points)[0]
+        self._order = np.argsort(patches, kind="stable")
+        numbers, self._first = np.unique(patches[self._order], return_index=True)
+        self._slot = {int(number): slot for slot, number in enumerate(numbers)}
+        own = np.split(self._order, self._first[1:])
+        self._middles = np.array([points[one].mean(axis=0) for one in own])
+        self._half = max(float(np.linalg.norm(points[one] - points[one].mean(axis=0), axis=1).max()) for one in own)
+        self._own, self._edge = own, float(np.sqrt(4 / np.sqrt(3) * mesh.measures[self._element].max()))
+        self._nodes, self._tree = cKDTree(mesh.nodes), cKDTree(self._middles)
+        self._made: dict[int, tuple[Ints, Floats]] = {}
+
+    def add_to(self, green: Floats, touching: Ints, numbers: Ints) -> None:
+        """Add it to the potentials (n, n) that contacts `touching` (n,), of patches `numbers`, cause at each other."""
+        row = np.full(len(self.points), -1)
+        row[touching] = np.arange(len(touching))
+        missed = np.zeros_like(green)
+        for number in numbers:
+            slot = self._slot[int(number)]
+            if slot not in self._made:
+                self._made[slot] = self._missed(slot)
+            near, values = self._made[slot]
+            targets, sources = row[near], row[self._own[slot]]
+            at, by = targets >= 0, sources >= 0
+            missed[np.ix_(targets[at], sources[by])] = values[np.ix_(at, by)]
+        green += (missed + missed.T) / 2
+
+    def _missed(self, slot: int) -> tuple[Ints, Floats]:
+        """Contacts (n_near,) near a patch, and what the mesh misses there (n_near, n_own) of the patch's contacts."""
+        mesh, own, middle = self.model.mesh, self._own[slot], self._middles[slot]
+        reach = 2 * self._half + _NEAR * self._edge
+        near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, reach))])
+        inside = np.zeros(mesh.n_nodes, bool)
+        inside[self._nodes.query_ball_point(middle, self._half + _AROUND * self._edge)] = True
+        count = inside[mesh.elements].sum(axis=1)
+        part, cut = np.flatnonzero(count == 3), (count > 0) & (count < 3)
+        nodes, matrix = local_stiffness(mesh.gradients[part], mesh.measures[part], mesh.elements[part])
+        held = np.zeros(mesh.n_nodes, bool)
+        held[mesh.elements[cut]] = True
+        held = held[nodes]
+        row = np.full(mesh.n_nodes, -1)
+        row[nodes] = np.arange(len(nodes))
+        near = near[(row[self.corners[near]] >= 0).all(axis=1)]
+        rim = mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]
+        images = [self.points[own], *self._mirrored(self.points[own], middle, rim)]
+        load = np.zeros((len(nodes), len(own)))
+        for corner, weight in zip(row[self.corners[own]].T, self.weights[own].T, strict=True):
+            load[corner, np.arange(len(own))] += weight
+        exact, there = np.zeros((len(near), len(own))), np.zeros((held.sum(), len(own)))
+        for image in images:
+            exact -= log_means(self.points[near], image, self.sizes[own]) / (2 * np.pi)
+            there -= log_means(mesh.nodes[nodes[held]], image, 1e-9 * self.sizes[own]) / (2 * np.pi)
+            add_flux(load, row[rim], mesh.nodes[rim], image, middle)
+        free = ~held
+        values = np.empty((len(nodes), len(own)))
+        values[held] = there
+        values[free] = np.linalg.solve(matrix[np.ix_(free, free)], load[free] - matrix[np.ix_(free, held)] @ there)
+        meshed = np.einsum("pk,pko->po", self.weights[near], values[row[self.corners[near]]])
+        return near, (exact - meshed) / self.model.conductivity[self._element[own]]
+
+    def _mirrored(self, sources: Floats, middle: Floats, rim: Ints) -> list[Floats]:
+        """Mirror images (n, 2) of contacts beyond the edges of the rim closest to a patch: of a corner, all three."""
+        nodes, mirrors = self.model.mesh.nodes, list[tuple[Floats, Floats]]()
+        ends = nodes[rim]
+        order = np.argsort(np.linalg.norm(ends.mean(axis=1) - middle, axis=1))
+        for start, end in ends[order]:
+            normal = np.array([end[1] - start[1], start[0] - end[0]]) / np.linalg.norm(end - start)
+            if all(abs(normal @ other) < 0.5 for _, other in mirrors) and len(mirrors) < 2:
+                mirrors.append((start, normal))
+        images = [sources]
+        for start, normal in mirrors:
+            images += [image - 2 * ((image - start) @ normal)[:, None] * normal for image in images]
+        return [image for image in images[1:] if (self.model.mesh.locate(image)[0] < 0).all()]
+
+
+@njit(cache=True, nogil=True)
+def log_means(targets: Floats, sources: Floats, sizes: Floats) -> Floats:
+    """Mean (n_targets, n_sources) of the logarithm of the distance (m) of targets from rectangles of sides (n, 2)."""
+    means = np.empty((len(targets), len(sources)))
+    for i in range(len(targets)):
+        for j in range(len(sources)):
+            x, y = abs(targets[i, 0] - sources[j, 0]), abs(targets[i, 1] - sources[j, 1])
+            a, b = sizes[j, 0] / 2, sizes[j, 1] / 2
+            square = x * x + y * y
+            if square > 4 * _SMALL**2 * (a * a + b * b):
+                means[i, j] = 0.5 * np.log(square) + (a * a - b * b) * (y * y - x * x) / (6 * square * square)
+            else:
+                whole = _log_integral(x + a, y + b) - _log_integral(x - a, y + b)
+                means[i, j] = (whole - _log_integral(x + a, y - b) + _log_integral(x - a, y - b)) / (4 * a * b)
+    return means
+
+
+@njit(cache=True, nogil=True)
+def _log_integral(x: float, y: float) -> float:
+    """Integral of the logarithm of the distance from the origin over the rectangle from there to (x, y)."""
+    if x == 0.0 or y == 0.0:
+        return 0.0
+    square = x * x + y * y
+    return float(0.5 * (x * y * (np.log(square) - 3) + x * x * np.arctan(y / x) + y * y * np.arctan(x / y)))
+
+
+@njit(cache=True, nogil=True)
+def add_flux(load: Floats, rows: Ints, ends: Floats, sources: Floats, inside: Floats) -> None:
+    """Adds to `load` (n, n_sources) what leaves over edges of the rim, `ends` (n_edges, 2, 2), from unit line sources.
+
+    Args:
+        load: Of linear shape functions, in place.
+        rows: (n_edges, 2) rows of it.
+        ends: The ends of the edges (m).
+        sources: (n_sources, 2) (m).
+        inside: (2,) a point on the inner side of the edges (m).
+    """
+    for e in range(len(rows)):
+        dx, dy = ends[e, 1, 0] - ends[e, 0, 0], ends[e, 1, 1] - ends[e, 0, 1]
+        length = np.hypot(dx, dy)
+        tx, ty = dx / length, dy / length
+        nx, ny = ty, -tx
+        if (inside[0] - ends[e, 0, 0]) * nx + (inside[1] - ends[e, 0, 1]) * ny > 0:
+            nx, ny = -nx, -ny
+        for j in range(len(sources)):
+            x, y = ends[e, 0, 0] - sources[j, 0], ends[e, 0, 1] - sources[j, 1]
+            off, low = x * nx + y * ny, x * tx + y * ty
+            high = low + length
+            if off == 0.0:
+                continue
+            angle = np.arctan(high / off) - np.arctan(low / off)
+            second = (off / 2 * np.log((high**2 + off**2) / (low**2 + off**2)) - low * angle) / length
+            load[rows[e, 1], j] -= second / (2 * np.pi)
+            load[rows[e, 0], j] -= (angle - second) / (2 * np.pi)
