@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <mutex>
 #include <string>
 #include <thread>
 
@@ -104,6 +105,8 @@ static void wrench(Cdr& cdr) {
            header.frame.c_str(), v[0], v[1], v[2], v[3], v[4], v[5]);
 }
 
+std::mutex lines;  // each topic has a thread of its own, and lines come whole
+
 struct Listener : DataReaderListener {
     void (*print)(Cdr&);
     std::atomic<int> seen{0};
@@ -116,6 +119,7 @@ struct Listener : DataReaderListener {
             FastBuffer buffer(&bytes[0], bytes.size());
             Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
             cdr.read_encapsulation();
+            std::lock_guard<std::mutex> lock(lines);
             print(cdr);
             fflush(stdout);
             ++seen;
@@ -159,6 +163,6 @@ int main(int argc, char** argv) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
     auto done = [&] { for (auto& topic : topics) if (topic.listener.seen < wanted) return false; return true; };
     while (!done() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    fflush(stdout);
+    std::lock_guard<std::mutex> lock(lines);
     _Exit(done() ? 0 : 1);
 }

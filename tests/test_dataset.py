@@ -79,7 +79,7 @@ def test_samples_are_what_the_twin_shows() -> None:
     recipe = replace(RECIPE, pattern="complete", contacts=(1, 1))
     sample = recipe.simulate(3, 1)
     x, y, radius, pressure = (float(v) for v in sample["contacts"][0, 0])
-    twin = VirtualSkin(PAPER, 0)
+    twin = VirtualSkin(PAPER, 0, contacts=4)
     quiet = np.mean([twin.scan(recipe.drive_pattern).voltages for _ in range(20)], axis=0)
     twin.press(0, x, y, radius, pressure)
     change = np.mean([twin.scan(recipe.drive_pattern).voltages for _ in range(20)], axis=0) - quiet

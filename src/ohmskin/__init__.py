@@ -29,7 +29,7 @@ _PACKAGES = {
     "importers": "read_recording",
     "inverse": "AbsoluteGaussNewton GaussNewton Greit Image Kalman SparseBayes TotalVariation",
     "scan": "Baseline Difference DrivePattern Frame adjacent opposite skip",
-    "sensing": "Percept Sensor SkinModel build modes perceive",
+    "sensing": "Percept PressFitter Sensor SkinModel build modes perceive",
     "skin": "Mode Skin VirtualSkin",
     "tracking": "Tracker",
 }
@@ -60,7 +60,7 @@ if TYPE_CHECKING:  # for editors
     from ohmskin.importers import read_recording
     from ohmskin.inverse import AbsoluteGaussNewton, GaussNewton, Greit, Image, Kalman, SparseBayes, TotalVariation
     from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, opposite, skip
-    from ohmskin.sensing import Percept, Sensor, SkinModel, build, modes, perceive
+    from ohmskin.sensing import Percept, PressFitter, Sensor, SkinModel, build, modes, perceive
     from ohmskin.skin import Mode, Skin, VirtualSkin
     from ohmskin.tracking import Tracker
 

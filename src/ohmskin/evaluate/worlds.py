@@ -26,6 +26,7 @@ from ohmskin.geometry import Mesh, mesh_domain
 from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.skin import PressedSheet, Skin
+from ohmskin.skin.twin import Load
 
 CURRENT = 1e-3  # amperes, in every injection
 LAYOUTS = {"grid": "paper", "rim": "paper-rim16"}  # electrode layouts and the skins that have them
@@ -73,11 +74,15 @@ def _pressed(skin: Skin) -> Sheet:
     """Contacts pressed on the contact-layer twin; the foam spreads their edges, and pressures add up."""
     twin, spread = PressedSheet(skin), max(skin.contact_layer.foam_spread, 1e-12)
 
+    def load(contact: Shape) -> Load:
+        def pressure_at(points: Floats) -> Floats:
+            away = contact.distance(points.reshape(-1, 2)).reshape(points.shape[:-1])
+            return np.asarray(contact.strength * np.clip(1 - away / spread, 0.0, 1.0))
+
+        return contact.position, np.sqrt(2) * contact.radius + spread, pressure_at
+
     def touched(contacts: Contacts) -> Floats:
-        pressure = np.zeros(len(twin.contact_points))
-        for contact in contacts:
-            pressure += contact.strength * np.clip(1 - contact.distance(twin.contact_points) / spread, 0.0, 1.0)
-        return twin.under_pressure(pressure)
+        return twin.under(load(contact) for contact in contacts)
 
     return Sheet(twin.mesh, twin.untouched, touched)
 

@@ -91,6 +91,13 @@ class FloatingPatches:
         Raises:
             ModelError: If a conductance is negative or not finite, or there is not one for each point.
         """
+        return self.linearised(conductance)[0]
+
+    def linearised(self, conductance: ArrayLike) -> tuple[Floats, Ints, Floats]:
+        """The same; which contacts (n,) touch; and the voltage (n, n_elec) over each for 1 A into each electrode.
+
+        A current i sees -(voltage . i)^2 as derivative of its resistance by a contact's conductance (V/A, ohm^2).
+        """
         joint = np.asarray(conductance, float)
         if joint.shape != (len(self.points),):
             raise ModelError(f"conductances have shape {joint.shape}; give ({len(self.points)},), one per point")
@@ -98,7 +105,7 @@ class FloatingPatches:
             raise ModelError("a patch conductance is negative or not finite; give 0 where a patch does not touch")
         touching = np.flatnonzero(joint)
         if not len(touching):
-            return self.model.transfer_resistance
+            return self.model.transfer_resistance, touching, np.empty((0, len(self.model.electrodes)))
         numbers, owner = np.unique(self.patches[touching], return_inverse=True)
         nodes, at = np.unique(self._corners[touching], return_inverse=True)
         green = _interpolated(self.update.green_among(nodes), at.reshape(len(touching), -1), self._weights[touching])
@@ -110,8 +117,10 @@ class FloatingPatches:
         caused = self._caused[touching]
         solved = cho_solve(cho_factor(green, lower=True, overwrite_a=True), np.hstack([caused, member]))
         direct, floating = np.split(solved, [caused.shape[1]], axis=1)
-        drop = caused.T @ (direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct))
-        return np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
+        currents = direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct)
+        drop = caused.T @ currents
+        after = np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
+        return after, touching, currents / joint[touching, None]
 
 
 def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, Bools]:

@@ -4,6 +4,7 @@ from ohmskin.sensing.build import build, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes
+from ohmskin.sensing.presses import FittedLayer, FittedPress, KnownPress, PressFitter
 from ohmskin.sensing.readers import READERS, Belief, DetectionReader, FilterReader, Reader
 from ohmskin.sensing.sensor import Percept, Scan, Sensor, SensorState, Thresholds
 
@@ -16,7 +17,11 @@ __all__ = [
     "CompiledCycle",
     "DetectionReader",
     "FilterReader",
+    "FittedLayer",
+    "FittedPress",
+    "KnownPress",
     "Percept",
+    "PressFitter",
     "Reader",
     "Scan",
     "Sensor",

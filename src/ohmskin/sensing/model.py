@@ -51,14 +51,10 @@ class SkinModel:
         if quality is not None:
             quiet = [quality.clean(frame) for frame in quiet]
         self.baseline, self.quiet = Baseline.learn(quiet), QuietScans(quiet)
-        pattern = quiet[0].pattern
-        measured, modelled = self.baseline.reference(pattern), model.voltages(pattern)
-        known = np.isfinite(measured) & (~pattern.driven | pattern.driven.all())
-        if not known.any():
-            raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
-        modelled, measured, volts = modelled[known], measured[known], quiet[0].voltages[known]
-        self._described, self._scale = model, float(modelled @ modelled / (modelled @ measured))
-        self.model = model.scaled(self._scale)
+        self._first = quiet[0].pattern
+        self._described, scale = model, self._scale(model)
+        self.model, self._table_scale = model.scaled(scale), scale
+        volts = quiet[0].voltages[~self._first.driven | self._first.driven.all()]
         floor = _LEAST_NOISE * float(np.nanmax(np.where(np.isfinite(volts), np.abs(volts), 0.0)))
         self.noise = max(self.baseline.difference_noise, floor)
         self._white, self.gain = kinds_of_noise(self.baseline, quiet)
@@ -126,7 +122,7 @@ class SkinModel:
         Raises:
             ModelError: If the sheet is not flat.
         """
-        table = self.skin.contact_table(self._described).scaled(self._scale)
+        table = self.skin.contact_table(self._described).scaled(self._table_scale)
         floor = max(self.noise / max(self.baseline.difference_noise, 1e-300), 1.0)  # on recordings without noise
         return ContactFitter(
             table,
@@ -147,8 +143,8 @@ class SkinModel:
         change = self.skin.contact_change(self.impedances)
         if not self.impedances.any():
             return np.asarray((all_pairs(len(change))[:, :, None] == np.arange(len(change))).any(axis=1) * change)
-        model, areas = self._electrode_model
-        return model.with_contact_impedances(areas * self.impedances).pair_contact_sensitivity * areas * change
+        model = self.electrode_model()
+        return model.pair_contact_sensitivity * model.electrode_extents * change
 
     @cached_property
     def impedances(self) -> Floats:
@@ -158,8 +154,8 @@ class SkinModel:
         """
         if self._impedances is not None:
             return self._impedances
-        model, areas = self._electrode_model
-        described, quiet = self.skin.electrode.contact_resistivity / areas, self.quiet.driven
+        model = self._perfect
+        described, quiet = self.skin.electrode.contact_resistivity / model.electrode_extents, self.quiet.driven
         if calibrated := self.skin.calibration.contact_impedances:
             return np.fmax(calibrated, described)
         if quiet is None:
@@ -173,14 +169,29 @@ class SkinModel:
             found[number] += np.nanmedian(excess[electrodes == number])
         return np.asarray(np.fmax(found, described))
 
+    def electrode_model(self, finer: float = 1.0) -> TransferModel:
+        """The skin with electrodes of real size and their `impedances`, scaled to the quiet frames.
+
+        `finer`: edges of its mesh over the estimator's.
+        """
+        model = self._perfect if finer == 1 else self._scaled(self.skin.electrode_model(finer))
+        return model.with_contact_impedances(model.electrode_extents * self.impedances)
+
     @cached_property
-    def _electrode_model(self) -> tuple[TransferModel, Floats]:
-        """The skin with electrodes of real size, scaled to the quiet data; their areas on the sheet (n_elec,) (m2)."""
-        model = self.skin.electrode_model()
-        model = model.with_conductivity(
-            model.conductivity * (self.model.conductivity.mean() / model.conductivity.mean())
-        )
-        return model, model.electrode_extents
+    def _perfect(self) -> TransferModel:
+        """The same with contacts as described; points and discs differ in what scale they want."""
+        return self._scaled(self.skin.electrode_model())
+
+    def _scaled(self, model: TransferModel) -> TransferModel:
+        return model.with_conductivity(model.conductivity * self._scale(model))
+
+    def _scale(self, model: TransferModel) -> float:
+        """By what a model's conductivity must be multiplied to have the quiet voltages of idle electrodes (1)."""
+        modelled, measured = model.voltages(self._first), self.baseline.reference(self._first)
+        known = np.isfinite(measured) & (~self._first.driven | self._first.driven.all())
+        if not known.any():
+            raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
+        return float(modelled[known] @ modelled[known] / (modelled[known] @ measured[known]))
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:

@@ -286,9 +286,12 @@ class Skin:
         """The responses of contacts of the usual size on a model of this skin; made once for each model."""
         return _contact_table(model, self.imaging.mesh_size)
 
-    def electrode_model(self) -> TransferModel:
-        """The same with electrodes of their real size, which driven electrodes need to have a resistance."""
-        mesh = self.mesh_for(self.discs)
+    def electrode_model(self, finer: float = 1.0) -> TransferModel:
+        """The same with electrodes of their real size, which driven electrodes need to have a resistance.
+
+        `finer`: edges of its mesh over the estimator's.
+        """
+        mesh = self.mesh_for(self.discs, finer * self.imaging.mesh_size)
         return TransferModel(mesh, self.discs, self.conductivity_on(mesh))
 
 

@@ -1,7 +1,9 @@
 """The physics of a pressed sheet: area electrodes, and floating patches that short the sheet where they are pressed."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +12,14 @@ from scipy.spatial import cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
-from ohmskin.skin.description import Skin
+from ohmskin.scan import all_pairs, two_terminal
+from ohmskin.skin.description import ContactLayer, Skin
 
-# Contacts along each side of a patch, closer at its edges, where the current enters, and places along each side of a
-# contact at which the pressure is looked at: presses of 5 mm and more do to 1.5 % what they do with ever more of them.
-_CONTACTS, _PLACES, _GRADED = 8, 3, 0.8
+_PLACES, _GRADED = 3, 0.8  # places along each side of a contact where the pressure is looked at; 0 is even, 1 a cosine
+_LEAST_SPREAD = 0.5e-3  # m, of the foam where slopes are asked for: the edge of a press must not be a step
+
+
+Load = tuple[tuple[float, float], float, Callable[[Floats], Floats]]
 
 
 @dataclass(frozen=True)
@@ -64,40 +69,42 @@ class PressedSheet:
     Electrodes are discs with contact impedance (`TransferModel`), patches floating conductors (`FloatingPatches`).
 
     Args:
-        skin: What to model. The sheet's mesh has finer edges than the estimator's.
+        skin: What to model.
         contact_factors: Factor on each electrode's contact impedance (n_elec,), for poor contacts.
+        model: Of the untouched sheet with its electrodes; on a mesh finer than the estimator's unless given.
+        contacts: Along each side of a patch, closer at its edges, where the current enters. With 8, presses of 5 mm and
+            more do to 2 % what they do with ever more of them; with 4, some ten times as quick, to 5 %.
 
     Attributes:
         untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included;
             the last electrode is the reference.
-        contact_points: (n_points, 2) places at which the pressure of patches on the sheet counts (m).
     """
 
-    def __init__(self, skin: Skin, contact_factors: ArrayLike = 1.0) -> None:
-        self.skin = skin
-        self.mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
-        factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
-        resistivity = skin.electrode.contact_resistivity * factors
-        electrodes = skin.discs.with_contact_impedances(resistivity)
-        model = TransferModel(self.mesh, electrodes, skin.conductivity_on(self.mesh))
-        self._patches = FloatingPatches(model, *self._contacts())
+    def __init__(
+        self, skin: Skin, contact_factors: ArrayLike = 1.0, model: TransferModel | None = None, contacts: int = 8
+    ) -> None:
+        if model is None:
+            mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
+            factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
+            electrodes = skin.discs.with_contact_impedances(skin.electrode.contact_resistivity * factors)
+            model = TransferModel(mesh, electrodes, skin.conductivity_on(mesh))
+        self.skin, self.mesh = skin, model.mesh
+        self._patches = FloatingPatches(model, *self._contacts(contacts))
         self._areas = self._patches.sizes.prod(axis=1)
         places = ((np.arange(_PLACES) + 0.5) / _PLACES - 0.5)[:, None] * np.ones(_PLACES)
         offsets = np.stack([places.T.ravel(), places.ravel()], axis=1)
-        self.contact_points: Floats = (self._patches.points[:, None] + offsets * self._patches.sizes[:, None]).reshape(
-            -1, 2
-        )
+        self._places: Floats = self._patches.points[:, None] + offsets * self._patches.sizes[:, None]
         self._tree = cKDTree(self._patches.points)
         self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
 
-    def _contacts(self) -> tuple[Floats, Ints, Floats]:
+    def _contacts(self, count: int) -> tuple[Floats, Ints, Floats]:
         """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
         layer, (x0, y0, x1, y1) = self.skin.contact_layer, self.skin.domain.bounds
         x = x0 + (np.arange(layer.columns) + 0.5) * (x1 - x0) / layer.columns
         y = y0 + (np.arange(layer.rows) + 0.5) * (y1 - y0) / layer.rows
         centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        even = np.arange(_CONTACTS + 1) / _CONTACTS
+        even = np.arange(count + 1) / count
         ends = layer.patch * ((1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even))
         middle, side = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
         offsets, sizes = (np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2) for one in (middle, side))
@@ -106,23 +113,78 @@ class PressedSheet:
 
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
-        spread, each = self.skin.contact_layer.foam_spread, _PLACES**2
-        pressure = np.zeros((len(self._areas), each))
-        for press in presses:
-            near = self._tree.query_ball_point(press.position, press.radius + spread + self._reach)
-            pressure[near] += press.pressure_at(self.contact_points.reshape(-1, each, 2)[near], spread)
-        return self.under_pressure(pressure.ravel())
+        spread = self.skin.contact_layer.foam_spread
+        return self.under(
+            (press.position, press.radius + spread, partial(press.pressure_at, spread=spread)) for press in presses
+        )
 
-    def under_pressure(self, pressure: Floats) -> Floats:
-        """(n_elec, n_elec) transfer resistances in ohms under a pressure (n_points,) (Pa) at `contact_points`."""
-        layer, at = self.skin.contact_layer, pressure.reshape(len(self._areas), -1)
-        touching = np.flatnonzero(at.any(axis=1))
-        if not len(touching):
+    def under(self, loads: Iterable[Load]) -> Floats:
+        """(n_elec, n_elec) transfer resistances in ohms under loads of any shape, whose pressures add up.
+
+        Args:
+            loads: Of each its place (2,), how far it reaches from there (m), and its pressure (...) (Pa) at points
+                (..., 2) (m).
+        """
+        pressure = np.zeros(self._places.shape[:2])
+        for position, reach, pressure_at in loads:
+            near = self._near(position, reach)
+            pressure[near] += pressure_at(self._places[near])
+        if not (touching := np.flatnonzero(pressure.any(axis=1))).size:
             return self.untouched
-        per_area = layer.conductance * (at[touching] / layer.pressure_scale) ** layer.exponent
-        conductance = np.zeros(len(at))
-        conductance[touching] = per_area.mean(axis=1) * self._areas[touching]
+        conductance = np.zeros(len(pressure))
+        conductance[touching] = self._conductance(pressure[touching]).mean(axis=1) * self._areas[touching]
         return _against_last(self._patches.transfer_resistance(conductance))
+
+    def with_layer(self, layer: ContactLayer) -> "PressedSheet":
+        """The same sheet under a layer of the same patches with other conductance; nothing is made anew."""
+        other = copy(self)
+        other.skin = replace(self.skin, contact_layer=layer)
+        return other
+
+    def linearised(self, presses: Sequence[Press]) -> tuple[Floats, Floats]:
+        """What presses change of two-terminal resistances (n_pairs,) (ohm), and its slopes (n_pairs, 4 n + 2).
+
+        Slopes are by x, y (per m), the logarithms of radius and pressure of each press, then by the logarithm of the
+        layer's conductance and by its exponent.
+        """
+        layer = self.skin.contact_layer
+        spread = max(layer.foam_spread, _LEAST_SPREAD)
+        pressure = np.zeros(self._places.shape[:2])
+        slopes = np.zeros((4 * len(presses), *pressure.shape))
+        for k, press in enumerate(presses):
+            near = self._near(press.position, press.radius + spread)
+            away = self._places[near] - press.position
+            distance = np.linalg.norm(away, axis=-1)
+            own = press.pressure_at(self._places[near], spread)
+            rising = np.where((own > 0) & (own < press.pressure), press.pressure / spread, 0.0)
+            pressure[near] += own
+            for axis in range(2):
+                slopes[4 * k + axis, near] = rising * away[..., axis] / np.maximum(distance, 1e-12)
+            slopes[4 * k + 2, near], slopes[4 * k + 3, near] = rising * press.radius, own
+        touching = np.flatnonzero(pressure.any(axis=1))
+        at, areas = pressure[touching], self._areas[touching]
+        per_area = self._conductance(at)
+        logarithm = np.log(np.maximum(at, 1e-300) / layer.pressure_scale)
+        by_pressure = layer.exponent * per_area / np.maximum(at, 1e-300)
+        changes = [*(by_pressure * slope for slope in slopes[:, touching]), per_area, per_area * logarithm]
+        conductance = np.zeros(len(pressure))
+        conductance[touching] = per_area.mean(axis=1) * areas
+        after, _, volts = self._patches.linearised(conductance)
+        i, j = all_pairs(len(after)).T
+        seen = (volts[:, i] - volts[:, j]) ** 2
+        return (
+            two_terminal(after) - self._patches.model.pair_resistances,
+            -seen.T @ np.array([change.mean(axis=1) * areas for change in changes]).T,
+        )
+
+    def _near(self, position: ArrayLike, reach: float) -> list[int]:
+        """Contacts that something round may touch."""
+        return list(self._tree.query_ball_point(position, reach + self._reach))
+
+    def _conductance(self, pressure: Floats) -> Floats:
+        """Conductance per area (S/m2) under a pressure (Pa)."""
+        layer = self.skin.contact_layer
+        return layer.conductance * (pressure / layer.pressure_scale) ** layer.exponent
 
 
 def _against_last(resistance: Floats) -> Floats:

@@ -19,8 +19,8 @@ from ohmskin.skin.twin import Press, PressedSheet
 
 
 @lru_cache(maxsize=8)
-def _sheet(skin: Skin, contact_factors: tuple[float, ...]) -> PressedSheet:
-    return PressedSheet(skin, contact_factors)
+def _sheet(skin: Skin, contact_factors: tuple[float, ...], contacts: int) -> PressedSheet:
+    return PressedSheet(skin, contact_factors, contacts=contacts)
 
 
 class VirtualSkin:
@@ -30,15 +30,16 @@ class VirtualSkin:
         skin: What it is.
         seed: Seed of the noise.
         faults: What is wrong with its wiring.
+        contacts: Between sheet and patch along each side of it, see `PressedSheet`.
 
     Raises:
         SkinError: If a fault names an electrode that is not there, or two faults name the same one.
     """
 
-    def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = ()) -> None:
+    def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = (), contacts: int = 8) -> None:
         self.skin = skin
         self.wiring = Wiring(faults, len(skin.electrodes))
-        self.sheet = _sheet(skin, tuple(self.wiring.contact_factors.tolist()))
+        self.sheet = _sheet(skin, tuple(self.wiring.contact_factors.tolist()), contacts)
         self.reset(seed)
 
     def reset(self, seed: int | Sequence[int] | None = None, presses: Iterable[Press] = ()) -> None:

@@ -1,0 +1,285 @@
+"""How hard something presses: presses on the contact layer fitted to data, so that force is told apart from area.
+
+A contact's strength alone does not tell its force: under more pressure the layer saturates, a wider finger is felt more
+strongly, and where patches end matters. So the patches themselves are modelled (`PressedSheet`), and of each contact
+place, radius and pressure are fitted together. Force is the integral of the pressure.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import Contact
+from ohmskin.contacts.information import Errors, Information
+from ohmskin.contacts.kernels import damped_step
+from ohmskin.contacts.solution import inverse
+from ohmskin.errors import DataError
+from ohmskin.scan import Difference
+from ohmskin.sensing.model import SkinModel
+from ohmskin.skin import Press, PressedSheet, Skin
+
+_PER_PRESS = 4  # x, y (m), logarithms of radius (m) and pressure (Pa)
+_SPREAD = np.array([0.5, 1.5])  # prior standard deviations of the logarithms of radius and pressure
+_LAYER_SPREAD = np.array([1.0, 0.3])  # of the logarithm of the layer's conductance, and of its exponent
+_WIDER, _HARDER = 4.0, 20.0  # factors by which radius and pressure may differ from the usual ones
+_MODEL_ERROR = 0.02  # share of a press's signal that the model of the layer gets wrong, here and there
+_AMPLITUDE = 0.01  # and of all of it alike
+_SIZES = (0.6, 1.0)  # usual radii from which a fit starts
+_FINER = 0.8  # edges of the mesh over the estimator's: those resolve a press near the rim to 1.5 %, these to 0.5 %
+_ROUNDS, _ENOUGH = 25, 0.02  # most steps, and the gain in squared misfit below which a fit stops
+
+
+@dataclass(frozen=True)
+class FittedPress:
+    """A press that explains a contact.
+
+    Args:
+        press: Where, how wide, and the pressure.
+        force: Integral of the pressure (N).
+        force_std: Its standard deviation (N).
+        covariance: (4, 4) of x, y (m), and the logarithms of radius and pressure.
+    """
+
+    press: Press
+    force: float
+    force_std: float
+    covariance: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPress:
+    """A press of known force, and what was measured under it.
+
+    Args:
+        force: Force (N).
+        contact: Where and how large it seemed.
+        scans: What it changed.
+    """
+
+    force: float
+    contact: Contact
+    scans: tuple[Difference, ...]
+
+
+@dataclass(frozen=True)
+class FittedLayer:
+    """A contact layer as presses of known force show it.
+
+    Args:
+        conductance: Per area at the layer's pressure scale (S/m2).
+        exponent: Of its growth with pressure (1).
+        conductance_std: Standard deviation of the logarithm of the conductance.
+        exponent_std: Standard deviation of the exponent.
+    """
+
+    conductance: float
+    exponent: float
+    conductance_std: float
+    exponent_std: float
+
+    def put_into(self, skin: Skin) -> Skin:
+        """The skin with this layer."""
+        return replace(skin, contact_layer=replace(
+            skin.contact_layer, conductance=self.conductance, exponent=self.exponent
+        ))  # fmt: skip
+
+
+class PressFitter:
+    """Explains the contacts of a frame by presses on the contact layer.
+
+    Args:
+        known: What is known of the quiet skin.
+        model_error: Share of a press's signal that the model of the layer gets wrong (1).
+    """
+
+    def __init__(self, known: SkinModel, model_error: float = _MODEL_ERROR) -> None:
+        self.known, self._model_error = known, model_error
+        self._usual = np.log([1.5 * known.skin.imaging.mesh_size, known.skin.contact_layer.pressure_scale])
+
+    @cached_property
+    def sheet(self) -> PressedSheet:
+        """The skin as its quiet frames show it, under its contact layer; made when it is first needed."""
+        return PressedSheet(self.known.skin, model=self.known.electrode_model(_FINER))
+
+    def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
+        """The presses that explain what scans show, one for each contact.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        if not contacts:
+            return ()
+        data = self._information(scans)
+        found = min((self._fitted(data, self._start(contacts, size)) for size in _SIZES), key=lambda one: one[1])
+        return self._told(found[0], inverse(found[2]))
+
+    def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
+        """The layer that explains presses of known force; some ten, at places and forces all over the range.
+
+        Raises:
+            DataError: If there are fewer than two, a force is not positive, or no finite datum is left of one.
+        """
+        forces = [press.force for press in presses]
+        if len(presses) < 2 or not (np.isfinite(forces).all() and min(forces) > 0):
+            raise DataError(f"presses of {forces} N; give two or more, each above 0 N")
+        data = [self._information(press.scans) for press in presses]
+        layer = self.known.skin.contact_layer
+        described = np.array([np.log(layer.conductance), layer.exponent])
+        start = np.concatenate([described, *(self._start([press.contact], 1.0)[:3] for press in presses)])
+
+        def moved(params: Floats, step: Floats) -> Floats:
+            after = params + step
+            after[1] = np.clip(after[1], 0.1, 3.0)
+            for k in range(2, len(after), 3):
+                after[k : k + 3] = self._within(np.append(after[k : k + 3], self._usual[1]))[:3]
+            return after
+
+        found, _, normal = _minimised(start, lambda params: self._under_layer(params, described, forces, data), moved)
+        stds = np.sqrt(np.diag(inverse(normal)))
+        return FittedLayer(float(np.exp(found[0])), float(found[1]), float(stds[0]), float(stds[1]))
+
+    def _under_layer(
+        self, params: Floats, described: Floats, forces: Sequence[float], data: Sequence[Information]
+    ) -> tuple[float, Floats, Floats]:
+        """Cost, curvature and downhill gradient of a layer, and of place and size of presses of known force under it.
+
+        Args:
+            params: (2 + 3 n,) logarithm of the layer's conductance, and its exponent; x, y and logarithm of the radius
+                of each press.
+            described: (2,) the layer as it was believed to be.
+            forces: Of each press (N).
+            data: What was measured under each.
+        """
+        layer = self.sheet.skin.contact_layer
+        sheet = self.sheet.with_layer(replace(layer, conductance=float(np.exp(params[0])), exponent=float(params[1])))
+        off = (described - params[:2]) / _LAYER_SPREAD
+        cost, normal, gradient = float(off @ off), np.zeros((len(params),) * 2), np.zeros(len(params))
+        normal[:2, :2], gradient[:2] = np.diag(_LAYER_SPREAD**-2), off / _LAYER_SPREAD
+        for k, (force, told) in enumerate(zip(forces, data, strict=True)):
+            at = np.r_[0, 1, 2 + 3 * k : 5 + 3 * k]
+            own = np.append(params[at[2:]], 0.0)
+            own[3] = np.log(force / self._press(own).force(layer.foam_spread))
+            caused, slopes = sheet.linearised([self._press(own)])
+            slopes[:, 2] -= slopes[:, 3] * self._growth(own)  # a wider one of the same force presses less
+            part = self._explained(told, caused, slopes[:, [4, 5, 0, 1, 2]])
+            prior = self._prior(own[None])
+            cost += part[0] + prior[0]
+            normal[np.ix_(at, at)] += part[1]
+            gradient[at] += part[2]
+            normal[at[2:], at[2:]] += prior[1][:3]
+            gradient[at[2:]] += prior[2][:3]
+        return cost, normal, gradient
+
+    def _growth(self, params: Floats) -> float:
+        """Derivative of the logarithm of the force by that of the radius, at one pressure."""
+        spread, radius = self.known.skin.contact_layer.foam_spread, float(np.exp(params[2]))
+        return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
+
+    def _information(self, scans: Sequence[Difference]) -> Information:
+        fitter = self.known.fitter
+        four = np.concatenate([scan.pattern.quadruples for scan in scans])
+        repeats = len(four) / len(np.unique(four, axis=0))  # which average the noise, but not the model's error
+        errors = Errors(
+            fitter.errors.noise, fitter.errors.gain, fitter.errors.contacts, self._model_error * np.sqrt(repeats)
+        )
+        return Information.of(fitter.table.n_elec, errors, scans)[1]
+
+    def _start(self, contacts: Sequence[Contact], size: float) -> Floats:
+        usual = self._usual + np.array([np.log(size), 0.0])
+        return np.concatenate([[*contact.position, *usual] for contact in contacts])
+
+    def _press(self, params: Floats) -> Press:
+        x, y, radius, pressure = (float(value) for value in params)
+        return Press((x, y), float(np.exp(radius)), float(np.exp(pressure)))
+
+    def _within(self, params: Floats) -> Floats:
+        """Parameters (4 n,) with places on the sheet, radii and pressures not absurd."""
+        inside = params.reshape(-1, _PER_PRESS).copy()
+        inside[:, :2] = self.known.fitter.onto(inside[:, :2])
+        reach = np.log([_WIDER, _HARDER])
+        inside[:, 2:] = np.clip(inside[:, 2:], self._usual - reach, self._usual + reach)
+        return inside.ravel()
+
+    def _fitted(self, data: Information, start: Floats) -> tuple[Floats, float, Floats]:
+        """The parameters (4 n,) of presses near `start` that explain data best, their cost and its curvature."""
+        radius = self.known.fitter.table.radius
+
+        def moved(params: Floats, step: Floats) -> Floats:
+            by_press = step.reshape(-1, _PER_PRESS).copy()
+            by_press[:, :2] *= np.minimum(1, radius / np.maximum(np.hypot(*by_press[:, :2].T), 1e-300))[:, None]
+            by_press[:, 2:] = np.clip(by_press[:, 2:], -1.0, 1.0)
+            return self._within(params + by_press.ravel())
+
+        return _minimised(start, lambda params: self._linearised(data, params), moved)
+
+    def _linearised(self, data: Information, params: Floats) -> tuple[float, Floats, Floats]:
+        """Cost, curvature and downhill gradient of presses (4 n,)."""
+        presses = params.reshape(-1, _PER_PRESS)
+        caused, slopes = self.sheet.linearised([self._press(one) for one in presses])
+        cost, normal, gradient = self._explained(data, caused, slopes[:, : params.size])
+        own, precision, pull = self._prior(presses)
+        return cost + own, normal + np.diag(precision), gradient + pull
+
+    @staticmethod
+    def _explained(data: Information, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
+        """Cost, curvature and downhill gradient of what is caused, up to a common error of all of it."""
+        left, seen = data.vector - data.matrix @ caused, data.matrix @ slopes
+        error = _AMPLITUDE * caused
+        felt = data.matrix @ error
+        share = 1 / (1 + error @ felt)
+        cost = data.constant - caused @ (data.vector + left) - share * (error @ left) ** 2
+        normal = slopes.T @ seen - share * np.outer(slopes.T @ felt, felt @ slopes)
+        return float(cost), normal, slopes.T @ (left - share * felt * (error @ left))
+
+    def _prior(self, presses: Floats) -> tuple[float, Floats, Floats]:
+        """What is known of presses (n, 4) before: its cost, precision (4 n,) and pull (4 n,)."""
+        off = np.zeros_like(presses)
+        off[:, 2:] = (self._usual - presses[:, 2:]) / _SPREAD
+        stds = np.tile([*[2 * self.known.fitter.table.radius] * 2, *_SPREAD], len(presses))
+        return float((off**2).sum()), stds**-2.0, off.ravel() / stds
+
+    def _told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
+        told = []
+        for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
+            at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))
+            press = self._press(own)
+            force = press.force(self.known.skin.contact_layer.foam_spread)
+            slope = np.array([0.0, 0.0, self._growth(own), 1.0])
+            std = force * sqrt(float(slope @ covariance[at, at] @ slope))
+            told.append(FittedPress(press, force, std, covariance[at, at]))
+        return tuple(told)
+
+
+def _minimised(
+    params: Floats,
+    evaluated: Callable[[Floats], tuple[float, Floats, Floats]],
+    moved: Callable[[Floats, Floats], Floats],
+) -> tuple[Floats, float, Floats]:
+    """Levenberg and Marquardt: parameters, cost and curvature.
+
+    Args:
+        params: Where to start.
+        evaluated: Cost, half its curvature and half its downhill gradient at parameters.
+        moved: Parameters after a step, within bounds.
+    """
+    damping = 1e-2
+    cost, normal, gradient = evaluated(params)
+    for _ in range(_ROUNDS):
+        step = gradient.copy()
+        damped_step(normal, damping, step)
+        if step @ gradient < _ENOUGH:
+            break
+        after = moved(params, step)
+        trial = evaluated(after)
+        gain = cost - trial[0]
+        if gain > 0:
+            params, (cost, normal, gradient), damping = after, trial, damping / 8
+        else:
+            damping *= 8
+        if abs(gain) < _ENOUGH or damping > 1e4:
+            break
+    return params, cost, normal
