@@ -75,14 +75,14 @@ def test_slopes_are_those_of_the_resistances(radius: float) -> None:
 
 def test_force_is_told_with_its_uncertainty() -> None:
     """In a tenth of a second, of light and hard presses, with place, radius and pressure all unknown."""
-    presses = some(12, 1, 8e-3, [2e3, 6e3, 20e3, 60e3])
+    presses = some(8, 1, 8e-3, [2e3, 6e3, 20e3, 60e3])
     found = [fitter().fit([press.contact], *press.scans)[0] for press in presses]
     off = np.array([one.force / press.force - 1 for one, press in zip(found, presses, strict=True)])
     sure = np.array([(one.force - press.force) / one.force_std for one, press in zip(found, presses, strict=True)])
     assert np.median(np.abs(off)) < 0.25
     assert 0.2 < np.median(np.abs(sure)) < 1.5  # 0.67 of a normal distribution
     # one frame alone cannot tell a hard press from a wide one, and says so
-    alone = [fitter().fit([press.contact], *press.scans[:2])[0] for press in presses[:6]]
+    alone = [fitter().fit([press.contact], *press.scans[:2])[0] for press in presses[:4]]
     assert np.median([one.force_std / one.force for one in alone]) > 0.25
 
 
@@ -108,7 +108,10 @@ def test_ten_known_presses_calibrate_the_layer() -> None:
     assert found.exponent == pytest.approx(true.exponent, abs=3 * found.exponent_std)
     assert found.conductance_std < 0.25
     assert found.exponent_std < 0.12
-    assert found.put_into(wrong.skin).contact_layer.exponent == found.exponent
+    assert found.unexplained < 0.2
+    skin = replace(wrong.skin, calibration=found.put_into(wrong.skin.calibration))
+    assert skin.calibrated_layer.exponent == found.exponent
+    assert skin.contact_layer.exponent == wrong.skin.contact_layer.exponent
 
 
 def test_impossible_presses_are_refused() -> None:

@@ -1,12 +1,14 @@
 """From presses of known force to a curve: strength of a contact to newtons."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import isotonic_regression
 
+from ohmskin.contacts import Contact
 from ohmskin.errors import DataError
+from ohmskin.scan import Difference
 from ohmskin.skin import Calibration
 
 
@@ -19,12 +21,16 @@ class PressSample:
         force: Force (N).
         strength: `Contact.strength`, median over some cycles (m2); 0 where it was not felt.
         loading: Whether the force was rising; otherwise it was falling.
+        contact: What it seemed last; None where it was not felt.
+        scans: What it changed, in each of those cycles.
     """
 
     at: tuple[float, float]
     force: float
     strength: float
     loading: bool
+    contact: Contact | None = None
+    scans: tuple[Difference, ...] = field(default=(), repr=False, compare=False)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from ohmskin.calibrate.force import PressSample
 from ohmskin.contacts import Contact
 from ohmskin.errors import SkinError
+from ohmskin.scan import Difference
 from ohmskin.skin import Skin
 
 GRAVITY = 9.80665  # m/s2
@@ -73,7 +74,7 @@ class PressGuide:
     def __init__(self, plan: Sequence[PressStep], settle: int = 6, cycles: int = 10) -> None:
         self.plan, self.samples = tuple(plan), list[PressSample]()
         self._settle, self._cycles = settle, cycles
-        self._seen: list[float] | None = None
+        self._seen: list[tuple[Contact | None, tuple[Difference, ...]]] | None = None
 
     @property
     def step(self) -> PressStep | None:
@@ -84,16 +85,20 @@ class PressGuide:
         """The press is there: measure it."""
         self._seen = []
 
-    def see(self, contacts: Sequence[Contact]) -> bool:
-        """Look at a cycle. Whether the press has been measured and the next step is due."""
+    def see(self, contacts: Sequence[Contact], scans: Sequence[Difference] = ()) -> bool:
+        """Look at a cycle: its contacts, and what was measured. Whether the press is done and the next step is due."""
         step = self.step
         if step is None or self._seen is None:
             return False
-        near = [abs(c.strength) for c in contacts if np.hypot(*np.subtract(c.position, step.at)) < _REACH]
-        self._seen.append(max(near, default=0.0))
+        near = [contact for contact in contacts if np.hypot(*np.subtract(contact.position, step.at)) < _REACH]
+        felt = max(near, key=lambda contact: abs(contact.strength), default=None)
+        self._seen.append((felt, tuple(scans)))
         if len(self._seen) < self._settle + self._cycles:
             return False
-        strength = float(np.median(self._seen[self._settle :]))  # nothing, where it was mostly not felt
-        self.samples.append(PressSample(step.at, step.force, strength, step.loading))
+        counted = self._seen[self._settle :]
+        strength = float(np.median([abs(contact.strength) if contact else 0.0 for contact, _ in counted]))
+        contact = next((contact for contact, _ in reversed(counted) if contact), None) if strength else None
+        measured = tuple(scan for _, scans in counted for scan in scans)
+        self.samples.append(PressSample(step.at, step.force, strength, step.loading, contact, measured))
         self._seen = None
         return True

@@ -13,10 +13,11 @@ from ohmskin.cli.options import SkinName, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError
 from ohmskin.plot.calibration import save_calibration
-from ohmskin.sensing import mode_named
+from ohmskin.sensing import KnownPress, PressFitter, mode_named
 from ohmskin.skin import Calibration, Press, Skin
 
 _TIP = 8e-3  # m, radius of the virtual finger
+_EXPLAINED = 0.2  # share of presses that a contact layer may leave unexplained
 _PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
 
 
@@ -67,11 +68,24 @@ def calibrate(
                 _walk(engine, guide, calibrated)
                 curve = fit_force(guide.samples)
                 found = curve.put_into(replace(found, mode=engine.mode.name))
+                presses = [
+                    KnownPress(one.force, one.contact, one.scans) for one in guide.samples if one.contact is not None
+                ]
+                assert engine.known is not None  # it saw the presses
+                layer = PressFitter(engine.known).fit_layer(presses)
             console.print(
                 f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
                 f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
                 f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
             )
+            kind = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
+            kind += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
+            if layer.unexplained < _EXPLAINED:
+                found = layer.put_into(found)
+                console.print(kind)
+            else:
+                left = f"{100 * layer.unexplained:.2g} % of what the presses change"
+                console.print(f"note: {kind}, would leave {left} unexplained; the layer stays as described")
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
                 console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
@@ -95,8 +109,10 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
         guide.begin()
         for _ in range(_PATIENCE):
             touch = engine.step()
-            if touch is not None and guide.see(touch.contacts):
-                break
+            if touch is not None and (known := engine.known) is not None:
+                scans = tuple(map(known.difference, touch.percept.frames))
+                if guide.see(touch.contacts, scans):
+                    break
         else:
             raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; try again")
         strength = guide.samples[-1].strength

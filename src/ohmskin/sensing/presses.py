@@ -20,7 +20,7 @@ from ohmskin.contacts.solution import inverse
 from ohmskin.errors import DataError
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
-from ohmskin.skin import Press, PressedSheet, Skin
+from ohmskin.skin import Calibration, Press, PressedSheet
 
 _PER_PRESS = 4  # x, y (m), logarithms of radius (m) and pressure (Pa)
 _SPREAD = np.array([0.5, 1.5])  # prior standard deviations of the logarithms of radius and pressure
@@ -74,18 +74,18 @@ class FittedLayer:
         exponent: Of its growth with pressure (1).
         conductance_std: Standard deviation of the logarithm of the conductance.
         exponent_std: Standard deviation of the exponent.
+        unexplained: Share of what the presses changed that no such layer explains, noise included (1).
     """
 
     conductance: float
     exponent: float
     conductance_std: float
     exponent_std: float
+    unexplained: float
 
-    def put_into(self, skin: Skin) -> Skin:
-        """The skin with this layer."""
-        return replace(skin, contact_layer=replace(
-            skin.contact_layer, conductance=self.conductance, exponent=self.exponent
-        ))  # fmt: skip
+    def put_into(self, calibration: Calibration) -> Calibration:
+        """The same calibration with this layer."""
+        return replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent)
 
 
 class PressFitter:
@@ -102,8 +102,9 @@ class PressFitter:
 
     @cached_property
     def sheet(self) -> PressedSheet:
-        """The skin as its quiet frames show it, under its contact layer; made when it is first needed."""
-        return PressedSheet(self.known.skin, model=self.known.electrode_model(_FINER))
+        """The skin as its quiet frames show it, under its layer as calibrated; made when it is first needed."""
+        skin = self.known.skin
+        return PressedSheet(skin, model=self.known.electrode_model(_FINER)).with_layer(skin.calibrated_layer)
 
     def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
         """The presses that explain what scans show, one for each contact.
@@ -127,7 +128,7 @@ class PressFitter:
         if len(presses) < 2 or not (np.isfinite(forces).all() and min(forces) > 0):
             raise DataError(f"presses of {forces} N; give two or more, each above 0 N")
         data = [self._information(press.scans) for press in presses]
-        layer = self.known.skin.contact_layer
+        layer = self.sheet.skin.contact_layer
         described = np.array([np.log(layer.conductance), layer.exponent])
         start = np.concatenate([described, *(self._start([press.contact], 1.0)[:3] for press in presses)])
 
@@ -138,9 +139,12 @@ class PressFitter:
                 after[k : k + 3] = self._within(np.append(after[k : k + 3], self._usual[1]))[:3]
             return after
 
-        found, _, normal = _minimised(start, lambda params: self._under_layer(params, described, forces, data), moved)
-        stds = np.sqrt(np.diag(inverse(normal)))
-        return FittedLayer(float(np.exp(found[0])), float(found[1]), float(stds[0]), float(stds[1]))
+        found, cost, normal = _minimised(
+            start, lambda params: self._under_layer(params, described, forces, data), moved
+        )
+        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(told.constant for told in data)
+        conductance, exponent = float(np.exp(found[0])), float(found[1])
+        return FittedLayer(conductance, exponent, float(stds[0]), float(stds[1]), sqrt(max(cost, 0.0) / all_of_it))
 
     def _under_layer(
         self, params: Floats, described: Floats, forces: Sequence[float], data: Sequence[Information]

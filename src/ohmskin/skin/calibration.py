@@ -36,6 +36,8 @@ class Calibration:
         forces: Rising forces (N).
         force_error: Root mean square error of the force over the presses it was learned from (N).
         hysteresis: Largest difference of strength between loading and unloading, as a share of the largest strength.
+        layer_conductance: Of the contact layer, per area at its pressure scale (S/m2), and
+        layer_exponent: of its growth with pressure (1), as presses of known force showed them; 0: as described.
     """
 
     date: str = ""
@@ -56,6 +58,8 @@ class Calibration:
     forces: tuple[float, ...] = numbers(1e6, "N")
     force_error: float = number(0.0, 0, 1e6, "N")
     hysteresis: float = number(0.0, 0, 1e3, "")
+    layer_conductance: float = number(0.0, 0, 1e9, "S/m2")
+    layer_exponent: float = number(0.0, 0, 3, "")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", places(self.positions))

@@ -5,7 +5,7 @@ ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``tank``
 """
 
 import zlib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -258,6 +258,14 @@ class Skin:
         nearby, and every contact is taken to have a hundredth of the sheet's resistance."""
         return np.asarray(_CHANGE * np.maximum(impedance, _LEAST_CONTACT / self.sheet.conductivity))
 
+    @property
+    def calibrated_layer(self) -> ContactLayer:
+        """The contact layer, as calibrated, if it is."""
+        layer, found = self.contact_layer, self.calibration
+        if not found.layer_conductance:
+            return layer
+        return replace(layer, conductance=found.layer_conductance, exponent=found.layer_exponent)
+
     def mesh(self) -> Mesh:
         """The estimator's mesh, with a node at every electrode."""
         return self.mesh_for(self.electrodes)
@@ -291,14 +299,19 @@ class Skin:
 
         `finer`: edges of its mesh over the estimator's.
         """
-        mesh = self.mesh_for(self.discs, finer * self.imaging.mesh_size)
-        return TransferModel(mesh, self.discs, self.conductivity_on(mesh))
+        return _electrode_model(self, finer)
 
 
 @lru_cache(maxsize=8)
 def _transfer_model(skin: Skin) -> TransferModel:
     mesh = skin.mesh()
     return TransferModel(mesh, skin.electrodes, skin.conductivity_on(mesh))
+
+
+@lru_cache(maxsize=8)
+def _electrode_model(skin: Skin, finer: float) -> TransferModel:
+    mesh = skin.mesh_for(skin.discs, finer * skin.imaging.mesh_size)
+    return TransferModel(mesh, skin.discs, skin.conductivity_on(mesh))
 
 
 @lru_cache(maxsize=8)
