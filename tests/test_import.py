@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import command_line
 import numpy as np
 import pytest
 import scipy.io
@@ -398,16 +399,14 @@ def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
 
 def test_the_command_line_says_what_it_read(tmp_path: Path, ktc: tuple[TransferModel, TransferModel]) -> None:
     file = write_ktc(tmp_path, ktc)
-    command = [sys.executable, "-m", "ohmskin", "image", str(file), "--output", str(tmp_path / "a.png")]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    result = command_line.ohmskin("image", str(file), "--output", str(tmp_path / "a.png"))
     assert result.returncode == 0, result.stderr
     assert "conducts better" in result.stdout
     assert "compared to" in result.stderr
     assert "all 32 electrodes in order" in result.stderr
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     scipy.io.savemat(tmp_path / "b.mat", {"stim_meas_list": [[1, 2, 3, 4]], "vh": [[1.0]], "vi": [[1.0]]})
-    command[4] = str(tmp_path / "b.mat")
-    refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    refused = command_line.ohmskin("image", str(tmp_path / "b.mat"), "--output", str(tmp_path / "a.png"))
     assert refused.returncode == 2
     assert "--skin" in refused.stderr
 

@@ -128,6 +128,7 @@ LONG = {
     "test_sensing.py::test_a_change_of_all_contact*[[]0.9": "the change the other way",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",
+    "test_tiers.py::test_a_run_ends": "what is left behind, told without a run of its own",
     "test_view_session.py::test_a_slow_estimator": "what the session says of images that come late",
 }
 

@@ -17,6 +17,7 @@ from ohmskin.evaluate.policies.figures import PAINTERS
 from ohmskin.evaluate.policies.goals import MISS, NAMES, SETTLE, WITHIN, Done, moving_errors
 from ohmskin.evaluate.policies.pairs import ideal_power
 from ohmskin.evaluate.policies.plan import Settings, plan
+from ohmskin.evaluate.policies.presses import FOOT, KNOWN, LAYERS, WRONG
 from ohmskin.evaluate.policies.schemes import SCHEMES, instrument_cost
 from ohmskin.evaluate.report import Block, Image, Section, Table
 from ohmskin.evaluate.setup import PERIOD, QUIET
@@ -199,6 +200,42 @@ def _pairs(done: Done) -> list[Block]:
     return [text, Table(head, cells)]
 
 
+def _press(done: Done) -> list[Block]:
+    felt, rows = [], []
+    for name, task, result in done.of("press", "felt/"):
+        for key, counted, away in zip(task.schemes, result["counted"], result["away"], strict=True):
+            size = f"{name.partition('/')[2]}: {1e3 * task.radius:g} mm, {task.pressure / 1e3:g} kPa"
+            shares = (_percent(counted == 0), _percent(counted == 1), _percent(counted > 1))
+            felt.append((size, key, *shares, f"{1e3 * np.nanmedian(away):.2f}" if np.isfinite(away).any() else ""))
+    off, sure = goals.forces(done)
+    tasks = [task for _, task, _ in done.of("press", "force/")]
+    for n, frames in enumerate((1, tasks[0].frames)):
+        for f, layer in enumerate(LAYERS):
+            if np.isfinite(off[n, f]).any():
+                each = (f"{100 * np.nanmedian(np.abs(one)):.0f}" for one in off[n, f])
+                whole = (f"{100 * np.nanmedian(np.abs(off[n, f])):.0f}", _percent(np.abs(sure[n, f]) < 1))
+                rows.append((layer, str(frames), *each, *whole))
+    layers = np.array([result["layer"] for _, _, result in done.of("press", "force/")])
+    text = (
+        "Below, place, radius and pressure of a press of 8 mm on the twin are fitted together (`PressFitter`), on a "
+        "mesh that the twin does not have; force is the integral of the pressure. Errors in per cent, medians, by "
+        "pressure; and how often the true force is within one standard deviation of what is stated (68 % if that is "
+        "right). "
+        f"*Described wrongly*: with {WRONG[0]:g} times the layer's conductance and an exponent {-WRONG[1]:g} too "
+        "small. "
+        f"Ten known presses of a foot of {1e3 * FOOT:g} mm, {KNOWN[0] / 1e3:g} to {KNOWN[-1] / 1e3:g} kPa, then told "
+        f"{layers[:, 0].min():.2f} to {layers[:, 0].max():.2f} times the true conductance and exponents of "
+        f"{layers[:, 1].min():.2f} to {layers[:, 1].max():.2f}, by draw."
+    )
+    ends = tuple(f"{pressure / 1e3:g} kPa" for pressure in tasks[0].pressures)
+    return [
+        "Fits with driven electrodes measured.",
+        Table(("press", "mode", "nothing felt", "one contact", "several", "median error / mm"), felt),
+        text,
+        Table(("layer", "frames", *ends, "all", "within one deviation"), rows),
+    ]
+
+
 def _detection(done: Done) -> list[Block]:
     rows = []
     for _, task, result in done.of("detection"):
@@ -242,6 +279,7 @@ SECTIONS = {
     "time": ("The same in equal time", _time),
     "moving": ("Moving contacts", _moving),
     "pairs": ("Two contacts or one", _pairs),
+    "press": ("Light presses, hard presses, and force", _press),
     "detection": ("New contacts", _detection),
     "quiet": ("Nothing there", lambda done: []),
     "robust": ("With a flawed model, or a worn skin", _robust),

@@ -13,7 +13,7 @@ from ohmskin.evaluate.policies.plan import OFF, POOR, TOLD, Settings
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.result import Outcome, Result
-from ohmskin.evaluate.statistics import Estimate, mean, ratio_of_means, share
+from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means, share
 from ohmskin.evaluate.verdict import Goal
 
 SETTLE = 10  # frames of a moving contact that do not count: it is found in them
@@ -34,6 +34,7 @@ def assess(done: Done) -> list[Goal]:
         "time": _time,
         "moving": _moving,
         "pairs": _pairs,
+        "press": _press,
         "detection": _detection,
     }
     goals |= {"quiet": _quiet, "cost": _cost}
@@ -206,6 +207,36 @@ def _pairs(done: Done) -> Iterator[Goal]:
         data = f"{false.shape[1]} single contacts"
         rate = share(int(false[row].sum()), false.shape[1])
         yield Goal("pairs", text, ALPHA, True, rate, "%", data, "", key)
+
+
+def forces(done: Done) -> tuple[Floats, Floats]:
+    """Errors of forces as shares of the true ones, and over what is stated (2, n_layers, n_pressures, n_where)."""
+    results = [result for _, _, result in done.of("press", "force/")]
+    true = results[0]["true"][:, None]
+    force, std = (np.concatenate([result[name] for result in results], axis=-1) for name in ("force", "std"))
+    return force / true - 1, (force - true) / std
+
+
+def _press(done: Done) -> Iterator[Goal]:
+    for name, task, result in done.of("press", "felt/"):
+        one = (result["counted"][task.schemes.index("16P")] == 1).astype(float)
+        size = f"{1e3 * task.radius:g} mm, {task.pressure / 1e3:g} kPa"
+        text = f"A {name.partition('/')[2]} press ({size}) felt as one contact by 16P (twin, {task.decibels:g} dB)"
+        data = f"{task.seeds} seeds at {task.where} places"
+        yield Goal("press", text, 0.9, False, mean(one.T), "%", data, "", True)
+    off, _ = forces(done)
+    tasks = [task for _, task, _ in done.of("press", "force/")]
+    pressures = (
+        f"{tasks[0].pressures[0] / 1e3:g} to {tasks[0].pressures[-1] / 1e3:g} kPa, twin, {tasks[0].decibels:g} dB"
+    )
+    frames = f"{tasks[0].frames} frames of 16P"
+    data = f"{off[0, 0].size} presses, {len(tasks)} sets of known ones"
+    for layer, limit, number in (("as it is", 0.15, 0), ("after ten known presses", 0.1, 2)):
+        text = f"Force of a press, median error, layer {layer} ({frames}; {pressures})"
+        lost = np.where(np.isfinite(off[1, number]), np.abs(off[1, number]), np.inf)
+        alone = np.nanmedian(np.abs(off[0, 0]))
+        note = f"one frame alone {100 * alone:.0f} %" if number == 0 else ""
+        yield Goal("press", text, limit, True, median(lost.ravel()), "%", data, note, True)
 
 
 def _detection(done: Done) -> Iterator[Goal]:

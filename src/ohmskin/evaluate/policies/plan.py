@@ -8,13 +8,14 @@ from typing import Self
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.flaws import SOUND, Flaw
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
+from ohmskin.evaluate.policies.presses import Felt, Forces
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.policies.tracked import Cost, Detection, Moving, Quiet
 from ohmskin.evaluate.result import Groups, chosen
 from ohmskin.evaluate.worlds import WORLDS
 
-SECTIONS = ("static", "driven", "time", "moving", "pairs", "detection", "quiet", "robust", "cost")
+SECTIONS = ("static", "driven", "time", "moving", "pairs", "press", "detection", "quiet", "robust", "cost")
 
 DISTANCES = tuple(d / 1000 for d in (12, 15, 17, 20, 25, 30))
 STRENGTHS = (0.5, 1.4)  # of 6 mm discs: the usual contact's change; about the usual contact's whole effect
@@ -36,6 +37,7 @@ WITH_DRIVEN = {  # flaws; contact impedances, of 3.54 ohm unless said, have chan
     OFF: Flaw(misplaced=2e-3, uneven=0.05),
     TOLD: Flaw(misplaced=2e-3, uneven=0.05, calibrated=True),
 }
+PRESSES = {"light": (5e-3, 850.0), "usual": (8e-3, 20e3), "brutal": (25e-3, 20e3)}  # radius (m) and pressure (Pa)
 FLAWS = {
     "none": SOUND,
     "contact impedance x 3": Flaw(wear=3.0),
@@ -126,6 +128,10 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
         discs = (DISTANCES, s.where, strength, keys if strength == STRENGTHS[0] else ("best", "16P"))
         found["pairs"][f"told/{name}"] = Pairs(decibels, s.seeds, s.singles, *discs)
         found["pairs"][f"limit/{name}"] = PairLimits(decibels, *discs)
+    for name, (radius, pressure) in PRESSES.items():
+        found["press"][f"felt/{name}"] = Felt(50.0, s.seeds, radius, pressure, 2 * s.where)
+    for draw in range(s.draws):
+        found["press"][f"force/{draw}"] = Forces(50.0, s.where // 2, draw)
     for name, flaw in FLAWS.items():
         for draw, seeds, own in _draws(flaw, s):
             first, side = draw * seeds, min(s.side, 5)
