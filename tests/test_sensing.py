@@ -17,6 +17,8 @@ from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, part_of
 from ohmskin.engine import Engine
 from ohmskin.errors import ModelError, PatternError, SkinError
 from ohmskin.evaluate import worlds
+from ohmskin.evaluate.setup import setup
+from ohmskin.evaluate.shapes import disc
 from ohmskin.inverse import PRIORS, RULES, graph_laplacian
 from ohmskin.inverse.estimators import ESTIMATORS
 from ohmskin.inverse.estimators import Settings as EstimatorSettings
@@ -460,3 +462,12 @@ def test_quiet_scans_take_what_a_pattern_drives_twice_from_two_repeats() -> None
     volts = quiet.scan(twice, 1).voltages.reshape(2, -1)
     assert volts[0, 0] == 1.0
     assert volts[1, 0] not in (volts[0, 0], 0.0)
+
+
+@pytest.mark.parametrize("place", [(0.0637, 0.1440), (0.1359, 0.1232), (0.1306, 0.1361), (0.0349, 0.0871)])
+def test_a_brutal_press_is_one_contact_over_an_electrode_too(place: tuple[float, float]) -> None:
+    """Under it a response, singular at electrodes, says far too much of the electrode's own resistance."""
+    where = setup("pressed", 50.0)
+    (contact,) = where.see(modes(where.skin)["16P"], (disc(*place, 25e-3, 20e3),), 0).contacts
+    np.testing.assert_allclose(contact.position, place, atol=2.5e-3)
+    assert contact.radius > 20e-3

@@ -68,7 +68,7 @@ def policies(
         quick: Few seeds and trials: a minute or two on two cores.
         out: Folder for report.md, figures and data.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
-        only: Sections wanted: static, time, moving, pairs, detection, quiet, robust, cost.
+        only: Sections wanted: static, driven, time, moving, pairs, press, detection, quiet, robust, cost.
         cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
         fresh: Run everything anew.
     """

@@ -20,9 +20,11 @@ from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.scan import Difference
+from ohmskin.scan.pairs import in_series
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
+_STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2
 _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
 _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
@@ -73,7 +75,7 @@ class ContactFitter:
     ) -> None:
         check_positive(noise=noise)
         check_share(model_error=model_error)
-        for name, rate in (("false_alarms", false_alarms), ("false_twos", false_twos)):
+        for name, rate in {"false_alarms": false_alarms, "false_twos": false_twos}.items():
             if not 0 < rate < 1:
                 raise ModelError(f"{name} is {rate!r}; it must be a rate above 0 and below 1")
         if most < 1:
@@ -86,8 +88,8 @@ class ContactFitter:
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        nothing_said = Information(np.zeros((1, self._candidates.shape[1] + 2)), np.ones((1, 1)))
-        self.refine(nothing_said, self.prior[0][None])  # compile now, not at the first contact
+        unsaid = Information(np.zeros((1, self._candidates.shape[1] + 2)), np.ones((1, 1)))
+        self.refine(unsaid, self.prior[0][None])  # compile now, not at the first contact
 
     @staticmethod
     def split_threshold(rate: float) -> float:
@@ -168,6 +170,15 @@ class ContactFitter:
         stds = np.array([*(high - low), 10 * np.pi * square, SQUARE_STD * square])
         return np.array([*(low + high) / 2, 0.0, square]), stds**-2.0
 
+    def expected(self, effects: Floats) -> tuple[Floats, Floats]:
+        """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2); strong are large."""
+        (centre, precision), square = self.prior, self.table.radius**2
+        larger = np.maximum(1.0, np.abs(effects) / (_STRONG * np.pi * square))
+        means, precisions = (np.tile(one, (len(effects), 1)) for one in (centre, precision))
+        means[:, 3] *= larger
+        precisions[:, 3] /= larger**2
+        return means.ravel(), np.diag(precisions.ravel())
+
     def refine(
         self,
         data: Information,
@@ -186,10 +197,8 @@ class ContactFitter:
             rounds: Most steps.
         """
         if mean is None or information is None:
-            centre, precision = self.prior
-            mean, information = np.tile(centre, len(start)), np.diag(np.tile(precision, len(start)))
-        radius = self.table.radius
-        least = -np.inf if self.bipolar else 1e-3 * radius**2
+            mean, information = self.expected(start[:, 2])
+        radius, least = self.table.radius, -np.inf if self.bipolar else 1e-3 * self.table.radius**2
         params = np.array(start[:, :PER_CONTACT], float)
         cost, normal, caused, slopes = kernels.refined(
             params, np.ascontiguousarray(data.matrix), np.ascontiguousarray(data.vector), data.constant,
@@ -228,19 +237,49 @@ class ContactFitter:
         Raises:
             DataError: If no finite datum is left.
         """
-        told, data = self.information(*scans)
-        found = nothing(self.table.responses.shape[1])
+        told, data = everything = self.information(*scans)
+        found, covered = nothing(self.table.responses.shape[1]), tuple[int, ...]()
         while len(found.params) < self.most:
             score, power = self.scores(told.less(found.caused).beside(found.slopes))
             more = [self.split(told, data, found, k) for k in range(len(found.params))]
             if self.heights(score, power).max() >= self.bar + self.model_error * told.size(found.caused):
-                more.append(self.added(data, score, power, found.params))
+                one = self.added(data, score, power, found.params)
+                away = ((one.params[:-1, :2] - one.params[-1, :2]) ** 2).sum(axis=1)
+                more += [one] if (away > one.params[:-1, 3]).all() else []  # what is left in a contact is its shape
             better = [self._cleared(data, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
             if not better:
                 break
-            found = min(better, key=lambda one: one.cost)
+            under = self._over_an_electrode(everything, found, covered)
+            if under is None:
+                found = min(better, key=lambda one: one.cost)
+            else:
+                covered, told, data, found = under
         return found
+
+    def _over_an_electrode(
+        self, everything: tuple[Information, Information], found: Solution, covered: tuple[int, ...]
+    ) -> tuple[tuple[int, ...], Information, Information, Solution] | None:
+        """The data explained by a contact that covers one electrode more, if that explains them significantly better.
+
+        A contact changes the resistance of an electrode under it by less than its response, singular there, says; so
+        nothing is taken to be known of that. Electrodes, what is left of the data, and the contacts.
+        """
+        tried, electrodes = [], self.table.electrodes
+        near = ((electrodes[:, None] - found.params[:, :2]) ** 2).sum(axis=2) < self.squares[1]
+        near[list(covered)] = False
+        for number, k in np.argwhere(near).tolist():
+            under = *covered, number
+            told, data = (one.beside(in_series(under, self.table.n_elec)) for one in everything)
+            for others in {0: found.params[:0], len(found.params) - 1: np.delete(found.params, k, axis=0)}.values():
+                rest = self.refine(data, others) if len(others) else nothing(len(found.caused))
+                score, power = self.scores(told.less(rest.caused).beside(rest.slopes))
+                one = self._cleared(data, self.added(data, score, power, rest.params))
+                over = ((one.params[:, :2] - electrodes[number]) ** 2).sum(axis=1) < one.params[:, 3]
+                worth = self.bar**2 * (1 + len(one.params) - len(found.params))
+                if over.any() and found.cost - one.cost > worth:
+                    tried.append((under, told, data, one))
+        return min(tried, key=lambda each: each[3].cost + self.bar**2 * len(each[3].params), default=None)
 
     def _cleared(self, data: Information, found: Solution) -> Solution:
         """The fit without contacts that turn out not to be needed, now that all have been refined together."""

@@ -144,7 +144,7 @@ class Information:
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""
         scale = np.linalg.norm(self.plain[:, : len(directions)] @ directions, axis=0)
-        seen = self.rows[:, : len(directions)] @ (directions / np.maximum(scale, 1e-300))
+        seen = self.rows[:, : len(directions)] @ (directions[:, scale > 0] / scale[scale > 0])
         return Information(_beside(self.rows, seen / _UNSAID), self.plain)
 
     def times(self, share: float) -> "Information":

@@ -55,6 +55,7 @@ class ContactTable:
         pitch: Distance of the places at which responses are kept (m).
 
     Attributes:
+        electrodes: (n_elec, 2) their middles (m).
         places: (n_places, 2) in metres, at which responses are kept; all on the sheet.
         responses: (n_places, n_pairs) at the usual radius (ohm/m2).
         sheet: Which part of the table's rectangle is sheet: its lowest and highest corner (2,), the pitch (2,) of a
@@ -74,6 +75,7 @@ class ContactTable:
             allowed = "the radius must be below half of its shorter side and the pitch below a quarter"
             raise ModelError(f"radius {radius!r} m and pitch {pitch!r} m; on a sheet of {high - low} m {allowed}")
         self.radius, self.n_elec = radius, len(model.electrodes)
+        self.electrodes: Floats = model.electrodes.positions
         self._low = low
         self._steps = np.ceil((high - low) / pitch - 1e-9).astype(int)  # at least four
         self._pitch = (high - low) / self._steps

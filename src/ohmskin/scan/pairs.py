@@ -6,6 +6,8 @@ two-terminal ones F_ij by polarisation, which is what makes drive patterns cheap
     F(ab, cd) = 1/2 (F_ad + F_bc - F_ac - F_bd)
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -36,3 +38,8 @@ def two_terminal(form: Floats) -> Floats:
     own = np.diag(form)
     pairs: Floats = own[i] + own[j] - form[i, j] - form[j, i]
     return pairs
+
+
+def in_series(electrodes: Sequence[int], n_elec: int) -> Floats:
+    """Change of two-terminal resistances (n_pairs, n) by 1 ohm in series with each of n electrodes (ohm)."""
+    return np.asarray((all_pairs(n_elec)[:, :, None] == np.asarray(electrodes, int)).any(axis=1).astype(float))

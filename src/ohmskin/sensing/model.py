@@ -12,7 +12,8 @@ from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.inverse import GaussNewton
 from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Settings
-from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality, all_pairs
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality
+from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Skin
 
@@ -142,7 +143,7 @@ class SkinModel:
         """
         change = self.skin.contact_change(self.impedances)
         if not self.impedances.any():
-            return np.asarray((all_pairs(len(change))[:, :, None] == np.arange(len(change))).any(axis=1) * change)
+            return in_series(range(len(change)), len(change)) * change
         model = self.electrode_model()
         return model.pair_contact_sensitivity * model.electrode_extents * change
 

@@ -251,15 +251,18 @@ def _detection(done: Done) -> Iterator[Goal]:
 
 
 def _quiet(done: Done) -> Iterator[Goal]:
-    runs = list(done.of("quiet"))
-    births, frames = sum(int(result["births"]) for _, _, result in runs), sum(task.frames for _, task, _ in runs)
-    rate = share(births, frames)
-    # once all frames were run there is nothing to infer
-    low, high = (rate.low, rate.high) if frames < QUIET else (rate.value, rate.value)
-    text = f"Contacts invented in {QUIET} quiet frames ({runs[0][1].decibels:g} dB)"
-    note = f"a rate below {rate.high:.1e} a frame, with 97.5 % confidence"
-    estimate = Estimate(QUIET * rate.value, QUIET * low, QUIET * high)
-    yield Goal("quiet", text, 0.0, True, estimate, "", f"{frames} frames, {len(runs)} seeds", note)
+    for mode in ("16T", "16P"):
+        runs = list(done.of("quiet", f"{mode}/"))
+        births, frames = sum(int(result["births"]) for _, _, result in runs), sum(task.frames for _, task, _ in runs)
+        rate = share(births, frames)
+        # once all frames were run there is nothing to infer
+        low, high = (rate.low, rate.high) if frames < QUIET else (rate.value, rate.value)
+        task = runs[0][1]
+        text = f"Contacts invented by {mode} in {QUIET} quiet frames ({NAMES[task.world]}, {task.decibels:g} dB)"
+        shown = sum(int(result["frames"]) for _, _, result in runs)
+        note = f"a rate below {rate.high:.1e} a frame, with 97.5 % confidence; {shown} frames showed one by themselves"
+        estimate = Estimate(QUIET * rate.value, QUIET * low, QUIET * high)
+        yield Goal("quiet", text, 0.0, True, estimate, "", f"{frames} frames, {len(runs)} seeds", note)
 
 
 def _cost(done: Done) -> Iterator[Goal]:

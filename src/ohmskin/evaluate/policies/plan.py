@@ -118,8 +118,10 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
                 usual = Static(world, decibels, seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
                 found["driven"][f"{world}/{decibels:g}/{name}/{draw}"] = replace(usual, flaw=own, first=draw * seeds)
     blocks = max(1, s.quiet // 12_500)
-    for block in range(blocks):  # a quiet skin is noise alone: one world is as good as the other
-        found["quiet"][f"discs/{block}"] = Quiet("discs", level, s.quiet // blocks, seed=block)
+    for block in range(blocks):  # contacts tracked, and contacts fitted while contact impedances are followed
+        fitted = Quiet("pressed", s.levels[-1], s.quiet // blocks, "16P", "fit, driven", block)
+        found["quiet"][f"16T/{block}"] = Quiet("discs", level, s.quiet // blocks, seed=block)
+        found["quiet"][f"16P/{block}"] = fitted
     for instrument in INSTRUMENTS:
         usual = Static("discs", level, s.seeds, ("12B", "16I", "best", "16O fused", "16P"), READ, s.side, s.random)
         found["time"][instrument] = replace(usual, instrument=instrument)

@@ -144,24 +144,26 @@ class Quiet:
     """A skin that nothing touches.
 
     Args:
-        world, decibels, injections: As for `Detection`.
+        world, decibels: As for `Detection`.
         frames: How many.
+        mode, reading: What is driven, and the reader, see `schemes.scheme`.
         seed: Of the noise.
     """
 
     world: str
     decibels: float
     frames: int
-    injections: int = 4
+    mode: str = "16T/4"
+    reading: str = "tracked, driven"
     seed: int = 0
 
     def run(self) -> Result:
-        """Results: ``births`` (), contacts reported, each once; ``frames`` (), in which any was reported."""
+        """Results: ``births`` (), contacts reported, each once; ``frames`` (), that showed one by themselves."""
         where = setup(self.world, self.decibels)
-        mode, known, busy = scheme(f"16T/{self.injections}", "tracked, driven"), set[int](), 0
+        mode, known, busy = scheme(self.mode, self.reading), set[int](), 0
         for percept in where.follow(mode, repeat((), self.frames), 9, self.seed):
             known |= {c.id for c in percept.contacts}
-            busy += bool(percept.contacts)
+            busy += bool(percept.detections)
         return {"births": np.array(len(known)), "frames": np.array(busy)}
 
 
