@@ -18,6 +18,7 @@ from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 from leftovers import Leftovers
 from tiers import CHROMIUM, needs, order, rows
@@ -34,6 +35,8 @@ CHROMIUM_FLAGS = [
 ]
 END = float(os.environ.get("TESTS_END", "30"))  # s that a process may take to end after its last test
 LEFTOVERS = Leftovers()
+hypothesis.settings.register_profile("patient", deadline=None)  # others on the machine slow an example down
+hypothesis.settings.load_profile("patient")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -34,7 +34,7 @@ def heron(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_pair_weights_are_eq_7_by_its_three_loops(seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions, points = rng.uniform(0, 0.2, (7, 2)), rng.uniform(0, 0.2, (3, 2))
@@ -48,7 +48,6 @@ def test_pair_weights_are_eq_7_by_its_three_loops(seed: int) -> None:
 
 
 @given(anchors)
-@settings(deadline=None)
 def test_weights_are_finite_positive_and_their_inverses_sum_to_one(points: list[tuple[float, float]]) -> None:
     weights = pair_weights(GRID.positions, points)
     assert weights.shape == (120,)
@@ -85,7 +84,6 @@ def test_the_pairs_whose_line_passes_through_the_contact_come_first() -> None:
 
 
 @given(x=st.floats(0.02, 0.18), y=st.floats(0.02, 0.18))
-@settings(deadline=None)
 def test_of_pairs_equally_long_the_one_closer_to_the_contact_weighs_more(x: float, y: float) -> None:
     points = anchors_about(x, y)
     weights = pair_weights(GRID.positions, points)
@@ -104,7 +102,6 @@ def test_of_pairs_equally_long_the_one_closer_to_the_contact_weighs_more(x: floa
 
 
 @given(st.integers(1, 5), st.integers(1, 60), st.integers(0, 2**32 - 1), st.booleans())
-@settings(deadline=None)
 def test_regions_choose_in_turn_the_best_pair_still_free(regions: int, n: int, seed: int, ties: bool) -> None:
     rng = np.random.default_rng(seed)
     weights = rng.integers(0, 4, (regions, n)).astype(float) if ties else rng.random((regions, n))
@@ -127,7 +124,7 @@ def test_two_distant_regions_share_the_pairs_evenly() -> None:
 
 
 @given(st.lists(anchors, min_size=1, max_size=4), st.integers(1, 120))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_the_optimal_pattern_drives_the_chosen_pairs_and_measures_at_all_others(regions: list, count: int) -> None:
     pattern = OptimalDrive(GRID, count).pattern(regions)
     weights = np.array([pair_weights(GRID.positions, points) for points in regions])

@@ -164,7 +164,7 @@ def core() -> Iterator[Bridge]:
         yield opened
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(asked=st.lists(requests(), min_size=1, max_size=12))
 @example(asked=[intact(1, Kind.ERROR, b"")])  # a reply sent as a request, and cut
 def test_the_core_answers_as_the_python_device_does(core: Bridge, asked: list[bytes]) -> None:
@@ -179,7 +179,7 @@ def test_the_core_answers_as_the_python_device_does(core: Bridge, asked: list[by
         assert same(packet.message, told), f"{request.hex()}: {packet.message} but {told}"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.lists(st.lists(st.integers(0, 15), min_size=2, max_size=2, unique=True), min_size=1, max_size=4),
     st.integers(0, 2),

@@ -119,7 +119,7 @@ def test_voltages_are_those_of_the_potentials() -> None:
 
 
 @given(st.permutations(range(16)))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_voltages_of_two_injections_in_series_add_up(order: list[int]) -> None:
     """Superposition: a -> b and b -> c together are a -> c; and voltages add up along a path."""
     a, b, c, d, e, f = order[:6]
@@ -191,7 +191,7 @@ def test_more_conductance_means_less_resistance_between_any_two_electrodes() -> 
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_voltage_is_homogeneous_of_degree_minus_one(seed: int) -> None:
     """Euler: J sigma = -V."""
     pattern = random_pattern(seed)

@@ -212,7 +212,7 @@ def test_meshes_that_cannot_be_made_are_refused(size: float, points: list[list[f
 
 
 @given(start=st.floats(-10, 10), count=st.integers(1, 20), size=st.floats(0.009, 0.03))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_rim_point_at_any_angle_becomes_a_node(start: float, count: int, size: float) -> None:
     angle = start + 2 * np.pi * np.arange(count) / count
     points = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -278,7 +278,7 @@ def test_the_paper_grid_walks_round_the_rim_and_then_round_the_middle() -> None:
 
 
 @given(columns=st.integers(2, 9), rows=st.integers(2, 9), inset=st.floats(0, 0.049))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_grid_rings_name_every_place_of_the_grid_once(columns: int, rows: int, inset: float) -> None:
     electrodes = Electrodes.grid(OBLONG, columns, rows, inset)
     x, y = np.linspace(inset, 0.3 - inset, columns), np.linspace(inset, 0.1 - inset, rows)

@@ -366,7 +366,7 @@ def valid() -> bytes:
 VALID = valid()
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     changes=st.lists(st.tuples(st.integers(0, len(VALID) - 1), st.integers(0, 255)), min_size=1, max_size=6),
     cut=st.integers(0, 400),
@@ -385,7 +385,7 @@ def test_damaged_matlab_files_are_read_or_refused(tmp_path: Path, changes: list[
     assert frames
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.text(alphabet='0123456789,.-e \n#="sourcesinkplusminus\x00', max_size=300))
 def test_any_text_is_read_or_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "x.csv"

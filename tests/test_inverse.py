@@ -89,7 +89,7 @@ def test_image_is_the_textbook_data_space_formula(case: str) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_image_is_the_textbook_formula_for_any_pattern_and_currents(seed: int) -> None:
     rng = np.random.default_rng(seed)
     injections = np.array([rng.choice(16, 2, replace=False) for _ in range(rng.integers(1, 20))])

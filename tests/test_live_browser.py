@@ -47,10 +47,13 @@ def screen(page: Any, x: float, y: float) -> tuple[float, float]:
 
 
 def contacts(page: Any, count: int) -> list[tuple[float, float]]:
-    """The contacts once there are `count` of them, a moment later."""
-    until(page, f"window.ohmskin.frame.contacts.length === {count}")
-    page.wait_for_timeout(300)
-    return [(c["x"], c["y"]) for c in page.evaluate("window.ohmskin.frame.contacts")]
+    """The contacts once there are `count` of them, and still are a moment later: a finger may come between two scans."""
+    while True:
+        until(page, f"window.ohmskin.frame.contacts.length === {count}")
+        page.wait_for_timeout(300)
+        found = [(c["x"], c["y"]) for c in page.evaluate("window.ohmskin.frame.contacts")]
+        if len(found) == count:
+            return found
 
 
 def test_a_finger_shows_itself_until_somebody_presses(fresh: Any) -> None:

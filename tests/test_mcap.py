@@ -163,7 +163,7 @@ def test_independent_readers_find_every_field(recorded: tuple[Path, list[ohm.Tou
     st.sampled_from(Role),
     st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20),
 )
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_frames_come_back_to_the_last_bit(
     voltages: list, sequence: int, at: float, flags: int, role: Role, mode: str
 ) -> None:
@@ -340,7 +340,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @given(st.data())
-@settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_hostile_file_gives_frames_or_one_clear_error(tmp_path: Path, small: bytes, data: st.DataObject) -> None:
     content = bytearray(small)
     for _ in range(data.draw(st.integers(1, 4))):
@@ -372,7 +372,7 @@ def test_a_hostile_file_gives_frames_or_one_clear_error(tmp_path: Path, small: b
 @given(st.sampled_from(list(TOPICS)), st.binary(max_size=200))
 @example("/ohmskin/touch", b"\0\1\0\0" + bytes(24) + b"\1\0\0\0\0\0\0\0\0\0\0\0\xff\xff\xff\xff")
 @example("/ohmskin/image", b"\0\1\0\0" + b"\xff" * 60)
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 def test_hostile_messages_are_data_errors(topic: str, content: bytes) -> None:
     decode = {
         "/ohmskin/pattern": decode_pattern,

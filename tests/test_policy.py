@@ -79,7 +79,7 @@ beliefs = st.lists(st.builds(target, places, places, st.floats(2e-4, 2e-2)), max
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(targets=beliefs, turn=st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_every_pattern_is_a_part_of_the_complete_one_and_explores(kind: str, targets: list[Target], turn: int) -> None:
     chosen = policy(kind)
     pattern = chosen.next(targets, turn)

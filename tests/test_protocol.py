@@ -84,7 +84,6 @@ def again(item: Packet) -> bytes:
     return encode(item.message, item.sequence)
 
 
-@settings(deadline=None)
 @given(packets)
 def test_every_message_arrives_as_it_was_sent(packet: Packet) -> None:
     (got,) = Decoder().feed(encode(packet.message, packet.sequence))
@@ -97,7 +96,6 @@ def test_every_message_arrives_as_it_was_sent(packet: Packet) -> None:
         assert got.message == packet.message
 
 
-@settings(deadline=None)
 @given(st.lists(packets, max_size=5), st.data())
 def test_pieces_of_any_size_make_the_same_messages(items: list[Packet], data: st.DataObject) -> None:
     stream, decoder, got = b"".join(sent(items)), Decoder(), []
@@ -109,7 +107,6 @@ def test_pieces_of_any_size_make_the_same_messages(items: list[Packet], data: st
     assert decoder.tally.damaged == 0
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=2000))
 def test_random_bytes_make_no_message_and_no_error(noise: bytes) -> None:
     decoder = Decoder()
@@ -118,7 +115,7 @@ def test_random_bytes_make_no_message_and_no_error(noise: bytes) -> None:
     assert packet == Packet(3, Hello())
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(packets, min_size=1, max_size=4), st.data())
 def test_damaged_streams_give_only_messages_that_were_sent(items: list[Packet], data: st.DataObject) -> None:
     parts = sent(items)
@@ -200,7 +197,6 @@ def test_another_protocol_version_is_reported_as_such() -> None:
     assert packet.message.version == 2
 
 
-@settings(deadline=None)
 @given(st.sampled_from(list(Kind)), st.binary(max_size=100))
 def test_any_payload_is_read_or_reported(kind: Kind, payload: bytes) -> None:
     (packet,) = Decoder().feed(intact(1, kind, payload))
@@ -263,7 +259,6 @@ def answer(session: Session, data: bytes) -> Message | Unreadable:
     return packet.message
 
 
-@settings(deadline=None)
 @given(st.lists(st.one_of(st.binary(max_size=300), packets.map(lambda p: encode(p.message, p.sequence))), max_size=6))
 def test_a_session_survives_anything_and_answers_with_messages(stream: list[bytes]) -> None:
     session, decoder = Session(SharedInstrument(Instrument())), Decoder()

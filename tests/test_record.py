@@ -125,7 +125,7 @@ def test_what_cannot_be_read_at_all_is_refused(tmp_path: Path) -> None:
 
 
 @given(st.one_of(st.binary(max_size=300), st.text("0123456789.,-e\"'\n\r\0 naif_+", max_size=300).map(str.encode)))
-@settings(deadline=None, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_bytes_are_a_recording_or_a_clear_error(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "any.csv"
     path.write_bytes(data)

@@ -106,7 +106,6 @@ def test_a_step_that_does_not_fit_the_rings_is_refused(rings: list[range], step:
 
 
 @given(injections)
-@settings(deadline=None)
 def test_driven_electrodes_are_not_measured_and_all_others_are_spanned(case: tuple[int, list[list[int]]]) -> None:
     n, pairs = case
     pattern = measure_others(pairs, range(n))
@@ -126,7 +125,7 @@ def test_electrodes_outside_the_walk_may_be_driven() -> None:
 
 
 @given(injections, st.data())
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_combinations_of_pairs_polarise_the_transfer_matrix(
     case: tuple[int, list[list[int]]], data: st.DataObject
 ) -> None:
@@ -143,7 +142,6 @@ def test_combinations_of_pairs_polarise_the_transfer_matrix(
 
 
 @given(injections, st.integers(1, 40))
-@settings(deadline=None)
 def test_split_pieces_put_together_are_the_pattern(case: tuple[int, list[list[int]]], size: int) -> None:
     n, pairs = case
     pattern = measure_others(pairs, range(n))
@@ -232,7 +230,7 @@ def test_the_reference_is_the_mean_resistance_weighted_as_least_squares_has_it()
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_the_reference_serves_any_direction_and_order_of_its_measurements(seed: int) -> None:
     rng = np.random.default_rng(seed)
     s, pattern = transfer_matrix(16), adjacent(PAPER)

@@ -79,7 +79,7 @@ skins = st.builds(
 
 
 @given(skins)
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_what_is_written_is_read_back(skin: Skin) -> None:
     assert Skin.parse(skin.dump()) == skin
 

@@ -41,7 +41,7 @@ def chain(*values: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(seed=st.integers(0, 2**32 - 1), threshold=st.floats(0, 2), levels=st.sampled_from([0, 3]))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_regions_that_never_split_are_the_connected_components(seed: int, threshold: float, levels: int) -> None:
     values = np.random.default_rng(seed).normal(size=mesh().n_elem)
     if levels:
@@ -57,7 +57,7 @@ def test_regions_that_never_split_are_the_connected_components(seed: int, thresh
 
 
 @given(seed=st.integers(0, 2**32 - 1), dips=st.tuples(st.floats(0, 1), st.floats(0, 1)))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_a_deeper_dip_splits_less_and_nothing_is_lost(seed: int, dips: tuple[float, float]) -> None:
     values = np.random.default_rng(seed).uniform(size=mesh().n_elem)
     coarse, fine = (label_peaks(values, mesh().neighbours, 0.3, dip) for dip in sorted(dips, reverse=True))
@@ -270,7 +270,7 @@ def test_how_far_a_new_contact_is_does_not_matter_to_the_old_ones() -> None:
 
 
 @given(st.lists(st.lists(st.tuples(st.floats(0, 0.2), st.floats(0, 0.2)), max_size=4), max_size=25), st.integers(1, 3))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_ids_are_unique_in_a_frame_never_reused_and_the_state_is_left_alone(frames: list, confirm: int) -> None:
     tracker = Tracker(confirm=confirm, patience=2)
     state, last_seen = Tracks(), {}
