@@ -47,7 +47,7 @@ def screen(page: Any, x: float, y: float) -> tuple[float, float]:
 
 
 def contacts(page: Any, count: int) -> list[tuple[float, float]]:
-    """The contacts once there are `count` of them, and still are a moment later: a finger may come between two scans."""
+    """The contacts once there are `count` of them, and still are a moment later: fingers come between scans."""
     while True:
         until(page, f"window.ohmskin.frame.contacts.length === {count}")
         page.wait_for_timeout(300)
