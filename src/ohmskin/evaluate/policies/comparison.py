@@ -212,8 +212,9 @@ def _press(done: Done) -> list[Block]:
     for n, frames in enumerate((1, tasks[0].frames)):
         for f, layer in enumerate(LAYERS):
             if np.isfinite(off[n, f]).any():
-                each = (f"{100 * np.nanmedian(np.abs(one)):.0f}" for one in off[n, f])
-                whole = (f"{100 * np.nanmedian(np.abs(off[n, f])):.0f}", _percent(np.abs(sure[n, f]) < 1))
+                each = (f"{100 * np.median(np.nan_to_num(np.abs(one), nan=np.inf)):.0f}" for one in off[n, f])
+                lost = np.nan_to_num(np.abs(off[n, f]), nan=np.inf)  # presses not felt at all
+                whole = (f"{100 * np.median(lost):.0f}", _percent(np.abs(sure[n, f]) < 1))
                 rows.append((layer, str(frames), *each, *whole))
     layers = np.array([result["layer"] for _, _, result in done.of("press", "force/")])
     text = (

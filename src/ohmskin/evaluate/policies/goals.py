@@ -233,10 +233,9 @@ def _press(done: Done) -> Iterator[Goal]:
     data = f"{off[0, 0].size} presses, {len(tasks)} sets of known ones"
     for layer, limit, number in (("as it is", 0.15, 0), ("after ten known presses", 0.1, 2)):
         text = f"Force of a press, median error, layer {layer} ({frames}; {pressures})"
-        lost = np.where(np.isfinite(off[1, number]), np.abs(off[1, number]), np.inf)
-        alone = np.nanmedian(np.abs(off[0, 0]))
+        alone = np.median(np.nan_to_num(np.abs(off[0, 0]), nan=np.inf))
         note = f"one frame alone {100 * alone:.0f} %" if number == 0 else ""
-        yield Goal("press", text, limit, True, median(lost.ravel()), "%", data, note, True)
+        yield Goal("press", text, limit, True, median(np.abs(off[1, number]).ravel()), "%", data, note, True)
 
 
 def _detection(done: Done) -> Iterator[Goal]:

@@ -133,7 +133,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     for name, (radius, pressure) in PRESSES.items():
         found["press"][f"felt/{name}"] = Felt(50.0, s.seeds, radius, pressure, 2 * s.where)
     for draw in range(s.draws):
-        found["press"][f"force/{draw}"] = Forces(50.0, s.where // 2, draw)
+        found["press"][f"force/{draw}"] = Forces(50.0, -(-s.where // 2), draw)
     for name, flaw in FLAWS.items():
         for draw, seeds, own in _draws(flaw, s):
             first, side = draw * seeds, min(s.side, 5)
