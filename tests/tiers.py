@@ -80,10 +80,13 @@ class Row:
 
 # What takes long and is seldom broken alone; each line says what of the same feature runs every day.
 LONG = {
+    "test_calibrate.py::test_drift_is_told": "noise and drift in the quiet skin that is measured",
     "test_calibrate.py::test_the_virtual_skin_calibrates_itself": "the same calibration runs in its parts",
+    "test_cli.py::test_a_killed_live": "a live loop that ends by itself, and a recorder that is killed",
     "test_cli.py::test_a_lost_device": "a device that stalls in test_faults.py",
     "test_cli.py::test_a_page_port": "the port in test_view.py",
     "test_cli.py::test_headless_table_over": "serial lines in test_faults.py, the table over TCP",
+    "test_conformance.py::test_the_virtual_driver_passes": "a driver over the wire that passes the same checks",
     "test_dataset.py::test_number_of_workers": "samples that are the same whenever and wherever they are made",
     "test_domains.py::test_rings_of_nodes": "what a contact impedance does in test_policies.py",
     "test_examples.py::test_example[[]03": "two other examples",
@@ -96,6 +99,7 @@ LONG = {
     "test_firmware.py::test_ten_seconds_of_fuzzing": "requests by hypothesis",
     "test_firmware_loop.py::test_a_late_sample": "a bad line in the same emulator",
     "test_firmware_loop.py::test_a_session_finds": "frames of the same board in the same emulator",
+    "test_guides.py::test_a_drive_an_estimator": "modes of a skin's own, and what others register, in test_sensing.py",
     "test_guides.py::test_example_runs*[[]drive_design": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]estimators": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]forward": "another example, and the text of all",
@@ -125,7 +129,9 @@ LONG = {
     "test_robot.py::test_same_seed_same_run": "the seeds of the virtual skin",
     "test_robot.py::test_skin_of_another_shape": "the paper's skin",
     "test_scale.py::test_with_many_electrodes": "the same with sixteen",
+    "test_self_test.py::test_the_command_says_so": "the self-test that the command calls",
     "test_sensing.py::test_a_change_of_all_contact*[[]0.9": "the change the other way",
+    "test_sheet.py::test_a_skin_that_is_not": "electrodes and sheet found again",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",
     "test_tiers.py::test_a_run_ends": "what is left behind, told without a run of its own",
