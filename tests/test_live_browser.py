@@ -48,12 +48,13 @@ def screen(page: Any, x: float, y: float) -> tuple[float, float]:
 
 def contacts(page: Any, count: int) -> list[tuple[float, float]]:
     """The contacts once there are `count` of them, and still are a moment later: fingers come between scans."""
-    while True:
+    for _ in range(100):
         until(page, f"window.ohmskin.frame.contacts.length === {count}")
         page.wait_for_timeout(300)
         found = [(c["x"], c["y"]) for c in page.evaluate("window.ohmskin.frame.contacts")]
         if len(found) == count:
             return found
+    raise AssertionError(f"{count} contacts came and went a hundred times")
 
 
 def test_a_finger_shows_itself_until_somebody_presses(fresh: Any) -> None:

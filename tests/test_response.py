@@ -40,6 +40,13 @@ def error(found: np.ndarray, true: np.ndarray) -> float:
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
+def test_a_table_of_a_scaled_model_is_the_scaled_table() -> None:
+    scaled, anew = table().scaled(2.5), ContactTable(model().scaled(2.5), RADIUS)
+    np.testing.assert_allclose(scaled.responses, anew.responses, rtol=1e-9)
+    for one, other in zip(scaled.spline, anew.spline, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+
+
 def test_at_its_places_the_table_is_the_integral_itself() -> None:
     shown = table()
     for k in np.random.default_rng(0).integers(0, len(shown.places), 12):

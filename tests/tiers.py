@@ -80,12 +80,11 @@ class Row:
 
 # What takes long and is seldom broken alone; each line says what of the same feature runs every day.
 LONG = {
-    "test_calibrate.py::test_drift_is_told": "noise and drift in the quiet skin that is measured",
+    "test_calibrate.py::test_drift_is_told": "noise, and that a quiet skin does not drift",
     "test_calibrate.py::test_the_virtual_skin_calibrates_itself": "the same calibration runs in its parts",
     "test_cli.py::test_a_killed_live": "a live loop that ends by itself, and a recorder that is killed",
     "test_cli.py::test_a_lost_device": "a device that stalls in test_faults.py",
-    "test_cli.py::test_a_page_port": "the port in test_view.py",
-    "test_cli.py::test_headless_table_over": "serial lines in test_faults.py, the table over TCP",
+    "test_cli.py::test_headless_table_over": "serial lines in test_driver.py, what a loop prints in test_readme.py",
     "test_conformance.py::test_the_virtual_driver_passes": "a driver over the wire that passes the same checks",
     "test_dataset.py::test_number_of_workers": "samples that are the same whenever and wherever they are made",
     "test_domains.py::test_rings_of_nodes": "what a contact impedance does in test_policies.py",
@@ -134,8 +133,7 @@ LONG = {
     "test_sheet.py::test_a_skin_that_is_not": "electrodes and sheet found again",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",
-    "test_tiers.py::test_a_run_ends": "what is left behind, told without a run of its own",
-    "test_view_session.py::test_a_slow_estimator": "what the session says of images that come late",
+    "test_view_session.py::test_a_slow_estimator_says": "that one is told of once",
 }
 
 TABLE = (

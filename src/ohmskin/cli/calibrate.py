@@ -1,6 +1,7 @@
 """``ohmskin calibrate``: the quiet skin, its sheet and contacts, and newtons."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import ohmskin
 from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
 from ohmskin.cli.options import SkinName, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
-from ohmskin.errors import DeviceError
+from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.plot.calibration import save_calibration
-from ohmskin.sensing import KnownPress, PressFitter, mode_named
+from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, mode_named
 from ohmskin.skin import Calibration, Press, Skin
 
 _TIP = 8e-3  # m, radius of the virtual finger
@@ -72,20 +73,14 @@ def calibrate(
                     KnownPress(one.force, one.contact, one.scans) for one in guide.samples if one.contact is not None
                 ]
                 assert engine.known is not None  # it saw the presses
-                layer = PressFitter(engine.known).fit_layer(presses)
+                layer, why = _layer(PressFitter(engine.known), presses)
             console.print(
                 f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
                 f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
                 f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
             )
-            kind = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
-            kind += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
-            if layer.unexplained < _EXPLAINED:
-                found = layer.put_into(found)
-                console.print(kind)
-            else:
-                left = f"{100 * layer.unexplained:.2g} % of what the presses change"
-                console.print(f"note: {kind}, would leave {left} unexplained; the layer stays as described")
+            found = found if layer is None else layer.put_into(found)
+            console.print(why)
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
                 console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
@@ -93,6 +88,20 @@ def calibrate(
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
         save_calibration(picture, calibrated, guide.samples, curve)
+
+
+def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLayer | None, str]:
+    """The contact layer, if presses tell it, and a sentence; what fits no model must not cost the presses."""
+    try:
+        layer = fitter.fit_layer(presses)
+    except OhmskinError as error:
+        return None, f"note: the contact layer stays as described: {error}"
+    told = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
+    told += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
+    if layer.unexplained < _EXPLAINED:
+        return layer, told
+    left = f"{100 * layer.unexplained:.2g} % of what the presses change"
+    return None, f"note: {told}, would leave {left} unexplained; the layer stays as described"
 
 
 def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:

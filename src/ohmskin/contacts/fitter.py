@@ -75,14 +75,14 @@ class ContactFitter:
     ) -> None:
         check_positive(noise=noise)
         check_share(model_error=model_error)
-        for name, rate in {"false_alarms": false_alarms, "false_twos": false_twos}.items():
+        for name, rate in (("false_alarms", false_alarms), ("false_twos", false_twos)):
             if not 0 < rate < 1:
                 raise ModelError(f"{name} is {rate!r}; it must be a rate above 0 and below 1")
         if most < 1:
             raise ModelError(f"cannot look for {most} contacts; at least 1")
         self.errors = Errors(noise, gain, contacts, model_error)
         self.table, self.noise, self.model_error, self.bipolar, self.most = table, noise, model_error, bipolar, most
-        chosen = _spaced(table.places, 1.25 * table.radius)
+        chosen = table.spaced(1.25 * table.radius)
         self.places: Floats = table.places[chosen]
         self._candidates = np.ascontiguousarray(table.responses[chosen])
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
@@ -271,7 +271,9 @@ class ContactFitter:
         for number, k in np.argwhere(near).tolist():
             under = *covered, number
             told, data = (one.beside(in_series(under, self.table.n_elec)) for one in everything)
-            for others in {0: found.params[:0], len(found.params) - 1: np.delete(found.params, k, axis=0)}.values():
+            # in place of one contact, and of all: the others may be there only because of the electrode
+            replaced = [np.delete(found.params, k, axis=0), found.params[:0]]
+            for others in replaced if len(found.params) > 1 else replaced[:1]:
                 rest = self.refine(data, others) if len(others) else nothing(len(found.caused))
                 score, power = self.scores(told.less(rest.caused).beside(rest.slopes))
                 one = self._cleared(data, self.added(data, score, power, rest.params))
@@ -336,15 +338,3 @@ class ContactFitter:
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
         return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
-
-
-def _spaced(places: Floats, spacing: float) -> np.ndarray:
-    """Numbers of places, one in each square of a grid: the one closest to the square's middle."""
-    low = places.min(axis=0)
-    count = np.maximum(np.rint(np.ptp(places, axis=0) / spacing), 1)
-    cell = (places - low) / np.ptp(places, axis=0) * count
-    middle = np.rint(cell)
-    off = np.linalg.norm(cell - middle, axis=1)
-    order = np.argsort(off, kind="stable")
-    _, first = np.unique(middle[order], axis=0, return_index=True)
-    return np.sort(order[first])

@@ -68,14 +68,11 @@ class FloatingPatches:
         self._corners: Ints = np.searchsorted(self.update.nodes, corners)
         self._weights: Floats = np.ascontiguousarray(weights[self.kept])
         self._caused: Floats = np.einsum("pk,pke->pe", self._weights, self.update.caused[self._corners])
-        self.sizes: Floats = np.broadcast_to(np.asarray(0.0 if sizes is None else sizes, float), (len(where), 2))[
-            self.kept
-        ]
-        self._near = (
-            _NearField(model, self.points, self.patches, self.sizes, corners, self._weights)
-            if sizes is not None
-            else None
-        )
+        given = np.broadcast_to(0.0 if sizes is None else np.asarray(sizes, float), (len(where), 2))
+        self.sizes: Floats = given[self.kept]
+        self._near: _NearField | None = None
+        if sizes is not None:
+            self._near = _NearField(model, self.points, self.patches, self.sizes, corners, self._weights)
 
     @property
     def model(self) -> TransferModel:
@@ -93,10 +90,10 @@ class FloatingPatches:
         """
         return self.linearised(conductance)[0]
 
-    def linearised(self, conductance: ArrayLike) -> tuple[Floats, Ints, Floats]:
-        """The same; which contacts (n,) touch; and the voltage (n, n_elec) over each for 1 A into each electrode.
+    def linearised(self, conductance: ArrayLike) -> tuple[Floats, Floats]:
+        """The same, and the voltage (n, n_elec) over each of n contacts that touch, for 1 A into each electrode (ohm).
 
-        A current i sees -(voltage . i)^2 as derivative of its resistance by a contact's conductance (V/A, ohm^2).
+        With u_i and u_j of them, the two-terminal resistance of a pair falls by (u_i - u_j)^2 with each siemens.
         """
         joint = np.asarray(conductance, float)
         if joint.shape != (len(self.points),):
@@ -105,7 +102,7 @@ class FloatingPatches:
             raise ModelError("a patch conductance is negative or not finite; give 0 where a patch does not touch")
         touching = np.flatnonzero(joint)
         if not len(touching):
-            return self.model.transfer_resistance, touching, np.empty((0, len(self.model.electrodes)))
+            return self.model.transfer_resistance, np.empty((0, len(self.model.electrodes)))
         numbers, owner = np.unique(self.patches[touching], return_inverse=True)
         nodes, at = np.unique(self._corners[touching], return_inverse=True)
         green = _interpolated(self.update.green_among(nodes), at.reshape(len(touching), -1), self._weights[touching])
@@ -115,12 +112,16 @@ class FloatingPatches:
         member = np.zeros((len(touching), len(numbers)))
         member[np.arange(len(touching)), owner] = 1.0
         caused = self._caused[touching]
-        solved = cho_solve(cho_factor(green, lower=True, overwrite_a=True), np.hstack([caused, member]))
+        try:
+            factor = cho_factor(green, lower=True, overwrite_a=True)
+        except np.linalg.LinAlgError:
+            raise ModelError("the mesh is too coarse for patches so hard pressed; use a finer one") from None
+        solved = cho_solve(factor, np.hstack([caused, member]))
         direct, floating = np.split(solved, [caused.shape[1]], axis=1)
         currents = direct - floating @ np.linalg.solve(member.T @ floating, member.T @ direct)
         drop = caused.T @ currents
         after = np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
-        return after, touching, currents / joint[touching, None]
+        return after, currents / joint[touching, None]
 
 
 def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, Bools]:
@@ -161,10 +162,10 @@ class _NearField:
         self.model, self.points, self.patches, self.sizes = model, points, patches, sizes
         self.corners, self.weights = corners, weights
         self._element = mesh.locate(points)[0]
-        self._order = np.argsort(patches, kind="stable")
-        numbers, self._first = np.unique(patches[self._order], return_index=True)
+        order = np.argsort(patches, kind="stable")
+        numbers, first = np.unique(patches[order], return_index=True)
         self._slot = {int(number): slot for slot, number in enumerate(numbers)}
-        own = np.split(self._order, self._first[1:])
+        own = np.split(order, first[1:])
         self._middles = np.array([points[one].mean(axis=0) for one in own])
         self._half = max(float(np.linalg.norm(points[one] - points[one].mean(axis=0), axis=1).max()) for one in own)
         self._own, self._edge = own, float(np.sqrt(4 / np.sqrt(3) * mesh.measures[self._element].max()))

@@ -114,6 +114,14 @@ class ContactTable:
         other._fields = self._fields / np.sqrt(factor)
         return other
 
+    def spaced(self, spacing: float) -> Ints:
+        """Numbers of places, one in each square of a grid so wide (m): the one closest to the square's middle."""
+        low, width = self.places.min(axis=0), np.ptp(self.places, axis=0)
+        cell = (self.places - low) / width * np.maximum(np.rint(width / spacing), 1)
+        order = np.argsort(np.linalg.norm(cell - np.rint(cell), axis=1), kind="stable")
+        _, first = np.unique(np.rint(cell)[order], axis=0, return_index=True)
+        return np.sort(order[first])
+
     @property
     def spline(self) -> Spline:
         """What `respond` reads."""

@@ -71,7 +71,8 @@ class PressedSheet:
     Args:
         skin: What to model.
         contact_factors: Factor on each electrode's contact impedance (n_elec,), for poor contacts.
-        model: Of the untouched sheet with its electrodes; on a mesh finer than the estimator's unless given.
+        model: Of the untouched sheet with its electrodes and their contacts; on a mesh finer than the estimator's, with
+            `contact_factors`, unless given.
         contacts: Along each side of a patch, closer at its edges, where the current enters. With 8, presses of 5 mm and
             more do to 2 % what they do with ever more of them; with 4, some ten times as quick, to 5 %.
 
@@ -169,7 +170,7 @@ class PressedSheet:
         changes = [*(by_pressure * slope for slope in slopes[:, touching]), per_area, per_area * logarithm]
         conductance = np.zeros(len(pressure))
         conductance[touching] = per_area.mean(axis=1) * areas
-        after, _, volts = self._patches.linearised(conductance)
+        after, volts = self._patches.linearised(conductance)
         i, j = all_pairs(len(after)).T
         seen = (volts[:, i] - volts[:, j]) ** 2
         return (
