@@ -68,8 +68,8 @@ class FloatingPatches:
         self._corners: Ints = np.searchsorted(self.update.nodes, corners)
         self._weights: Floats = np.ascontiguousarray(weights[self.kept])
         self._caused: Floats = np.einsum("pk,pke->pe", self._weights, self.update.caused[self._corners])
-        given = np.broadcast_to(0.0 if sizes is None else np.asarray(sizes, float), (len(where), 2))
-        self.sizes: Floats = given[self.kept]
+        sides = np.broadcast_to(0.0 if sizes is None else np.asarray(sizes, float), (len(where), 2))
+        self.sizes: Floats = sides[self.kept]
         self._near: _NearField | None = None
         if sizes is not None:
             self._near = _NearField(model, self.points, self.patches, self.sizes, corners, self._weights)

@@ -98,6 +98,9 @@ class PressedSheet:
         self._tree = cKDTree(self._patches.points)
         self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
+        # compile now: a device that compiles at its first touch is taken for one that is lost
+        x, y = self._patches.points[len(self._patches.points) // 2]
+        self.transfer_resistance([Press((float(x), float(y)), 1e-4, 1.0)])
 
     def _contacts(self, count: int) -> tuple[Floats, Ints, Floats]:
         """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
