@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.information import Errors, Information
+from ohmskin.contacts.information import Errors, Information, Misfit
 from ohmskin.drive import Candidates, InformedPolicy, base_pattern, complete_pattern
-from ohmskin.errors import DataError, ModelError
+from ohmskin.errors import DataError, ModelError, PatternError
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.forward import ContactTable, TransferModel
@@ -113,6 +114,14 @@ def random_difference(pattern: DrivePattern, seed: int, source_loading: bool = F
     return Difference(pattern, currents, rng.normal(size=pattern.n_meas), sagging)
 
 
+def products(misfit: Misfit) -> Floats:
+    """Of the columns of data, themselves last."""
+    whole = np.empty((len(misfit.vector) + 1,) * 2)
+    whole[:-1, :-1], whole[-1, -1] = misfit.matrix, misfit.constant
+    whole[-1, :-1] = whole[:-1, -1] = misfit.vector
+    return whole
+
+
 # --- likelihood -------------------------------------------------------------------------------------------------------
 
 
@@ -139,21 +148,18 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     wrong = np.column_stack(directions)[known]
     whole = np.column_stack([rows, reference, np.concatenate([scan.volts for scan in scans])])[known]
     covariance = 0.3**2 * np.eye(known.sum()) + wrong @ wrong.T
-    np.testing.assert_allclose(
-        found.rows.T @ found.rows, whole.T @ np.linalg.solve(covariance, whole), rtol=1e-8, atol=1e-8
-    )
-    np.testing.assert_allclose(found.plain.T @ found.plain, whole.T @ whole / 0.3**2, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(products(found.told), whole.T @ np.linalg.solve(covariance, whole), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(products(found.white), whole.T @ whole / 0.3**2, rtol=1e-9, atol=1e-9)
     change, beside = np.random.default_rng(3).normal(size=(2, 120, 3))
     left = whole - np.column_stack([np.zeros((known.sum(), 121)), rows[known] @ change[:, 0]])
     less = found.less(change[:, 0])
-    np.testing.assert_allclose(
-        less.rows.T @ less.rows, left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7
-    )
+    np.testing.assert_allclose(products(less.told), left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7)
     assert less.signal == pytest.approx(np.sqrt(np.mean(left[:, -1] ** 2)) / 0.3)
     covariance += (rows[known] @ beside) @ (rows[known] @ beside).T
-    marginal = less.without(beside).rows
-    np.testing.assert_allclose(marginal.T @ marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(less.beside(beside).matrix @ beside, 0.0, atol=1e-5 * np.abs(less.matrix @ beside).max())
+    marginal = products(less.without(beside).told)
+    np.testing.assert_allclose(marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
+    blind, seeing = (np.abs(one.told.matrix[:-1, :-1] @ beside).max() for one in (less.beside(beside), less))
+    assert blind < 1e-5 * seeing
     assert found.size(change[:, 0]) == pytest.approx(np.linalg.norm(rows[known] @ change[:, 0]) / 0.3)
     for scan in scans:
         expected = scan.currents * (scan.combination(16) @ change[:, 0])
@@ -167,9 +173,14 @@ def test_data_of_driven_electrodes_count_as_much_less_as_their_larger_changes_er
     (plain, _), (told, wary) = (Information.of(16, Errors(0.1, model=model), [scan]) for model in (0.0, 0.05))
     usual, theirs = (np.hypot(0.1, 0.05 * np.sqrt(np.mean(scan.volts[kind] ** 2))) for kind in (~driven, driven))
     expected = np.sum(scan.volts[~driven] ** 2) + np.sum((usual / theirs * scan.volts[driven]) ** 2)
-    assert plain.constant == pytest.approx(np.sum(scan.volts**2) / 0.1**2)
-    assert told.constant == pytest.approx(expected / 0.1**2)
-    assert wary.constant == pytest.approx(told.constant / (1 + (0.05 * told.signal) ** 2))
+    assert plain.told.constant == pytest.approx(np.sum(scan.volts**2) / 0.1**2)
+    assert told.told.constant == pytest.approx(expected / 0.1**2)
+    assert wary.told.constant == pytest.approx(told.told.constant / (1 + (0.05 * told.signal) ** 2))
+
+
+def test_a_pattern_of_more_electrodes_than_the_table_has_is_refused() -> None:
+    with pytest.raises(PatternError, match=r"electrode 19; there are 16 \(0\.\.15\)"):
+        fitter("discs", 50).fit(random_difference(adjacent([range(20)]), 1))
 
 
 def test_slopes_of_contacts_are_those_of_finite_differences() -> None:

@@ -7,6 +7,7 @@ A contact's parameters are x, y (m), effect (relative conductivity change times 
 """
 
 from math import erf, sqrt
+from operator import attrgetter
 
 import numpy as np
 from scipy.special import ndtri
@@ -19,7 +20,7 @@ from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, DrivePattern
 from ohmskin.scan.pairs import in_series
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
@@ -28,11 +29,13 @@ _STRONG = 1.5  # effect over area of a contact that is taken to be larger than u
 _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
 _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
+_FEW = 5  # rounds of a fit that tell which axis of a split is the best
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _HALO = 8  # places around a contact where the model of it may err
 _ANGLES = np.arange(_HALO) * 2 * np.pi / _HALO
 _DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_cost = attrgetter("cost")
 
 
 class ContactFitter:
@@ -84,12 +87,13 @@ class ContactFitter:
         self.table, self.noise, self.model_error, self.bipolar, self.most = table, noise, model_error, bipolar, most
         chosen = table.spaced(1.25 * table.radius)
         self.places: Floats = table.places[chosen]
-        self._candidates = np.ascontiguousarray(table.responses[chosen])
+        self._candidates = table.responses[chosen]
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        unsaid = Information(np.zeros((1, self._candidates.shape[1] + 2)), np.ones((1, 1)))
-        self.refine(unsaid, self.prior[0][None])  # compile now, not at the first contact
+        quiet = DrivePattern(np.array([[0, 1]]), np.array([[0, 0, 1]]))
+        told, _ = self.information(Difference(quiet, np.ones(1), np.zeros(1)))
+        self.refine(told, self.prior[0][None])  # compile now, not at the first contact
 
     @staticmethod
     def split_threshold(rate: float) -> float:
@@ -136,8 +140,8 @@ class ContactFitter:
 
     def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        power = np.einsum("pn,pn->p", self._candidates @ left.matrix, self._candidates)
-        return self._candidates @ left.vector, np.maximum(power, 1e-12 * power.max())
+        power = np.einsum("pn,pn->p", self._candidates @ left.told.matrix[:-1, :-1], self._candidates)
+        return self._candidates @ left.told.vector[:-1], np.maximum(power, 1e-12 * power.max())
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
@@ -148,18 +152,16 @@ class ContactFitter:
         """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
         height = self.heights(score, power)
         taken = np.zeros(len(height), bool)
-        best: Solution | None = None
+        starts: list[Floats] = []
         for _ in range(_STARTS):
             place = int(np.argmax(np.where(taken, -np.inf, height)))
-            if best is not None and height[place] < _PROMISE * height.max():
+            if starts and height[place] < _PROMISE * height.max():
                 break
             # near an electrode, the truth may lie on its other side
             taken |= np.linalg.norm(self.places - self.places[place], axis=1) < 1.4 * self.table.radius
             start = np.array([[*self.places[place], score[place] / power[place], self.table.radius**2]])
-            found = self.refine(data, start if known is None else np.vstack([known, start]))
-            best = found if best is None or found.cost < best.cost else best
-        assert best is not None
-        return best
+            starts.append(start if known is None else np.vstack([known, start]))
+        return min((self.refine(data, start) for start in starts), key=_cost)
 
     # --- fitting ------------------------------------------------------------------------------------------------------
 
@@ -201,7 +203,7 @@ class ContactFitter:
         radius, least = self.table.radius, -np.inf if self.bipolar else 1e-3 * self.table.radius**2
         params = np.array(start[:, :PER_CONTACT], float)
         cost, normal, caused, slopes = kernels.refined(
-            params, np.ascontiguousarray(data.matrix), np.ascontiguousarray(data.vector), data.constant,
+            params, data.told.matrix, data.told.vector, data.told.constant,
             np.asarray(mean, float), np.ascontiguousarray(information), rounds, radius, least, *self.squares,
             self.table.sheet, self.table.spline,
         )  # fmt: skip
@@ -237,10 +239,14 @@ class ContactFitter:
         Raises:
             DataError: If no finite datum is left.
         """
-        told, data = everything = self.information(*scans)
+        return self.explained(*self.information(*scans))
+
+    def explained(self, told: Information, data: Information) -> Solution:
+        """The contacts that explain what is measured, given as `information` gives it."""
+        everything = told, data
         found, covered = nothing(self.table.responses.shape[1]), tuple[int, ...]()
         while len(found.params) < self.most:
-            score, power = self.scores(told.less(found.caused).beside(found.slopes))
+            score, power = self.scores(told.less(found.caused).beside(found.slopes) if len(found.params) else told)
             more = [self.split(told, data, found, k) for k in range(len(found.params))]
             if self.heights(score, power).max() >= self.bar + self.model_error * told.size(found.caused):
                 one = self.added(data, score, power, found.params)
@@ -252,7 +258,7 @@ class ContactFitter:
                 break
             under = self._over_an_electrode(everything, found, covered)
             if under is None:
-                found = min(better, key=lambda one: one.cost)
+                found = min(better, key=_cost)
             else:
                 covered, told, data, found = under
         return found
@@ -312,8 +318,8 @@ class ContactFitter:
         ends = one[:2] + reach * np.concatenate([axes, -axes, [[0.0, 0.0]]])
         values = self.table(self.onto(ends), np.sqrt(one[3])).values
         bend, left = values[:4] + values[4:8] - 2 * values[8], told.less(found.caused).beside(found.slopes)
-        power = np.einsum("pn,pn->p", bend @ left.matrix, bend)
-        height = bend @ left.vector / np.sqrt(np.maximum(power, 1e-12 * power.max()))
+        power = np.einsum("pn,pn->p", bend @ left.told.matrix[:-1, :-1], bend)
+        height = bend @ left.told.vector[:-1] / np.sqrt(np.maximum(power, 1e-12 * power.max()))
         if height.max() < 1.0:
             return None
         count, (centre, precision) = len(found.params) + 1, self.prior
@@ -321,15 +327,15 @@ class ContactFitter:
         unlike = np.zeros(len(mean))
         unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
         information += np.outer(unlike, unlike)
-        tried = []
+        starts = []
         for axis in axes:
             pair = np.stack([one, one])
             pair[:, :2] = self.onto(one[:2] + np.outer([reach, -reach], axis))
             pair[:, 2] /= 2
             pair[:, 3] = self.table.radius**2 / 2
-            start = np.vstack([np.delete(found.params, k, axis=0), pair])
-            tried.append(self.refine(data, start, mean, information))
-        two = min(tried, key=lambda each: each.cost)
+            starts.append(np.vstack([np.delete(found.params, k, axis=0), pair]))
+        tried = [self.refine(data, start, mean, information, _FEW) for start in starts]
+        two = self.refine(data, min(tried, key=_cost).params, mean, information)
         away = np.linalg.norm(two.params[-1, :2] - two.params[-2, :2])
         if away < _OVERLAP * np.sqrt(two.params[-2:, 3]).sum():
             return None

@@ -7,17 +7,60 @@ at its best, is constant - 2 vector.x + x.matrix.x. That is sufficient: scans wi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
+from numba import njit
 
 from ohmskin.arrays import Bools, Floats, Ints
-from ohmskin.errors import DataError
-from ohmskin.scan import Difference, pair_index
+from ohmskin.errors import DataError, PatternError
+from ohmskin.scan import Difference
 from ohmskin.scan.pairs import n_pairs
 
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
+_ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
+_SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """A squared misfit constant - 2 vector.x + x.matrix.x, of data in units of their noise.
+
+    Args:
+        matrix: (n, n) its curvature, halved; n = n_pairs + 1.
+        vector: (n,) its downhill gradient at nothing, halved.
+        constant: That of nothing.
+    """
+
+    matrix: Floats
+    vector: Floats
+    constant: float
+
+    @classmethod
+    def gathered(cls, gram: Floats) -> "Misfit":
+        """That of rows, from the products (n + 1, n + 1) of their columns, the data last."""
+        return cls(np.ascontiguousarray(gram[:-1, :-1]), gram[-1, :-1], float(gram[-1, -1]))
+
+    def less(self, known: Floats) -> "Misfit":
+        """What is left once changes (n_pairs or n,) are known."""
+        many = len(known)
+        seen = self.matrix[:, :many] @ known
+        constant = self.constant - float(known @ (2 * self.vector[:many] - seen[:many]))
+        return Misfit(self.matrix, self.vector - seen, constant)
+
+    def without(self, directions: Floats) -> "Misfit":
+        """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
+        many = len(directions)
+        seen = self.matrix[:, :many] @ directions
+        inner = np.linalg.inv(np.linalg.cholesky(np.eye(directions.shape[1]) + directions.T @ seen[:many]))
+        seen, told = seen @ inner.T, inner @ (directions.T @ self.vector[:many])
+        return Misfit(self.matrix - seen @ seen.T, self.vector - seen @ told, self.constant - float(told @ told))
+
+    def size(self, changes: Floats) -> float:
+        """How large changes (n_pairs or n,) are in the data (1)."""
+        many = len(changes)
+        return sqrt(max(float(changes @ self.matrix[:many, :many] @ changes), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,27 +80,33 @@ class Errors:
     contacts: Floats | None = None
     model: float = 0.0
 
-    def drift(self, scans: Sequence[Difference]) -> Floats:
-        """Likeliest change (n_pairs,) of two-terminal resistances by contacts, if nothing touches the skin (ohm)."""
+    def drift(self, data: "Information", known: Floats | float = 0.0) -> Floats:
+        """Likeliest change (n_pairs,) of two-terminal resistances by contacts, if nothing touches the skin (ohm).
+
+        Args:
+            data: What is measured.
+            known: Of it (n_pairs,), what has been taken off the data.
+        """
         assert self.contacts is not None
-        whole = [scan.currents[:, None] * (scan.combination(self.contacts.shape[1]) @ self.contacts) for scan in scans]
-        rows, volts = np.vstack(whole), np.concatenate([scan.volts for scan in scans])
-        known = np.isfinite(volts) & np.isfinite(rows).all(axis=1)
-        rows, volts = rows[known] / self.noise, volts[known] / self.noise
-        return np.asarray(self.contacts @ np.linalg.solve(rows.T @ rows + np.eye(rows.shape[1]), rows.T @ volts))
+        curvature = data.white.matrix[:-1, :-1]
+        seen = self.contacts.T @ curvature
+        volts = self.contacts.T @ data.white.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
+        return np.asarray(self.contacts @ np.linalg.solve(seen @ self.contacts + np.eye(len(seen)), volts))
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What one or several scans say, in units of the noise.
+    """What one or several scans say.
 
     Args:
-        rows: (n_rows, n + 1), n = n_pairs + 1: the squared misfit of x is |rows (x, -1)|^2.
-        plain: (n_meas, n + 1) the same if voltages erred by white noise alone.
+        told: The misfit, errors of all kinds at their best.
+        white: The same if voltages erred by white noise alone.
+        count: Data.
     """
 
-    rows: Floats
-    plain: Floats
+    told: Misfit
+    white: Misfit
+    count: int
 
     @classmethod
     def of(cls, n_elec: int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
@@ -68,10 +117,13 @@ class Information:
 
         Raises:
             DataError: If no finite datum is left.
+            PatternError: If a pattern names an electrode that is not there.
         """
         if not scans:
             raise DataError("no scan to find contacts in; give at least one")
         four = np.concatenate([scan.pattern.quadruples for scan in scans])
+        if four.max() >= n_elec:
+            raise PatternError(f"the pattern names electrode {four.max()}; there are {n_elec} (0..{n_elec - 1})")
         driven = np.concatenate([scan.pattern.driven for scan in scans])
         volts = np.concatenate([scan.volts for scan in scans])
         amperes = np.concatenate([scan.currents for scan in scans])
@@ -82,113 +134,116 @@ class Information:
             np.concatenate([own if own is not None else zero for own, zero in zip(given, zeros, strict=True)])
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
-        known = np.isfinite(volts) & np.isfinite(amperes)
-        if not known.any():
+        changes = np.empty((n_pairs(n_elec), 0)) if errors.contacts is None else errors.contacts
+        told, wary, gram, larger, count = _statistics(
+            four, which, driven, amperes, volts, quiet, loading, n_elec, int(starts[-1]),
+            errors.noise, errors.gain, errors.model, changes,
+        )  # fmt: skip
+        if not count:
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        (a, b, c, d), which, driven = four[known].T, which[known], driven[known]
-        share = _shares(volts[known], driven, errors) / errors.noise
-        amperes, at, count = amperes[known] * share, np.arange(len(a)), n_pairs(n_elec)
-        plain = np.zeros((len(a), count + 2))
-        for one, other, sign in ((a, d, 0.5), (b, c, 0.5), (a, c, -0.5), (b, d, -0.5)):
-            distinct = one != other  # a driven electrode that is also measured: F_ii = 0
-            plain[at[distinct], pair_index(one[distinct], other[distinct], n_elec)] += sign * amperes[distinct]
-        plain[at, pair_index(a, b, n_elec)] -= amperes * loading[known]
-        plain[:, -2], plain[:, -1] = np.nan_to_num(quiet[known]) * share, volts[known] * share
-        larger = float(np.hypot(1.0, errors.model * np.sqrt(np.mean(plain[:, -1] ** 2))))
-        contacts = None
-        if errors.contacts is not None:
-            contacts = plain[:, :-2] @ errors.contacts
-        told, wary = (_whitened(plain / by, which, errors.gain, contacts, by) for by in (1.0, larger))
-        return cls(told, plain), cls(wary, plain / larger)
+        return (
+            cls(Misfit.gathered(told), Misfit.gathered(gram), count),
+            cls(Misfit.gathered(wary), Misfit.gathered(gram / larger), count),
+        )
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
         """What several say whose errors are their own."""
-        return cls(np.vstack([part.rows for part in parts]), np.vstack([part.plain for part in parts]))
-
-    @cached_property
-    def matrix(self) -> Floats:
-        """(n_pairs, n_pairs) curvature of the squared misfit, halved."""
-        pairs = self.rows[:, :-2]
-        return np.asarray(pairs.T @ pairs)
-
-    @property
-    def vector(self) -> Floats:
-        """(n_pairs,) its downhill gradient at nothing, halved."""
-        return np.asarray(self.rows[:, -1] @ self.rows[:, :-2])
-
-    @property
-    def constant(self) -> float:
-        """The squared misfit of nothing."""
-        return float(self.rows[:, -1] @ self.rows[:, -1])
+        told, white = (
+            Misfit(
+                np.sum([one.matrix for one in each], axis=0),
+                np.sum([one.vector for one in each], axis=0),
+                sum(one.constant for one in each),
+            )
+            for each in ([part.told for part in parts], [part.white for part in parts])
+        )
+        return cls(told, white, sum(part.count for part in parts))
 
     @property
     def signal(self) -> float:
         """Root mean square of the data over their noise (1)."""
-        return float(np.sqrt(np.mean(self.plain[:, -1] ** 2)))
+        return sqrt(max(self.white.constant, 0.0) / self.count)
 
     def less(self, known: Floats) -> "Information":
         """What is left to say once changes (n_pairs or n,) are known to be a part of it."""
-        rows, plain = self.rows.copy(), self.plain.copy()
-        rows[:, -1] -= rows[:, : len(known)] @ known
-        plain[:, -1] -= plain[:, : len(known)] @ known
-        left = Information(rows, plain)
-        if "matrix" in self.__dict__:
-            left.__dict__["matrix"] = self.matrix
-        return left
+        return replace(self, told=self.told.less(known), white=self.white.less(known))
 
     def without(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        return Information(_beside(self.rows, self.rows[:, : len(directions)] @ directions), self.plain)
+        return replace(self, told=self.told.without(directions))
 
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""
-        scale = np.linalg.norm(self.plain[:, : len(directions)] @ directions, axis=0)
-        seen = self.rows[:, : len(directions)] @ (directions[:, scale > 0] / scale[scale > 0])
-        return Information(_beside(self.rows, seen / _UNSAID), self.plain)
+        sizes = np.array([self.size(direction) for direction in directions.T])
+        return self.without(directions[:, sizes > 0] / (_UNSAID * sizes[sizes > 0]))
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
-        scaled = Information(np.sqrt(share) * self.rows, self.plain)
-        scaled.__dict__["matrix"] = share * self.matrix
-        return scaled
+        told = self.told
+        return replace(self, told=Misfit(share * told.matrix, share * told.vector, share * told.constant))
 
     def size(self, changes: Floats) -> float:
-        """How large changes (n_pairs,) are in the data, in standard deviations of white noise."""
-        return float(np.linalg.norm(self.plain[:, : len(changes)] @ changes))
+        """How large changes (n_pairs or n,) are in the data, in standard deviations of white noise."""
+        return self.white.size(changes)
 
 
-def _whitened(plain: Floats, which: Ints, gain: float, contacts: Floats | None, larger: float) -> Floats:
-    """Rows of equal noise, those of an injection behind each other, beside errors of currents and contacts (n, k)."""
-    rows = plain
-    contacts = None if contacts is None else contacts / larger
-    if gain > 0:
-        errors, first = gain * plain[:, -2], np.flatnonzero(np.diff(which, prepend=-1))
-        squares = np.add.reduceat(errors**2, first)
-        shrink = (1 - 1 / np.sqrt(1 + squares)) / np.maximum(squares, 1e-300)
-        inside = np.repeat(np.arange(len(first)), np.diff(first, append=len(plain)))
+@njit(cache=True, nogil=True)
+def _statistics(
+    four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
+    n_elec: int, n_inj: int, noise: float, gain: float, model: float, contacts: Floats,
+) -> tuple[Floats, Floats, Floats, float, int]:  # fmt: skip
+    """Products (n_pairs + 2, n_pairs + 2) of columns - pairs of electrodes, common change, data - beside errors of all
+    kinds; the same wary of the model's error; with white noise alone; the factor by which the model's error raises the
+    variance; and the number of finite data."""
+    counts, squares = np.zeros(2, np.int64), np.zeros(2)
+    for row in range(len(four)):
+        if np.isfinite(volts[row]) and np.isfinite(amperes[row]):
+            counts[int(driven[row])] += 1
+            squares[int(driven[row])] += volts[row] ** 2
+    count, share = counts.sum(), 1.0
+    if counts.min() > 0:  # driven electrodes count as much less as their larger changes are modelled worse
+        usual, theirs = noise**2 + model**2 * squares / counts
+        share = min(1.0, np.sqrt(usual / theirs))
+    pairs = n_elec * (n_elec - 1) // 2
+    n, n_gain = pairs + 2, n_inj if gain > 0 else 0
+    k = n_gain + contacts.shape[1]
+    gram, beside, inner = np.zeros((n, n)), np.zeros((k, n)), np.zeros((k, k))
+    columns, entries = np.empty(7, np.int64), np.empty(7)
+    for row in range(len(four)):
+        if not (np.isfinite(volts[row]) and np.isfinite(amperes[row])):
+            continue
+        scale = (share if driven[row] else 1.0) / noise
+        many = 0
+        for term in range(5):
+            one, other = four[row, _ENDS[term, 0]], four[row, _ENDS[term, 1]]
+            value = scale * amperes[row] * (-loading[row] if term == 4 else _SIGNS[term])
+            if one != other and value != 0:  # a driven electrode that is also measured: F_ii = 0
+                i, j = min(one, other), max(one, other)
+                columns[many], entries[many] = i * n_elec - i * (i + 1) // 2 + j - i - 1, value
+                many += 1
+        columns[many], columns[many + 1] = pairs, pairs + 1
+        entries[many] = scale * quiet[row] if np.isfinite(quiet[row]) else 0.0
+        entries[many + 1] = scale * volts[row]
+        many += 2
+        for p in range(many):
+            for q in range(many):
+                gram[columns[p], columns[q]] += entries[p] * entries[q]
+            if n_gain:  # an error of the current looks like the quiet skin
+                beside[which[row], columns[p]] += gain * entries[many - 2] * entries[p]
+    for m in range(n_gain):
+        inner[m, m] = gain * beside[m, pairs]
+    if k > n_gain:
+        beside[n_gain:] = contacts.T @ gram[:pairs]
+        inner[:, n_gain:] = np.ascontiguousarray(beside[:, :pairs]) @ contacts
+        inner[n_gain:, :n_gain] = inner[:n_gain, n_gain:].T
+    larger = 1 + model**2 * gram[n - 1, n - 1] / max(count, 1)
+    return _whitened(gram, beside, inner, 1.0), _whitened(gram, beside, inner, larger), gram, larger, count
 
-        def beside(columns: Floats) -> Floats:
-            seen = np.add.reduceat(errors[:, None] * columns, first, axis=0) * shrink[:, None]
-            return np.asarray(columns - errors[:, None] * seen[inside])
 
-        rows, contacts = beside(rows), None if contacts is None else beside(contacts)
-    return rows if contacts is None else _beside(rows, contacts)
-
-
-def _beside(rows: Floats, errors: Floats) -> Floats:
-    """(I + E E^T)^(-1/2) rows, for errors E (n_rows, k)."""
-    if not errors.shape[1]:
-        return rows
-    squares, turn = np.linalg.eigh(errors.T @ errors)
-    root = np.sqrt(1 + np.maximum(squares, 0.0))
-    return np.asarray(rows - errors @ ((turn / (root * (root + 1))) @ (turn.T @ (errors.T @ rows))))
-
-
-def _shares(volts: Floats, driven: Bools, errors: Errors) -> Floats:
-    """How much each datum (n_meas,) counts (1)."""
-    if driven.all() or not driven.any():
-        return np.ones(len(volts))
-    squares = (float(np.mean(volts[kind] ** 2)) for kind in (~driven, driven))
-    usual, theirs = (float(np.hypot(errors.noise, errors.model * np.sqrt(square))) for square in squares)
-    return np.where(driven, min(1.0, usual / theirs), 1.0)
+@njit(cache=True, nogil=True)
+def _whitened(gram: Floats, beside: Floats, inner: Floats, variance: float) -> Floats:
+    """Products (n, n) of columns of data beside errors, whose products with them are (k, n) and with each other (k, k),
+    if the noise has that variance."""
+    root = np.linalg.solve(np.linalg.cholesky(inner + variance * np.eye(len(inner))), beside)
+    whitened: Floats = (gram - root.T @ root) / variance
+    return whitened

@@ -44,7 +44,10 @@ def refined(
     params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
     radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
 ) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
-    """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes."""
+    """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes.
+
+    The `matrix` (n_pairs + 1, n_pairs + 1) and `vector` are those of a `Misfit`.
+    """
     damping = 1e-3
     cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
     for _ in range(rounds):
@@ -103,8 +106,17 @@ def _linearised(
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
     caused, slopes = responses(params, *spline)
-    seen, left = slopes @ matrix, vector - matrix @ caused
+    seen, left, n = np.zeros_like(slopes), vector.copy(), len(caused)
+    for i in range(n):
+        row, change = matrix[i], caused[i]
+        for j in range(n):
+            left[j] -= change * row[j]
+        for k in range(len(slopes)):
+            slope = slopes[k, i]
+            for j in range(n):
+                seen[k, j] += slope * row[j]
     off = mean - params.copy().reshape(-1)
     pull = prior @ off
-    cost = float(constant - caused @ (vector + left) + off @ pull)
+    left = left[:n]
+    cost = float(constant - caused @ (vector[:n] + left) + off @ pull)
     return cost, seen @ slopes.T + prior, slopes @ left + pull, caused, slopes

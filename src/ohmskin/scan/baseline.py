@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Frame
-from ohmskin.scan.pairs import pair_index
+from ohmskin.scan.pairs import pair_index, pair_numbers
 from ohmskin.scan.pattern import DrivePattern
 
 _SHIFT = np.int64(1) << np.arange(48, -1, -16, dtype=np.int64)  # electrode numbers fit 15 bits
@@ -44,16 +44,13 @@ class Difference:
         kept = ~self.pattern.driven
         if kept.all() or not kept.any():
             return self
-        pattern = DrivePattern(self.pattern.injections, self.pattern.measurements[kept])
+        pattern = self.pattern.undriven
         loading, reference = (None if a is None else a[kept] for a in (self.source_loading, self.reference))
         return Difference(pattern, self.currents[kept], self.volts[kept], loading, reference)
 
     def caused_by(self, changes: Floats) -> Floats:
         """What changes (n_pairs,) of the two-terminal resistances (ohm) cause of it (n_meas,) (V)."""
-        n_elec = round((1 + np.sqrt(1 + 8 * len(changes))) / 2)
-        pairs = np.zeros((n_elec, n_elec))
-        pairs[np.triu_indices(n_elec, k=1)] = changes
-        pairs += pairs.T
+        pairs = np.append(changes, 0.0)[pair_numbers(round((1 + np.sqrt(1 + 8 * len(changes))) / 2))]
         a, b, c, d = self.pattern.quadruples.T
         own = 0.0 if self.source_loading is None else self.source_loading * pairs[a, b]
         return np.asarray(self.currents * (0.5 * (pairs[a, d] + pairs[b, c] - pairs[a, c] - pairs[b, d]) - own))

@@ -7,6 +7,7 @@ two-terminal ones F_ij by polarisation, which is what makes drive patterns cheap
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,16 @@ def pair_index(a: ArrayLike, b: ArrayLike, n_elec: int) -> Ints:
     i, j = np.minimum(a, b), np.maximum(a, b)
     index: Ints = i * n_elec - i * (i + 1) // 2 + j - i - 1
     return index
+
+
+@cache
+def pair_numbers(n_elec: int) -> Ints:
+    """The number of each pair (n_elec, n_elec); on the diagonal that of no pair, n_pairs."""
+    numbers = np.full((n_elec, n_elec), n_pairs(n_elec), np.int64)
+    i, j = np.triu_indices(n_elec, k=1)
+    numbers[i, j] = numbers[j, i] = np.arange(len(i))
+    numbers.setflags(write=False)
+    return numbers
 
 
 def two_terminal(form: Floats) -> Floats:

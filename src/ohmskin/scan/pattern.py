@@ -70,6 +70,11 @@ class DrivePattern:
         return np.asarray((given == measured).any(axis=(1, 2)))
 
     @cached_property
+    def undriven(self) -> "DrivePattern":
+        """The pattern without the measurements of electrodes that carry the current."""
+        return DrivePattern(self.injections, self.measurements[~self.driven])
+
+    @cached_property
     def with_driven(self) -> "DrivePattern":
         """The pattern with two voltages more of each injection: source and sink against its first and last electrode.
 

@@ -5,7 +5,7 @@ from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes
 from ohmskin.sensing.presses import FittedLayer, FittedPress, KnownPress, PressFitter
-from ohmskin.sensing.readers import READERS, Belief, DetectionReader, FilterReader, Reader
+from ohmskin.sensing.readers import READERS, Belief, DetectionReader, FilterReader, FitReader, Reader
 from ohmskin.sensing.sensor import Percept, Scan, Sensor, SensorState, Thresholds
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "CompiledCycle",
     "DetectionReader",
     "FilterReader",
+    "FitReader",
     "FittedLayer",
     "FittedPress",
     "KnownPress",

@@ -142,7 +142,7 @@ class PressFitter:
         found, cost, normal = _minimised(
             start, lambda params: self._under_layer(params, described, forces, data), moved
         )
-        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(told.constant for told in data)
+        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(told.told.constant for told in data)
         conductance, exponent = float(np.exp(found[0])), float(found[1])
         return FittedLayer(conductance, exponent, float(stds[0]), float(stds[1]), sqrt(max(cost, 0.0) / all_of_it))
 
@@ -231,11 +231,12 @@ class PressFitter:
     @staticmethod
     def _explained(data: Information, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of what is caused, up to a common error of all of it."""
-        left, seen = data.vector - data.matrix @ caused, data.matrix @ slopes
+        matrix, vector = data.told.matrix[:-1, :-1], data.told.vector[:-1]
+        left, seen = vector - matrix @ caused, matrix @ slopes
         error = _AMPLITUDE * caused
-        felt = data.matrix @ error
+        felt = matrix @ error
         share = 1 / (1 + error @ felt)
-        cost = data.constant - caused @ (data.vector + left) - share * (error @ left) ** 2
+        cost = data.told.constant - caused @ (vector + left) - share * (error @ left) ** 2
         normal = slopes.T @ seen - share * np.outer(slopes.T @ felt, felt @ slopes)
         return float(cost), normal, slopes.T @ (left - share * felt * (error @ left))
 

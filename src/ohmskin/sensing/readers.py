@@ -5,7 +5,7 @@ Other packages add theirs with an entry point of the group ``ohmskin.readers``: 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -84,13 +84,41 @@ class DetectionReader:
         estimator: What makes the image.
         detect: Finds contacts, given the estimate and the recent scans.
         tracker: Follows them.
-        fitter: What fits contacts to data, if that is how they are found; base scans are then looked at likewise.
     """
 
     estimator: Estimator
     detect: Callable[[Estimate, Sequence[Difference]], Sequence[Contact]]
     tracker: Tracker = field(default_factory=Tracker)
-    fitter: ContactFitter | None = None
+
+    def start(self, before: Belief | None = None) -> Belief:
+        """Nothing touches the skin."""
+        return Belief(self.estimator.start(), tracks=Tracks() if before is None else before.tracks)
+
+    def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
+        """What is believed after one frame more."""
+        estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
+        return self.follow(before, estimate, self.detect(estimate, recent))
+
+    def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
+        """What is believed after a frame that showed these contacts."""
+        assert isinstance(before.tracks, Tracks)
+        tracks, contacts = self.tracker.update(before.tracks, found)
+        return Belief(estimate, tuple(found), contacts, tracks)
+
+
+@dataclass(frozen=True, eq=False)
+class FitReader:
+    """Fits contacts to every frame afresh, and follows them by nearest neighbours.
+
+    Args:
+        estimator: What makes the image.
+        fitter: What fits contacts to data; base scans are looked at likewise.
+        tracker: Follows them.
+    """
+
+    estimator: Estimator
+    fitter: ContactFitter
+    tracker: Tracker = field(default_factory=Tracker)
 
     def start(self, before: Belief | None = None) -> Belief:
         """Nothing touches the skin."""
@@ -100,21 +128,18 @@ class DetectionReader:
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
         """What is believed after one frame more. Contact impedances that change are followed while nothing touches."""
-        measured, drift = recent, before.drift
+        assert isinstance(before.tracks, Tracks)
+        drift, errors = before.drift, self.fitter.errors
         if drift is not None:
             new, recent = ([scan.less(drift) for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
-        after = self.follow(before, estimate, self.detect(estimate, recent))
-        if self.fitter is not None and self.fitter.errors.contacts is not None and not after.detections:
+        told, wary = self.fitter.information(*recent)
+        found = self.fitter.contacts(self.fitter.explained(told, wary))
+        if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
-            drift = last - np.expm1(-elapsed / _FOLLOWED) * (self.fitter.errors.drift(measured) - last)
-        return replace(after, drift=drift)
-
-    def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
-        """What is believed after a frame that showed these contacts."""
-        assert isinstance(before.tracks, Tracks)
+            drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
         tracks, contacts = self.tracker.update(before.tracks, found)
-        return Belief(estimate, tuple(found), contacts, tracks)
+        return Belief(estimate, found, contacts, tracks, drift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +188,7 @@ def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader
 
 def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     """Contacts fitted to the data of each frame."""
-    fitter = known.fitter
-
-    def detect(_: Estimate, recent: Sequence[Difference]) -> Sequence[Contact]:
-        return fitter.contacts(fitter.fit(*recent))
-
-    return DetectionReader(estimator, detect, fitter=fitter)
+    return FitReader(estimator, known.fitter)
 
 
 def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

@@ -130,10 +130,11 @@ class Locator:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones."""
         if self.fitter is None:
             return self._regions(look.image)
-        found = targets_of(self.fitter.contacts(self.fitter.fit(*scans)))
+        told, wary = self.fitter.information(*scans)
+        found = targets_of(self.fitter.contacts(self.fitter.explained(told, wary)))
         if found:
             return found
-        height = self.fitter.heights(*self.fitter.scores(self.fitter.information(*scans)[0]))
+        height = self.fitter.heights(*self.fitter.scores(told))
         radius = self.fitter.table.radius
         return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
 

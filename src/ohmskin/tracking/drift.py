@@ -31,7 +31,7 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
 
 def beside_common(data: Information, variance: float) -> Information:
     """What data say beside a common relative change of all resistances, of which the variance is known."""
-    direction = np.zeros((data.rows.shape[1] - 1, 1))
+    direction = np.zeros((len(data.told.vector), 1))
     direction[-1] = np.sqrt(variance)
     return data.without(direction)
 
@@ -39,13 +39,12 @@ def beside_common(data: Information, variance: float) -> Information:
 def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:
     """The state with the common change of all resistances that its newest frame shows beside all its contacts."""
     newest = state.history[0]
-    common, left = newest.innovation.rows[:, -2:].T
-    share = fitter.allowance(newest.innovation)
-    if not common.any():
+    told, share = newest.innovation.told, fitter.allowance(newest.innovation)
+    if not told.matrix[-1, -1]:
         return state
-    variance = 1 / (1 / state.common_drift[1] + share * float(common @ common))
-    rise = variance * share * float(common @ left)
-    change = np.zeros(newest.innovation.rows.shape[1] - 1)
+    variance = 1 / (1 / state.common_drift[1] + share * float(told.matrix[-1, -1]))
+    rise = variance * share * float(told.vector[-1])
+    change = np.zeros(len(told.vector))
     change[-1] = rise
     newest = replace(newest, residual=newest.residual.less(change))
     common_drift = (state.common_drift[0] + rise, variance)
@@ -60,9 +59,10 @@ def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: f
         state.tracks
     ):  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
         left = left.beside(fitter.responses(state.params)[1])
-        share /= 1 + fitter.model_error**2 * newest.energy / len(left.plain)
-    ridge = _RIDGE * np.sum(left.plain[:, :-2] ** 2) / len(left.plain)
-    drift = np.linalg.solve(left.matrix + ridge * np.eye(len(left.vector)), left.vector)
+        share /= 1 + fitter.model_error**2 * newest.energy / left.count
+    matrix, vector = left.told.matrix[:-1, :-1], left.told.vector[:-1]
+    ridge = _RIDGE * np.trace(left.white.matrix[:-1, :-1]) / left.count
+    drift = np.linalg.solve(matrix + ridge * np.eye(len(vector)), vector)
     return replace(state, drift=state.drift + share * np.asarray(drift, float))
 
 
