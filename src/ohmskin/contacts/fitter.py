@@ -29,6 +29,7 @@ _STRONG = 1.5  # effect over area of a contact that is taken to be larger than u
 _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
 _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
+_PROMISED = 0.02  # share of the gain asked of a split that a small one must promise, to be worth a fit
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
@@ -254,13 +255,14 @@ class ContactFitter:
                 more += [one] if (away > one.params[:-1, 3]).all() else []  # what is left in a contact is its shape
             better = [self._cleared(data, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
-            if not better:
-                break
-            under = self._over_an_electrode(everything, found, covered)
-            if under is None:
+            strong = (np.abs(found.params[:, 2]) > _STRONG * np.pi * self.table.radius**2).any()
+            under = self._over_an_electrode(everything, found, covered) if better or strong else None
+            if under is not None:
+                covered, told, data, found = under
+            elif better:
                 found = min(better, key=_cost)
             else:
-                covered, told, data, found = under
+                break
         return found
 
     def _over_an_electrode(
@@ -320,7 +322,8 @@ class ContactFitter:
         bend, left = values[:4] + values[4:8] - 2 * values[8], told.less(found.caused).beside(found.slopes)
         power = np.einsum("pn,pn->p", bend @ left.told.matrix[:-1, :-1], bend)
         height = bend @ left.told.vector[:-1] / np.sqrt(np.maximum(power, 1e-12 * power.max()))
-        if height.max() < 1.0:
+        bar = self.split_bar if bar is None else bar
+        if height.max() ** 2 < _PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
             return None
         count, (centre, precision) = len(found.params) + 1, self.prior
         mean, information = np.tile(centre, count), np.diag(np.tile(precision, count))
@@ -339,7 +342,7 @@ class ContactFitter:
         away = np.linalg.norm(two.params[-1, :2] - two.params[-2, :2])
         if away < _OVERLAP * np.sqrt(two.params[-2:, 3]).sum():
             return None
-        return two if self.gained(told, found, two) > (self.split_bar if bar is None else bar) else None
+        return two if self.gained(told, found, two) > bar else None
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
