@@ -32,6 +32,7 @@ from ohmskin.evaluate.verdict import MET, MISSED, OPEN, Goal
 from ohmskin.evaluate.worlds import CURRENT, contact
 from ohmskin.forward.response import effective_change
 from ohmskin.scan import DrivePattern, adjacent
+from ohmskin.scan.pairs import in_series
 from ohmskin.skin import Mode, Skin
 
 TINY = policies.Settings(
@@ -247,18 +248,22 @@ def test_no_choice_of_injections_sees_more_than_the_bound_over_all_choices() -> 
     where = setup("discs", 60)
     complete, truth = complete_pattern(where.electrodes), apart(np.array([0.08, 0.11, 0.4]), 0.015)
     effect = 4e-5
-    left = unlike_one(where, [complete], truth, effect)
+    left, distance = unlike_one(where, [complete], truth, effect)
+    assert distance == pytest.approx(np.linalg.norm(left), rel=1e-3)
     bound, random = best_of(complete, left, 28), np.random.default_rng(0)
     greedy = np.argsort(np.bincount(complete.measurements[:, 0], left**2))[-28:]
     for chosen in [greedy, *(random.choice(complete.n_inj, 28, replace=False) for _ in range(8))]:
         some = complete.measurements[np.isin(complete.measurements[:, 0], chosen)]
-        seen = unlike_one(where, [DrivePattern(complete.injections, some)], truth, effect)
+        seen, _ = unlike_one(where, [DrivePattern(complete.injections, some)], truth, effect)
         assert float(seen @ seen) <= bound * (1 + 1e-6)
     assert bound < float(left @ left)
     pair = effect * where.table(truth, RADIUS).values.sum(axis=0)
     middle = effect * 2 * where.table(truth.mean(axis=0), RADIUS).values[0]
     worse = CURRENT * complete.combination(16) @ (pair - middle) / where.noise
     assert float(left @ left) < float(worse @ worse)  # the best single disc beats one in the middle
+    errors, driven = 0.5 * in_series(range(16), 16), [complete.with_driven]
+    (_, known), (_, uncertain) = (unlike_one(where, driven, truth, effect, each) for each in (None, errors))
+    assert distance < uncertain < known  # data more, of which contacts may spoil a part
 
 
 def test_two_contacts_well_apart_are_told_from_one() -> None:
@@ -353,6 +358,7 @@ def test_pairs_are_judged_by_what_the_fit_counts_and_false_twos_by_single_contac
         if name.startswith("limit"):
             results[name] = {
                 "distance": np.full(shape, 9.0),
+                "uncertain": np.full(shape, 4.0),
                 "any": np.full(shape[1:], 9.0),
                 "all": np.full(shape[1:], 9.0),
             }

@@ -121,7 +121,7 @@ def pairs(done: Done) -> list[Drawn]:
             values, low, high = np.array([astuple(mean(rates)) for rates in 100 * right[s].mean(axis=1)]).T
             axes.plot(x, values, "o-", color=COLOURS[key], markersize=3, linewidth=1.3, label=key)
             axes.fill_between(x, low, high, color=COLOURS[key], alpha=0.18, linewidth=0)
-            ideal = 100 * power[s].mean(axis=1)
+            ideal = 100 * power[0, s].mean(axis=1)
             axes.plot(x, ideal, ":", color=COLOURS[key], linewidth=1.2, label=f"{key}, ideal test")
         any_choice = 100 * ideal_power(limits["any"]).mean(axis=1)
         axes.plot(x, any_choice, "-.", color="0.3", linewidth=0.9, label="ideal test, any 28")
@@ -133,8 +133,8 @@ def pairs(done: Done) -> list[Drawn]:
         f"Two discs of 6 mm radius told from one; ideal tests take {100 * ALPHA:g} % of single contacts for two. "
         f"{right.shape[3]} noise seeds at each of {right.shape[2]} places, drawn at random. Solid: contacts "
         "counted and placed by the fit; bands are 95 % bootstrap intervals over seeds. "
-        "Dotted: the ideal test on the same injections, which knows both hypotheses in every number. Dash-dotted: an "
-        "upper bound for it over every choice of 28 injections."
+        "Dotted: the ideal test on the same injections, which knows both hypotheses in every number, and all contact "
+        "impedances. Dash-dotted: an upper bound for it over every choice of 28 injections."
     )
     return [("pairs", canvas, caption)]
 

@@ -68,12 +68,13 @@ def robust_errors(done: Done) -> dict[str, dict[tuple[str, str], Floats]]:
 
 
 def pair_groups(done: Done) -> Iterator[tuple[str, Pairs, Result, Result, Floats]]:
-    """Name, experiment, results and limits of each experiment with pairs, and the power of an ideal test (n_schemes,
-    n_distances, n_where) with its injections."""
+    """Name, experiment, results and limits of each experiment with pairs, and the power of an ideal test (2, n_schemes,
+    n_distances, n_where) with its injections: if contact impedances are known, and if not."""
     for name, task, result in done.of("pairs", "told/"):
         ((_, bounds, limits),) = done.of("pairs", name.replace("told/", "limit/"))
         rows = [bounds.schemes.index(key) for key in task.schemes]
-        yield name.removeprefix("told/"), task, result, limits, ideal_power(limits["distance"][rows])
+        power = ideal_power(np.stack([limits[known][rows] for known in ("distance", "uncertain")]))
+        yield name.removeprefix("told/"), task, result, limits, power
 
 
 def _ratio(
@@ -199,7 +200,9 @@ def _pairs(done: Done) -> Iterator[Goal]:
             if asked := ASKED_PAIRS.get((task.decibels, distance)):
                 text = f"Two contacts of 6 mm radius {1e3 * distance:g} mm apart counted and placed by 16P ({where})"
                 data = f"{right.shape[3]} seeds at {right.shape[2]} places"
-                note = f"an ideal test would reach {100 * power[row, d].mean():.0f} % with these injections"
+                known, unknown = (f"{100 * rate:.0f} %" for rate in power[:, row, d].mean(axis=1))
+                note = f"an ideal test would reach {known} with these injections"
+                note = f"{note}, {unknown} if contact impedances may have changed by 20 %"
                 note = f"{note}, at most {100 * any_choice[d].mean():.0f} % with any 28"
                 rate = mean(right[row, d].T)
                 yield Goal("pairs", text, asked, False, rate, "%", data, note, key)

@@ -92,22 +92,24 @@ class PairLimits:
     count: int = 28
 
     def run(self) -> Result:
-        """Results: ``distance`` (n_schemes, n_distances, n_where) in noise units; ``any`` (n_distances, n_where), an
-        upper bound on it over all ways to choose `count` different injections; ``all`` (same), with every injection
-        there is.
+        """Results: ``distance`` (n_schemes, n_distances, n_where) in noise units; ``uncertain`` (same) if contact
+        impedances may have changed as the reader allows for; ``any`` (n_distances, n_where), an upper bound on the
+        distance over all ways to choose `count` different injections; ``all`` (same), with every injection there is.
         """
         where, quiet = setup("discs", self.decibels), setup("discs", 200.0)
         shape = (len(self.distances), self.where)
-        found = {"distance": np.empty((len(self.schemes), *shape)), "any": np.empty(shape), "all": np.empty(shape)}
+        found = {"any": np.empty(shape), "all": np.empty(shape)}
+        found |= {name: np.empty((len(self.schemes), *shape)) for name in ("distance", "uncertain")}
         effect = float(effective_change(np.log1p(self.strength))[0]) * np.pi * RADIUS**2
         complete = complete_pattern(where.electrodes).with_driven
         for d, w, truth, contacts in _pairs(self, where):
             for s, key in enumerate(self.schemes):
                 sensor = where.sensor(scheme(key, READING))
                 _, seen = sensor.step(sensor.start(), quiet.scan(contacts, 0))
-                left = unlike_one(where, [frame.pattern for frame in seen.frames], truth, effect)
-                found["distance"][s, d, w] = np.linalg.norm(left)
-            left = unlike_one(where, [complete], truth, effect)
+                patterns, errors = [frame.pattern for frame in seen.frames], sensor.known.contact_changes
+                found["distance"][s, d, w] = unlike_one(where, patterns, truth, effect)[1]
+                found["uncertain"][s, d, w] = unlike_one(where, patterns, truth, effect, errors)[1]
+            left, _ = unlike_one(where, [complete], truth, effect)
             found["all"][d, w], found["any"][d, w] = np.linalg.norm(left), np.sqrt(best_of(complete, left, self.count))
         return found
 
@@ -129,25 +131,33 @@ def best_of(pattern: DrivePattern, left: Floats, count: int) -> float:
     return float(np.sort(each)[-count:].sum())
 
 
-def unlike_one(where: Setup, patterns: Sequence[DrivePattern], truth: Floats, effect: float) -> Floats:
-    """What the best single disc, of any size, leaves (n_meas,) of scans of two discs without noise, in noise units.
+def unlike_one(
+    where: Setup, patterns: Sequence[DrivePattern], truth: Floats, effect: float, errors: Floats | None = None
+) -> tuple[Floats, float]:
+    """What the best single disc, of any size, leaves (n_meas,) of scans of two discs without noise, in noise units; and
+    how large that is beside what contact impedances may do.
 
     Args:
         where: Responses, and the noise.
         patterns: The scans.
         truth: (2, 2) where the discs are (m).
         effect: That of each (m2).
+        errors: (n_pairs, n_elec) change of two-terminal resistances with a standard deviation of each contact
+            impedance (ohm); None: they are known.
     """
     change = effect * where.table(truth, RADIUS).values.sum(axis=0)
     volts = [CURRENT * pattern.combination(where.table.n_elec) @ change for pattern in patterns]
     scans = [Difference(p, np.full(p.n_meas, CURRENT), v) for p, v in zip(patterns, volts, strict=True)]
-    fitter, unknown = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0), np.zeros(4)
+    may = None if errors is None else _EXACT * errors
+    fitter = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0, contacts=may)
+    unknown = np.zeros(4)
     told, _ = fitter.information(*scans)
     between = np.linspace(truth[0], truth[1], 5)  # the best one may be in the middle, or close to one of the two
     starts = [np.array([[*at, 2 * effect, radius**2]]) for at in between for radius in (RADIUS, 2 * RADIUS)]
     found = [fitter.refine(told, start, unknown, np.diag(unknown), rounds=40) for start in starts]
-    best = min(found, key=lambda one: one.cost).caused
-    return np.concatenate([scan.volts - scan.caused_by(best) for scan in scans]) / where.noise
+    best = min(found, key=lambda one: one.cost)
+    left = np.concatenate([scan.volts - scan.caused_by(best.caused) for scan in scans]) / where.noise
+    return left, _EXACT * float(np.sqrt(max(best.cost, 0.0)))
 
 
 def ideal_power(distance: Floats) -> Floats:
