@@ -158,6 +158,17 @@ def test_two_discs_disturb_each_other_as_finite_elements_say(strength: float, di
     assert np.mean(left) < 0.2
 
 
+def test_a_strong_pair_is_two_although_one_disc_that_looks_like_it_is_far_wider() -> None:
+    """All pairs of docs/policies.md; that at one place had been taken for a wide contact and one at the rim."""
+    where = setup("discs", 60)
+    for spot in pair_places(12, 12e-3, where.electrodes.positions):
+        truth = apart(spot, 12e-3)
+        pair = tuple(disc(x, y, RADIUS_OF_PAIRS, 1.4) for x, y in truth)
+        seen = where.see(scheme("16P", "fit, driven"), pair, 1).contacts
+        assert len(seen) == 2
+        assert told([one.position for one in seen], truth)
+
+
 def across(resistance: np.ndarray) -> np.ndarray:
     """Two-terminal resistances (n_pairs,)."""
     i, j = np.triu_indices(len(resistance), 1)

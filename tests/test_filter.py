@@ -18,6 +18,7 @@ from ohmskin.evaluate import worlds
 from ohmskin.evaluate.shapes import Shape
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.scan import Difference, DrivePattern, adjacent
+from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.sensor import targets_of
 from ohmskin.skin import Skin
 from ohmskin.tracking import ContactFilter, Motion, TrackState
@@ -176,6 +177,13 @@ def test_data_of_driven_electrodes_count_as_much_less_as_their_larger_changes_er
     assert plain.told.constant == pytest.approx(np.sum(scan.volts**2) / 0.1**2)
     assert told.told.constant == pytest.approx(expected / 0.1**2)
     assert wary.told.constant == pytest.approx(told.told.constant / (1 + (0.05 * told.signal) ** 2))
+
+
+def test_what_a_pattern_cannot_see_takes_nothing_from_what_it_says() -> None:
+    scan = random_difference(base_pattern(SKIN.electrodes), 2)  # of electrodes that carry no current
+    found, _ = Information.of(16, Errors(1e-6, contacts=in_series(range(16), 16)), [scan])
+    beside = found.beside(in_series(range(16), 16))
+    np.testing.assert_allclose(beside.told.matrix, found.told.matrix, rtol=0, atol=1e-6 * found.told.matrix.max())
 
 
 def test_a_pattern_of_more_electrodes_than_the_table_has_is_refused() -> None:

@@ -6,7 +6,7 @@ false alarms accepted, summed over all places (Bonferroni: the true rate is lowe
 A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
 """
 
-from math import erf, sqrt
+from math import erf, log, sqrt
 from operator import attrgetter
 
 import numpy as np
@@ -30,12 +30,12 @@ _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that
 _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
 _PROMISED = 0.02  # share of the gain asked of a split that a small one must promise, to be worth a fit
+_WIDE = 1.5  # usual radii of a contact beyond which a pair in its place may be as far apart as it is wide
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
-_HALO = 8  # places around a contact where the model of it may err
-_ANGLES = np.arange(_HALO) * 2 * np.pi / _HALO
-_DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_ANGLES = np.arange(4) * np.pi / 4
+_AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
 _cost = attrgetter("cost")
 
 
@@ -100,9 +100,10 @@ class ContactFitter:
     def split_threshold(rate: float) -> float:
         """By how much a second contact must explain more, to be taken for one that is not there at that rate.
 
-        The pair has an axis to choose, about eight directions: a chi-square of one degree of freedom for each.
+        Beside a contact of any size, a pair differs by its quadrupole, which has two parts (as cos and sin of twice its
+        angle): chi-square of two degrees of freedom.
         """
-        return float(ndtri(rate / _HALO) ** 2)
+        return -2 * log(rate)
 
     # --- what is measured ---------------------------------------------------------------------------------------------
 
@@ -315,11 +316,12 @@ class ContactFitter:
         """
         one = found.params[k]
         # an equal pair differs from one contact by the second derivative along its axis: does any promise a gain?
-        reach = np.sqrt(max(one[3], self.table.radius**2))
-        axes = _DIRECTIONS[: _HALO // 2]
-        ends = one[:2] + reach * np.concatenate([axes, -axes, [[0.0, 0.0]]])
-        values = self.table(self.onto(ends), np.sqrt(one[3])).values
-        bend, left = values[:4] + values[4:8] - 2 * values[8], told.less(found.caused).beside(found.slopes)
+        usual, own = self.table.radius, np.sqrt(one[3])
+        reaches = np.array([usual, own] if own > _WIDE * usual else [usual])
+        axes = (reaches[:, None, None] * _AXES).reshape(-1, 2)
+        values = self.table(self.onto(one[:2] + np.concatenate([axes, -axes, [[0.0, 0.0]]])), own).values
+        ahead, behind = values[:-1].reshape(2, *axes.shape[:1], -1)
+        bend, left = ahead + behind - 2 * values[-1], told.less(found.caused).beside(found.slopes)
         power = np.einsum("pn,pn->p", bend @ left.told.matrix[:-1, :-1], bend)
         height = bend @ left.told.vector[:-1] / np.sqrt(np.maximum(power, 1e-12 * power.max()))
         bar = self.split_bar if bar is None else bar
@@ -330,13 +332,9 @@ class ContactFitter:
         unlike = np.zeros(len(mean))
         unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
         information += np.outer(unlike, unlike)
-        starts = []
-        for axis in axes:
-            pair = np.stack([one, one])
-            pair[:, :2] = self.onto(one[:2] + np.outer([reach, -reach], axis))
-            pair[:, 2] /= 2
-            pair[:, 3] = self.table.radius**2 / 2
-            starts.append(np.vstack([np.delete(found.params, k, axis=0), pair]))
+        others, half = np.delete(found.params, k, axis=0), np.tile([one[2] / 2, usual**2 / 2], (2, 1))
+        pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in axes)
+        starts = [np.vstack([others, pair]) for pair in pairs]
         tried = [self.refine(data, start, mean, information, _FEW) for start in starts]
         two = self.refine(data, min(tried, key=_cost).params, mean, information)
         away = np.linalg.norm(two.params[-1, :2] - two.params[-2, :2])

@@ -19,6 +19,7 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import n_pairs
 
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
+_ROUNDING = 1e-13  # of sums of squares
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
 _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
 
@@ -53,8 +54,9 @@ class Misfit:
         """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
         many = len(directions)
         seen = self.matrix[:, :many] @ directions
-        inner = np.linalg.inv(np.linalg.cholesky(np.eye(directions.shape[1]) + directions.T @ seen[:many]))
-        seen, told = seen @ inner.T, inner @ (directions.T @ self.vector[:many])
+        squares, turn = np.linalg.eigh(directions.T @ seen[:many])  # rounding may make those not seen negative
+        root = turn / np.sqrt(1 + np.maximum(squares, 0.0))
+        seen, told = seen @ root, root.T @ (directions.T @ self.vector[:many])
         return Misfit(self.matrix - seen @ seen.T, self.vector - seen @ told, self.constant - float(told @ told))
 
     def size(self, changes: Floats) -> float:
@@ -244,6 +246,7 @@ def _statistics(
 def _whitened(gram: Floats, beside: Floats, inner: Floats, variance: float) -> Floats:
     """Products (n, n) of columns of data beside errors, whose products with them are (k, n) and with each other (k, k),
     if the noise has that variance."""
-    root = np.linalg.solve(np.linalg.cholesky(inner + variance * np.eye(len(inner))), beside)
+    ridge = variance + _ROUNDING * np.trace(inner)
+    root = np.linalg.solve(np.linalg.cholesky(inner + ridge * np.eye(len(inner))), beside)
     whitened: Floats = (gram - root.T @ root) / variance
     return whitened
