@@ -31,6 +31,7 @@ _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts ar
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
 _PROMISED = 0.02  # share of the gain asked of a split that a small one must promise, to be worth a fit
 _WIDE = 1.5  # usual radii of a contact beyond which a pair in its place may be as far apart as it is wide
+_LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
@@ -333,7 +334,8 @@ class ContactFitter:
         unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
         information += np.outer(unlike, unlike)
         others, half = np.delete(found.params, k, axis=0), np.tile([one[2] / 2, usual**2 / 2], (2, 1))
-        pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in axes)
+        likely = axes[np.argsort(-height)[:_LIKELY]] if len(reaches) == 1 else axes
+        pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in likely)
         starts = [np.vstack([others, pair]) for pair in pairs]
         tried = [self.refine(data, start, mean, information, _FEW) for start in starts]
         two = self.refine(data, min(tried, key=_cost).params, mean, information)
