@@ -90,6 +90,7 @@ class ContactFitter:
         chosen = table.spaced(1.25 * table.radius)
         self.places: Floats = table.places[chosen]
         self._candidates = table.responses[chosen]
+        self._largest = (self._candidates**2).max(axis=0)
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
@@ -144,18 +145,17 @@ class ContactFitter:
     def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
         power = np.einsum("pn,pn->p", self._candidates @ left.told.matrix[:-1, :-1], self._candidates)
-        return self._candidates @ left.told.vector[:-1], np.maximum(power, 1e-12 * power.max())
+        least = 1e-12 * float(self._largest @ np.diag(left.white.matrix)[:-1])  # rounding reaches that far
+        return self._candidates @ left.told.vector[:-1], np.maximum(power, least)
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
-        height = score / np.sqrt(power)
-        return np.asarray(np.abs(height) if self.bipolar else height)
+        return np.asarray((np.abs(score) if self.bipolar else score) / np.sqrt(power))
 
     def added(self, data: Information, score: Floats, power: Floats, known: Floats | None = None) -> Solution:
         """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
         height = self.heights(score, power)
-        taken = np.zeros(len(height), bool)
-        starts: list[Floats] = []
+        taken, starts = np.zeros(len(height), bool), list[Floats]()
         for _ in range(_STARTS):
             place = int(np.argmax(np.where(taken, -np.inf, height)))
             if starts and height[place] < _PROMISE * height.max():
@@ -257,8 +257,9 @@ class ContactFitter:
                 more += [one] if (away > one.params[:-1, 3]).all() else []  # what is left in a contact is its shape
             better = [self._cleared(data, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
-            strong = (np.abs(found.params[:, 2]) > _STRONG * np.pi * self.table.radius**2).any()
-            under = self._over_an_electrode(everything, found, covered) if better or strong else None
+            strong = np.abs(found.params[:, 2]) > _STRONG * np.pi * self.table.radius**2
+            look = len(covered) < len(found.params) and (len(better) > 0 or bool(strong.any()))
+            under = self._over_an_electrode(everything, found, covered) if look else None
             if under is not None:
                 covered, told, data, found = under
             elif better:

@@ -55,7 +55,7 @@ def refined(
         damped_step(normal, damping, step)
         for i in range(len(step)):
             slope += step[i] * gradient[i]
-        if slope < _ENOUGH:
+        if not _ENOUGH <= slope < np.inf:  # also if it is no number: places would be none
             break
         moved = params.copy()
         for k in range(len(params)):
