@@ -249,4 +249,6 @@ def _whitened(gram: Floats, beside: Floats, inner: Floats, variance: float) -> F
     ridge = variance + _ROUNDING * np.trace(inner)
     root = np.linalg.solve(np.linalg.cholesky(inner + ridge * np.eye(len(inner))), beside)
     whitened: Floats = (gram - root.T @ root) / variance
+    for k in range(len(gram)):
+        whitened[k, k] += _ROUNDING / variance * gram[k, k]  # or where errors leave nothing, rounding would leave less
     return whitened
