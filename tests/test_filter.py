@@ -186,6 +186,18 @@ def test_what_a_pattern_cannot_see_takes_nothing_from_what_it_says() -> None:
     np.testing.assert_allclose(beside.told.matrix, found.told.matrix, rtol=0, atol=1e-6 * found.told.matrix.max())
 
 
+def test_a_fit_to_nothing_or_from_no_number_ends() -> None:
+    """Its place would be no number, either, which reads outside the table of responses."""
+    judge, scan = fitter("discs", 50), random_difference(base_pattern(SKIN.electrodes), 2)
+    told, _ = judge.information(scan)
+    nothing_left = told.beside(np.eye(120))
+    assert np.isfinite(judge.heights(*judge.scores(nothing_left))).all()
+    judge.refine(nothing_left, judge.added(nothing_left, *judge.scores(nothing_left)).params)
+    for effect in (np.nan, np.inf):
+        found = judge.refine(told, np.array([[0.1, 0.1, effect, judge.table.radius**2]]))
+        assert found.params[0, :2].tolist() == [0.1, 0.1]
+
+
 def test_a_pattern_of_more_electrodes_than_the_table_has_is_refused() -> None:
     with pytest.raises(PatternError, match=r"electrode 19; there are 16 \(0\.\.15\)"):
         fitter("discs", 50).fit(random_difference(adjacent([range(20)]), 1))

@@ -16,7 +16,7 @@ from numba import njit
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
-from ohmskin.scan.pairs import n_pairs
+from ohmskin.scan.pairs import n_pairs, pair_numbers
 
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 _ROUNDING = 1e-13  # of sums of squares
@@ -138,7 +138,7 @@ class Information:
         )
         changes = np.empty((n_pairs(n_elec), 0)) if errors.contacts is None else errors.contacts
         told, wary, gram, larger, count = _statistics(
-            four, which, driven, amperes, volts, quiet, loading, n_elec, int(starts[-1]),
+            four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec), int(starts[-1]),
             errors.noise, errors.gain, errors.model, changes,
         )  # fmt: skip
         if not count:
@@ -192,7 +192,7 @@ class Information:
 @njit(cache=True, nogil=True)
 def _statistics(
     four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
-    n_elec: int, n_inj: int, noise: float, gain: float, model: float, contacts: Floats,
+    numbers: Ints, n_inj: int, noise: float, gain: float, model: float, contacts: Floats,
 ) -> tuple[Floats, Floats, Floats, float, int]:  # fmt: skip
     """Products (n_pairs + 2, n_pairs + 2) of columns - pairs of electrodes, common change, data - beside errors of all
     kinds; the same wary of the model's error; with white noise alone; the factor by which the model's error raises the
@@ -206,7 +206,7 @@ def _statistics(
     if counts.min() > 0:  # driven electrodes count as much less as their larger changes are modelled worse
         usual, theirs = noise**2 + model**2 * squares / counts
         share = min(1.0, np.sqrt(usual / theirs))
-    pairs = n_elec * (n_elec - 1) // 2
+    pairs = numbers[0, 0]  # on the diagonal: of no pair
     n, n_gain = pairs + 2, n_inj if gain > 0 else 0
     k = n_gain + contacts.shape[1]
     gram, beside, inner = np.zeros((n, n)), np.zeros((k, n)), np.zeros((k, k))
@@ -220,8 +220,7 @@ def _statistics(
             one, other = four[row, _ENDS[term, 0]], four[row, _ENDS[term, 1]]
             value = scale * amperes[row] * (-loading[row] if term == 4 else _SIGNS[term])
             if one != other and value != 0:  # a driven electrode that is also measured: F_ii = 0
-                i, j = min(one, other), max(one, other)
-                columns[many], entries[many] = i * n_elec - i * (i + 1) // 2 + j - i - 1, value
+                columns[many], entries[many] = numbers[one, other], value
                 many += 1
         columns[many], columns[many + 1] = pairs, pairs + 1
         entries[many] = scale * quiet[row] if np.isfinite(quiet[row]) else 0.0

@@ -71,7 +71,11 @@ class DrivePattern:
 
     @cached_property
     def undriven(self) -> "DrivePattern":
-        """The pattern without the measurements of electrodes that carry the current."""
+        """The pattern without the measurements of electrodes that carry the current.
+
+        Raises:
+            PatternError: If it has no others.
+        """
         return DrivePattern(self.injections, self.measurements[~self.driven])
 
     @cached_property

@@ -142,7 +142,7 @@ class PressFitter:
         found, cost, normal = _minimised(
             start, lambda params: self._under_layer(params, described, forces, data), moved
         )
-        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(told.told.constant for told in data)
+        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(one.told.constant for one in data)
         conductance, exponent = float(np.exp(found[0])), float(found[1])
         return FittedLayer(conductance, exponent, float(stds[0]), float(stds[1]), sqrt(max(cost, 0.0) / all_of_it))
 
