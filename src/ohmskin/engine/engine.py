@@ -15,7 +15,7 @@ from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices
 from ohmskin.engine.quiet import quiet_frames
 from ohmskin.engine.touch import State, Touch
-from ohmskin.errors import DeviceError, DeviceLost, ModelError, PatternError
+from ohmskin.errors import DataError, DeviceError, DeviceLost, ModelError, PatternError
 from ohmskin.scan import DrivePattern, Frame, needed
 from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
@@ -128,11 +128,11 @@ class Engine(Closing):
         except DeviceLost as error:
             self._lose(error)
             return None
-        except ModelError as error:  # of these data; the next ones may be better
+        except (DataError, ModelError) as error:  # of these data; the next ones may be better
             self._notices.unread(str(error))
             return None
         self._notices.unread("")
-        self._notices.missing(percept.frames)
+        self._notices.findings(percept.findings)
         self._sequence += 1
         dropped = self._dropped_before + self.device.dropped
         health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.known.baseline.noise)

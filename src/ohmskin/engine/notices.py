@@ -2,9 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
-from ohmskin.scan import Frame
+from ohmskin.sensing import Cause, Finding
 from ohmskin.skin import Mode
 
 SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
@@ -22,8 +20,9 @@ class Notices:
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report, self.message = report, ""
-        self._missing = self._unread = False
+        self._unread = False
         self._slow: Mode | None = None
+        self._found: list[Cause] = []
 
     def say(self, message: str) -> None:
         """Report a sentence that holds until further notice."""
@@ -31,16 +30,15 @@ class Notices:
             self._report(message)
         self.message = message
 
-    def missing(self, frames: Sequence[Frame]) -> None:
-        """Say when voltages begin to be left out of the image, and when none is any more."""
-        missing = sum(int(np.count_nonzero(~np.isfinite(frame.voltages))) for frame in frames)
-        if missing and not self._missing:
-            total = sum(frame.pattern.n_meas for frame in frames)
-            self.say(f"{missing} of {total} voltages are missing or clipped and left out of the image")
-        elif self._missing and not missing:
-            self._report("all voltages are there again")
-            self.message = ""
-        self._missing = bool(missing)
+    def findings(self, findings: Sequence[Finding]) -> None:
+        """Say what is wrong with the data when that begins, and when nothing is any more."""
+        words = "; ".join(finding.words for finding in findings)
+        causes = [finding.cause for finding in findings]
+        if causes != self._found:
+            self._report(words or "the data are sound again")
+        if causes or self._found:
+            self.message = words
+        self._found = causes
 
     def unread(self, why: str) -> None:
         """Say why a frame cannot be read, such as by a rule that finds no parameter for its data; empty if it was."""

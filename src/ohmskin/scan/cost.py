@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import PatternError
 from ohmskin.scan.pattern import DrivePattern
 
@@ -39,6 +40,15 @@ class Cost:
         counts, repeats = np.unique(measured, return_counts=True)
         each = [self._injection(count) for count in counts.tolist()]
         return self.overhead + float(repeats @ each)
+
+    def times(self, pattern: DrivePattern) -> Floats:
+        """When each voltage (n_meas,) is converted, from the start of a scan (s)."""
+        which = pattern.measurements[:, 0]
+        measured = np.bincount(which, minlength=pattern.n_inj)
+        each = np.array([self._injection(count) for count in measured.tolist()])
+        within = np.arange(pattern.n_meas) - (measured.cumsum() - measured)[which]
+        conversions = within // self.channels + 1 if self.channels else 1
+        return np.asarray((each.cumsum() - each)[which] + self.settle + self.conversion * conversions)
 
     def injections(self, pattern: DrivePattern, seconds: float) -> int:
         """How many injections out of `pattern`, whichever they are, fit into a scan of so many seconds.

@@ -2,6 +2,7 @@
 
 from ohmskin.sensing.build import build, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle
+from ohmskin.sensing.diagnosis import Cause, Diagnosis, Finding
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes
 from ohmskin.sensing.presses import FittedLayer, FittedPress, KnownPress, PressFitter
@@ -14,9 +15,12 @@ __all__ = [
     "READERS",
     "RECORDED",
     "Belief",
+    "Cause",
     "CompiledCycle",
     "DetectionReader",
+    "Diagnosis",
     "FilterReader",
+    "Finding",
     "FitReader",
     "FittedLayer",
     "FittedPress",

@@ -243,7 +243,8 @@ class Compiled:
 
         look = image(cycle.base_image, frames[0])
         estimate = image(cycle.image, *frames[0 if cycle.fuse else 1 :])
-        return Measured(tuple(frames), (), look, lambda before: self._reader.follow(before, estimate, found))
+        scans = tuple(map(known.difference, frames))
+        return Measured(tuple(frames), scans, look, lambda before: self._reader.follow(before, estimate, found))
 
 
 def compiled(sensor: Sensor, mode: Mode) -> Compiled | None:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Bools, Floats
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
@@ -18,6 +18,12 @@ from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Skin
 
 _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
+_FLOWING = 10.0  # times the quiet skin's current, beyond which, or below whose inverse, a current cannot be
+
+_BY_CHANCE, _UNLIKE = (
+    3,
+    20.0,
+)  # largest values that may be the same; noises by which those of the quiet skin must differ
 
 
 class SkinModel:
@@ -34,6 +40,8 @@ class SkinModel:
         baseline: Reference data and noise.
         model: The model, scaled.
         noise: Standard deviation of a difference of voltages (V).
+        white: The same without what voltages of one injection share.
+        gain: Standard deviation of the relative error of a measured current (1).
         quiet: The quiet frames, to scan once more.
 
     Raises:
@@ -58,7 +66,10 @@ class SkinModel:
         volts = quiet[0].voltages[~self._first.driven | self._first.driven.all()]
         floor = _LEAST_NOISE * float(np.nanmax(np.where(np.isfinite(volts), np.abs(volts), 0.0)))
         self.noise = max(self.baseline.difference_noise, floor)
-        self._white, self.gain = kinds_of_noise(self.baseline, quiet)
+        white, self.gain = kinds_of_noise(self.baseline, quiet)
+        self.white = white * max(
+            self.noise / max(self.baseline.difference_noise, 1e-300), 1.0
+        )  # without noise: floored
         self._usual = {  # currents (A) of the pairs driven
             tuple(pair): current
             for frame in quiet
@@ -68,10 +79,37 @@ class SkinModel:
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     def difference(self, frame: Frame) -> Difference:
-        """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or counted less."""
+        """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or counted less.
+
+        So are values that cannot be: of injections whose current does not flow, and where the converter's range ends.
+        """
+        if not (sound := self.sound(frame)).all():
+            currents = np.where(self.flowing(frame), frame.currents, np.nan)
+            frame = replace(frame, voltages=np.where(sound, frame.voltages, np.nan), currents=currents)
         if self.quality is None:
             return self.baseline.difference(frame)
         return self.quality.weigh(self.baseline.difference(self.quality.clean(frame)))
+
+    def flowing(self, frame: Frame) -> Bools:
+        """Whether the current of each injection (n_inj,) can be: a tenth to ten times that on the quiet skin."""
+        usual = [self._usual.get(tuple(pair), np.nan) for pair in frame.pattern.injections.tolist()]
+        with np.errstate(invalid="ignore"):
+            share = frame.currents / np.array(usual, float)
+            unlike = (share < 1 / _FLOWING) | (share > _FLOWING)
+        return np.asarray(np.isfinite(frame.currents) & (frame.currents != 0) & ~unlike)
+
+    def sound(self, frame: Frame) -> Bools:
+        """Which voltages (n_meas,) can be: their current flows, and they are not clipped.
+
+        Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
+        """
+        sizes = np.where(np.isfinite(frame.voltages), np.abs(frame.voltages), np.inf)
+        sound = np.isfinite(sizes) & self.flowing(frame)[frame.pattern.measurements[:, 0]]
+        largest = np.flatnonzero(sound & (sizes == np.max(sizes, initial=0.0, where=sound)))
+        if len(largest) > _BY_CHANCE:
+            usual = np.abs(self.baseline.reference(frame.pattern) * frame.measurement_currents)[largest]
+            sound[largest] = np.ptp(usual) < _UNLIKE * self.noise
+        return sound
 
     def usual_currents(self, pattern: DrivePattern) -> Floats | None:
         """The currents (n_inj,) of a pattern on the quiet skin (A); None if not all were measured."""
@@ -124,10 +162,9 @@ class SkinModel:
             ModelError: If the sheet is not flat.
         """
         table = self.skin.contact_table(self._described).scaled(self._table_scale)
-        floor = max(self.noise / max(self.baseline.difference_noise, 1e-300), 1.0)  # on recordings without noise
         return ContactFitter(
             table,
-            self._white * floor,
+            self.white,
             self.skin.imaging.contact_error,
             bipolar=self.skin.imaging.bipolar,
             gain=self.gain,

@@ -15,6 +15,8 @@ from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame
+from ohmskin.sensing.detector import FaultDetector
+from ohmskin.sensing.diagnosis import HELD, Diagnosis, Finding
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.readers import Belief, Reader, undriven
 
@@ -39,11 +41,13 @@ class Percept:
         frames: The scans.
         belief: What is believed.
         look: Makes the image of the base scan; None where a frame has one scan.
+        diagnosis: What is known of the instrument.
     """
 
     frames: tuple[Frame, ...]
     belief: Belief
     look: Estimate | None = field(default=None, repr=False)
+    diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
 
     @property
     def image(self) -> Image:
@@ -65,6 +69,11 @@ class Percept:
         """The contacts to report, with ids, strongest first."""
         return self.belief.contacts
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the data."""
+        return self.diagnosis.findings
+
 
 @dataclass(frozen=True, eq=False)
 class SensorState:
@@ -75,12 +84,14 @@ class SensorState:
         turn: Scans so far.
         recent: The newest scans, of drives whose frames have few injections.
         time: When the last frame was taken (s, on the device's clock); None before the first.
+        diagnosis: What is known of the instrument.
     """
 
     belief: Belief
     turn: int = 0
     recent: tuple[Difference, ...] = field(default=(), repr=False)
     time: float | None = None
+    diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +196,7 @@ class Sensor:
     ) -> None:
         self.known, self.drive, self.reader, self.locator = known, drive, reader, locator
         self.thresholds, self.fuse, self.window = thresholds, fuse, window
+        self.detector = FaultDetector(known, window)
         self.implementation: Implementation | None = None
         self.seconds = 0.0
 
@@ -210,21 +222,24 @@ class Sensor:
             state: What is remembered; begin with `start`.
             scan: Scans a pattern.
 
-        Raises:
-            DataError: If no finite datum is left.
+        A frame without any good value changes nothing; after half a second of such, nothing is believed to touch.
         """
         measured = self._measure(state, scan)
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
-        new = measured.scans if self.fuse else measured.scans[-1:]
-        recent = self._with_older(new, state.recent)
-        if measured.read is not None:
+        diagnosis, scans = self.detector.examine(state.diagnosis, measured.frames, measured.scans, elapsed)
+        new = scans if self.fuse else scans[-1:]
+        recent = self._with_older(new, self.detector.without_bad(diagnosis, state.recent))
+        if not _any_known(new):
+            belief = state.belief if diagnosis.without_data < HELD else self.reader.start(state.belief)
+        elif measured.read is not None and scans == measured.scans:
             belief = measured.read(state.belief)
         else:
             belief = self.reader.update(state.belief, new, recent, elapsed)
-        after = SensorState(belief, state.turn + len(measured.frames), recent if self.window else (), now)
-        return after, Percept(measured.frames, belief, measured.look)
+        turn = state.turn + len(measured.frames)
+        after = SensorState(belief, turn, recent if self.window else (), now, diagnosis)
+        return after, Percept(measured.frames, belief, measured.look, diagnosis)
 
     def _with_older(self, new: tuple[Difference, ...], older: tuple[Difference, ...]) -> tuple[Difference, ...]:
         """New scans, and as many older ones as make up the window."""
@@ -236,7 +251,7 @@ class Sensor:
         return tuple(taken)
 
     def _measure(self, state: SensorState, scan: Scan) -> Measured:
-        if self.implementation is None:
+        if self.implementation is None or state.diagnosis.bad:
             return self.measure(state, scan)
         found = self.implementation.measure(scan)
         if isinstance(found, Measured):
@@ -255,9 +270,16 @@ class Sensor:
             scans.append(self.known.difference(frames[-1]))
             if number + 1 < self.drive.scans:
                 scans[-1] = self.known.at_usual_currents(scans[-1])
-                look = self.locator.look(scans[:])
-                targets = self.locator.targets(scans, look)
+                _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
+                if _any_known(sound):
+                    look = self.locator.look(sound)
+                    targets = self.locator.targets(sound, look)
         return Measured(tuple(frames), tuple(scans), look)
+
+
+def _any_known(scans: Sequence[Difference]) -> bool:
+    """Whether anything is known of scans."""
+    return any(bool((np.isfinite(scan.volts) & np.isfinite(scan.currents)).any()) for scan in scans)
 
 
 @dataclass(frozen=True, eq=False)

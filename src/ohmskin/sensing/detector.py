@@ -1,0 +1,195 @@
+"""Detection of faults: what no sheet can give is left out of a frame before anything is read from it.
+
+Every scan is held against all resistive networks (`ohmskin.scan.coherence`), which needs no model of the sheet or of a
+touch. Where it contradicts them all, the least is left out that makes the rest agree: a few values, an injection, an
+electrode; an offset or hum on all voltages alike is taken off. If nothing helps, all data count less, by as much as
+they contradict each other. An electrode that was left out is used again when its data agree with the others'.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ohmskin.arrays import Bools, Floats
+from ohmskin.scan import Difference, Frame
+from ohmskin.scan.coherence import Coherence, Instrument, NetworkData
+from ohmskin.sensing.diagnosis import Cause, Diagnosis
+from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset
+
+_MODEL = 0.05  # share of a change by which an instrument may err
+_STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
+_NOISY = 1.3  # times the quiet skin's noise, above which it is told
+_SOUND_FRAMES, _SOUND = 5, 0.2  # frames and s for which an electrode must agree to be used again
+_MEMORY = 40  # frames from which an offset is told from hum
+_EAGER, _PATIENCE = 3, 8  # frames in which a cause is looked for, and between two searches after these
+
+
+class FaultDetector:
+    """Finds what contradicts in scans, and leaves it out.
+
+    Args:
+        known: What is known of the quiet skin.
+        window: Injections that are looked at together where one frame has fewer; 0: those of a frame.
+    """
+
+    def __init__(self, known: SkinModel, window: int = 0) -> None:
+        self._known, self._window, self._n_elec = known, window, len(known.skin.electrodes)
+        self._instrument = Instrument(known.white, known.gain, _MODEL)
+
+    def examine(
+        self, before: Diagnosis, frames: Sequence[Frame], scans: Sequence[Difference], elapsed: float
+    ) -> tuple[Diagnosis, tuple[Difference, ...]]:
+        """What is known after one frame more, and its scans without what contradicts.
+
+        Args:
+            before: What was known.
+            frames: The scans of the frame as measured.
+            scans: Their changes against the quiet skin.
+            elapsed: Time since the last frame (s).
+
+        Returns:
+            The diagnosis, and the scans: the very same objects where nothing contradicts.
+        """
+        now, looked, noise = before.time + elapsed, self._looked(before, scans), self._instrument.noise
+        silent, causes = self._currents(before, frames, scans, now)
+        lost = self._lost(frames)
+        causes |= {Cause(kind) for kind, count in lost.items() if count}
+        empty = not any(np.isfinite(scan.volts).any() for scan in scans)
+        causes |= {Cause("nothing")} if empty else set()
+        fits = [(fit.squares, fit.freedom) for fit in (self._data([scan], before.bad)[2] for scan in scans)]
+        fits = [*fits, *before.fits][: len(looked)]
+        squares, freedom = (sum(each) for each in zip(*fits, strict=True))
+        remedy, error, puzzled, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
+        if squares > limit(freedom) * freedom:
+            remedy, error = self._remedy(before, looked)
+            if remedy is None:
+                puzzled, error = before.puzzled + 1, max(error, noise)
+                cleaned = tuple(_less_sure(scan, error / noise) for scan in scans)
+                causes |= {Cause("noise")} if error > _NOISY * noise else set()
+            else:
+                causes.add(remedy.cause)
+                cleaned = cleaned if remedy.cause.electrodes else _repaired(scans, remedy)
+                if remedy.off is not None:
+                    offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
+        blamed = {e for cause in causes for e in cause.electrodes}
+        after = Diagnosis(
+            findings=before.findings,
+            bad=self._watched({**before.bad, **dict.fromkeys(blamed, (0, 0.0))}, scans, elapsed, blamed),
+            time=now,
+            seen=before.seen,
+            silent=silent,
+            offsets=offsets,
+            error=error,
+            fits=tuple(fits),
+            scans=looked if self._window else (),
+            puzzled=puzzled,
+            lost=lost,
+            without_data=before.without_data + elapsed if empty else 0.0,
+        ).told(causes, noise)
+        return after, self.without_bad(after, cleaned)
+
+    def without_bad(self, diagnosis: Diagnosis, scans: Sequence[Difference]) -> tuple[Difference, ...]:
+        """Scans without what bad electrodes take part in."""
+        if not diagnosis.bad:
+            return tuple(scans)
+        out = list(diagnosis.bad)
+        return tuple(replace(s, volts=np.where(s.pattern.uses(out), np.nan, s.volts)) for s in scans)
+
+    def _looked(self, before: Diagnosis, scans: Sequence[Difference]) -> tuple[Difference, ...]:
+        """What is looked at together: the new scans, and as many older ones as make up the window."""
+        taken = list(scans)
+        for scan in before.scans:
+            if sum(one.pattern.n_inj for one in taken) >= self._window:
+                break
+            taken.append(scan)
+        return tuple(taken)
+
+    def _data(self, scans: Sequence[Difference], bad: Iterable[int]) -> tuple[NetworkData, Bools, Coherence]:
+        """The data of scans, which of them are used, and how well these agree."""
+        data = NetworkData(scans, self._n_elec, self._instrument)
+        kept = data.without(bad)
+        return data, kept, data.coherence(kept)
+
+    def _remedy(self, before: Diagnosis, scans: Sequence[Difference]) -> tuple[Remedy | None, float]:
+        """What makes scans agree, unless it was looked for in vain a moment ago; and by how much they do not (V)."""
+        data, kept, whole = self._data(scans, before.bad)
+        if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
+            return None, whole.noise
+        if self._window:  # a finger may have come between one scan and the next
+            return next(without_offset(data, kept), None), whole.noise
+        times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
+        return likeliest(data, kept, whole, times), whole.noise
+
+    def _watched(
+        self, bad: Mapping[int, tuple[int, float]], scans: Sequence[Difference], elapsed: float, blamed: set[int]
+    ) -> dict[int, tuple[int, float]]:
+        """The bad electrodes, less those whose data have agreed with the others' for long enough."""
+        watched = {}
+        for e, (frames, seconds) in bad.items():
+            watched[e] = 0, 0.0
+            if e not in blamed:
+                data, kept, fit = self._data(scans, [other for other in bad if other != e])
+                if (kept & data.known & data.uses(e)).any() and agrees(fit):
+                    watched[e] = frames + 1, seconds + elapsed
+        return {e: (n, s) for e, (n, s) in watched.items() if n < _SOUND_FRAMES or s < _SOUND}
+
+    def _lost(self, frames: Sequence[Frame]) -> dict[str, int]:
+        """How many voltages are missing, and how many are at the end of the converter's range."""
+        lost = {"missing": 0, "clipped": 0}
+        for frame in frames:
+            missing = np.isnan(frame.voltages)
+            flowing = self._known.flowing(frame)[frame.pattern.measurements[:, 0]]
+            lost["missing"] += int(missing.sum())
+            lost["clipped"] += int((~missing & flowing & ~self._known.sound(frame)).sum())
+        return lost
+
+    def _currents(
+        self, before: Diagnosis, frames: Sequence[Frame], scans: Sequence[Difference], now: float
+    ) -> tuple[dict[int, float], set[Cause]]:
+        """Since when (s) no current flows through electrodes, and what follows of that."""
+        alive, pairs = set[int](), set[tuple[int, int]]()
+        for frame in frames:
+            flowing = self._known.flowing(frame)
+            alive |= set(frame.pattern.injections[flowing].ravel().tolist())
+            pairs |= {(a, b) for a, b in np.sort(frame.pattern.injections[~flowing], axis=1).tolist()}
+        silent = {e: since for e, since in before.silent.items() if e not in alive}
+        for e in {e for pair in pairs for e in pair} - alive:
+            silent.setdefault(e, now)
+        causes = set[Cause]()
+        for pair in pairs:
+            since = np.array([silent.get(e, np.inf) for e in pair])
+            changes = _changes(scans, pair)
+            if since[0] != since[1]:  # the one that has been silent for longer
+                causes.add(Cause("open", (pair[int(np.argmin(since))],)))
+            elif changes.max() > _STANDS_OUT * max(changes.min(), self._instrument.noise):
+                causes.add(Cause("open", (pair[int(np.argmax(changes))],)))
+            else:
+                causes.add(Cause("current", pair))
+        return silent, causes
+
+
+def _changes(scans: Sequence[Difference], pair: tuple[int, int]) -> Floats:
+    """Root mean square change of voltages that each (2,) of two electrodes takes part in without the other (V)."""
+    rms = np.zeros(2)
+    for k, (one, other) in enumerate((pair, pair[::-1])):
+        own = np.concatenate([scan.volts[scan.pattern.uses(one) & ~scan.pattern.uses(other)] for scan in scans])
+        rms[k] = np.sqrt(np.nanmean(own**2)) if np.isfinite(own).any() else 0.0
+    return rms
+
+
+def _repaired(scans: Sequence[Difference], remedy: Remedy) -> tuple[Difference, ...]:
+    """Scans less what contradicts in them."""
+    repaired, start = [], 0
+    off = np.zeros(len(remedy.kept)) if remedy.off is None else remedy.off
+    for scan in scans:
+        own = slice(start, start := start + scan.pattern.n_meas)
+        repaired.append(replace(scan, volts=np.where(remedy.kept[own], scan.volts - off[own], np.nan)))
+    return tuple(repaired)
+
+
+def _less_sure(scan: Difference, level: float) -> Difference:
+    """A scan whose errors are so many times as large: current and voltage scaled together count less everywhere."""
+    reference = None if scan.reference is None else scan.reference / level
+    return replace(scan, currents=scan.currents / level, volts=scan.volts / level, reference=reference)

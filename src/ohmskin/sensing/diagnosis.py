@@ -1,0 +1,134 @@
+"""Diagnosis: what is known to be wrong with the data and the wires they came over, in plain words."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.scan import Difference
+from ohmskin.scan.quality import in_words
+
+MAINS = (50.0, 60.0)  # Hz
+HELD = 0.5  # s for which what was told or believed is held without new data
+_TOLD, _WITHIN = 3, 1.0  # times within s that something is seen before it is told
+_STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
+
+
+class Cause(NamedTuple):
+    """Why data contradict each other.
+
+    Args:
+        kind: ``open``, ``current``, ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or
+            ``noise``.
+        electrodes: Those concerned.
+    """
+
+    kind: str
+    electrodes: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with the data.
+
+    Args:
+        cause: Why.
+        words: The same in plain words.
+    """
+
+    cause: Cause
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What is known of an instrument and its wires after a frame.
+
+    Args:
+        findings: What is wrong.
+        bad: Electrodes that are left out; of each for how many frames and how long (s) it has agreed since.
+        time: Since the start (s).
+        seen: When (s) each cause was seen lately, newest last.
+        silent: Since when (s) no current has flowed through electrodes that were driven.
+        offsets: Times (s) of the newest frames with an offset, and how large it was (V).
+        error: Standard deviation of a voltage in the newest frame (V).
+        fits: Squared misfit and degrees of freedom of each of the newest scans, newest first.
+        scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
+        puzzled: Frames since a contradiction arose whose cause is not found.
+        lost: How many voltages of the newest frame are missing, or clipped.
+        without_data: Time since a frame with any good value (s).
+    """
+
+    findings: tuple[Finding, ...] = ()
+    bad: Mapping[int, tuple[int, float]] = field(default_factory=dict)
+    time: float = 0.0
+    seen: Mapping[Cause, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    silent: Mapping[int, float] = field(default_factory=dict, repr=False)
+    offsets: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    error: float = 0.0
+    fits: tuple[tuple[float, int], ...] = field(default=(), repr=False)
+    scans: tuple[Difference, ...] = field(default=(), repr=False)
+    puzzled: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
+    without_data: float = 0.0
+
+    def told(self, causes: set[Cause], noise: float) -> "Diagnosis":
+        """The same with what is to be told: seen several times lately, or told before and not long gone.
+
+        Args:
+            causes: What was wrong with the newest frame.
+            noise: Standard deviation of a voltage on the quiet skin (V).
+        """
+        seen = {
+            one: at for one, times in self.seen.items() if (at := tuple(t for t in times if self.time - t < _WITHIN))
+        }
+        seen |= {cause: (*seen.get(cause, ()), self.time) for cause in causes}
+        before = {finding.cause for finding in self.findings}
+        lately = {cause: times for cause, times in seen.items() if self.time - times[-1] < HELD}
+        causes = {cause for cause, times in lately.items() if len(times) >= _TOLD or cause in before}
+        findings = tuple(Finding(cause, self._words(cause, noise)) for cause in sorted(causes))
+        return replace(self, seen=seen, findings=findings)
+
+    def _words(self, cause: Cause, noise: float) -> str:
+        """A cause in plain words."""
+        electrodes = " and ".join(map(str, cause.electrodes))
+        match cause.kind:
+            case "open":
+                many = f"electrodes {electrodes} are" if len(cause.electrodes) > 1 else f"electrode {electrodes} is"
+                return f"{many} open, or a wire is loose; left out"
+            case "current":
+                return f"no current flows between electrodes {electrodes}: one of them is open; left out"
+            case "nothing":
+                return "no voltage can be used; check the device's cable and power"
+            case "missing":
+                return f"{self.lost.get('missing', 0)} voltages of a frame are missing; left out"
+            case "clipped":
+                return f"{self.lost.get('clipped', 0)} voltages of a frame clip; left out"
+            case "spikes":
+                return "single values contradict all others; left out"
+            case "injection":
+                return "the current of an injection contradicts its voltages; left out"
+            case "offset":
+                return f"{_common(*np.array(self.offsets).T)} on all voltages; taken off"
+            case _:
+                contradiction = (
+                    f"the voltages contradict each other by {in_words(self.error)} ({in_words(noise)} at rest)"
+                )
+                return f"{contradiction}: interference, or a bad cable; all count less"
+
+
+def _common(times: Floats, offsets: Floats) -> str:
+    """What offsets (n,) (V) at some times (s) are: steady, or hum of the mains, if that explains most of them."""
+    if abs(offsets.mean()) > _STEADY * offsets.std():
+        return f"offset of {in_words(float(offsets.mean()))}"
+    size = in_words(float(np.sqrt(2) * offsets.std()))
+    left = {}
+    for mains in MAINS:
+        phase = 2 * np.pi * mains * times
+        waves = np.column_stack([np.cos(phase), np.sin(phase)])
+        rest = offsets - waves @ np.linalg.lstsq(waves, offsets, rcond=None)[0]
+        left[mains] = float(rest @ rest / (offsets @ offsets))
+    best = min(left, key=lambda mains: left[mains])
+    return f"{best:.0f} Hz hum of {size}" if left[best] < 0.5 else f"interference of {size}"

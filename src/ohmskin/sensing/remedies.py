@@ -1,0 +1,116 @@
+"""Remedies: the least that is left out of contradictory data to make the rest agree with a resistive network."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.arrays import Bools, Floats
+from ohmskin.scan.coherence import Coherence, NetworkData
+from ohmskin.sensing.diagnosis import MAINS, Cause
+
+_LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standard deviations of its noise
+_SPIKES = 3  # values that may be left out of one frame
+_SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
+_MOST_BAD = 0.25  # share of the electrodes that may be left out
+_PRICE = 6.0  # squared misfit that a datum left out must save
+
+
+@dataclass(frozen=True, eq=False)
+class Remedy:
+    """What makes data agree.
+
+    Args:
+        cause: What was wrong.
+        kept: (n_meas,) which data are used.
+        fit: How well these agree.
+        off: (n_meas,) what is taken off them (V); None: nothing.
+    """
+
+    cause: Cause
+    kept: Bools
+    fit: Coherence
+    off: Floats | None = None
+
+
+def limit(freedom: int) -> float:
+    """Excess of a misfit that is not doubted."""
+    return _LIMIT * (1 + _SIGMAS * float(np.sqrt(2 / max(freedom, 1))))
+
+
+def agrees(fit: Coherence) -> bool:
+    """Whether data contradict no network."""
+    return fit.excess < limit(fit.freedom)
+
+
+def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats) -> Remedy | None:
+    """The likeliest of what makes data agree, if anything does: what is left out counts against it.
+
+    Args:
+        data: Scans of one moment.
+        kept: (n_meas,) which of them are used.
+        whole: How well these agree.
+        times: (n_meas,) when each was converted, from the start of its scan (s).
+    """
+    tried = [_without_spikes(data, kept, whole), _without_an_injection(data, kept, whole)]
+    tried += [_without_electrodes(data, kept, whole, 1), *without_offset(data, kept), *_without_hum(data, kept, times)]
+    if found := [one for one in tried if one is not None]:
+        return min(found, key=lambda one: one.fit.squares - _PRICE * one.fit.freedom)
+    return _without_electrodes(data, kept, whole, int(_MOST_BAD * data.n_elec))
+
+
+def without_offset(data: NetworkData, kept: Bools) -> Iterator[Remedy]:
+    """Without an offset of each scan, the same on all its voltages."""
+    return _without(data, kept, np.ones(len(kept)))
+
+
+def _without_hum(data: NetworkData, kept: Bools, times: Floats) -> Iterator[Remedy]:
+    """Without hum at the frequency of the mains, the same on all voltages."""
+    for mains in MAINS:
+        phase = 2 * np.pi * mains * times
+        yield from _without(data, kept, np.cos(phase), np.sin(phase))
+
+
+def _without(data: NetworkData, kept: Bools, *waves: Floats) -> Iterator[Remedy]:
+    """Without what adds to all voltages (n_meas,) like these waves, of any size in each scan."""
+    own = data.scan == np.arange(data.scan[-1] + 1)[:, None]
+    added = np.vstack([own * wave for wave in waves])
+    fit = data.coherence(kept, added)
+    off = fit.added @ added
+    if agrees(fit) and np.abs(off[kept]).max() < data.largest(kept):
+        yield Remedy(Cause("offset"), kept, fit, off)
+
+
+def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: int) -> Remedy | None:
+    """Without the fewest electrodes, at most so many."""
+    out: tuple[int, ...] = ()
+    while len(out) < most:
+        squares = whole.residuals**2
+        shares = {e: squares[kept & data.uses(e)].mean() for e in np.unique(data.quadruples[kept]).tolist()}
+        rests = {e: kept & ~data.uses(e) for e in sorted(shares, key=lambda e: -shares[e])[:_SUSPECTS]}
+        tried = {e: data.coherence(rest) for e, rest in rests.items() if rest.any()}
+        if not tried:
+            break
+        best = min(tried, key=lambda e: tried[e].noise)
+        out, kept, whole = (*out, best), rests[best], tried[best]
+        if agrees(whole):
+            return Remedy(Cause("open", tuple(sorted(out))), kept, whole)
+    return None
+
+
+def _without_spikes(data: NetworkData, kept: Bools, whole: Coherence) -> Remedy | None:
+    """Without the few values that stand out most."""
+    kept = kept.copy()
+    for _ in range(_SPIKES):
+        kept[np.argmax(np.abs(whole.residuals))] = False
+        whole = data.coherence(kept)
+        if agrees(whole):
+            return Remedy(Cause("spikes"), kept, whole)
+    return None
+
+
+def _without_an_injection(data: NetworkData, kept: Bools, whole: Coherence) -> Remedy | None:
+    """Without the injection that stands out most."""
+    kept = kept & (data.injection != np.argmax(np.bincount(data.injection, whole.residuals**2)))
+    rest = data.coherence(kept)
+    return Remedy(Cause("injection"), kept, rest) if agrees(rest) else None
