@@ -39,7 +39,12 @@ class FaultDetector:
         self._instrument = Instrument(known.white, known.gain, _MODEL)
 
     def examine(
-        self, before: Diagnosis, frames: Sequence[Frame], scans: Sequence[Difference], elapsed: float
+        self,
+        before: Diagnosis,
+        frames: Sequence[Frame],
+        scans: Sequence[Difference],
+        elapsed: float,
+        suspects: Sequence[int] = (),
     ) -> tuple[Diagnosis, tuple[Difference, ...]]:
         """What is known after one frame more, and its scans without what contradicts.
 
@@ -48,12 +53,14 @@ class FaultDetector:
             frames: The scans of the frame as measured.
             scans: Their changes against the quiet skin.
             elapsed: Time since the last frame (s).
+            suspects: Electrodes whose data the reader does not believe.
 
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
         """
         now, looked, noise = before.time + elapsed, self._looked(before, scans), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
+        causes |= {Cause("open", (suspect,)) for suspect in suspects}
         lost = self._lost(frames)
         causes |= {Cause(kind) for kind, count in lost.items() if count}
         empty = not any(np.isfinite(scan.volts).any() for scan in scans)
@@ -62,7 +69,7 @@ class FaultDetector:
         fits = [*fits, *before.fits][: len(looked)]
         squares, freedom = (sum(each) for each in zip(*fits, strict=True))
         remedy, error, puzzled, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
-        if squares > limit(freedom) * freedom:
+        if squares > limit(freedom) * freedom > 0:
             remedy, error = self._remedy(before, looked)
             if remedy is None:
                 puzzled, error = before.puzzled + 1, max(error, noise)

@@ -34,6 +34,7 @@ class Belief:
         tracks: What is remembered of them.
         drift: Change of two-terminal resistances (n_pairs,) because contact impedances have changed since the
             calibration (ohm), if the reader follows it.
+        suspects: Electrodes that alone told of a contact that others should have seen, too.
     """
 
     estimate: Estimate
@@ -41,6 +42,7 @@ class Belief:
     contacts: tuple[Contact, ...] = ()
     tracks: Tracks | TrackState = field(default=Tracks(), repr=False)
     drift: Floats | None = field(default=None, repr=False)
+    suspects: tuple[int, ...] = ()
 
     @property
     def image(self) -> Image:
@@ -172,11 +174,15 @@ class FilterReader:
         """What is believed after one frame more; its scans are taken one after the other."""
         state = before.tracks
         assert isinstance(state, TrackState)
+        suspected = set(state.suspects)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
+        suspects = tuple(
+            suspected & set(state.suspects)
+        )  # twice in a row: several contacts at once contradict one, too
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
-        return Belief(estimate, state.contacts, state.contacts, state)
+        return Belief(estimate, state.contacts, state.contacts, state, suspects=suspects)
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

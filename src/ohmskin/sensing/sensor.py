@@ -228,7 +228,9 @@ class Sensor:
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
-        diagnosis, scans = self.detector.examine(state.diagnosis, measured.frames, measured.scans, elapsed)
+        diagnosis, scans = self.detector.examine(
+            state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects
+        )
         new = scans if self.fuse else scans[-1:]
         recent = self._with_older(new, self.detector.without_bad(diagnosis, state.recent))
         if not _any_known(new):

@@ -15,6 +15,8 @@ from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
+_ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without an electrode, and share that then lacks
+_GROSS = 10.0  # times all other changes, by which those of a loose wire are larger
 LONGEST = int(_WINDOWS[-1])
 
 
@@ -43,6 +45,8 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         found, used = _found(state.history, fitter, bar, common)
         if found is None:
             break
+        if (suspect := _told_by_one(state, fitter, found, used)) is not None:
+            return replace(state, suspects=(suspect,))
         covariance = found.covariance
         moved = speed * (state.time - used[-1].time) / 2
         covariance[[0, 1], [0, 1]] += moved**2
@@ -70,6 +74,27 @@ def _found(
         return None, used
     data = Information.together([residuals.unforeseen for residuals in used])
     return fitter.added(data.times(fitter.allowance(data)), score[window], power[window]), used
+
+
+def _told_by_one(state: TrackState, fitter: ContactFitter, found: Solution, used: Sequence[Residuals]) -> int | None:
+    """The electrode whose voltages alone tell of a contact that others should see, too; None where they do.
+
+    Its voltages have changed by far more than all others, on which the contact's effect would be larger than it is.
+    """
+    others, response = fitter.responses(state.params)[0], fitter.responses(found.params)[0]
+    scans = [residuals.reading.difference.less(others).undriven for residuals in used]
+    seen, caused = (np.concatenate(each) for each in ([s.volts for s in scans], [s.caused_by(response) for s in scans]))
+    finite = np.isfinite(seen) & np.isfinite(caused)
+    seen, caused = (np.where(finite, each, 0.0) / fitter.errors.noise for each in (seen, caused))
+    electrodes = np.concatenate([scan.pattern.quadruples for scan in scans])
+    own = finite[:, None] & (electrodes[:, :, None] == np.arange(fitter.table.n_elec)).any(axis=1)
+    rest = finite[:, None] & ~own
+    told, expected = (seen * caused) @ rest, caused**2 @ rest
+    theirs, elsewhere = (seen**2 @ each / np.maximum(each.sum(axis=0), 1) for each in (own, rest))
+    known = fitter.model_error**2 * sum(residuals.energy for residuals in used) / max(int(finite.sum()), 1)
+    stands_out = theirs / np.maximum(elsewhere, 1 + known)
+    alone = (expected > _ENOUGH**2) & (told < (1 - _SHORT) * expected) & (stands_out > _GROSS**2)
+    return int(np.argmax(np.where(alone, stands_out, 0.0))) if alone.any() else None
 
 
 def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:

@@ -74,7 +74,7 @@ class ContactFilter:
         if not (np.isfinite(elapsed) and elapsed >= 0):
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
         fitter, motion = self.fitter, self.motion
-        before = moved(state, fitter, motion, elapsed)
+        before = replace(moved(state, fitter, motion, elapsed), suspects=())
         reading = without_drift(before, fitter, difference)
         state, seen = self._corrected(before, reading)
         state = self._remembered(before, state, reading, seen, elapsed)

@@ -47,6 +47,7 @@ class TrackState:
         time: Since the start (s).
         echo: Squared size of what contacts cause, or did before the foam forgot it, over the noise's variance (1).
         history: The last frames, newest first.
+        suspects: Electrodes that alone told of a contact in the newest frame.
     """
 
     tracks: tuple[Track, ...]
@@ -60,6 +61,7 @@ class TrackState:
     time: float = 0.0
     echo: float = 0.0
     history: tuple[Residuals, ...] = field(default=(), repr=False)
+    suspects: tuple[int, ...] = ()
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least so many injections together, less drift and temperature, newest first."""
