@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Any, Self
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from ohmskin.device.layout import MAX_PACKET
 from ohmskin.errors import PatternError, ProtocolError
-from ohmskin.scan import Cost, DrivePattern
+from ohmskin.scan import Cost, DrivePattern, Frame
+
+_ROUNDING = 1e-6  # share of the full scale
 
 
 class Feature(IntFlag):
@@ -114,6 +116,13 @@ class Capabilities:
     def scan_time(self, pattern: DrivePattern) -> float:
         """How long a scan of `pattern` takes the device (s)."""
         return self.cost.time(pattern)
+
+    def limited(self, frame: Frame) -> Frame:
+        """A frame whose voltages that the device cannot measure are infinite, as those that clip are."""
+        beyond = np.abs(frame.voltages) > (self.full_scale or math.inf) * (1 + _ROUNDING)
+        if not beyond.any():
+            return frame
+        return replace(frame, voltages=np.where(beyond, np.copysign(np.inf, frame.voltages), frame.voltages))
 
     def check(self, pattern: DrivePattern) -> None:
         """Raise PatternError unless the device can drive `pattern` in one scan."""

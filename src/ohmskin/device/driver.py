@@ -3,18 +3,13 @@
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import final
-
-import numpy as np
 
 from ohmskin.closing import Closing
 from ohmskin.device.capabilities import Capabilities
 from ohmskin.device.press import Press
 from ohmskin.errors import DeviceError, DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
-
-_ROUNDING = 1e-6  # share of the full scale
 
 
 class Device(Closing):
@@ -63,7 +58,7 @@ class Device(Closing):
         with self._lock:
             self._check_open()
             self.capabilities.check(pattern)
-            frame = self._within_range(self._scan(pattern, limit))
+            frame = self._scan(pattern, limit)
             for hand in self._listeners:
                 hand(frame)
             return frame
@@ -102,14 +97,6 @@ class Device(Closing):
             if not self._closed:
                 self._closed = True
                 self._close()
-
-    def _within_range(self, frame: Frame) -> Frame:
-        """The frame with voltages that the device cannot measure as clipped."""
-        most = self.capabilities.full_scale or np.inf
-        beyond = np.abs(frame.voltages) > most * (1 + _ROUNDING)
-        if not beyond.any():
-            return frame
-        return replace(frame, voltages=np.where(beyond, np.copysign(np.inf, frame.voltages), frame.voltages))
 
     def _check_open(self) -> None:
         if self._closed:

@@ -283,7 +283,7 @@ class Engine(Closing):
 
     def _scan(self, pattern: DrivePattern) -> Frame:
         asked = time.monotonic()
-        frame = self.device.scan(pattern)
+        frame = self.device.capabilities.limited(self.device.scan(pattern))
         arrived = time.monotonic()
         self._monitor.waited(arrived - asked)
         self._sampled = self._monitor.arrived(arrived, frame.time)

@@ -70,12 +70,11 @@ class SkinModel:
         self.white = white * max(
             self.noise / max(self.baseline.difference_noise, 1e-300), 1.0
         )  # without noise: floored
-        self._usual = {  # currents (A) of the pairs driven
-            tuple(pair): current
-            for frame in quiet
-            for pair, current in zip(frame.pattern.injections.tolist(), frame.currents.tolist(), strict=True)
-            if np.isfinite(current) and current != 0
-        }
+        n_elec = len(skin.electrodes)
+        self._usual = np.full((n_elec, n_elec), np.nan)  # currents (A) of the pairs driven
+        for frame in quiet:
+            measured = np.isfinite(frame.currents) & (frame.currents != 0)
+            self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     def difference(self, frame: Frame) -> Difference:
@@ -92,9 +91,8 @@ class SkinModel:
 
     def flowing(self, frame: Frame) -> Bools:
         """Whether the current of each injection (n_inj,) can be: a tenth to ten times that on the quiet skin."""
-        usual = [self._usual.get(tuple(pair), np.nan) for pair in frame.pattern.injections.tolist()]
         with np.errstate(invalid="ignore"):
-            share = frame.currents / np.array(usual, float)
+            share = frame.currents / self._usual[tuple(frame.pattern.injections.T)]
             unlike = (share < 1 / _FLOWING) | (share > _FLOWING)
         return np.asarray(np.isfinite(frame.currents) & (frame.currents != 0) & ~unlike)
 
@@ -113,8 +111,8 @@ class SkinModel:
 
     def usual_currents(self, pattern: DrivePattern) -> Floats | None:
         """The currents (n_inj,) of a pattern on the quiet skin (A); None if not all were measured."""
-        currents = [self._usual.get(tuple(pair)) for pair in pattern.injections.tolist()]
-        return None if None in currents else np.array(currents, float)
+        currents: Floats = self._usual[tuple(pattern.injections.T)]
+        return None if np.isnan(currents).any() else currents
 
     def at_usual_currents(self, difference: Difference) -> Difference:
         """A difference scaled to the currents of the quiet skin, so that one factorisation serves all frames of a base

@@ -177,9 +177,7 @@ class FilterReader:
         suspected = set(state.suspects)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
-        suspects = tuple(
-            suspected & set(state.suspects)
-        )  # twice in a row: several contacts at once contradict one, too
+        suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
         return Belief(estimate, state.contacts, state.contacts, state, suspects=suspects)
