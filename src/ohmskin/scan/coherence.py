@@ -174,7 +174,8 @@ def _coherence(
         for p in range(len(at)):
             beside[at[p]] += own * values[p]
             for q in range(len(at)):
-                gram[at[p], at[q]] += values[p] * values[q]
+                if at[p] <= at[q]:
+                    gram[at[p], at[q]] += values[p] * values[q]
     _without(gram, beside, inner, gain)
     rank = _eliminated(gram)
     solution = np.zeros(n)
@@ -202,7 +203,7 @@ def _without(gram: Floats, beside: Floats, inner: float, gain: float) -> None:
         for p in range(len(beside)):
             if beside[p] != 0:
                 weight = beside[p] / (1 / gain**2 + inner)
-                for q in range(len(beside)):
+                for q in range(p, len(beside)):
                     gram[p, q] -= weight * beside[q]
     beside[:] = 0.0
 

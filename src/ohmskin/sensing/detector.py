@@ -37,6 +37,7 @@ class FaultDetector:
     def __init__(self, known: SkinModel, window: int = 0) -> None:
         self._known, self._window, self._n_elec = known, window, len(known.skin.electrodes)
         self._instrument = Instrument(known.white, known.gain, _MODEL)
+        self._last: tuple[Difference, frozenset[int], tuple[float, int]] | None = None
 
     def examine(
         self,
@@ -65,8 +66,7 @@ class FaultDetector:
         causes |= {Cause(kind) for kind, count in lost.items() if count}
         empty = not any(np.isfinite(scan.volts).any() for scan in scans)
         causes |= {Cause("nothing")} if empty else set()
-        fits = [(fit.squares, fit.freedom) for fit in (self._data([scan], before.bad)[2] for scan in scans)]
-        fits = [*fits, *before.fits][: len(looked)]
+        fits = [*(self._fit(scan, before.bad) for scan in scans), *before.fits][: len(looked)]
         squares, freedom = (sum(each) for each in zip(*fits, strict=True))
         remedy, error, puzzled, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
         if squares > limit(freedom) * freedom > 0:
@@ -119,6 +119,13 @@ class FaultDetector:
         kept = data.without(bad)
         return data, kept, data.coherence(kept)
 
+    def _fit(self, scan: Difference, bad: Mapping[int, object]) -> tuple[float, int]:
+        """Squared misfit of one scan, and its degrees of freedom; remembered, as a base scan is examined twice."""
+        if self._last is None or self._last[0] is not scan or self._last[1] != bad.keys():
+            fit = self._data([scan], bad)[2]
+            self._last = scan, frozenset(bad), (fit.squares, fit.freedom)
+        return self._last[2]
+
     def _remedy(self, before: Diagnosis, scans: Sequence[Difference]) -> tuple[Remedy | None, float]:
         """What makes scans agree, unless it was looked for in vain a moment ago; and by how much they do not (V)."""
         data, kept, whole = self._data(scans, before.bad)
@@ -146,19 +153,22 @@ class FaultDetector:
         """How many voltages are missing, and how many are at the end of the converter's range."""
         lost = {"missing": 0, "clipped": 0}
         for frame in frames:
-            missing = np.isnan(frame.voltages)
-            flowing = self._known.flowing(frame)[frame.pattern.measurements[:, 0]]
-            lost["missing"] += int(missing.sum())
-            lost["clipped"] += int((~missing & flowing & ~self._known.sound(frame)).sum())
+            flowing, sound = self._known.soundness(frame)
+            if not sound.all():
+                missing = np.isnan(frame.voltages)
+                lost["missing"] += int(missing.sum())
+                lost["clipped"] += int((~missing & ~sound & flowing[frame.pattern.measurements[:, 0]]).sum())
         return lost
 
     def _currents(
         self, before: Diagnosis, frames: Sequence[Frame], scans: Sequence[Difference], now: float
     ) -> tuple[dict[int, float], set[Cause]]:
         """Since when (s) no current flows through electrodes, and what follows of that."""
+        if not before.silent and all(self._known.soundness(frame)[0].all() for frame in frames):
+            return {}, set()
         alive, pairs = set[int](), set[tuple[int, int]]()
         for frame in frames:
-            flowing = self._known.flowing(frame)
+            flowing, _ = self._known.soundness(frame)
             alive |= set(frame.pattern.injections[flowing].ravel().tolist())
             pairs |= {(a, b) for a, b in np.sort(frame.pattern.injections[~flowing], axis=1).tolist()}
         silent = {e: since for e, since in before.silent.items() if e not in alive}

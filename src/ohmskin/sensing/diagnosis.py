@@ -74,6 +74,11 @@ class Diagnosis:
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0
 
+    @property
+    def troubled(self) -> bool:
+        """Whether anything was wrong lately."""
+        return bool(self.findings or self.bad or any(self.time - times[-1] < _WITHIN for times in self.seen.values()))
+
     def told(self, causes: set[Cause], noise: float) -> "Diagnosis":
         """The same with what is to be told: seen several times lately, or told before and not long gone.
 

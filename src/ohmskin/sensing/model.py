@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -75,6 +76,7 @@ class SkinModel:
         for frame in quiet:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
             self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
+        self._soundness: WeakKeyDictionary[Frame, tuple[Bools, Bools]] = WeakKeyDictionary()
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     def difference(self, frame: Frame) -> Difference:
@@ -82,32 +84,35 @@ class SkinModel:
 
         So are values that cannot be: of injections whose current does not flow, and where the converter's range ends.
         """
-        if not (sound := self.sound(frame)).all():
-            currents = np.where(self.flowing(frame), frame.currents, np.nan)
+        flowing, sound = self.soundness(frame)
+        if not sound.all():
+            currents = np.where(flowing, frame.currents, np.nan)
             frame = replace(frame, voltages=np.where(sound, frame.voltages, np.nan), currents=currents)
         if self.quality is None:
             return self.baseline.difference(frame)
         return self.quality.weigh(self.baseline.difference(self.quality.clean(frame)))
 
-    def flowing(self, frame: Frame) -> Bools:
-        """Whether the current of each injection (n_inj,) can be: a tenth to ten times that on the quiet skin."""
+    def soundness(self, frame: Frame) -> tuple[Bools, Bools]:
+        """Whether the current of each injection (n_inj,) can be, and which voltages (n_meas,) can be.
+
+        Currents can that are a tenth to ten times those on the quiet skin; voltages whose current can, and that are not
+        clipped. Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
+        """
+        if (known := self._soundness.get(frame)) is not None:
+            return known
         with np.errstate(invalid="ignore"):
             share = frame.currents / self._usual[tuple(frame.pattern.injections.T)]
             unlike = (share < 1 / _FLOWING) | (share > _FLOWING)
-        return np.asarray(np.isfinite(frame.currents) & (frame.currents != 0) & ~unlike)
-
-    def sound(self, frame: Frame) -> Bools:
-        """Which voltages (n_meas,) can be: their current flows, and they are not clipped.
-
-        Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
-        """
-        sizes = np.where(np.isfinite(frame.voltages), np.abs(frame.voltages), np.inf)
-        sound = np.isfinite(sizes) & self.flowing(frame)[frame.pattern.measurements[:, 0]]
-        largest = np.flatnonzero(sound & (sizes == np.max(sizes, initial=0.0, where=sound)))
+        flowing = np.asarray(np.isfinite(frame.currents) & (frame.currents != 0) & ~unlike)
+        finite = np.isfinite(frame.voltages)
+        sound = finite & flowing[frame.pattern.measurements[:, 0]]
+        sizes = np.where(sound, np.abs(frame.voltages), -1.0)
+        largest = np.flatnonzero(sound & (sizes == sizes.max()))
         if len(largest) > _BY_CHANCE:
             usual = np.abs(self.baseline.reference(frame.pattern) * frame.measurement_currents)[largest]
             sound[largest] = np.ptp(usual) < _UNLIKE * self.noise
-        return sound
+        self._soundness[frame] = flowing, sound
+        return flowing, sound
 
     def usual_currents(self, pattern: DrivePattern) -> Floats | None:
         """The currents (n_inj,) of a pattern on the quiet skin (A); None if not all were measured."""

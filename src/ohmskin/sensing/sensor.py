@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -22,6 +22,7 @@ from ohmskin.sensing.readers import Belief, Reader, undriven
 
 Scan = Callable[[DrivePattern], Frame]
 
+_EXAMINED = 8  # frames that show nothing new, of which one is examined
 _LONGEST = 1.0  # s between two frames, beyond which nothing more is forgotten
 
 
@@ -228,20 +229,43 @@ class Sensor:
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
-        diagnosis, scans = self.detector.examine(
-            state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects
-        )
-        new = scans if self.fuse else scans[-1:]
-        recent = self._with_older(new, self.detector.without_bad(diagnosis, state.recent))
-        if not _any_known(new):
-            belief = state.belief if diagnosis.without_data < HELD else self.reader.start(state.belief)
-        elif measured.read is not None and scans == measured.scans:
-            belief = measured.read(state.belief)
+        found = None if self._doubts(state) else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
+        if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
+            diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
         else:
-            belief = self.reader.update(state.belief, new, recent, elapsed)
+            suspects = state.belief.suspects
+            diagnosis, scans = self.detector.examine(
+                state.diagnosis, measured.frames, measured.scans, elapsed, suspects
+            )
+            if found is None or scans != measured.scans:
+                found = self._read(state, measured, scans, diagnosis, elapsed)
+        belief, recent = found
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis)
         return after, Percept(measured.frames, belief, measured.look, diagnosis)
+
+    def _doubts(self, state: SensorState) -> bool:
+        """Whether the next frame is examined whatever it shows, not only if it shows something new."""
+        felt = state.belief.detections and self.implementation is None  # examined more quickly than read
+        every = state.turn // self.drive.scans % _EXAMINED == 0
+        return bool(self.window or felt or every or state.diagnosis.troubled)
+
+    def _read(
+        self,
+        state: SensorState,
+        measured: Measured,
+        scans: tuple[Difference, ...],
+        diagnosis: Diagnosis,
+        elapsed: float,
+    ) -> tuple[Belief, tuple[Difference, ...]]:
+        """What is believed after scans, and the newest scans that it is read from."""
+        new = scans if self.fuse else scans[-1:]
+        recent = self._with_older(new, self.detector.without_bad(diagnosis, state.recent))
+        if not _any_known(new):
+            return state.belief if diagnosis.without_data < HELD else self.reader.start(state.belief), recent
+        if measured.read is not None and scans == measured.scans:
+            return measured.read(state.belief), recent
+        return self.reader.update(state.belief, new, recent, elapsed), recent
 
     def _with_older(self, new: tuple[Difference, ...], older: tuple[Difference, ...]) -> tuple[Difference, ...]:
         """New scans, and as many older ones as make up the window."""
@@ -272,7 +296,9 @@ class Sensor:
             scans.append(self.known.difference(frames[-1]))
             if number + 1 < self.drive.scans:
                 scans[-1] = self.known.at_usual_currents(scans[-1])
-                _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
+                sound = tuple(scans)
+                if self._doubts(state):
+                    _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
                 if _any_known(sound):
                     look = self.locator.look(sound)
                     targets = self.locator.targets(sound, look)
