@@ -18,7 +18,7 @@ from ohmskin.sensing.diagnosis import Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset
 
-_MODEL = 0.05  # share of a change by which an instrument may err
+_MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
 _NOISY = 1.3  # times the quiet skin's noise, above which it is told
 _SOUND_FRAMES, _SOUND = 5, 0.2  # frames and s for which an electrode must agree to be used again
