@@ -130,5 +130,7 @@ class _Table:
 
 def _print_json(touch: Touch) -> None:
     contacts = [as_json(contact) for contact in touch.contacts]
+    findings = [finding.words for finding in touch.percept.findings]
     line = {"sequence": touch.sequence, "time": touch.time, "mode": touch.mode.name, "contacts": contacts}
+    line |= {"findings": findings}
     print(json_module.dumps(line | touch.health.figures), flush=True)

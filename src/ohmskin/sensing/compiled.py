@@ -219,12 +219,14 @@ class Compiled:
 
     def measure(self, scan: Scan) -> Measured | tuple[Frame, ...]:
         """A frame measured and read; the scans made so far if a value is missing or another pattern was driven."""
-        cycle, frames = self._cycle, []
+        cycle, known, frames = self._cycle, self._sensor.known, []
 
         def checked(pattern: DrivePattern) -> Data:
             frames.append(scan(pattern))
             if frames[-1].pattern != pattern:  # a recording has what was driven then
                 raise DataError("another pattern was driven than was asked for")
+            if not known.soundness(frames[-1])[1].all():
+                raise DataError("a voltage is missing, clips, or has no current behind it")
             return frames[-1].voltages, frames[-1].currents
 
         try:
@@ -232,7 +234,6 @@ class Compiled:
             found = cycle.see(*checked(cycle.pattern(chosen)))
         except DataError:
             return tuple(frames)
-        known = self._sensor.known
 
         def image(values: Singles, *used: Frame) -> Made:
             def noise_std(cells: ArrayLike) -> Floats:

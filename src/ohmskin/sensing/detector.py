@@ -8,8 +8,10 @@ they contradict each other. An electrode that was left out is used again when it
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
+from scipy.special import chdtri
 
 from ohmskin.arrays import Bools, Floats
 from ohmskin.scan import Difference, Frame
@@ -21,7 +23,9 @@ from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_o
 _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
 _NOISY = 1.3  # times the quiet skin's noise, above which it is told
+_MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND = 5, 0.2  # frames and s for which an electrode must agree to be used again
+_UNLUCKY = 0.999  # probability that a misfit is larger
 _MEMORY = 40  # frames from which an offset is told from hum
 _EAGER, _PATIENCE = 3, 8  # frames in which a cause is looked for, and between two searches after these
 
@@ -37,6 +41,7 @@ class FaultDetector:
     def __init__(self, known: SkinModel, window: int = 0) -> None:
         self._known, self._window, self._n_elec = known, window, len(known.skin.electrodes)
         self._instrument = Instrument(known.white, known.gain, _MODEL)
+        self._most = int(_MOST_BAD * self._n_elec)
         self._last: tuple[Difference, frozenset[int], tuple[float, int]] | None = None
 
     def examine(
@@ -72,7 +77,8 @@ class FaultDetector:
         if squares > limit(freedom) * freedom > 0:
             remedy, error = self._remedy(before, looked)
             if remedy is None:
-                puzzled, error = before.puzzled + 1, max(error, noise)
+                puzzled = before.puzzled + 1
+                error = max(error, *(noise * _at_most(*fit) for fit in fits[: len(scans)]))
                 cleaned = tuple(_less_sure(scan, error / noise) for scan in scans)
                 causes |= {Cause("noise")} if error > _NOISY * noise else set()
             else:
@@ -81,6 +87,7 @@ class FaultDetector:
                 if remedy.off is not None:
                     offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
         blamed = {e for cause in causes for e in cause.electrodes}
+        blamed = blamed if len(blamed | before.bad.keys()) <= self._most else set()
         after = Diagnosis(
             findings=before.findings,
             bad=self._watched({**before.bad, **dict.fromkeys(blamed, (0, 0.0))}, scans, elapsed, blamed),
@@ -134,7 +141,7 @@ class FaultDetector:
         if self._window:  # a finger may have come between one scan and the next
             return next(without_offset(data, kept), None), whole.noise
         times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
-        return likeliest(data, kept, whole, times), whole.noise
+        return likeliest(data, kept, whole, times, self._most - len(before.bad)), whole.noise
 
     def _watched(
         self, bad: Mapping[int, tuple[int, float]], scans: Sequence[Difference], elapsed: float, blamed: set[int]
@@ -179,12 +186,17 @@ class FaultDetector:
             since = np.array([silent.get(e, np.inf) for e in pair])
             changes = _changes(scans, pair)
             if since[0] != since[1]:  # the one that has been silent for longer
-                causes.add(Cause("open", (pair[int(np.argmin(since))],)))
+                causes |= {Cause("open", (pair[int(np.argmin(since))],))} if now > since.min() else set()
             elif changes.max() > _STANDS_OUT * max(changes.min(), self._instrument.noise):
                 causes.add(Cause("open", (pair[int(np.argmax(changes))],)))
-            else:
+            elif now > since[0]:  # not in one frame alone, which lacks that injection
                 causes.add(Cause("current", pair))
-        return silent, causes
+        return silent, causes or {Cause("currents")}  # of one frame, perhaps
+
+
+def _at_most(squares: float, freedom: int) -> float:
+    """Times by which the errors of data with that misfit may be larger than expected; few degrees tell it badly."""
+    return max(1.0, sqrt(squares / chdtri(freedom, _UNLUCKY))) if freedom else 1.0
 
 
 def _changes(scans: Sequence[Difference], pair: tuple[int, int]) -> Floats:

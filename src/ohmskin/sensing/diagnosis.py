@@ -20,7 +20,7 @@ class Cause(NamedTuple):
     """Why data contradict each other.
 
     Args:
-        kind: ``open``, ``current``, ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or
+        kind: ``open``, ``current``, ``currents``, ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or
             ``noise``.
         electrodes: Those concerned.
     """
@@ -105,6 +105,8 @@ class Diagnosis:
                 return f"{many} open, or a wire is loose; left out"
             case "current":
                 return f"no current flows between electrodes {electrodes}: one of them is open; left out"
+            case "currents":
+                return "currents of some injections cannot be; left out"
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":

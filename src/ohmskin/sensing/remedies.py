@@ -12,7 +12,7 @@ from ohmskin.sensing.diagnosis import MAINS, Cause
 _LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standard deviations of its noise
 _SPIKES = 3  # values that may be left out of one frame
 _SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
-_MOST_BAD = 0.25  # share of the electrodes that may be left out
+_LEFT = 0.3  # share of the degrees of freedom that must be left to tell that the rest agrees
 _PRICE = 6.0  # squared misfit that a datum left out must save
 
 
@@ -43,7 +43,7 @@ def agrees(fit: Coherence) -> bool:
     return fit.excess < limit(fit.freedom)
 
 
-def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats) -> Remedy | None:
+def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats, most: int) -> Remedy | None:
     """The likeliest of what makes data agree, if anything does: what is left out counts against it.
 
     Args:
@@ -51,12 +51,17 @@ def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats) -
         kept: (n_meas,) which of them are used.
         whole: How well these agree.
         times: (n_meas,) when each was converted, from the start of its scan (s).
+        most: Electrodes that may be left out.
     """
     tried = [_without_spikes(data, kept, whole), _without_an_injection(data, kept, whole)]
-    tried += [_without_electrodes(data, kept, whole, 1), *without_offset(data, kept), *_without_hum(data, kept, times)]
+    tried += [
+        _without_electrodes(data, kept, whole, min(most, 1)),
+        *without_offset(data, kept),
+        *_without_hum(data, kept, times),
+    ]
     if found := [one for one in tried if one is not None]:
         return min(found, key=lambda one: one.fit.squares - _PRICE * one.fit.freedom)
-    return _without_electrodes(data, kept, whole, int(_MOST_BAD * data.n_elec))
+    return _without_electrodes(data, kept, whole, most)
 
 
 def without_offset(data: NetworkData, kept: Bools) -> Iterator[Remedy]:
@@ -84,7 +89,8 @@ def _without(data: NetworkData, kept: Bools, *waves: Floats) -> Iterator[Remedy]
 def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: int) -> Remedy | None:
     """Without the fewest electrodes, at most so many."""
     out: tuple[int, ...] = ()
-    while len(out) < most:
+    enough = _LEFT * whole.freedom
+    while len(out) < most and whole.freedom > enough:
         squares = whole.residuals**2
         shares = {e: squares[kept & data.uses(e)].mean() for e in np.unique(data.quadruples[kept]).tolist()}
         rests = {e: kept & ~data.uses(e) for e in sorted(shares, key=lambda e: -shares[e])[:_SUSPECTS]}
@@ -93,7 +99,7 @@ def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: 
             break
         best = min(tried, key=lambda e: tried[e].noise)
         out, kept, whole = (*out, best), rests[best], tried[best]
-        if agrees(whole):
+        if agrees(whole) and whole.freedom > enough:
             return Remedy(Cause("open", tuple(sorted(out))), kept, whole)
     return None
 

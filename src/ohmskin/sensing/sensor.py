@@ -229,7 +229,9 @@ class Sensor:
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
-        found = None if self._doubts(state) else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
+        sound = all(self.known.soundness(frame)[1].all() for frame in measured.frames)
+        quick = sound and not self._doubts(state)
+        found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
         if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
         else:

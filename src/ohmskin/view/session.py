@@ -218,6 +218,7 @@ class Session(Closing):
             **{name: getattr(engine.mode, name) for name in ("estimator", "prior", "rule")},
             "preparing": self._preparing,
             "contacts": [],
+            "bad_electrodes": [],
             "base_injections": [],
             "injections": [],
             "n_injections": engine.injections,
@@ -234,6 +235,7 @@ class Session(Closing):
             adapts = drive.scans > 1 or drive.adjustable  # what it drives depends on what is touched
             header |= {
                 "contacts": [_shown(contact, scale) for contact in touch.contacts],
+                "bad_electrodes": sorted(touch.percept.diagnosis.bad),
                 "base_injections": frames[0].pattern.injections.tolist(),
                 "injections": frames[-1].pattern.injections.tolist() if adapts else [],
                 "threshold": engine.sensor.thresholds.final * scale,

@@ -160,7 +160,8 @@ function drawPicture(now) {
 function scenes(theme) {
   const header = frame?.header ?? {};
   const presses = shownPresses(header);
-  const common = { skin: setup.skin, theme, limit: range.limit, presses, section: frame && section };
+  const bad = header.bad_electrodes ?? [];
+  const common = { skin: setup.skin, theme, limit: range.limit, presses, bad, section: frame && section };
   return {
     felt: {
       ...common,

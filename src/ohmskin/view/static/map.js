@@ -99,7 +99,23 @@ function drawElectrodes(c, f, scene, ink) {
     c.strokeText(number, x + 14 * dx, y - 14 * dy);
     c.fillStyle = ink.quiet;
     c.fillText(number, x + 14 * dx, y - 14 * dy);
+    if (scene.bad.includes(number)) drawCross(c, x, y, ink);
   });
+}
+
+// An electrode that is left out.
+function drawCross(c, x, y, ink) {
+  c.beginPath();
+  for (const side of [-1, 1]) {
+    c.moveTo(x - 6, y - 6 * side);
+    c.lineTo(x + 6, y + 6 * side);
+  }
+  c.lineWidth = 4;
+  c.strokeStyle = ink.halo;
+  c.stroke();
+  c.lineWidth = 2;
+  c.strokeStyle = ink.bad;
+  c.stroke();
 }
 
 // Numbers stand outside the skin where there is an outside next to them, else up and right of the electrode.

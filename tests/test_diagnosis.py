@@ -1,0 +1,271 @@
+"""What contradicts is left out and told: loose wires, hum, offsets, spikes, clipping, currents that cannot be."""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from direct import DirectDevice
+
+from ohmskin.arrays import Floats
+from ohmskin.drive import base_pattern, complete_pattern, part_of
+from ohmskin.engine import Engine, State, Touch
+from ohmskin.scan import Difference, DrivePattern, Frame, NetworkFit, n_pairs
+from ohmskin.scan.coherence import Instrument, NetworkData
+from ohmskin.skin import Fault, Skin, VirtualSkin
+
+AT, RADIUS, PRESSURE = (0.07, 0.11), 6e-3, 20e3
+Spoil = Callable[[Frame], Frame]
+
+
+class FaultyDevice(DirectDevice):
+    """A virtual skin whose wires come off, and whose frames are spoilt, while it runs."""
+
+    def __init__(self, skin: Skin, seed: int) -> None:
+        super().__init__(VirtualSkin(skin, seed, contacts=4))
+        self.sound, self.spoil = self.virtual, None
+        self.spoil: Spoil | None
+
+    def break_wire(self, electrode: int | None) -> None:
+        faults = [] if electrode is None else [Fault("open", (electrode,))]
+        former, self.virtual = self.virtual, VirtualSkin(self.virtual.skin, 99, faults, contacts=4)
+        self.virtual.reset(99, former.presses.values())
+        self.virtual._time = former._time
+
+    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
+        frame = super()._scan(pattern, timeout)
+        return self.spoil(frame) if self.spoil else frame
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> Iterator[Engine]:
+    skin = Skin.load("paper")
+    device = FaultyDevice(skin, seed=7)
+    with Engine(lambda: device, skin) as engine:
+        engine.calibrate()
+        yield engine
+
+
+@pytest.fixture(params=["16P", "16T", "16O"])
+def engine(calibrated: Engine, request: pytest.FixtureRequest) -> Iterator[Engine]:
+    calibrated.set_mode(request.param)
+    calibrated.forget()
+    yield calibrated
+    device_of(calibrated).spoil = None
+    device_of(calibrated).break_wire(None)
+    calibrated.press(0, AT, RADIUS, 0.0)
+
+
+def device_of(engine: Engine) -> FaultyDevice:
+    assert isinstance(engine.device, FaultyDevice)
+    return engine.device
+
+
+def run(engine: Engine, frames: int) -> list[Touch]:
+    touches = [engine.step() for _ in range(frames)]
+    assert engine.state is State.RUNNING
+    return [touch for touch in touches if touch is not None]
+
+
+def counts(touches: list[Touch]) -> list[int]:
+    return [len(touch.contacts) for touch in touches]
+
+
+def misses(touches: list[Touch]) -> Floats:
+    return np.array([min(np.hypot(*np.subtract(c.position, AT)) for c in touch.contacts) for touch in touches])
+
+
+def spread(frame: Frame, change: Floats | float) -> Frame:
+    return replace(frame, voltages=frame.voltages + change)
+
+
+# --- against all networks ---------------------------------------------------------------------------------------------
+
+
+def some_changes(random: np.random.Generator, pattern: DrivePattern, noise: float) -> Difference:
+    """What any change of the two-terminal resistances causes, with noise and errors of the currents."""
+    volts = pattern.combination(16) @ random.normal(0, 3.0, n_pairs(16)) * 1e-3
+    reference = random.normal(0, 0.3, pattern.n_meas)
+    gains = 1e-3 * random.normal(size=pattern.n_inj)[pattern.measurements[:, 0]]
+    volts += gains * reference + random.normal(0, noise, pattern.n_meas)
+    return Difference(pattern, np.full(pattern.n_meas, 1e-3), volts, reference=reference)
+
+
+@pytest.fixture(scope="module")
+def patterns() -> list[DrivePattern]:
+    electrodes = Skin.load("paper").electrodes
+    chosen = np.random.default_rng(0).permutation(120)[:16]
+    return [base_pattern(electrodes), base_pattern(electrodes).with_driven, part_of(complete_pattern(16), chosen)]
+
+
+def test_what_any_network_causes_is_coherent_with_the_freedom_that_linear_algebra_gives(
+    patterns: list[DrivePattern],
+) -> None:
+    random = np.random.default_rng(1)
+    for pattern in patterns:
+        fits = []
+        for _ in range(60):
+            data = NetworkData([some_changes(random, pattern, 1e-4)], 16, Instrument(1e-4, 1e-3))
+            fits.append(data.coherence())
+        spanned = NetworkFit(pattern, np.ones(pattern.n_meas), np.zeros(pattern.n_meas))
+        freedom = spanned.misfit(spanned.known).freedom
+        assert {fit.freedom for fit in fits} == {freedom}
+        mean = np.mean([fit.squares for fit in fits])
+        assert mean == pytest.approx(freedom, abs=5 * np.sqrt(2 * freedom / 60))
+
+
+def test_without_errors_of_currents_the_misfit_is_that_of_the_network_fit(patterns: list[DrivePattern]) -> None:
+    random = np.random.default_rng(2)
+    for pattern in patterns[::2]:  # electrodes that are driven count by how much they change
+        changes = some_changes(random, pattern, 1e-4)
+        fit = NetworkFit(pattern, changes.currents, changes.volts)
+        found = NetworkData([changes], 16, Instrument(1e-4)).coherence()
+        assert found.squares == pytest.approx(fit.misfit(fit.known).squares / 1e-8, rel=1e-6)
+        np.testing.assert_allclose(1e-4 * found.residuals, fit.residuals(fit.known)[:, 0], atol=1e-9)
+
+
+# --- in the loop ------------------------------------------------------------------------------------------------------
+
+
+def test_touches_of_any_kind_are_not_doubted(engine: Engine) -> None:
+    random = np.random.default_rng(3)
+    electrodes = engine.skin.electrodes.positions
+    for _ in range(25):
+        for number in range(3):
+            beside = electrodes[random.integers(16)] + random.uniform(-6e-3, 6e-3, 2)
+            x, y = np.clip(beside, 4e-3, 0.196) if random.random() < 0.4 else random.uniform(8e-3, 0.192, 2)
+            radius, pressure = float(random.choice([3e-3, 6e-3, 15e-3])), float(10 ** random.uniform(3.5, 5))
+            engine.press(number, (float(x), float(y)), radius, pressure)
+        for touch in run(engine, 4):
+            assert not touch.percept.findings
+            assert not touch.percept.diagnosis.bad
+        for number in range(3):
+            engine.press(number, AT, RADIUS, 0.0)
+        run(engine, 2)
+
+
+@pytest.mark.parametrize("electrode", [0, 5, 7, 14])
+def test_an_electrode_that_opens_is_named_and_left_out_until_it_is_mended(engine: Engine, electrode: int) -> None:
+    device = device_of(engine)
+    run(engine, 10)
+    engine.press(0, AT, RADIUS, PRESSURE)
+    sound = np.median(misses(run(engine, 16)[4:]))
+    engine.press(0, AT, RADIUS, 0.0)
+    run(engine, 12)
+    device.break_wire(electrode)
+    touches = run(engine, 60)
+    assert sum(counts(touches[5:])) == 0
+    assert sum(count > 0 for count in counts(touches)) <= 5
+    begin = touches[0].percept.frames[0].time
+    named = [t for t in touches if any(f.cause == ("open", (electrode,)) for f in t.percept.findings)]
+    assert named[0].percept.frames[-1].time - begin < 1.0
+    assert f"electrode {electrode} is open" in engine.message
+    engine.press(0, AT, RADIUS, PRESSURE)
+    felt = run(engine, 16)[4:]
+    assert set(counts(felt)) == {1}
+    assert np.median(misses(felt)) < max(1.5 * sound, 2e-3)
+    engine.press(0, AT, RADIUS, 0.0)
+    assert sum(counts(run(engine, 12)[4:])) == 0
+    device.break_wire(None)
+    mended = device.virtual._time
+    while engine.step().percept.diagnosis.bad:  # type: ignore[union-attr]
+        assert device.virtual._time - mended < 1.0
+    engine.press(0, AT, RADIUS, PRESSURE)
+    assert np.median(misses(run(engine, 16)[4:])) < 1.2 * sound + 1e-4
+
+
+def hum(amplitude: float, mains: float) -> Spoil:
+    return lambda frame: spread(frame, amplitude * float(np.sin(2 * np.pi * mains * frame.time)))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (hum(1e-3, 50.0), r"50 Hz hum of (1\.[01]|9\d\d u)"),
+        (hum(5e-3, 60.0), r"60 Hz hum of (4\.[6-9]|5) ?"),
+        (lambda frame: spread(frame, 10e-3), r"offset of (9\.9|10\b)"),
+    ],
+    ids=["hum of 1 mV", "hum of 5 mV", "offset"],
+)
+def test_what_is_the_same_on_all_voltages_is_taken_off_and_told(engine: Engine, spoil: Spoil, words: str) -> None:
+    run(engine, 10)
+    device_of(engine).spoil = spoil
+    assert sum(counts(run(engine, 80))) == 0
+    assert re.search(words, engine.message)
+    engine.press(0, AT, RADIUS, PRESSURE)
+    felt = run(engine, 30)[12:]
+    assert set(counts(felt)) == {1}
+    assert np.median(misses(felt)) < 3e-3
+
+
+def test_interference_without_a_pattern_makes_no_contacts_and_is_told(engine: Engine) -> None:
+    random = np.random.default_rng(4)
+    run(engine, 10)
+    device_of(engine).spoil = lambda frame: spread(frame, random.normal(0, 5e-3, frame.voltages.shape))
+    assert sum(counts(run(engine, 60))) == 0
+    assert "the voltages contradict each other by" in engine.message
+    assert "208 uV at rest" in engine.message
+
+
+def test_spikes_make_no_contacts_and_are_told(engine: Engine) -> None:
+    random = np.random.default_rng(5)
+
+    def spoil(frame: Frame) -> Frame:
+        volts = frame.voltages.copy()
+        if random.random() < 0.3:
+            volts[random.integers(len(volts))] += random.choice([-0.1, 0.1])
+        return replace(frame, voltages=volts)
+
+    run(engine, 10)
+    device_of(engine).spoil = spoil
+    assert sum(counts(run(engine, 80))) == 0
+    assert engine.message
+
+
+def test_values_that_stop_at_one_size_are_taken_for_clipped(engine: Engine) -> None:
+    run(engine, 10)
+    device_of(engine).spoil = lambda frame: replace(frame, voltages=np.clip(frame.voltages, -0.1, 0.1))
+    assert sum(counts(run(engine, 40))) == 0
+    assert "voltages of a frame clip; left out" in engine.message
+
+
+@pytest.mark.parametrize("volts", [np.nan, np.inf, 3e38, -3e38])
+def test_a_frame_without_any_good_value_is_skipped_and_told(engine: Engine, volts: float) -> None:
+    run(engine, 10)
+    engine.press(0, AT, RADIUS, PRESSURE)
+    assert counts(run(engine, 8))[-1] == 1
+    device = device_of(engine)
+    device.spoil = lambda frame: replace(frame, voltages=np.full(frame.voltages.shape, volts))
+    assert set(counts(run(engine, 4))) == {1}
+    assert "no voltage can be used" in engine.message
+    begin = device.virtual._time
+    while device.virtual._time < begin + 0.8:  # nothing doubtful is shown as certain
+        touch = engine.step()
+    assert touch is not None
+    assert not touch.contacts
+    device.spoil = None
+    run(engine, 4)
+    felt = run(engine, 6)
+    assert set(counts(felt)) == {1}
+    assert np.median(misses(felt)) < 4e-3
+
+
+@pytest.mark.parametrize("amperes", [0.0, -1e-3, 1e30, np.nan, np.inf])
+def test_voltages_behind_a_current_that_cannot_be_are_not_used(engine: Engine, amperes: float) -> None:
+    random = np.random.default_rng(6)
+
+    def spoil(frame: Frame) -> Frame:
+        currents = frame.currents.copy()
+        if random.random() < 0.2:
+            currents[0] = amperes
+        return replace(frame, currents=currents)
+
+    run(engine, 10)
+    device_of(engine).spoil = spoil
+    assert sum(counts(run(engine, 40))) == 0
+    assert "currents of some injections cannot be" in engine.message
+    engine.press(0, AT, RADIUS, PRESSURE)
+    felt = run(engine, 30)[10:]
+    assert np.mean([count == 1 for count in counts(felt)]) >= 0.9
+    assert np.median(misses([touch for touch in felt if touch.contacts])) < 4e-3
