@@ -20,8 +20,8 @@ class Cause(NamedTuple):
     """Why data contradict each other.
 
     Args:
-        kind: ``open``, ``current``, ``currents``, ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``, ``offset`` or
-            ``noise``.
+        kind: ``open``, ``current``, ``currents``, ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``,
+            ``offset`` or ``noise``.
         electrodes: Those concerned.
     """
 
