@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
@@ -13,10 +12,10 @@ from ohmskin.device import Device
 from ohmskin.drive import Drive, Fixed
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices
-from ohmskin.engine.quiet import quiet_frames
+from ohmskin.engine.quiet import QuietFrames, check_usable
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import DataError, DeviceError, DeviceLost, ModelError, PatternError
-from ohmskin.scan import DrivePattern, Frame, needed
+from ohmskin.scan import DrivePattern, Frame, assess, needed
 from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
 
@@ -96,12 +95,17 @@ class Engine(Closing):
 
         Raises:
             DeviceLost: If the device goes away. What was learned before is kept.
+            DataError: If the skin is not quiet, or its data are no skin's; likewise.
             ModelError: If the estimator or the prior is unknown, or does not go with the skin.
         """
         before, self.state = self.state, State.CALIBRATING
         try:
-            quiet = list(self.device.reference) or self._quiet_frames(lambda share: progress(0.7 * share))
-            known = SkinModel(self.skin, self._sheet, quiet)
+            quiet, notes, quality = list(self.device.reference), list[str](), None
+            if not quiet:
+                quiet, notes = self._quiet_frames(lambda share: progress(0.7 * share))
+                quality = assess(quiet)
+                check_usable(quality)
+            known = SkinModel(self.skin, self._sheet, quiet, quality if quality and quality.verdicts else None)
             sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}  # the others when they are asked for
         except DeviceLost as error:
             self._lose(error)
@@ -110,6 +114,7 @@ class Engine(Closing):
             self.state = before
             raise
         self.known, self._sensors = known, sensors
+        self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "")
         self.forget()
         self.state = State.RUNNING
         progress(1.0)
@@ -269,7 +274,7 @@ class Engine(Closing):
             self._sensed = self.sensor.start(self._beliefs.get(mode.reader))
         self.mode = mode
 
-    def _quiet_frames(self, progress: Callable[[float], None]) -> list[Frame]:
+    def _quiet_frames(self, progress: Callable[[float], None]) -> tuple[list[Frame], list[str]]:
         patterns: dict[DrivePattern, None] = {}
         for mode in list(self.modes.values()):
             try:
@@ -279,7 +284,8 @@ class Engine(Closing):
                     raise
                 del self.modes[mode.name]
                 self._notices.say(f"mode {mode.name} is not possible: {error}")
-        return quiet_frames(needed(patterns), self.device.capabilities, self._scan, progress)
+        quiet = QuietFrames(needed(patterns), self.device.capabilities, self._scan, progress)
+        return quiet.measured(), quiet.notes
 
     def _scan(self, pattern: DrivePattern) -> Frame:
         asked = time.monotonic()
@@ -315,5 +321,9 @@ class Engine(Closing):
             self._notices.say(
                 "calibrating, because this is another device than before" if self.known else "calibrating"
             )
-            with suppress(DeviceLost):  # gone again: sought again
+            try:
                 self.calibrate()
+            except DeviceLost:  # gone again: sought again
+                pass
+            except DataError as error:
+                self._lose(DeviceLost(str(error)))

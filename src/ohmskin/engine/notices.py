@@ -20,7 +20,7 @@ class Notices:
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report, self.message = report, ""
-        self._unread = False
+        self._unread, self._standing = False, ""
         self._slow: Mode | None = None
         self._found: list[Cause] = []
 
@@ -30,6 +30,12 @@ class Notices:
             self._report(message)
         self.message = message
 
+    def calibrated(self, notes: Sequence[str], standing: str) -> None:
+        """Say what came of a calibration: what was done, and what is wrong until the next one."""
+        for sentence in [*notes, *([standing] if standing else [])]:
+            self._report(sentence)
+        self.message = self._standing = standing
+
     def findings(self, findings: Sequence[Finding]) -> None:
         """Say what is wrong with the data when that begins, and when nothing is any more."""
         words = "; ".join(finding.words for finding in findings)
@@ -37,7 +43,7 @@ class Notices:
         if causes != self._found:
             self._report(words or "the data are sound again")
         if causes or self._found:
-            self.message = words
+            self.message = words or self._standing
         self._found = causes
 
     def unread(self, why: str) -> None:

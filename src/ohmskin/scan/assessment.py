@@ -130,7 +130,7 @@ def _silent(group: Repeats) -> Iterator[Verdict]:
     idle = [e for e, own in driven.items() if own.size and np.nanmax(own, initial=0.0) < ABSENT * typical]
     words = "open: hardly any current flows when it is driven; check its wire; left out"
     yield from (Verdict(e, "open", 0.0, words) for e in idle)
-    levels = {e: level(e) for e in used}
+    levels = {e: level(e, tuple(set(idle) - {e})) for e in used}  # open ones pick up anything
     middle = float(np.nanmedian(list(levels.values()))) if np.isfinite(list(levels.values())).any() else 0.0
     quiet = [e for e in used if levels[e] < ABSENT * middle]
     # an electrode between two silent ones is silent with them: blame as few as can explain it all

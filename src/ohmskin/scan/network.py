@@ -57,7 +57,8 @@ class NetworkFit:
 
     def without(self, electrodes: list[int]) -> np.ndarray:
         """Whether each measurement (n_meas,) is known and uses none of `electrodes`."""
-        kept: np.ndarray = self.known & ~self._involved[:, electrodes].any(axis=1)
+        used = [electrode for electrode in electrodes if electrode < self.n_elec]
+        kept: np.ndarray = self.known & ~self._involved[:, used].any(axis=1)
         return kept
 
     def with_only(self, electrode: int) -> np.ndarray:

@@ -66,6 +66,11 @@ class Quality:
             weights[verdict.electrode] = verdict.weight
         return weights
 
+    @property
+    def findings(self) -> list[str]:
+        """What is wrong with each electrode that is not in order, in plain words."""
+        return [f"electrode {verdict.electrode}: {verdict.words}" for verdict in self.verdicts]
+
     def clean(self, frame: Frame) -> Frame:
         """The frame with every value that a bad electrode took part in left out (NaN)."""
         used = frame.pattern.uses(self.bad)
@@ -97,8 +102,7 @@ class Quality:
             part = 100 * (self.missing + self.clipped) / self.values
             count = f"{self.missing} values missing and {self.clipped} clipped"
             lines.append(f"{count} of {self.values} ({part:.2g} %), left out")
-        lines += [f"electrode {v.electrode}: {v.words}" for v in self.verdicts]
-        return lines
+        return lines + self.findings
 
 
 def left_out(difference: Difference) -> str:

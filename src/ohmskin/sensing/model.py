@@ -75,9 +75,15 @@ class SkinModel:
         self._usual = np.full((n_elec, n_elec), np.nan)  # currents (A) of the pairs driven
         for frame in quiet:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
+            measured &= ~np.isin(frame.pattern.injections, self.bad).any(axis=1)
             self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
         self._soundness: WeakKeyDictionary[Frame, tuple[Bools, Bools]] = WeakKeyDictionary()
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
+
+    @property
+    def bad(self) -> tuple[int, ...]:
+        """Electrodes that were of no use on the quiet skin."""
+        return () if self.quality is None else self.quality.bad
 
     def difference(self, frame: Frame) -> Difference:
         """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or counted less.
@@ -106,11 +112,15 @@ class SkinModel:
         flowing = np.asarray(np.isfinite(frame.currents) & (frame.currents != 0) & ~unlike)
         finite = np.isfinite(frame.voltages)
         sound = finite & flowing[frame.pattern.measurements[:, 0]]
+        if self.bad:  # what they take part in is left out anyhow
+            flowing |= np.isin(frame.pattern.injections, self.bad).any(axis=1)
         sizes = np.where(sound, np.abs(frame.voltages), -1.0)
         largest = np.flatnonzero(sound & (sizes == sizes.max()))
         if len(largest) > _BY_CHANCE:
             usual = np.abs(self.baseline.reference(frame.pattern) * frame.measurement_currents)[largest]
             sound[largest] = np.ptp(usual) < _UNLIKE * self.noise
+        if self.bad:
+            sound |= frame.pattern.uses(self.bad)
         self._soundness[frame] = flowing, sound
         return flowing, sound
 
@@ -207,7 +217,8 @@ class SkinModel:
         electrodes = np.where((plus == source) | (minus == source), source, sink)
         excess *= np.where((plus == source) | (minus == sink), 1.0, -1.0)
         for number in np.unique(electrodes):
-            found[number] += np.nanmedian(excess[electrodes == number])
+            own = excess[electrodes == number]
+            found[number] += np.median(own[np.isfinite(own)]) if np.isfinite(own).any() else 0.0
         return np.asarray(np.fmax(found, described))
 
     def electrode_model(self, finer: float = 1.0) -> TransferModel:

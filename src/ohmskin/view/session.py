@@ -235,7 +235,7 @@ class Session(Closing):
             adapts = drive.scans > 1 or drive.adjustable  # what it drives depends on what is touched
             header |= {
                 "contacts": [_shown(contact, scale) for contact in touch.contacts],
-                "bad_electrodes": sorted(touch.percept.diagnosis.bad),
+                "bad_electrodes": sorted({*touch.percept.diagnosis.bad, *engine.sensor.known.bad}),
                 "base_injections": frames[0].pattern.injections.tolist(),
                 "injections": frames[-1].pattern.injections.tolist() if adapts else [],
                 "threshold": engine.sensor.thresholds.final * scale,
