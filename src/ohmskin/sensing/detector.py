@@ -22,6 +22,7 @@ from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_o
 
 _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
+_NOT_ALIKE = 1.5  # times the noise that is left where an offset was taken off, which is not quite the same on all
 _NOISY = 1.3  # times the quiet skin's noise, above which it is told
 _MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND = 5, 0.2  # frames and s for which an electrode must agree to be used again
@@ -84,8 +85,14 @@ class FaultDetector:
             else:
                 causes.add(remedy.cause)
                 cleaned = cleaned if remedy.cause.electrodes else _repaired(scans, remedy)
-                if remedy.off is not None:
-                    offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
+        elif Cause("offset") in before.lately:  # hum passes through nothing twice a period, where it is not doubted
+            data, kept, _ = self._data(looked, before.bad)
+            remedy = next(without_offset(data, kept), None)
+            cleaned = cleaned if remedy is None else _repaired(scans, remedy)
+        if remedy is not None and remedy.off is not None:
+            offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
+            rest = max(remedy.fit.noise / noise, 1.0)
+            cleaned = tuple(_less_sure(scan, _NOT_ALIKE * rest) for scan in cleaned)
         blamed = {e for cause in causes for e in cause.electrodes}
         blamed = blamed if len(blamed | before.bad.keys()) <= self._most else set()
         after = Diagnosis(

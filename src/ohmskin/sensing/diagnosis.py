@@ -75,9 +75,14 @@ class Diagnosis:
     without_data: float = 0.0
 
     @property
+    def lately(self) -> set[Cause]:
+        """What was wrong within the last second."""
+        return {cause for cause, times in self.seen.items() if self.time - times[-1] < _WITHIN}
+
+    @property
     def troubled(self) -> bool:
         """Whether anything was wrong lately."""
-        return bool(self.findings or self.bad or any(self.time - times[-1] < _WITHIN for times in self.seen.values()))
+        return bool(self.findings or self.bad or self.lately)
 
     def told(self, causes: set[Cause], noise: float) -> "Diagnosis":
         """The same with what is to be told: seen several times lately, or told before and not long gone.

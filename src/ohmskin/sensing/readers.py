@@ -5,7 +5,7 @@ Other packages add theirs with an entry point of the group ``ohmskin.readers``: 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -48,6 +48,13 @@ class Belief:
     def image(self) -> Image:
         """The image, made when it is first asked for."""
         return self.estimate.image
+
+    def with_drift_of(self, before: "Belief") -> "Belief":
+        """The same with the drift of another belief: data that are doubted teach none."""
+        tracks = self.tracks
+        if isinstance(tracks, TrackState) and isinstance(before.tracks, TrackState):
+            tracks = replace(tracks, drift=before.tracks.drift, common_drift=before.tracks.common_drift)
+        return replace(self, tracks=tracks, drift=before.drift)
 
 
 class Reader(Protocol):

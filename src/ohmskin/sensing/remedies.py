@@ -10,6 +10,7 @@ from ohmskin.scan.coherence import Coherence, NetworkData
 from ohmskin.sensing.diagnosis import MAINS, Cause
 
 _LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standard deviations of its noise
+_CLOSE = 4.0  # the same where something was taken off: what is left of it would look like a contact
 _SPIKES = 3  # values that may be left out of one frame
 _SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
 _LEFT = 0.3  # share of the degrees of freedom that must be left to tell that the rest agrees
@@ -82,7 +83,7 @@ def _without(data: NetworkData, kept: Bools, *waves: Floats) -> Iterator[Remedy]
     added = np.vstack([own * wave for wave in waves])
     fit = data.coherence(kept, added)
     off = fit.added @ added
-    if agrees(fit) and np.abs(off[kept]).max() < data.largest(kept):
+    if fit.excess < 1 + _CLOSE * np.sqrt(2 / max(fit.freedom, 1)) and np.abs(off[kept]).max() < data.largest(kept):
         yield Remedy(Cause("offset"), kept, fit, off)
 
 

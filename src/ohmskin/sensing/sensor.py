@@ -242,6 +242,8 @@ class Sensor:
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
         belief, recent = found
+        if diagnosis.lately:
+            belief = belief.with_drift_of(state.belief)
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis)
         return after, Percept(measured.frames, belief, measured.look, diagnosis)
