@@ -1,7 +1,7 @@
 """What contradicts is left out and told: loose wires, hum, offsets, spikes, clipping, currents that cannot be."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,8 +28,10 @@ class FaultyDevice(DirectDevice):
         self.spoil: Spoil | None
 
     def break_wire(self, electrode: int | None) -> None:
-        faults = [] if electrode is None else [Fault("open", (electrode,))]
-        former, self.virtual = self.virtual, VirtualSkin(self.virtual.skin, 99, faults, contacts=4)
+        self.become(self.sound.skin, [] if electrode is None else [Fault("open", (electrode,))])
+
+    def become(self, skin: Skin, faults: Sequence[Fault] = ()) -> None:
+        former, self.virtual = self.virtual, VirtualSkin(skin, 99, faults, contacts=4)
         self.virtual.reset(99, former.presses.values())
         self.virtual._time = former._time
 
@@ -182,7 +184,7 @@ def hum(amplitude: float, mains: float) -> Spoil:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (hum(1e-3, 50.0), r"50 Hz hum of (1\.[01]|9\d\d u)"),
+        (hum(1e-3, 50.0), r"50 Hz hum of (1\.[01]|1 m|9\d\d u)"),
         (hum(5e-3, 60.0), r"60 Hz hum of (4\.[6-9]|5) ?"),
         (lambda frame: spread(frame, 10e-3), r"offset of (9\.9|10\b)"),
     ],
@@ -269,3 +271,32 @@ def test_voltages_behind_a_current_that_cannot_be_are_not_used(engine: Engine, a
     felt = run(engine, 30)[10:]
     assert np.mean([count == 1 for count in counts(felt)]) >= 0.9
     assert np.median(misses([touch for touch in felt if touch.contacts])) < 4e-3
+
+
+@pytest.mark.parametrize("engine", ["16T"], indirect=True)
+def test_what_no_contacts_explain_is_told_and_lowers_confidence(engine: Engine) -> None:
+    run(engine, 10)
+    engine.press(0, AT, RADIUS, PRESSURE)
+    assert all(contact.confidence > 0.98 for touch in run(engine, 16)[8:] for contact in touch.contacts)
+    engine.press(0, AT, RADIUS, 0.0)
+    run(engine, 12)
+    device = device_of(engine)
+    device.become(engine.skin, [Fault("swap", (1, 7))])
+    begin = device.virtual._time
+    while "no contacts explain what has changed" not in engine.message:
+        (touch,) = run(engine, 1)
+        assert device.virtual._time < begin + 1.0
+    assert all(contact.confidence < 0.7 for contact in touch.contacts)
+
+
+@pytest.mark.parametrize("engine", ["16P"], indirect=True)
+@pytest.mark.parametrize("warmer", [1.02, 0.98])
+def test_a_sheet_that_is_warmer_is_not_touched(engine: Engine, warmer: float) -> None:
+    run(engine, 10)
+    for share in np.linspace(1, warmer, 20):
+        device_of(engine).spoil = lambda frame, share=share: replace(frame, voltages=frame.voltages / share)
+        assert not run(engine, 1)[0].contacts
+    engine.press(0, AT, RADIUS, PRESSURE)
+    felt = run(engine, 16)[8:]
+    assert set(counts(felt)) == {1}
+    assert np.median(misses(felt)) < 3e-3

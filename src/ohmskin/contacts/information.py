@@ -174,6 +174,12 @@ class Information:
         """What is said beside changes (n_pairs or n, k), each with a standard deviation of one."""
         return replace(self, told=self.told.without(directions))
 
+    def beside_common(self, variance: float) -> "Information":
+        """What is said beside a common relative change of all resistances, of which the variance is known (1)."""
+        direction = np.zeros((len(self.told.vector), 1))
+        direction[-1] = sqrt(variance)
+        return self.without(direction)
+
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""
         sizes = np.array([self.size(direction) for direction in directions.T])

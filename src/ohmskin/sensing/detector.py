@@ -23,6 +23,8 @@ from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_o
 _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
 _NOT_ALIKE = 1.5  # times the noise that is left where an offset was taken off, which is not quite the same on all
+_UNLIKE = 0.4  # share of what data say that no contacts explain, above which it is told; real skins have up to a third
+_SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
 _NOISY = 1.3  # times the quiet skin's noise, above which it is told
 _MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND = 5, 0.2  # frames and s for which an electrode must agree to be used again
@@ -52,6 +54,7 @@ class FaultDetector:
         scans: Sequence[Difference],
         elapsed: float,
         suspects: Sequence[int] = (),
+        unexplained: float = 0.0,
     ) -> tuple[Diagnosis, tuple[Difference, ...]]:
         """What is known after one frame more, and its scans without what contradicts.
 
@@ -61,6 +64,7 @@ class FaultDetector:
             scans: Their changes against the quiet skin.
             elapsed: Time since the last frame (s).
             suspects: Electrodes whose data the reader does not believe.
+            unexplained: Share of what the last frame said that its contacts did not explain.
 
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
@@ -68,6 +72,8 @@ class FaultDetector:
         now, looked, noise = before.time + elapsed, self._looked(before, scans), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
         causes |= {Cause("open", (suspect,)) for suspect in suspects}
+        unlike = before.unlike - np.expm1(-elapsed / _SLOWLY) * (unexplained - before.unlike)
+        causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
         lost = self._lost(frames)
         causes |= {Cause(kind) for kind, count in lost.items() if count}
         empty = not any(np.isfinite(scan.volts).any() for scan in scans)
@@ -106,6 +112,7 @@ class FaultDetector:
             fits=tuple(fits),
             scans=looked if self._window else (),
             puzzled=puzzled,
+            unlike=float(unlike),
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
         ).told(causes, noise)

@@ -20,8 +20,8 @@ class Cause(NamedTuple):
     """Why data contradict each other.
 
     Args:
-        kind: ``open``, ``current``, ``currents``, ``nothing``, ``missing``, ``clipped``, ``spikes``, ``injection``,
-            ``offset`` or ``noise``.
+        kind: ``open``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``, ``spikes``,
+            ``injection``, ``offset`` or ``noise``.
         electrodes: Those concerned.
     """
 
@@ -57,6 +57,7 @@ class Diagnosis:
         fits: Squared misfit and degrees of freedom of each of the newest scans, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
         puzzled: Frames since a contradiction arose whose cause is not found.
+        unlike: Share of what the frames of late said that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since a frame with any good value (s).
     """
@@ -71,6 +72,7 @@ class Diagnosis:
     fits: tuple[tuple[float, int], ...] = field(default=(), repr=False)
     scans: tuple[Difference, ...] = field(default=(), repr=False)
     puzzled: int = 0
+    unlike: float = 0.0
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0
 
@@ -112,6 +114,8 @@ class Diagnosis:
                 return f"no current flows between electrodes {electrodes}: one of them is open; left out"
             case "currents":
                 return "currents of some injections cannot be; left out"
+            case "unlike":
+                return "no contacts explain what has changed: another skin, exchanged wires, or damage; calibrate again"
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":

@@ -35,6 +35,7 @@ class Belief:
         drift: Change of two-terminal resistances (n_pairs,) because contact impedances have changed since the
             calibration (ohm), if the reader follows it.
         suspects: Electrodes that alone told of a contact that others should have seen, too.
+        unexplained: Share of what the data say that the contacts do not explain.
     """
 
     estimate: Estimate
@@ -43,6 +44,7 @@ class Belief:
     tracks: Tracks | TrackState = field(default=Tracks(), repr=False)
     drift: Floats | None = field(default=None, repr=False)
     suspects: tuple[int, ...] = ()
+    unexplained: float = 0.0
 
     @property
     def image(self) -> Image:
@@ -143,12 +145,19 @@ class FitReader:
             new, recent = ([scan.less(drift) for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
-        found = self.fitter.contacts(self.fitter.explained(told, wary))
+        solution = self.fitter.explained(told, wary)
+        unexplained = self.fitter.unexplained(told, solution.caused)
+        found = _doubted(self.fitter.contacts(solution), unexplained)
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
             drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
         tracks, contacts = self.tracker.update(before.tracks, found)
-        return Belief(estimate, found, contacts, tracks, drift)
+        return Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
+
+
+def _doubted(contacts: Sequence[Contact], unexplained: float) -> tuple[Contact, ...]:
+    """Contacts as sure as the share of the data that they explain."""
+    return tuple(replace(contact, confidence=(1 - unexplained) * contact.confidence) for contact in contacts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,10 +193,11 @@ class FilterReader:
         suspected = set(state.suspects)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
+        contacts = _doubted(state.contacts, state.unexplained)
         suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
-        return Belief(estimate, state.contacts, state.contacts, state, suspects=suspects)
+        return Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

@@ -235,9 +235,13 @@ class Sensor:
         if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
         else:
-            suspects = state.belief.suspects
             diagnosis, scans = self.detector.examine(
-                state.diagnosis, measured.frames, measured.scans, elapsed, suspects
+                state.diagnosis,
+                measured.frames,
+                measured.scans,
+                elapsed,
+                state.belief.suspects,
+                state.belief.unexplained,
             )
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)

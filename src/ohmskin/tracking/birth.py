@@ -10,7 +10,6 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
-from ohmskin.tracking.drift import beside_common
 from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
@@ -106,6 +105,6 @@ def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, varia
         innovation=innovation,
         residual=residuals.residual.less(caused),
         energy=residuals.energy + residuals.reading.data.size(caused) ** 2,
-        unforeseen=beside_common(innovation, variance),
+        unforeseen=innovation.beside_common(variance),
     )
     return scored(reviewed, fitter)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.information import Information
 from ohmskin.scan import Difference
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.residuals import Reading
@@ -25,15 +24,8 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
         volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
     corrected = replace(difference, volts=volts)
     data, wary = fitter.information(corrected)
-    beside = (beside_common(each, state.common_drift[1]) for each in (data, wary))
+    beside = (each.beside_common(state.common_drift[1]) for each in (data, wary))
     return Reading(corrected, data, *beside)
-
-
-def beside_common(data: Information, variance: float) -> Information:
-    """What data say beside a common relative change of all resistances, of which the variance is known."""
-    direction = np.zeros((len(data.told.vector), 1))
-    direction[-1] = np.sqrt(variance)
-    return data.without(direction)
 
 
 def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:

@@ -18,7 +18,7 @@ from ohmskin.contacts.solution import PER_CONTACT, Solution, inverse, nothing
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
 from ohmskin.tracking.birth import LONGEST, birth_threshold, scored, with_births
-from ohmskin.tracking.drift import beside_common, learned, with_common_drift, without_drift
+from ohmskin.tracking.drift import learned, with_common_drift, without_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Reading, Residuals
@@ -84,7 +84,8 @@ class ContactFilter:
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history:
             state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
-        return replace(state, contacts=self._contacts(state))
+        unexplained = fitter.unexplained(reading.data, fitter.responses(state.params)[0]) if state.pressing else 0.0
+        return replace(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
         """The state after a frame, its contacts being those that it holds, and how they explain it."""
@@ -108,7 +109,7 @@ class ContactFilter:
         faded = after.echo * float(np.exp(-2 * elapsed / self.motion.creeping))
         energy = max(reading.data.size(seen.caused) ** 2, faded)
         effects = {track.id: float(effect) for track, effect in zip(after.tracks, after.mean[:, 2], strict=True)}
-        unforeseen = beside_common(innovation, after.common_drift[1])
+        unforeseen = innovation.beside_common(after.common_drift[1])
         residual = reading.data.less(seen.caused)
         newest = Residuals(reading, innovation, residual, energy, effects, after.time, unforeseen)
         history = (scored(newest, self.fitter), *after.history[: LONGEST - 1])

@@ -47,6 +47,7 @@ class TrackState:
         time: Since the start (s).
         echo: Squared size of what contacts cause, or did before the foam forgot it, over the noise's variance (1).
         history: The last frames, newest first.
+        unexplained: Share of what the newest frame says that the contacts do not explain.
         suspects: Electrodes that alone told of a contact in the newest frame.
     """
 
@@ -61,6 +62,7 @@ class TrackState:
     time: float = 0.0
     echo: float = 0.0
     history: tuple[Residuals, ...] = field(default=(), repr=False)
+    unexplained: float = 0.0
     suspects: tuple[int, ...] = ()
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
