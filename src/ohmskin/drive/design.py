@@ -18,13 +18,14 @@ from typing import Self
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.patterns import complete_pattern
 from ohmskin.errors import ModelError, PatternError
 from ohmskin.forward import TransferModel, VoltageSource
 from ohmskin.scan import DrivePattern, pair_index
-from ohmskin.scan.pairs import n_pairs
+from ohmskin.scan.pairs import in_series, n_pairs
 
 CURRENT = 1e-3  # amperes, where nothing else is said
 
@@ -35,11 +36,15 @@ class Candidates:
 
     Args:
         pattern: The injections, all with equally many measurements.
-        weights: (n_meas, n_pairs) change of each voltage with the two-terminal resistances, over its noise (1/ohm).
+        weights: (n_meas, n_pairs) change of each voltage with the two-terminal resistances, over its noise (1/ohm);
+            what is not known of contact impedances counts as noise, as if it were another one in every injection.
+        sharp: The same with the noise of voltages alone, and what is not known of each contact impedance (ohm): the
+            same in all injections. None where all that is known, or not measured.
     """
 
     pattern: DrivePattern
     weights: sp.csr_array
+    sharp: tuple[sp.csr_array, float] | None = None
 
     @classmethod
     def at_currents(
@@ -64,7 +69,8 @@ class Candidates:
             ModelError: If noise or currents are not positive, or the currents do not fit.
         """
         measured = pattern if contacts is None else pattern.with_driven
-        return cls(pattern, whitened(measured, n_elec, noise, currents, contacts or 0.0))
+        sharp = (whitened(measured, n_elec, noise, currents), contacts) if contacts else None
+        return cls(pattern, whitened(measured, n_elec, noise, currents, contacts or 0.0), sharp)
 
     def __len__(self) -> int:
         return self.pattern.n_inj
@@ -74,10 +80,40 @@ class Candidates:
 
         More rows than unknowns are reduced to as many, which say the same.
         """
+        rows = self._seen(columns)
+        return rows if rows.shape[-2] <= columns.shape[-1] else np.asarray(np.linalg.qr(rows, mode="r"))
+
+    def problem(self, columns: Floats, covariance: Floats, goal: Floats) -> tuple[Floats, Floats, Floats]:
+        """Rows, covariance and goal of a `Search` whose state has what is not known of contact impedances, too.
+
+        Args:
+            columns: (..., n_pairs, d) as for `rows`.
+            covariance: (d, d) of that state.
+            goal: (..., k, d) as for `Search`.
+        """
+        if self.sharp is None:
+            return self.rows(columns), covariance, goal
+        weights, contacts = self.sharp
+        d, n_elec = columns.shape[-1], 1 + int(self.pattern.injections.max())
+        whole = covariance.shape[-1] + n_elec
+        own = Candidates(self.pattern, weights)._seen(columns)
+        series = (weights @ (contacts * in_series(range(n_elec), n_elec))).reshape(len(self), -1, n_elec)
+        ends = np.take_along_axis(series, self.pattern.injections[:, None], axis=2)  # others are not in their voltages
+        seen = np.concatenate([own, np.broadcast_to(ends, (*own.shape[:-1], 2))], axis=-1)
+        seen = seen if seen.shape[-2] <= d + 2 else np.asarray(np.linalg.qr(seen, mode="r"))
+        rows = np.zeros((*seen.shape[:-1], whole))
+        rows[..., :d] = seen[..., :d]
+        at = np.broadcast_to(d + self.pattern.injections[:, None], (*seen.shape[:-1], 2))
+        np.put_along_axis(rows, at, seen[..., d:], axis=-1)
+        padded = np.concatenate([goal, np.zeros((*goal.shape[:-1], n_elec))], axis=-1)
+        return rows, np.asarray(block_diag(covariance, np.eye(n_elec))), padded
+
+    def _seen(self, columns: Floats) -> Floats:
+        """What the voltages (..., n, m, d) of each injection see of a state's columns (..., n_pairs, d)."""
         lead, d = columns.shape[:-2], columns.shape[-1]
         flat = np.moveaxis(columns, -2, 0).reshape(columns.shape[-2], -1)
-        rows = np.moveaxis((self.weights @ flat).reshape(-1, *lead, d), 0, -2).reshape(*lead, len(self), -1, d)
-        return rows if rows.shape[-2] <= d else np.asarray(np.linalg.qr(rows, mode="r"))
+        seen = np.moveaxis((self.weights @ flat).reshape(-1, *lead, d), 0, -2)
+        return np.asarray(seen.reshape(*lead, len(self), -1, d))
 
 
 def whitened(

@@ -120,6 +120,10 @@ class SecondScan:
         """The pattern for one or several regions, each given by its anchors (n, 2) in metres. A part of `complete`."""
         return part_of(self.complete, self.choose([np.asarray(anchors, float) for anchors in regions]))
 
+    def next(self, targets: Sequence[Target]) -> DrivePattern:
+        """The pattern for what is believed of the contacts."""
+        return self.pattern([target.anchors for target in targets])
+
     def choose(self, regions: Sequence[Floats]) -> Ints:
         """The numbers (pairs,) of the injections of `complete` for regions, each given by its anchors (n, 2) (m)."""
         raise NotImplementedError
@@ -149,7 +153,7 @@ class TwoScans:
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
         """The base scan in even turns, the one chosen for the contacts in odd turns."""
-        return self.second.pattern([target.anchors for target in targets]) if turn % 2 and targets else self.base
+        return self.second.next(targets) if turn % 2 and targets else self.base
 
     def with_injections(self, count: int) -> Drive:
         raise PatternError(f"a drive of two scans has no choice of injections; it has {self.injections}")

@@ -70,12 +70,13 @@ class Ranking:
             middle = low + (np.array(at) + 0.5) * self._cell
             # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
             places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
-            rows, covariance = candidates.rows(contact_columns(table, prior.at(places))), prior.covariance()
+            columns = contact_columns(table, prior.at(places))
+            rows, covariance, goal = candidates.problem(columns, prior.covariance(), position_goals(1))
             if len(known):
                 measured = rows[..., list(known), :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
                 information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
                 covariance = np.asarray(np.linalg.inv(information), float)
-            self.order[at], self.values[at] = _ranked(rows, covariance, depth)
+            self.order[at], self.values[at] = _ranked(rows, covariance, goal, depth)
 
     def cell_of(self, position: Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
@@ -83,9 +84,8 @@ class Ranking:
         return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
 
 
-def _ranked(rows: Floats, covariance: Floats, depth: int) -> tuple[Ints, Floats]:
+def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple[Ints, Floats]:
     """The greedy choice and its values. After two, which set the directions, only the `_KEPT` best are looked at."""
-    goal = position_goals(1)
     search = Search(rows, covariance, goal, repeats=True)
     values = [search.sums.mean()]
     for _ in range(min(2, depth)):
@@ -163,8 +163,8 @@ class InformedPolicy(Exploration):
     def _search(self, targets: Sequence[Target]) -> Search:
         table, candidates = self._known
         covariance = ContactPrior.usual(table.radius, _TRACKED, _EFFECT).covariance(targets)
-        rows = candidates.rows(np.hstack(list(contact_columns(table, targets))))
-        return Search(rows, covariance, position_goals(len(targets)), repeats=True)
+        columns = np.hstack(list(contact_columns(table, targets)))
+        return Search(*candidates.problem(columns, covariance, position_goals(len(targets))), repeats=True)
 
 
 class PositionDrive(SecondScan):
@@ -191,6 +191,11 @@ class PositionDrive(SecondScan):
         """What to drive for a contact in each cell; made when first asked for, in about a second."""
         return _behind_base(*self._design(), self.pairs, tuple(self._base.tolist()))
 
+    def next(self, targets: Sequence[Target]) -> DrivePattern:
+        """The pattern for wherever contacts may be: at the places believed, and a standard deviation to all sides."""
+        places = [place for target in targets for place in _wherever(target)]
+        return part_of(self.complete, _in_turn(self.ranking, places, self.pairs, turn=0))
+
     def choose(self, regions: Sequence[Floats]) -> Ints:
         return _in_turn(self.ranking, [anchors.mean(axis=0) for anchors in regions], self.pairs, turn=0)
 
@@ -198,6 +203,13 @@ class PositionDrive(SecondScan):
 @lru_cache(maxsize=8)
 def _behind_base(table: ContactTable, candidates: Candidates, depth: int, base: tuple[int, ...]) -> Ranking:
     return Ranking(table, candidates, depth, base, ContactPrior.usual(table.radius, _BASED))
+
+
+def _wherever(target: Target) -> list[Floats]:
+    """Where a contact is believed to be, and a standard deviation off along both axes of its ellipse (m)."""
+    squares, axes = np.linalg.eigh(target.covariance)
+    sides = axes.T * np.sqrt(np.maximum(squares, 0.0))[:, None]
+    return [target.position, *(target.position + side for side in np.concatenate([sides, -sides]))]
 
 
 def _in_turn(ranking: Ranking, positions: Sequence[Floats], count: int, turn: int) -> Ints:
