@@ -8,7 +8,7 @@ they contradict each other. An electrode that was left out is used again when it
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import sqrt
+from math import exp, sqrt
 
 import numpy as np
 from scipy.special import chdtri
@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from ohmskin.arrays import Bools, Floats
 from ohmskin.scan import Difference, Frame
 from ohmskin.scan.coherence import Coherence, Instrument, NetworkData
-from ohmskin.sensing.diagnosis import Cause, Diagnosis
+from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset
 
@@ -108,7 +108,7 @@ class FaultDetector:
             seen=before.seen,
             silent=silent,
             offsets=offsets,
-            error=error,
+            error=max(error, before.error * exp(-elapsed / HELD)),
             fits=tuple(fits),
             scans=looked if self._window else (),
             puzzled=puzzled,

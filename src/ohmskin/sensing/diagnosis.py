@@ -53,7 +53,7 @@ class Diagnosis:
         seen: When (s) each cause was seen lately, newest last.
         silent: Since when (s) no current has flowed through electrodes that were driven.
         offsets: Times (s) of the newest frames with an offset, and how large it was (V).
-        error: Standard deviation of a voltage in the newest frame (V).
+        error: Standard deviation of a voltage in the worst frame of late (V).
         fits: Squared misfit and degrees of freedom of each of the newest scans, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
         puzzled: Frames since a contradiction arose whose cause is not found.
@@ -132,7 +132,7 @@ class Diagnosis:
                 contradiction = (
                     f"the voltages contradict each other by {in_words(self.error)} ({in_words(noise)} at rest)"
                 )
-                return f"{contradiction}: interference, or a bad cable; all count less"
+                return f"{contradiction}: interference, a bad cable, or touches faster than a scan; all count less"
 
 
 def _common(times: Floats, offsets: Floats) -> str:

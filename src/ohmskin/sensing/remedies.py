@@ -13,6 +13,9 @@ _LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standa
 _CLOSE = 4.0  # the same where something was taken off: what is left of it would look like a contact
 _SPIKES = 3  # values that may be left out of one frame
 _SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
+_GROSS = (
+    15.0  # times by which a loose wire's data disagree more than the others': a touch that moves within a scan less
+)
 _LEFT = 0.3  # share of the degrees of freedom that must be left to tell that the rest agrees
 _PRICE = 6.0  # squared misfit that a datum left out must save
 
@@ -90,7 +93,7 @@ def _without(data: NetworkData, kept: Bools, *waves: Floats) -> Iterator[Remedy]
 def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: int) -> Remedy | None:
     """Without the fewest electrodes, at most so many."""
     out: tuple[int, ...] = ()
-    enough = _LEFT * whole.freedom
+    enough, gross = _LEFT * whole.freedom, whole.noise / _GROSS
     while len(out) < most and whole.freedom > enough:
         squares = whole.residuals**2
         shares = {e: squares[kept & data.uses(e)].mean() for e in np.unique(data.quadruples[kept]).tolist()}
@@ -100,7 +103,7 @@ def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: 
             break
         best = min(tried, key=lambda e: tried[e].noise)
         out, kept, whole = (*out, best), rests[best], tried[best]
-        if agrees(whole) and whole.freedom > enough:
+        if agrees(whole) and whole.freedom > enough and whole.noise < gross:
             return Remedy(Cause("open", tuple(sorted(out))), kept, whole)
     return None
 
