@@ -192,8 +192,9 @@ def test_rankings_are_the_greedy_choice_for_their_cells() -> None:
         seen = candidates().rows(contact_columns(table(), prior.at(cases)))
         each = seen.swapaxes(-1, -2) @ seen  # (4, n, 4, 4)
         for rank in range(5):
-            posterior = np.linalg.inv(information[:, None] + each)[..., :2, :2]
-            errors = np.trace(posterior, axis1=2, axis2=3).mean(axis=0)
+            variances = np.diagonal(np.linalg.inv(information[:, None] + each), axis1=2, axis2=3)
+            counted = np.array([1.0, 1.0, 0.0, (0.3 * table().radius) ** 2])  # places (m), and radii by 0.3 of a place
+            errors = (variances @ counted).mean(axis=0)
             assert errors[ranking.order[x, y, rank]] == pytest.approx(errors.min(), rel=1e-9)
             assert ranking.values[x, y, rank + 1] == pytest.approx(errors.min(), rel=1e-6)
             information = information + each[:, ranking.order[x, y, rank]]

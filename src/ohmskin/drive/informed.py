@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
+from ohmskin.drive.bound import PARAMETERS, ContactPrior, contact_columns, position_goals
 from ohmskin.drive.design import Candidates, Search, greedy
 from ohmskin.drive.drive import Exploration, SecondScan, Target
 from ohmskin.drive.patterns import part_of
@@ -24,6 +24,7 @@ _CELL = 2.5  # radii of a contact: 20 mm for one of 8 mm
 _DEPTH = 24  # injections of a table's cell, after which frames start again with the best
 _TRACKED = 0.6  # radii to which a tracker knows a contact's place between two frames
 _BASED = 2.5  # radii to which it is known before a base scan refines it
+_SIZE = 0.3  # of what a radius that is not known counts, against a place: force is told from it
 _EFFECT = 0.5  # share to which a tracker knows its effect
 Design = Callable[[], tuple[ContactTable, Candidates]]
 _KEPT = 64  # candidates; with them the paper's sheet loses nothing, 32 electrodes 0.1 % of the error
@@ -42,7 +43,7 @@ class Ranking:
 
     Attributes:
         order: (n_x, n_y, depth) numbers of injections, best first.
-        values: (n_x, n_y, depth + 1) the squared position error (m2) before, and after each.
+        values: (n_x, n_y, depth + 1) the squared error of position, and in part of radius, before and after each (m2).
 
     Raises:
         PatternError: If depth or cell are not positive.
@@ -71,7 +72,7 @@ class Ranking:
             # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
             places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
             columns = contact_columns(table, prior.at(places))
-            rows, covariance, goal = candidates.problem(columns, prior.covariance(), position_goals(1))
+            rows, covariance, goal = candidates.problem(columns, prior.covariance(), contact_goals(1, table.radius))
             if len(known):
                 measured = rows[..., list(known), :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
                 information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
@@ -82,6 +83,12 @@ class Ranking:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
         x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
         return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
+
+
+def contact_goals(contacts: int, radius: float) -> Floats:
+    """The goals (n, 3, 4 n) of knowing the position of each contact, and its radius to some share of its own (m)."""
+    size = np.eye(PARAMETERS * contacts).reshape(contacts, PARAMETERS, -1)[:, 3:]
+    return np.concatenate([position_goals(contacts), _SIZE * radius * size], axis=1)
 
 
 def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple[Ints, Floats]:
@@ -164,7 +171,7 @@ class InformedPolicy(Exploration):
         table, candidates = self._known
         covariance = ContactPrior.usual(table.radius, _TRACKED, _EFFECT).covariance(targets)
         columns = np.hstack(list(contact_columns(table, targets)))
-        return Search(*candidates.problem(columns, covariance, position_goals(len(targets))), repeats=True)
+        return Search(*candidates.problem(columns, covariance, contact_goals(len(targets), table.radius)), repeats=True)
 
 
 class PositionDrive(SecondScan):
