@@ -33,8 +33,6 @@ _PROMISED = 0.02  # share of the gain asked of a split that a small one must pro
 _WIDE = 1.5  # usual radii of a contact beyond which a pair in its place may be as far apart as it is wide
 _LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
-_COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
-_SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _ANGLES = np.arange(4) * np.pi / 4
@@ -142,12 +140,6 @@ class ContactFitter:
         caused, slopes = kernels.responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
         return caused, slopes.T
 
-    def unexplained(self, told: Information, caused: Floats) -> float:
-        """Share of what data say beyond noise, if that is much, that is left beside what contacts cause (n_pairs,)."""
-        told = told.beside_common(_COMMON**2)
-        said, left = (each.told.constant - each.count for each in (told, told.less(caused)))
-        return min(max(left / said, 0.0), 1.0) if said > _SAID * told.count else 0.0
-
     # --- one contact more? --------------------------------------------------------------------------------------------
 
     def scores(self, left: Information) -> tuple[Floats, Floats]:
@@ -254,7 +246,7 @@ class ContactFitter:
 
     def explained(self, told: Information, data: Information) -> Solution:
         """The contacts that explain what is measured, given as `information` gives it."""
-        told, data = everything = told.beside_common(_COMMON**2), data.beside_common(_COMMON**2)
+        told, data = everything = told.beside_common(), data.beside_common()
         found, covered = nothing(self.table.responses.shape[1]), tuple[int, ...]()
         while len(found.params) < self.most:
             score, power = self.scores(told.less(found.caused).beside(found.slopes) if len(found.params) else told)

@@ -19,6 +19,8 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import n_pairs, pair_numbers
 
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
+_COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
+_SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
 _ROUNDING = 1e-13  # of sums of squares
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
 _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
@@ -174,11 +176,17 @@ class Information:
         """What is said beside changes (n_pairs or n, k), each with a standard deviation of one."""
         return replace(self, told=self.told.without(directions))
 
-    def beside_common(self, variance: float) -> "Information":
+    def beside_common(self, variance: float = _COMMON**2) -> "Information":
         """What is said beside a common relative change of all resistances, of which the variance is known (1)."""
         direction = np.zeros((len(self.told.vector), 1))
         direction[-1] = sqrt(variance)
         return self.without(direction)
+
+    def unexplained(self, caused: Floats) -> float:
+        """Share of what is said beyond noise, if that is much, that is left beside what contacts cause (n_pairs,)."""
+        beside = self.beside_common()
+        said, left = (each.told.constant - each.count for each in (beside, beside.less(caused)))
+        return min(max(left / said, 0.0), 1.0) if said > _SAID * self.count else 0.0
 
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""

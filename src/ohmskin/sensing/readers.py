@@ -146,7 +146,7 @@ class FitReader:
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
         solution = self.fitter.explained(told, wary)
-        unexplained = self.fitter.unexplained(told, solution.caused)
+        unexplained = told.unexplained(solution.caused)
         found = _doubted(self.fitter.contacts(solution), unexplained)
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift

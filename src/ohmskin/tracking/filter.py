@@ -84,7 +84,7 @@ class ContactFilter:
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history:
             state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
-        unexplained = fitter.unexplained(reading.data, fitter.responses(state.params)[0]) if state.pressing else 0.0
+        unexplained = reading.data.unexplained(fitter.responses(state.params)[0]) if state.pressing else 0.0
         return replace(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
