@@ -13,6 +13,7 @@ from ohmskin.drive import base_pattern, complete_pattern, part_of
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.scan import Difference, DrivePattern, Frame, NetworkFit, n_pairs
 from ohmskin.scan.coherence import Instrument, NetworkData
+from ohmskin.sensing import Diagnosis
 from ohmskin.skin import Fault, Skin, VirtualSkin
 
 AT, RADIUS, PRESSURE = (0.07, 0.11), 6e-3, 20e3
@@ -271,6 +272,20 @@ def test_voltages_behind_a_current_that_cannot_be_are_not_used(engine: Engine, a
     felt = run(engine, 30)[10:]
     assert np.mean([count == 1 for count in counts(felt)]) >= 0.9
     assert np.median(misses([touch for touch in felt if touch.contacts])) < 4e-3
+
+
+@pytest.mark.parametrize("engine", ["16P"], indirect=True)
+def test_a_current_that_failed_once_is_not_told_for_ever(engine: Engine) -> None:
+    """Electrode 13 is not on the rim, which the base scan drives."""
+    assert engine.known is not None
+    assert engine.sensor is not None
+    pattern = engine.sensor.drive.patterns[0]
+    assert not (pattern.injections == 13).any()
+    frame = engine.device.scan(pattern)
+    before = Diagnosis(silent={13: 0.0}, time=1.0)
+    after, _ = engine.sensor.detector.examine(before, [frame], [engine.known.difference(frame)], 0.01)
+    assert not after.seen
+    assert after.silent == {13: 0.0}
 
 
 @pytest.mark.parametrize("engine", ["16T"], indirect=True)

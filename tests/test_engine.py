@@ -270,6 +270,31 @@ def test_another_device_in_its_place_is_calibrated(skin: Skin, monkeypatch: pyte
     assert any("another device" in line for line in told)
 
 
+def test_another_device_that_cannot_be_calibrated_is_tried_again_and_not_taken_for_the_first(
+    skin: Skin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    first, silent, sound = (DirectDevice(VirtualSkin(skin, seed=k), serial=k) for k in (1, 2, 2))
+    monkeypatch.setattr(silent, "_scan", lambda pattern, timeout: _unseen(pattern))
+    pending = iter([first, silent, sound])
+    with Engine(lambda: next(pending), skin) as engine:
+        engine.calibrate()
+        before = engine.known
+        first.gone = True
+        engine.step()
+        engine.step()
+        assert engine.state is State.LOST
+        assert "every voltage of a frame is missing" in engine.message
+        engine.step()
+        assert engine.state is State.RUNNING
+        assert engine.known is not None
+        assert engine.known is not before
+
+
+def _unseen(pattern: DrivePattern) -> Frame:
+    return Frame(pattern, np.full(pattern.n_meas, np.nan), np.full(pattern.n_inj, 1e-3), 0.0)
+
+
 def test_a_device_lost_while_calibrating_keeps_what_was_known(calibrated: Engine) -> None:
     before = calibrated.known
     calibrated.device.gone = True  # type: ignore[attr-defined]

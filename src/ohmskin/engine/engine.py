@@ -325,5 +325,6 @@ class Engine(Closing):
                 self.calibrate()
             except DeviceLost:  # gone again: sought again
                 pass
-            except DataError as error:
+            except DataError as error:  # what is known is of another device
+                self.known = self.sensor = None
                 self._lose(DeviceLost(str(error)))

@@ -205,7 +205,7 @@ class FaultDetector:
                 causes.add(Cause("open", (pair[int(np.argmax(changes))],)))
             elif now > since[0]:  # not in one frame alone, which lacks that injection
                 causes.add(Cause("current", pair))
-        return silent, causes or {Cause("currents")}  # of one frame, perhaps
+        return silent, causes or ({Cause("currents")} if pairs else set())  # of one frame, perhaps
 
 
 def _at_most(squares: float, freedom: int) -> float:
