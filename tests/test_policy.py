@@ -179,9 +179,10 @@ def test_two_contacts_weighed_together_are_located_better_than_by_turns() -> Non
     assert sums["position exact"] < 0.95 * sums["position"]
 
 
-def test_rankings_are_the_greedy_choice_for_their_cells() -> None:
+@pytest.mark.parametrize("size", [0.0, 0.3])
+def test_rankings_are_the_greedy_choice_for_their_cells(size: float) -> None:
     """Against choosing anew from all candidates, covariances computed in full."""
-    ranking = Ranking(table(), candidates(), depth=5, cell=0.05)
+    ranking = Ranking(table(), candidates(), depth=5, cell=0.05, size=size)
     prior = ContactPrior.usual(8e-3, 0.6, 0.5)
     low, high = table().places.min(axis=0), table().places.max(axis=0)
     cell = (high - low) / ranking.order.shape[:2]
@@ -193,7 +194,7 @@ def test_rankings_are_the_greedy_choice_for_their_cells() -> None:
         each = seen.swapaxes(-1, -2) @ seen  # (4, n, 4, 4)
         for rank in range(5):
             variances = np.diagonal(np.linalg.inv(information[:, None] + each), axis1=2, axis2=3)
-            counted = np.array([1.0, 1.0, 0.0, (0.3 * table().radius) ** 2])  # places (m), and radii by 0.3 of a place
+            counted = np.array([1.0, 1.0, 0.0, (size * table().radius) ** 2])  # places (m), and radii in part
             errors = (variances @ counted).mean(axis=0)
             assert errors[ranking.order[x, y, rank]] == pytest.approx(errors.min(), rel=1e-9)
             assert ranking.values[x, y, rank + 1] == pytest.approx(errors.min(), rel=1e-6)
@@ -258,10 +259,10 @@ def test_the_second_scan_is_the_ranking_given_the_base_scan() -> None:
     known = [int(k) for k in numbers(base_pattern(GRID))]
     drive = PositionDrive(GRID, lambda: (table(), candidates()), 5, base_pattern(GRID).injections)
     anchors = np.array([[0.07, 0.031], [0.071, 0.03], [0.069, 0.029]])
-    ranking = Ranking(table(), candidates(), depth=5, known=known, prior=ContactPrior.usual(8e-3, 2.5))
+    ranking = Ranking(table(), candidates(), depth=5, known=known, prior=ContactPrior.usual(8e-3, 2.5), size=0.3)
     pattern = drive.pattern([anchors])
     assert numbers(pattern) == ranking.order[ranking.cell_of(np.array([0.07, 0.03]))].tolist()
-    alone = Ranking(table(), candidates(), depth=5, prior=ContactPrior.usual(8e-3, 2.5))
+    alone = Ranking(table(), candidates(), depth=5, prior=ContactPrior.usual(8e-3, 2.5), size=0.3)
     assert (ranking.order != alone.order).any()  # what is known counts
     two = drive.pattern([anchors, anchors + 0.09])
     assert numbers(two)[0::2] == ranking.order[ranking.cell_of(np.array([0.07, 0.03]))][:3].tolist()

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.drive.bound import PARAMETERS, ContactPrior, contact_columns, position_goals
+from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
 from ohmskin.drive.design import Candidates, Search, greedy
 from ohmskin.drive.drive import Exploration, SecondScan, Target
 from ohmskin.drive.patterns import part_of
@@ -40,6 +40,7 @@ class Ranking:
         known: Numbers of injections that each frame measures anyway.
         prior: What is known of a contact in the cell; as much as a tracker knows unless given.
         cell: Width of a cell, about (m); 2.5 radii of a contact unless given. A cell takes some 7 ms.
+        size: What a radius that is not known counts, against a place (1).
 
     Attributes:
         order: (n_x, n_y, depth) numbers of injections, best first.
@@ -57,11 +58,13 @@ class Ranking:
         known: Sequence[int] = (),
         prior: ContactPrior | None = None,
         cell: float | None = None,
+        size: float = 0.0,
     ) -> None:
         cell = _CELL * table.radius if cell is None else cell
         prior = prior or ContactPrior.usual(table.radius, _TRACKED, _EFFECT)
         if depth < 1 or not cell > 0:
             raise PatternError(f"{depth} injections ranked in cells of {cell!r} m; both must be positive")
+        goals = np.concatenate([position_goals(1), [[[0.0, 0.0, 0.0, size * table.radius]]]], axis=1)
         low, high = table.places.min(axis=0), table.places.max(axis=0)
         self._shape = np.maximum(np.round((high - low) / cell).astype(int), 1)
         self._low, self._cell = low, (high - low) / self._shape
@@ -72,7 +75,7 @@ class Ranking:
             # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
             places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
             columns = contact_columns(table, prior.at(places))
-            rows, covariance, goal = candidates.problem(columns, prior.covariance(), contact_goals(1, table.radius))
+            rows, covariance, goal = candidates.problem(columns, prior.covariance(), goals)
             if len(known):
                 measured = rows[..., list(known), :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
                 information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
@@ -83,12 +86,6 @@ class Ranking:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
         x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
         return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
-
-
-def contact_goals(contacts: int, radius: float) -> Floats:
-    """The goals (n, 3, 4 n) of knowing the position of each contact, and its radius to some share of its own (m)."""
-    size = np.eye(PARAMETERS * contacts).reshape(contacts, PARAMETERS, -1)[:, 3:]
-    return np.concatenate([position_goals(contacts), _SIZE * radius * size], axis=1)
 
 
 def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple[Ints, Floats]:
@@ -171,7 +168,7 @@ class InformedPolicy(Exploration):
         table, candidates = self._known
         covariance = ContactPrior.usual(table.radius, _TRACKED, _EFFECT).covariance(targets)
         columns = np.hstack(list(contact_columns(table, targets)))
-        return Search(*candidates.problem(columns, covariance, contact_goals(len(targets), table.radius)), repeats=True)
+        return Search(*candidates.problem(columns, covariance, position_goals(len(targets))), repeats=True)
 
 
 class PositionDrive(SecondScan):
@@ -209,7 +206,7 @@ class PositionDrive(SecondScan):
 
 @lru_cache(maxsize=8)
 def _behind_base(table: ContactTable, candidates: Candidates, depth: int, base: tuple[int, ...]) -> Ranking:
-    return Ranking(table, candidates, depth, base, ContactPrior.usual(table.radius, _BASED))
+    return Ranking(table, candidates, depth, base, ContactPrior.usual(table.radius, _BASED), size=_SIZE)
 
 
 def _wherever(target: Target) -> list[Floats]:
