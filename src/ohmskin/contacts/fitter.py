@@ -3,44 +3,43 @@
 Whether there is one contact more is a test, not a threshold on an image. At each of a set of places, the score of a
 further contact there is compared with its noise (a generalised likelihood-ratio test); the bar is set by the rate of
 false alarms accepted, summed over all places (Bonferroni: the true rate is lower, as neighbouring places are alike).
-A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
+Whether a contact is two is another one, see `ContactFitter.several`.
 """
 
-from math import erf, log, sqrt
-from operator import attrgetter
+from dataclasses import replace
+from math import log, sqrt
 
 import numpy as np
 from scipy.special import ndtri
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts import kernels
-from ohmskin.contacts.finder import Contact
+from ohmskin.contacts.discs import STRONG, DiscFitter, cost_of
 from ohmskin.contacts.information import Errors, Information
-from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
+from ohmskin.contacts.solution import Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share
-from ohmskin.scan import Difference, DrivePattern
+from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 
-_LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
-SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
-_STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2
 _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
 _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
-_STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
+_APART = 1.15  # of it, from which on no shape of one contact looks like them
+_CLEAR = 3.0  # times more that one contact then leaves, from which on there are two whatever the model may get wrong
+_LOST = 0.7  # share of the data that contacts leave which explain little
+_COVERED = 0.25  # of what a contact costs, that an electrode does of which nothing is taken to be known
+_USUAL = 0.2  # share of the variance allowed to the model's errors that they usually take
+_HALF = 0.5  # of what is left, that a contact more must promise to explain if errors of the model might do it, too
 _PROMISED = 0.02  # share of the gain asked of a split that a small one must promise, to be worth a fit
-_WIDE = 1.5  # usual radii of a contact beyond which a pair in its place may be as far apart as it is wide
+_WIDE, _WIDEST = 1.5, 2.0  # usual radii of a contact beyond which a pair may be as far apart as it is wide, and must be
 _LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
-_BLUR = 1.4  # radii times the model's error: how far that may move a contact
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _ANGLES = np.arange(4) * np.pi / 4
 _AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
-_cost = attrgetter("cost")
 
 
-class ContactFitter:
+class ContactFitter(DiscFitter):
     """Explains data by contacts.
 
     Args:
@@ -56,11 +55,8 @@ class ContactFitter:
             deviation of its change since calibration (ohm); None: they are known.
 
     Attributes:
-        errors: How data err.
-        places: (n_places, 2) where new contacts are looked for (m).
         bar: Standard deviations by which the score of a new contact must stand out.
         split_bar: By how much two contacts must explain data better than one, in units of the noise's variance.
-        squares: Least and largest squared radius (m2).
 
     Raises:
         ModelError: If a setting is out of range.
@@ -85,18 +81,12 @@ class ContactFitter:
                 raise ModelError(f"{name} is {rate!r}; it must be a rate above 0 and below 1")
         if most < 1:
             raise ModelError(f"cannot look for {most} contacts; at least 1")
-        self.errors = Errors(noise, gain, contacts, model_error)
-        self.table, self.noise, self.model_error, self.bipolar, self.most = table, noise, model_error, bipolar, most
-        chosen = table.spaced(1.25 * table.radius)
-        self.places: Floats = table.places[chosen]
-        self._candidates = table.responses[chosen]
-        self._largest = (self._candidates**2).max(axis=0)
-        self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
+        super().__init__(table, Errors(noise, gain, contacts, model_error), bipolar)
+        self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        quiet = DrivePattern(np.array([[0, 1]]), np.array([[0, 0, 1]]))
-        told, _ = self.information(Difference(quiet, np.ones(1), np.zeros(1)))
-        self.refine(told, self.prior[0][None])  # compile now, not at the first contact
+        alone = np.ascontiguousarray(in_series(range(table.n_elec), table.n_elec).T)
+        self._at_electrodes = alone, table(table.electrodes).values  # (n_elec, n_pairs): in series, of contacts there
 
     @staticmethod
     def split_threshold(rate: float) -> float:
@@ -106,133 +96,6 @@ class ContactFitter:
         angle): chi-square of two degrees of freedom.
         """
         return -2 * log(rate)
-
-    # --- what is measured ---------------------------------------------------------------------------------------------
-
-    def information(self, *scans: Difference) -> tuple[Information, Information]:
-        """What one scan says, or several fused; and the same wary of the model's error.
-
-        Raises:
-            DataError: If no finite datum is left.
-        """
-        return Information.of(self.table.n_elec, self.errors, scans)
-
-    def allowance(self, data: Information) -> float:
-        """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
-        return 1 / (1 + (self.model_error * data.signal) ** 2)
-
-    def onto(self, positions: Floats) -> Floats:
-        """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
-        inside = np.array(positions, float)
-        for position in inside:
-            kernels.onto(position, *self.table.sheet)
-        return inside
-
-    def within(self, params: Floats) -> Floats:
-        """Parameters (n, 4 or more) with places on the sheet and radii that the table has."""
-        inside = params.copy()
-        inside[:, :2] = self.onto(params[:, :2])
-        inside[:, 3] = np.clip(params[:, 3], *self.squares)
-        return inside
-
-    def responses(self, params: Floats) -> tuple[Floats, Floats]:
-        """What contacts (n, 4) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
-        caused, slopes = kernels.responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
-        return caused, slopes.T
-
-    # --- one contact more? --------------------------------------------------------------------------------------------
-
-    def scores(self, left: Information) -> tuple[Floats, Floats]:
-        """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        power = np.einsum("pn,pn->p", self._candidates @ left.told.matrix[:-1, :-1], self._candidates)
-        least = 1e-12 * float(self._largest @ np.diag(left.white.matrix)[:-1])  # rounding reaches that far
-        return self._candidates @ left.told.vector[:-1], np.maximum(power, least)
-
-    def heights(self, score: Floats, power: Floats) -> Floats:
-        """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
-        return np.asarray((np.abs(score) if self.bipolar else score) / np.sqrt(power))
-
-    def added(self, data: Information, score: Floats, power: Floats, known: Floats | None = None) -> Solution:
-        """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
-        height = self.heights(score, power)
-        taken, starts = np.zeros(len(height), bool), list[Floats]()
-        for _ in range(_STARTS):
-            place = int(np.argmax(np.where(taken, -np.inf, height)))
-            if starts and height[place] < _PROMISE * height.max():
-                break
-            # near an electrode, the truth may lie on its other side
-            taken |= np.linalg.norm(self.places - self.places[place], axis=1) < 1.4 * self.table.radius
-            start = np.array([[*self.places[place], score[place] / power[place], self.table.radius**2]])
-            starts.append(start if known is None else np.vstack([known, start]))
-        return min((self.refine(data, start) for start in starts), key=_cost)
-
-    # --- fitting ------------------------------------------------------------------------------------------------------
-
-    @property
-    def prior(self) -> tuple[Floats, Floats]:
-        """What is known of a contact before any data: mean (4,) and information (4,). Little, except of its size."""
-        square, (low, high, *_) = self.table.radius**2, self.table.sheet
-        stds = np.array([*(high - low), 10 * np.pi * square, SQUARE_STD * square])
-        return np.array([*(low + high) / 2, 0.0, square]), stds**-2.0
-
-    def expected(self, effects: Floats) -> tuple[Floats, Floats]:
-        """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2); strong are large."""
-        (centre, precision), square = self.prior, self.table.radius**2
-        larger = np.maximum(1.0, np.abs(effects) / (_STRONG * np.pi * square))
-        means, precisions = (np.tile(one, (len(effects), 1)) for one in (centre, precision))
-        means[:, 3] *= larger
-        precisions[:, 3] /= larger**2
-        return means.ravel(), np.diag(precisions.ravel())
-
-    def refine(
-        self,
-        data: Information,
-        start: Floats,
-        mean: Floats | None = None,
-        information: Floats | None = None,
-        rounds: int = 40,
-    ) -> Solution:
-        """The contacts near `start` (n, 4) that explain the data best (Levenberg and Marquardt).
-
-        Args:
-            data: What is measured.
-            start: Where to start.
-            mean: (4 n,) believed before, `prior` unless given.
-            information: (4 n, 4 n) inverse of its covariance, likewise.
-            rounds: Most steps.
-        """
-        if mean is None or information is None:
-            mean, information = self.expected(start[:, 2])
-        radius, least = self.table.radius, -np.inf if self.bipolar else 1e-3 * self.table.radius**2
-        params = np.array(start[:, :PER_CONTACT], float)
-        cost, normal, caused, slopes = kernels.refined(
-            params, data.told.matrix, data.told.vector, data.told.constant,
-            np.asarray(mean, float), np.ascontiguousarray(information), rounds, radius, least, *self.squares,
-            self.table.sheet, self.table.spline,
-        )  # fmt: skip
-        return Solution(params, cost, normal, caused, slopes.T)
-
-    def contact(self, params: Floats, covariance: Floats) -> Contact:
-        """A contact to report, from its parameters (4,) and their covariance (4, 4)."""
-        x, y, effect, square = (float(value) for value in params)
-        # the model's own error moves a contact by about its share of two radii, however little noise there is
-        floor = (_BLUR * self.model_error * self.table.radius) ** 2
-        (xx, xy), (_, yy) = covariance[:2, :2] + floor * np.eye(2)
-        area = np.pi * square
-        return Contact(
-            position=(x, y),
-            extent=area,
-            strength=effect,
-            confidence=0.5 * (1 + erf(abs(effect) / (sqrt(2) * effect_std(covariance)))),
-            peak=effect / area,
-            covariance=((float(xx), float(xy)), (float(xy), float(yy))),
-            radius=sqrt(square),
-        )
-
-    def contacts(self, found: Solution) -> tuple[Contact, ...]:
-        """The contacts of a fit, strongest first."""
-        listed = [self.contact(*one) for one in zip(found.params, found.covariances, strict=True)]
-        return tuple(sorted(listed, key=lambda contact: -abs(contact.strength)))
 
     # --- one frame, nothing known before ------------------------------------------------------------------------------
 
@@ -244,55 +107,98 @@ class ContactFitter:
         """
         return self.explained(*self.information(*scans))
 
-    def explained(self, told: Information, data: Information) -> Solution:
-        """The contacts that explain what is measured, given as `information` gives it."""
+    def explained(self, told: Information, data: Information, bar: float | None = None) -> Solution:
+        """The contacts that explain what is measured, given as `information` gives it; `bar` as for `split`."""
         told, data = everything = told.beside_common(), data.beside_common()
-        found, covered = nothing(self.table.responses.shape[1]), tuple[int, ...]()
+        found, covered = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant), tuple[int, ...]()
         while len(found.params) < self.most:
             score, power = self.scores(told.less(found.caused).beside(found.slopes) if len(found.params) else told)
-            more = [self.split(told, data, found, k) for k in range(len(found.params))]
-            if self.heights(score, power).max() >= self.bar + self.model_error * told.size(found.caused):
+            more = [self.split(told, data, found, k, bar) for k in range(len(found.params))]
+            height, left = self.heights(score, power).max(), told.less(found.caused).told.constant
+            sure = height >= self.bar + self.model_error * told.size(found.caused)
+            if sure or height > max(self.bar, sqrt(_HALF * left)):
                 one = self.added(data, score, power, found.params)
                 away = ((one.params[:-1, :2] - one.params[-1, :2]) ** 2).sum(axis=1)
-                more += [one] if (away > one.params[:-1, 3]).all() else []  # what is left in a contact is its shape
+                beside = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
+                more += [one] if beside and (sure or self._clear(found, one, self.bar**2)) else []
             better = [self._cleared(data, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
-            strong = np.abs(found.params[:, 2]) > _STRONG * np.pi * self.table.radius**2
-            look = len(covered) < len(found.params) and (len(better) > 0 or bool(strong.any()))
-            under = self._over_an_electrode(everything, found, covered) if look else None
-            if under is not None:
+            strong = bool((np.abs(found.params[:, 2]) > STRONG * np.pi * self.table.radius**2).any())
+            under = None
+            if better or strong or self.poor(told, found.cost) or not len(found.params):
+                under = self._over_an_electrode(everything, found, covered, bool(better))
+            best = min(better, key=cost_of, default=None)
+            if under and (best is None or self._price(under[-1], len(under[0])) < self._price(best, len(covered))):
                 covered, told, data, found = under
-            elif better:
-                found = min(better, key=_cost)
+            elif best is not None:
+                found = best
             else:
                 break
-        return found
+        return replace(found, covered=covered)
+
+    def covered(self, params: Floats) -> list[int]:
+        """The electrodes under contacts (n, 4)."""
+        away = ((self.table.electrodes[:, None] - params[:, :2]) ** 2).sum(axis=2)
+        return [int(number) for number in np.flatnonzero((away < params[:, 3]).any(axis=1))]
+
+    def poor(self, told: Information, cost: float) -> bool:
+        """Whether a fit of that cost leaves more of what is measured than is usual, noise and the model's errors."""
+        share = self.allowance(told)
+        return cost > told.count * (share + _USUAL * (1 - share))
+
+    def _price(self, found: Solution, covered: int) -> float:
+        """What a fit leaves unexplained, and what its contacts and the electrodes covered cost (noise's variance)."""
+        return found.cost + self.bar**2 * (len(found.params) + _COVERED * covered)
 
     def _over_an_electrode(
-        self, everything: tuple[Information, Information], found: Solution, covered: tuple[int, ...]
+        self, everything: tuple[Information, Information], found: Solution, covered: tuple[int, ...], better: bool
     ) -> tuple[tuple[int, ...], Information, Information, Solution] | None:
         """The data explained by a contact that covers one electrode more, if that explains them significantly better.
 
         A contact changes the resistance of an electrode under it by less than its response, singular there, says; so
-        nothing is taken to be known of that. Electrodes, what is left of the data, and the contacts.
+        nothing is taken to be known of that. Electrodes, what is left of the data, and the contacts. Where contacts
+        explain little, or much is left and nothing is `better`, an electrode far from all of them may be the one.
         """
-        tried, electrodes = [], self.table.electrodes
-        near = ((electrodes[:, None] - found.params[:, :2]) ** 2).sum(axis=2) < self.squares[1]
+        if len(covered) >= max(len(found.params), 1):
+            return None
+        tried = []
+        near = ((self.table.electrodes[:, None] - found.params[:, :2]) ** 2).sum(axis=2) < self.squares[1]
         near[list(covered)] = False
-        for number, k in np.argwhere(near).tolist():
-            under = *covered, number
-            told, data = (one.beside(in_series(under, self.table.n_elec)) for one in everything)
-            # in place of one contact, and of all: the others may be there only because of the electrode
-            replaced = [np.delete(found.params, k, axis=0), found.params[:0]]
-            for others in replaced if len(found.params) > 1 else replaced[:1]:
+        # in place of one contact, and of all: the others may be there only because of the electrode
+        looks = [(number, [np.delete(found.params, k, axis=0), found.params[:0]]) for number, k in np.argwhere(near)]
+        told, data = everything
+        lost = bool(len(found.params)) and found.cost > _LOST * data.told.constant
+        if lost or (not better and (self.poor(told, found.cost) or not len(found.params))):
+            looks += [(number, [found.params, found.params[:0]]) for number in self._likely(told, found, covered)]
+        for number, replaced in looks:
+            under = *covered, int(number)
+            told, data = (one.leaving_out(in_series(under, self.table.n_elec)) for one in everything)
+            for others in replaced if len(replaced[0]) else replaced[:1]:
                 rest = self.refine(data, others) if len(others) else nothing(len(found.caused))
                 score, power = self.scores(told.less(rest.caused).beside(rest.slopes))
                 one = self._cleared(data, self.added(data, score, power, rest.params))
-                over = ((one.params[:, :2] - electrodes[number]) ** 2).sum(axis=1) < one.params[:, 3]
-                worth = self.bar**2 * (1 + len(one.params) - len(found.params))
-                if over.any() and found.cost - one.cost > worth:
+                if number in self.covered(one.params) and self._price(one, len(under)) < self._price(
+                    found, len(covered)
+                ):
                     tried.append((under, told, data, one))
-        return min(tried, key=lambda each: each[3].cost + self.bar**2 * len(each[3].params), default=None)
+        return min(tried, key=lambda each: self._price(each[3], 0), default=None)
+
+    def _likely(self, told: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
+        """The electrode that one contact more most likely covers, if there is one that promises a contact at all.
+
+        That is told by what the contact does beside the electrode's own resistance.
+        """
+        left, (alone, over) = told.less(found.caused).told, self._at_electrodes
+        matrix, vector = left.matrix[:-1, :-1], left.vector[:-1]
+        seen, through = alone @ matrix, over @ matrix
+        own, mixed = (seen * alone).sum(axis=1), (seen * over).sum(axis=1)
+        own = np.maximum(own, 1e-12 * np.max(own))  # of electrodes that are not driven nothing is seen
+        score = over @ vector - mixed * (alone @ vector) / own
+        power = (through * over).sum(axis=1) - mixed**2 / own
+        height = self.heights(score, np.maximum(power, 1e-9 * np.max(power)))
+        height[list(covered)] = -np.inf
+        enough = height.max() > self.bar + self.model_error * told.size(found.caused)
+        return [int(np.argmax(height))] if enough else []
 
     def _cleared(self, data: Information, found: Solution) -> Solution:
         """The fit without contacts that turn out not to be needed, now that all have been refined together."""
@@ -339,12 +245,38 @@ class ContactFitter:
         pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in likely)
         starts = [np.vstack([others, pair]) for pair in pairs]
         tried = [self.refine(data, start, mean, information, _FEW) for start in starts]
-        two = self.refine(data, min(tried, key=_cost).params, mean, information)
-        away = np.linalg.norm(two.params[-1, :2] - two.params[-2, :2])
-        if away < _OVERLAP * np.sqrt(two.params[-2:, 3]).sum():
-            return None
-        return two if self.gained(told, found, two) > bar else None
+        two = self.refine(data, min(tried, key=cost_of).params, mean, information)
+        least = _OVERLAP if own < _WIDEST * usual else _APART
+        return two if _distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
+
+    def several(self, told: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
+        """Whether there are two contacts, the last ones, rather than one.
+
+        There are if two gain more than noise and all that the model may get wrong of one (`gained`), or if they are so
+        far apart that no shape of one looks like them, and explain most of what one leaves beyond errors of the model.
+
+        Args:
+            told: What is measured.
+            one: It explained with one contact.
+            two: It explained with two.
+            bar: The least gain, in units of the noise's variance.
+            share: Of what is asked.
+        """
+        if self.gained(told, one, two) > share * bar:
+            return True
+        return self._clear(one, two, bar, share)
+
+    @staticmethod
+    def _clear(few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
+        """Whether one contact more, the last one, explains most of what is left, and is apart from all others."""
+        gaps = [_distance(many.params[[k, -1]]) for k in range(len(many.params) - 1)]
+        return few.cost > max(share * _CLEAR, 1) * max(many.cost, bar) and min(gaps, default=np.inf) > _APART
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
         return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
+
+
+def _distance(pair: Floats) -> float:
+    """Distance of two contacts (2, 4) over the sum of their radii (1)."""
+    return float(np.linalg.norm(pair[0, :2] - pair[1, :2]) / np.sqrt(pair[:, 3]).sum())

@@ -190,8 +190,17 @@ class Information:
 
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""
+        return self.without(self._unknown(directions))
+
+    def leaving_out(self, directions: Floats) -> "Information":
+        """What is said if changes (n_pairs or n, k) count for nothing, not in the size of others either."""
+        unknown = self._unknown(directions)
+        return replace(self, told=self.told.without(unknown), white=self.white.without(unknown))
+
+    def _unknown(self, directions: Floats) -> Floats:
+        """Changes (n_pairs or n, k) as large as they are where nothing is known of them."""
         sizes = np.array([self.size(direction) for direction in directions.T])
-        return self.without(directions[:, sizes > 0] / (_UNSAID * sizes[sizes > 0]))
+        return np.asarray(directions[:, sizes > 0] / (_UNSAID * sizes[sizes > 0]))
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""

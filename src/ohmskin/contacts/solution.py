@@ -20,6 +20,7 @@ class Solution:
         normal: (4 n, 4 n) curvature: the inverse of their covariance.
         caused: (n_pairs,) what they change of the two-terminal resistances (ohm).
         slopes: (n_pairs, 4 n) its derivatives by their parameters.
+        covered: Electrodes under them of whose resistance nothing is taken to be known.
     """
 
     params: Floats
@@ -27,6 +28,7 @@ class Solution:
     normal: Floats
     caused: Floats
     slopes: Floats
+    covered: tuple[int, ...] = ()
 
     @property
     def covariance(self) -> Floats:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.scan import Difference
+from ohmskin.scan.pairs import in_series
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.residuals import Reading
 from ohmskin.tracking.state import TrackState
@@ -14,7 +15,7 @@ _RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned 
 
 
 def without_drift(state: TrackState, fitter: ContactFitter, difference: Difference) -> Reading:
-    """A frame without the drift and the temperature of the state.
+    """A frame without the drift and the temperature of the state, beside resistances of electrodes under contacts.
 
     Raises:
         DataError: If no finite datum is left.
@@ -24,6 +25,8 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
         volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
     corrected = replace(difference, volts=volts)
     data, wary = fitter.information(corrected)
+    if state.covered:
+        data, wary = (each.leaving_out(in_series(state.covered, fitter.table.n_elec)) for each in (data, wary))
     beside = (each.beside_common(state.common_drift[1]) for each in (data, wary))
     return Reading(corrected, data, *beside)
 

@@ -22,7 +22,7 @@ from ohmskin.tracking.drift import learned, with_common_drift, without_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Reading, Residuals
-from ohmskin.tracking.revision import revision_threshold, with_revision
+from ohmskin.tracking.revision import just_came, revision_threshold, with_revision
 from ohmskin.tracking.state import STATE, TrackState
 
 _WARM = 0.01  # by how much all resistances may have changed together before the first frame
@@ -74,13 +74,15 @@ class ContactFilter:
         if not (np.isfinite(elapsed) and elapsed >= 0):
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
         fitter, motion = self.fitter, self.motion
-        before = replace(moved(state, fitter, motion, elapsed), suspects=())
+        before = moved(state, fitter, motion, elapsed)
+        under = set(fitter.covered(before.params[before.pressing]))
+        before = replace(before, suspects=(), covered=tuple(e for e in state.covered if e in under))
         reading = without_drift(before, fitter, difference)
         state, seen = self._corrected(before, reading)
         state = self._remembered(before, state, reading, seen, elapsed)
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
         state = with_lifts(with_common_drift(state, fitter), fitter, self.bar, motion.settling, elapsed)
-        if state.turn % _REVISE_EVERY == 0:
+        if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history:
             state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.optimize import linear_sum_assignment
 
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
@@ -14,12 +15,19 @@ from ohmskin.tracking.state import STATE, TrackState
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
 NEAR = 4.0  # radii, within which two contacts may be one
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
+_RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
 _HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again
 
 
 def revision_threshold(fitter: ContactFitter) -> float:
     """By how much two contacts must explain the last frames better than one, if they are looked at again and again."""
     return fitter.split_threshold(fitter.false_twos / _TRIALS)
+
+
+def just_came(state: TrackState) -> bool:
+    """Whether a contact came as many frames ago as its first look afresh takes."""
+    before = state.history[_RESTED - 1].time if len(state.history) >= _RESTED else None
+    return any(state.tracks[k].since == before for k in state.pressing)
 
 
 def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: float, turn: int) -> TrackState:
@@ -33,6 +41,8 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
         turn: Which contact's turn it is to be looked at for two, counted on from one revision to the next.
     """
     pressing = state.pressing
+    if (seen := _afresh(state, fitter, bar, speed)) is not None:
+        return seen
     for k in pressing:
         young = state.tracks[k].since >= state.history[-1].time  # its first frame may have misled
         if young and (placed := _placed(state, fitter, speed, k)) is not None:
@@ -48,9 +58,33 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     return state
 
 
+def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) -> TrackState | None:
+    """The state with other contacts, if these explain the last frames, in which all rested, significantly better."""
+    pressing = state.pressing
+    if not pressing:
+        return None
+    used, told, data = _resting(state, fitter, pressing)
+    if used < _RESTED:
+        return None
+    here = fitter.refine(data, state.params[pressing])
+    if not fitter.poor(told, here.cost):
+        return None
+    there = fitter.explained(told, data, bar)
+    more = max(len(there.params) - len(here.params), 0)
+    if fitter.poor(told, there.cost) or here.cost - there.cost < _ELSEWHERE + more * fitter.bar**2:
+        return None  # nothing gained, or something else than contacts disturbs
+    away = np.linalg.norm(there.params[:, None, :2] - state.mean[pressing, :2], axis=2)
+    named = dict(zip(*linear_sum_assignment(away), strict=True))
+    after = state.without(pressing)
+    for n, (params, covariance) in enumerate(zip(there.params, there.covariances, strict=True)):
+        name = state.tracks[pressing[named[n]]].id if n in named else None
+        after = after.with_contact(params, covariance, speed, name)
+    return replace(after, history=(), covered=tuple({*state.covered, *there.covered}))
+
+
 def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
     """The state with one contact where the frames since it came want it, if that is elsewhere."""
-    told, data = _resting(state, fitter, [k])
+    _, told, data = _resting(state, fitter, [k])
     here, there = fitter.refine(data, state.params[[k]]), fitter.added(data, *fitter.scores(told))
     if here.cost - there.cost < _ELSEWHERE:
         return None
@@ -64,7 +98,7 @@ def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> T
 
 def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k: int) -> TrackState:
     """The state with one contact as two, if these explain the last frames better; the closer one keeps the name."""
-    told, data = _resting(state, fitter, [k])
+    _, told, data = _resting(state, fitter, [k])
     two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar)
     if two is None:
         return state
@@ -78,20 +112,21 @@ def _merged(
     state: TrackState, fitter: ContactFitter, bar: float, speed: float, both: tuple[int, int]
 ) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
-    told, data = _resting(state, fitter, both)
+    _, told, data = _resting(state, fitter, both)
     pair = state.params[list(both)]
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
     start = weight @ pair
     start[2] = pair[:, 2].sum()
     two, one = fitter.refine(data, pair), fitter.refine(data, start[None])
-    if fitter.gained(told, one, two) > _HYSTERESIS * bar:
+    if fitter.several(told, one, two, bar, _HYSTERESIS):
         return None
     kept = min(state.tracks[k].id for k in both)
     return replace(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
-def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) -> tuple[Information, Information]:
-    """What the newest frames say in which the chosen contacts rested, less the others; and the same as it is fitted."""
+def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) -> tuple[int, Information, Information]:
+    """In how many of the newest frames the chosen contacts rested; what these say, less the others; and as it is
+    fitted."""
     chosen = list(chosen)
     speed = float(np.linalg.norm(state.mean[chosen, PER_CONTACT:], axis=1).max())
     came = max(state.tracks[k].since for k in chosen)
@@ -108,4 +143,4 @@ def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) ->
     others = fitter.responses(np.delete(state.params, chosen, axis=0))[0]
     told = Information.together([reading.beside for reading in used])
     data = Information.together([reading.wary for reading in used])
-    return told.less(others), data.less(others)
+    return len(used), told.less(others), data.less(others)

@@ -49,6 +49,7 @@ class TrackState:
         history: The last frames, newest first.
         unexplained: Share of what the newest frame says that the contacts do not explain.
         suspects: Electrodes that alone told of a contact in the newest frame.
+        covered: Electrodes under contacts of whose resistance nothing is taken to be known, see `Solution`.
     """
 
     tracks: tuple[Track, ...]
@@ -64,6 +65,7 @@ class TrackState:
     history: tuple[Residuals, ...] = field(default=(), repr=False)
     unexplained: float = 0.0
     suspects: tuple[int, ...] = ()
+    covered: tuple[int, ...] = ()
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least so many injections together, less drift and temperature, newest first."""

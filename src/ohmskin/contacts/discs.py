@@ -1,0 +1,177 @@
+"""Discs fitted to data: so many as one is told to look for, places, effects and radii free.
+
+A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
+"""
+
+from math import erf, sqrt
+from operator import attrgetter
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import kernels
+from ohmskin.contacts.finder import Contact
+from ohmskin.contacts.information import Errors, Information
+from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std
+from ohmskin.forward import ContactTable
+from ohmskin.scan import Difference, DrivePattern
+
+_LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
+SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
+STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2
+_STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
+_BLUR = 1.4  # radii times the model's error: how far that may move a contact
+cost_of = attrgetter("cost")
+
+
+class DiscFitter:
+    """Fits discs to data.
+
+    Args:
+        table: Responses of contacts.
+        errors: How data err.
+        bipolar: Whether contacts may lower the conductivity, too.
+
+    Attributes:
+        model_error: How far the model of a contact errs, as a share of its signal (1).
+        places: (n_places, 2) where new contacts are looked for (m).
+        squares: Least and largest squared radius (m2).
+    """
+
+    def __init__(self, table: ContactTable, errors: Errors, bipolar: bool = False) -> None:
+        self.table, self.errors, self.bipolar, self.model_error = table, errors, bipolar, errors.model
+        chosen = table.spaced(1.25 * table.radius)
+        self.places: Floats = table.places[chosen]
+        self._candidates = table.responses[chosen]
+        self._largest = (self._candidates**2).max(axis=0)
+        self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
+        quiet = DrivePattern(np.array([[0, 1]]), np.array([[0, 0, 1]]))
+        told, _ = self.information(Difference(quiet, np.ones(1), np.zeros(1)))
+        self.refine(told, self.prior[0][None])  # compile now, not at the first contact
+
+    # --- what is measured ---------------------------------------------------------------------------------------------
+
+    def information(self, *scans: Difference) -> tuple[Information, Information]:
+        """What one scan says, or several fused; and the same wary of the model's error.
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        return Information.of(self.table.n_elec, self.errors, scans)
+
+    def allowance(self, data: Information) -> float:
+        """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
+        return 1 / (1 + (self.model_error * data.signal) ** 2)
+
+    def onto(self, positions: Floats) -> Floats:
+        """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
+        inside = np.array(positions, float)
+        for position in inside:
+            kernels.onto(position, *self.table.sheet)
+        return inside
+
+    def within(self, params: Floats) -> Floats:
+        """Parameters (n, 4 or more) with places on the sheet and radii that the table has."""
+        inside = params.copy()
+        inside[:, :2] = self.onto(params[:, :2])
+        inside[:, 3] = np.clip(params[:, 3], *self.squares)
+        return inside
+
+    def responses(self, params: Floats) -> tuple[Floats, Floats]:
+        """What contacts (n, 4) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
+        caused, slopes = kernels.responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
+        return caused, slopes.T
+
+    # --- one contact more? --------------------------------------------------------------------------------------------
+
+    def scores(self, left: Information) -> tuple[Floats, Floats]:
+        """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
+        power = np.einsum("pn,pn->p", self._candidates @ left.told.matrix[:-1, :-1], self._candidates)
+        least = 1e-12 * float(self._largest @ np.diag(left.white.matrix)[:-1])  # rounding reaches that far
+        return self._candidates @ left.told.vector[:-1], np.maximum(power, least)
+
+    def heights(self, score: Floats, power: Floats) -> Floats:
+        """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
+        return np.asarray((np.abs(score) if self.bipolar else score) / np.sqrt(power))
+
+    def added(self, data: Information, score: Floats, power: Floats, known: Floats | None = None) -> Solution:
+        """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
+        height = self.heights(score, power)
+        taken, starts = np.zeros(len(height), bool), list[Floats]()
+        for _ in range(_STARTS):
+            place = int(np.argmax(np.where(taken, -np.inf, height)))
+            if starts and height[place] < _PROMISE * height.max():
+                break
+            # near an electrode, the truth may lie on its other side
+            taken |= np.linalg.norm(self.places - self.places[place], axis=1) < 1.4 * self.table.radius
+            start = np.array([[*self.places[place], score[place] / power[place], self.table.radius**2]])
+            starts.append(start if known is None else np.vstack([known, start]))
+        return min((self.refine(data, start) for start in starts), key=cost_of)
+
+    # --- fitting ------------------------------------------------------------------------------------------------------
+
+    @property
+    def prior(self) -> tuple[Floats, Floats]:
+        """What is known of a contact before any data: mean (4,) and information (4,). Little, except of its size."""
+        square, (low, high, *_) = self.table.radius**2, self.table.sheet
+        stds = np.array([*(high - low), 10 * np.pi * square, SQUARE_STD * square])
+        return np.array([*(low + high) / 2, 0.0, square]), stds**-2.0
+
+    def expected(self, effects: Floats) -> tuple[Floats, Floats]:
+        """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2); strong are large."""
+        (centre, precision), square = self.prior, self.table.radius**2
+        larger = np.maximum(1.0, np.abs(effects) / (STRONG * np.pi * square))
+        means, precisions = (np.tile(one, (len(effects), 1)) for one in (centre, precision))
+        means[:, 3] *= larger
+        precisions[:, 3] /= larger**2
+        return means.ravel(), np.diag(precisions.ravel())
+
+    def refine(
+        self,
+        data: Information,
+        start: Floats,
+        mean: Floats | None = None,
+        information: Floats | None = None,
+        rounds: int = 40,
+    ) -> Solution:
+        """The contacts near `start` (n, 4) that explain the data best (Levenberg and Marquardt).
+
+        Args:
+            data: What is measured.
+            start: Where to start.
+            mean: (4 n,) believed before, `prior` unless given.
+            information: (4 n, 4 n) inverse of its covariance, likewise.
+            rounds: Most steps.
+        """
+        if mean is None or information is None:
+            mean, information = self.expected(start[:, 2])
+        radius, least = self.table.radius, -np.inf if self.bipolar else 1e-3 * self.table.radius**2
+        params = np.array(start[:, :PER_CONTACT], float)
+        cost, normal, caused, slopes = kernels.refined(
+            params, data.told.matrix, data.told.vector, data.told.constant,
+            np.asarray(mean, float), np.ascontiguousarray(information), rounds, radius, least, *self.squares,
+            self.table.sheet, self.table.spline,
+        )  # fmt: skip
+        return Solution(params, cost, normal, caused, slopes.T)
+
+    def contact(self, params: Floats, covariance: Floats) -> Contact:
+        """A contact to report, from its parameters (4,) and their covariance (4, 4)."""
+        x, y, effect, square = (float(value) for value in params)
+        # the model's own error moves a contact by about its share of two radii, however little noise there is
+        floor = (_BLUR * self.model_error * self.table.radius) ** 2
+        (xx, xy), (_, yy) = covariance[:2, :2] + floor * np.eye(2)
+        area = np.pi * square
+        return Contact(
+            position=(x, y),
+            extent=area,
+            strength=effect,
+            confidence=0.5 * (1 + erf(abs(effect) / (sqrt(2) * effect_std(covariance)))),
+            peak=effect / area,
+            covariance=((float(xx), float(xy)), (float(xy), float(yy))),
+            radius=sqrt(square),
+        )
+
+    def contacts(self, found: Solution) -> tuple[Contact, ...]:
+        """The contacts of a fit, strongest first."""
+        listed = [self.contact(*one) for one in zip(found.params, found.covariances, strict=True)]
+        return tuple(sorted(listed, key=lambda contact: -abs(contact.strength)))
