@@ -1,7 +1,7 @@
 """What contradicts is left out and told: loose wires, hum, offsets, spikes, clipping, currents that cannot be."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -25,16 +25,10 @@ class FaultyDevice(DirectDevice):
 
     def __init__(self, skin: Skin, seed: int) -> None:
         super().__init__(VirtualSkin(skin, seed, contacts=4))
-        self.sound, self.spoil = self.virtual, None
-        self.spoil: Spoil | None
+        self.spoil: Spoil | None = None
 
     def break_wire(self, electrode: int | None) -> None:
-        self.become(self.sound.skin, [] if electrode is None else [Fault("open", (electrode,))])
-
-    def become(self, skin: Skin, faults: Sequence[Fault] = ()) -> None:
-        former, self.virtual = self.virtual, VirtualSkin(skin, 99, faults, contacts=4)
-        self.virtual.reset(99, former.presses.values())
-        self.virtual._time = former._time
+        self.virtual.rewire(*([] if electrode is None else [Fault("open", (electrode,))]))
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         frame = super()._scan(pattern, timeout)
@@ -171,9 +165,9 @@ def test_an_electrode_that_opens_is_named_and_left_out_until_it_is_mended(engine
     engine.press(0, AT, RADIUS, 0.0)
     assert sum(counts(run(engine, 12)[4:])) == 0
     device.break_wire(None)
-    mended = device.virtual._time
+    mended = device.virtual.time
     while engine.step().percept.diagnosis.bad:  # type: ignore[union-attr]
-        assert device.virtual._time - mended < 1.0
+        assert device.virtual.time - mended < 1.0
     engine.press(0, AT, RADIUS, PRESSURE)
     assert np.median(misses(run(engine, 16)[4:])) < 1.2 * sound + 1e-4
 
@@ -242,8 +236,8 @@ def test_a_frame_without_any_good_value_is_skipped_and_told(engine: Engine, volt
     device.spoil = lambda frame: replace(frame, voltages=np.full(frame.voltages.shape, volts))
     assert set(counts(run(engine, 4))) == {1}
     assert "no voltage can be used" in engine.message
-    begin = device.virtual._time
-    while device.virtual._time < begin + 0.8:  # nothing doubtful is shown as certain
+    begin = device.virtual.time
+    while device.virtual.time < begin + 0.8:  # nothing doubtful is shown as certain
         touch = engine.step()
     assert touch is not None
     assert not touch.contacts
@@ -296,11 +290,11 @@ def test_what_no_contacts_explain_is_told_and_lowers_confidence(engine: Engine) 
     engine.press(0, AT, RADIUS, 0.0)
     run(engine, 12)
     device = device_of(engine)
-    device.become(engine.skin, [Fault("swap", (1, 7))])
-    begin = device.virtual._time
+    device.virtual.rewire(Fault("swap", (1, 7)))
+    begin = device.virtual.time
     while "no contacts explain what has changed" not in engine.message:
         (touch,) = run(engine, 1)
-        assert device.virtual._time < begin + 1.0
+        assert device.virtual.time < begin + 1.0
     assert all(contact.confidence < 0.7 for contact in touch.contacts)
 
 

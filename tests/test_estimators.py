@@ -680,13 +680,14 @@ def test_close_contacts_are_found_by_splitting_one() -> None:
         assert min(np.linalg.norm(np.subtract(one.position, contact[:2])) for one in found) < 0.003
 
 
-def test_contacts_come_strongest_first_and_the_too_weak_not_at_all() -> None:
-    """Effects of 20 : 5 : 1 at next to no noise; the weakest is below what a tenth of the strongest's signal, wrongly
-    modelled, may look like."""
+def test_contacts_come_strongest_first_and_the_weakest_is_found_far_from_the_others() -> None:
+    """Effects of 20 : 5 : 1 at next to no noise. The weakest is below what a tenth of the strongest's signal, wrongly
+    modelled, may look like; but it is apart from the others, and explains most of what they leave."""
     contacts = (0.05, 0.05, 0.012, 0.05), (0.15, 0.06, 0.012, 1.0), (0.1, 0.15, 0.012, 0.25)
     difference = touch(*contacts, noise=2e-5)
     doubtful, sure = (fitter(2e-5, model_error=share) for share in (0.1, 0.002))
-    strongest, second = doubtful.contacts(doubtful.fit(difference))
+    strongest, second, weakest = doubtful.contacts(doubtful.fit(difference))
+    assert np.linalg.norm(np.subtract(weakest.position, (0.05, 0.05))) < 0.005
     assert np.linalg.norm(np.subtract(strongest.position, (0.15, 0.06))) < 0.002
     assert np.linalg.norm(np.subtract(second.position, (0.1, 0.15))) < 0.002
     everything = sure.contacts(sure.fit(difference))

@@ -37,9 +37,8 @@ class VirtualSkin:
     """
 
     def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = (), contacts: int = 8) -> None:
-        self.skin = skin
-        self.wiring = Wiring(faults, len(skin.electrodes))
-        self.sheet = _sheet(skin, tuple(self.wiring.contact_factors.tolist()), contacts)
+        self.skin, self._contacts = skin, contacts
+        self._wire(faults)
         self.reset(seed)
 
     def reset(self, seed: int | Sequence[int] | None = None, presses: Iterable[Press] = ()) -> None:
@@ -57,6 +56,24 @@ class VirtualSkin:
         self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._time = 0.0
         self._sequence = 0
+
+    def rewire(self, *faults: Fault) -> None:
+        """Have these faults from now on, and no others; clock and presses stay.
+
+        Raises:
+            SkinError: If a fault names an electrode that is not there, or two faults name the same one.
+        """
+        self._wire(faults)
+        self._resistance = self._pressed_resistance()
+
+    def _wire(self, faults: Sequence[Fault]) -> None:
+        self.wiring = Wiring(faults, len(self.skin.electrodes))
+        self.sheet = _sheet(self.skin, tuple(self.wiring.contact_factors.tolist()), self._contacts)
+
+    @property
+    def time(self) -> float:
+        """The instrument's clock (s)."""
+        return self._time
 
     @property
     def presses(self) -> dict[int, Press]:
