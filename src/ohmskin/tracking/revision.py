@@ -79,7 +79,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     for n, (params, covariance) in enumerate(zip(there.params, there.covariances, strict=True)):
         name = state.tracks[pressing[named[n]]].id if n in named else None
         after = after.with_contact(params, covariance, speed, name)
-    return replace(after, history=(), covered=tuple({*state.covered, *there.covered}))
+    return replace(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})))
 
 
 def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
