@@ -220,6 +220,21 @@ def test_spikes_make_no_contacts_and_are_told(engine: Engine) -> None:
     assert engine.message
 
 
+def test_rare_spikes_blame_no_electrode(engine: Engine) -> None:
+    random = np.random.default_rng(6)
+
+    def spoil(frame: Frame) -> Frame:
+        volts = frame.voltages.copy()
+        volts[random.integers(len(volts))] += random.choice([-0.1, 0.1]) * (random.random() < 0.1)
+        return replace(frame, voltages=volts)
+
+    run(engine, 10)
+    device_of(engine).spoil = spoil
+    touches = run(engine, 150)
+    assert sum(counts(touches)) == 0
+    assert not any(touch.percept.diagnosis.bad for touch in touches)
+
+
 def test_values_that_stop_at_one_size_are_taken_for_clipped(engine: Engine) -> None:
     run(engine, 10)
     device_of(engine).spoil = lambda frame: replace(frame, voltages=np.clip(frame.voltages, -0.1, 0.1))

@@ -22,6 +22,7 @@ _UNSAID = 1e-4  # share of its size in the data by which a direction of which no
 _COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
 _SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
 _ROUNDING = 1e-13  # of sums of squares
+_RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where data say nothing
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
 _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
 
@@ -184,9 +185,18 @@ class Information:
 
     def unexplained(self, caused: Floats) -> float:
         """Share of what is said beyond noise, if that is much, that is left beside what contacts cause (n_pairs,)."""
-        beside = self.beside_common()
-        said, left = (each.told.constant - each.count for each in (beside, beside.less(caused)))
+        said, left = self.signals(caused)
         return min(max(left / said, 0.0), 1.0) if said > _SAID * self.count else 0.0
+
+    def signals(self, caused: Floats) -> tuple[float, float]:
+        """What is said beyond noise, and what of it is left beside what contacts cause (n_pairs,); squared sizes."""
+        beside = self.beside_common()
+        return beside.told.constant - self.count, beside.less(caused).told.constant - self.count
+
+    def drift(self) -> Floats:
+        """Change (n_pairs,) of each two-terminal resistance that explains what is said; none where nothing is (ohm)."""
+        matrix, ridge = self.told.matrix[:-1, :-1], _RIDGE * np.trace(self.white.matrix[:-1, :-1]) / self.count
+        return np.asarray(np.linalg.solve(matrix + ridge * np.eye(len(matrix)), self.told.vector[:-1]))
 
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""

@@ -18,7 +18,7 @@ from ohmskin.scan import Difference, Frame
 from ohmskin.scan.coherence import Coherence, Instrument, NetworkData
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset
+from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset, without_spikes
 
 _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
@@ -71,7 +71,8 @@ class FaultDetector:
         """
         now, looked, noise = before.time + elapsed, self._looked(before, scans), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
-        causes |= {Cause("open", (suspect,)) for suspect in suspects}
+        suspected = {Cause("open", (suspect,)) for suspect in suspects}
+        causes |= suspected
         unlike = before.unlike - np.expm1(-elapsed / _SLOWLY) * (unexplained - before.unlike)
         causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
         lost = self._lost(frames)
@@ -90,7 +91,8 @@ class FaultDetector:
                 causes |= {Cause("noise")} if error > _NOISY * noise else set()
             else:
                 causes.add(remedy.cause)
-                cleaned = cleaned if remedy.cause.electrodes else _repaired(scans, remedy)
+                repaired = _repaired(looked, remedy)
+                cleaned = cleaned if remedy.cause.electrodes else repaired[: len(scans)]
         elif Cause("offset") in before.lately:  # hum passes through nothing twice a period, where it is not doubted
             data, kept, _ = self._data(looked, before.bad)
             remedy = next(without_offset(data, kept), None)
@@ -110,12 +112,12 @@ class FaultDetector:
             offsets=offsets,
             error=max(error, before.error * exp(-elapsed / HELD)),
             fits=tuple(fits),
-            scans=looked if self._window else (),
+            scans=() if not self._window else looked if remedy is None or remedy.off is not None else repaired,
             puzzled=puzzled,
             unlike=float(unlike),
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
-        ).told(causes, noise)
+        ).told(causes, noise, suspected)
         return after, self.without_bad(after, cleaned)
 
     def without_bad(self, diagnosis: Diagnosis, scans: Sequence[Difference]) -> tuple[Difference, ...]:
@@ -153,7 +155,7 @@ class FaultDetector:
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise
         if self._window:  # a finger may have come between one scan and the next
-            return next(without_offset(data, kept), None), whole.noise
+            return next(without_offset(data, kept), None) or without_spikes(data, kept, whole), whole.noise
         times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
         return likeliest(data, kept, whole, times, self._most - len(before.bad)), whole.noise
 

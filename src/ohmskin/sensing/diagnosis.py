@@ -86,18 +86,19 @@ class Diagnosis:
         """Whether anything was wrong lately."""
         return bool(self.findings or self.bad or self.lately)
 
-    def told(self, causes: set[Cause], noise: float) -> "Diagnosis":
+    def told(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
         """The same with what is to be told: seen several times lately, or told before and not long gone.
 
         Args:
             causes: What was wrong with the newest frame.
             noise: Standard deviation of a voltage on the quiet skin (V).
+            confirmed: Of the causes those that are to be told at once.
         """
         seen = {
             one: at for one, times in self.seen.items() if (at := tuple(t for t in times if self.time - t < _WITHIN))
         }
         seen |= {cause: (*seen.get(cause, ()), self.time) for cause in causes}
-        before = {finding.cause for finding in self.findings}
+        before = {finding.cause for finding in self.findings} | confirmed
         lately = {cause: times for cause, times in seen.items() if self.time - times[-1] < HELD}
         causes = {cause for cause, times in lately.items() if len(times) >= _TOLD or cause in before}
         findings = tuple(Finding(cause, self._words(cause, noise)) for cause in sorted(causes))

@@ -11,16 +11,27 @@ from typing import Protocol
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts import Contact, ContactFinder, ContactFitter
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution
+from ohmskin.contacts.information import Information
+from ohmskin.contacts.solution import nothing
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
 from ohmskin.registry import Registry
 from ohmskin.scan import Difference
+from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
-_FOLLOWED = 2.0  # s of quiet in which a change of contact impedances is followed to 1/e
+_FOLLOWED = (
+    2.0  # s in which a change of contact impedances, or of anything that no contact explains, is followed to 1/e
+)
+_LEARNED = 0.1  # s between frames that tell of the latter
+_DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
+_SURE, _LITTLE = (
+    2.0,
+    10.0,
+)  # if that is surely more than noise (deviations), and all is little (squared size over noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +43,9 @@ class Belief:
         detections: The contacts that the frame shows by itself, strongest first.
         contacts: The contacts to report: confirmed by several frames, with ids.
         tracks: What is remembered of them.
-        drift: Change of two-terminal resistances (n_pairs,) because contact impedances have changed since the
-            calibration (ohm), if the reader follows it.
+        drift: Change of two-terminal resistances (n_pairs,) beside contacts, since the calibration (ohm), if the reader
+            follows it.
+        unlearned: How long drift of single pairs has not been told (s).
         suspects: Electrodes that alone told of a contact that others should have seen, too.
         unexplained: Share of what the data say that the contacts do not explain.
     """
@@ -43,6 +55,7 @@ class Belief:
     contacts: tuple[Contact, ...] = ()
     tracks: Tracks | TrackState = field(default=Tracks(), repr=False)
     drift: Floats | None = field(default=None, repr=False)
+    unlearned: float = 0.0
     suspects: tuple[int, ...] = ()
     unexplained: float = 0.0
 
@@ -138,7 +151,8 @@ class FitReader:
         return Belief(self.estimator.start(), tracks=before.tracks, drift=before.drift)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more. Contact impedances that change are followed while nothing touches."""
+        """What is believed after one frame more. Contact impedances are followed while nothing touches, other drift
+        always, beside the contacts."""
         assert isinstance(before.tracks, Tracks)
         drift, errors = before.drift, self.fitter.errors
         if drift is not None:
@@ -147,12 +161,33 @@ class FitReader:
         told, wary = self.fitter.information(*recent)
         solution = self.fitter.explained(told, wary)
         unexplained = told.unexplained(solution.caused)
+        if self._drifted(told, solution):
+            solution, unexplained = nothing(len(solution.caused)), 0.0
         found = _doubted(self.fitter.contacts(solution), unexplained)
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
             drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
+        unlearned = before.unlearned + elapsed
+        if unlearned >= _LEARNED:
+            learned = -np.expm1(-unlearned / _FOLLOWED) * self._drift(told, solution)
+            drift, unlearned = learned if drift is None else drift + learned, 0.0
         tracks, contacts = self.tracker.update(before.tracks, found)
-        return Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
+        return Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
+
+    @staticmethod
+    def _drifted(told: Information, solution: Solution) -> bool:
+        """Whether contacts explain the lesser part of a small change, so that it is rather drift."""
+        said, left = told.signals(solution.caused)
+        sure = left > max(_DRIFT * said, _SURE * np.sqrt(2 * told.count))
+        return bool(len(solution.params)) and sure and said < _LITTLE * told.count
+
+    def _drift(self, told: Information, solution: Solution) -> Floats:
+        """Change (n_pairs,) of two-terminal resistances that contacts cannot cause, nor what is wrong with their
+        model (ohm)."""
+        left = told.less(solution.caused).beside_common()
+        if len(solution.params):
+            left = left.leaving_out(in_series(solution.covered, self.fitter.table.n_elec)).beside(solution.slopes)
+        return left.drift() / (1 + (self.fitter.model_error * told.size(solution.caused)) ** 2 / told.count)
 
 
 def _doubted(contacts: Sequence[Contact], unexplained: float) -> tuple[Contact, ...]:

@@ -57,7 +57,7 @@ def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats, m
         times: (n_meas,) when each was converted, from the start of its scan (s).
         most: Electrodes that may be left out.
     """
-    tried = [_without_spikes(data, kept, whole), _without_an_injection(data, kept, whole)]
+    tried = [without_spikes(data, kept, whole), _without_an_injection(data, kept, whole)]
     tried += [
         _without_electrodes(data, kept, whole, min(most, 1)),
         *without_offset(data, kept),
@@ -108,7 +108,7 @@ def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: 
     return None
 
 
-def _without_spikes(data: NetworkData, kept: Bools, whole: Coherence) -> Remedy | None:
+def without_spikes(data: NetworkData, kept: Bools, whole: Coherence) -> Remedy | None:
     """Without the few values that stand out most."""
     kept = kept.copy()
     for _ in range(_SPIKES):

@@ -15,6 +15,8 @@ from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
 _ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without an electrode, and share that then lacks
+_BLAMED = 3  # of the newest frames in which one electrode alone tells of a contact, from which on its wire is loose
+_NOTHING = 1e-9
 _GROSS = 10.0  # times all other changes, by which those of a loose wire are larger
 LONGEST = int(_WINDOWS[-1])
 
@@ -25,8 +27,10 @@ def birth_threshold(fitter: ContactFitter) -> float:
 
 
 def scored(residuals: Residuals, fitter: ContactFitter) -> Residuals:
-    """The residuals with their scores."""
+    """The residuals with their scores; one electrode alone tells of no contact."""
     score, power = fitter.scores(residuals.unforeseen)
+    if residuals.told_by is not None:
+        score, power = np.zeros_like(score), _NOTHING * power
     return replace(residuals, score=score, power=power)
 
 
@@ -44,8 +48,13 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         found, used = _found(state.history, fitter, bar, common)
         if found is None:
             break
-        if (suspect := _told_by_one(state, fitter, found, used)) is not None:
-            return replace(state, suspects=(suspect,))
+        if (told := _told_by_one(state, fitter, found, used)) is not None:
+            suspect, frame = told
+            history = [*state.history]
+            history[frame] = scored(replace(history[frame], told_by=suspect), fitter)
+            blamed = [residuals.told_by for residuals in history].count(suspect) >= _BLAMED
+            state = replace(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
+            continue
         covariance = found.covariance
         moved = speed * (state.time - used[-1].time) / 2
         covariance[[0, 1], [0, 1]] += moved**2
@@ -75,8 +84,11 @@ def _found(
     return fitter.added(data.times(fitter.allowance(data)), score[window], power[window]), used
 
 
-def _told_by_one(state: TrackState, fitter: ContactFitter, found: Solution, used: Sequence[Residuals]) -> int | None:
-    """The electrode whose voltages alone tell of a contact that others should see, too; None where they do.
+def _told_by_one(
+    state: TrackState, fitter: ContactFitter, found: Solution, used: Sequence[Residuals]
+) -> tuple[int, int] | None:
+    """The electrode whose voltages alone tell of a contact that others should see, too, and the frame in which they
+    tell most of it; None where others do.
 
     Its voltages have changed by far more than all others, on which the contact's effect would be larger than it is.
     """
@@ -93,7 +105,11 @@ def _told_by_one(state: TrackState, fitter: ContactFitter, found: Solution, used
     known = fitter.model_error**2 * sum(residuals.energy for residuals in used) / max(int(finite.sum()), 1)
     stands_out = theirs / np.maximum(elsewhere, 1 + known)
     alone = (expected > _ENOUGH**2) & (told < (1 - _SHORT) * expected) & (stands_out > _GROSS**2)
-    return int(np.argmax(np.where(alone, stands_out, 0.0))) if alone.any() else None
+    if not alone.any():
+        return None
+    suspect = int(np.argmax(np.where(alone, stands_out, 0.0)))
+    starts = np.cumsum([0, *(len(scan.volts) for scan in scans[:-1])])
+    return suspect, int(np.argmax(np.add.reduceat(seen**2 * own[:, suspect], starts)))
 
 
 def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:

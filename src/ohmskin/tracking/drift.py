@@ -11,8 +11,6 @@ from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.residuals import Reading
 from ohmskin.tracking.state import TrackState
 
-_RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where a frame says nothing
-
 
 def without_drift(state: TrackState, fitter: ContactFitter, difference: Difference) -> Reading:
     """A frame without the drift and the temperature of the state, beside resistances of electrodes under contacts.
@@ -55,10 +53,7 @@ def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: f
     ):  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
         left = left.beside(fitter.responses(state.params)[1])
         share /= 1 + fitter.model_error**2 * newest.energy / left.count
-    matrix, vector = left.told.matrix[:-1, :-1], left.told.vector[:-1]
-    ridge = _RIDGE * np.trace(left.white.matrix[:-1, :-1]) / left.count
-    drift = np.linalg.solve(matrix + ridge * np.eye(len(vector)), vector)
-    return replace(state, drift=state.drift + share * np.asarray(drift, float))
+    return replace(state, drift=state.drift + share * left.drift())
 
 
 def _time(state: TrackState, motion: Motion) -> float:

@@ -39,6 +39,7 @@ class Residuals:
         time: When it was taken (s).
         unforeseen: The innovation beside the common change, as far as that is not known.
         score, power: (n_places,) of a contact more at each place.
+        told_by: The electrode whose voltages alone told of a contact that others should have seen.
     """
 
     reading: Reading
@@ -50,3 +51,4 @@ class Residuals:
     unforeseen: Information
     score: Floats = field(default_factory=lambda: np.empty(0))
     power: Floats = field(default_factory=lambda: np.empty(0))
+    told_by: int | None = None
