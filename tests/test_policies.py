@@ -21,7 +21,7 @@ from ohmskin.evaluate.policies.pairs import RADIUS, apart, best_of, ideal_power,
 from ohmskin.evaluate.policies.plan import FLAWS
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS, instrument_cost, scheme, within
 from ohmskin.evaluate.policies.static import RADIUS_FACTOR, bound_of
-from ohmskin.evaluate.policies.tracked import FASTEST, path
+from ohmskin.evaluate.policies.tracked import APART, FASTEST, path
 from ohmskin.evaluate.policies.tracked import apart as far_apart
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.setup import Setup, View, repeated, setup
@@ -40,6 +40,8 @@ TINY = policies.Settings(
     side=2,
     random=1,
     levels=(50.0,),
+    noises=(50.0,),
+    counts=(16,),
     frames=14,
     fine=(50.0, 60.0),
     where=1,
@@ -47,6 +49,10 @@ TINY = policies.Settings(
     trials=2,
     quiet=40,
     draws=1,
+    wires=1,
+    opened=1,
+    troubled=4,
+    period=5.0,
     timed=10,
 )
 
@@ -299,7 +305,7 @@ def test_places_and_paths_keep_off_the_rim() -> None:
         assert (places >= 0.015).all()
         assert (places <= 0.185).all()
     places = far_apart(np.random.default_rng(0), 3)
-    assert min(np.linalg.norm(places[i] - places[j]) for i in range(3) for j in range(i)) > 0.05
+    assert min(np.linalg.norm(places[i] - places[j]) for i in range(3) for j in range(i)) > APART
 
 
 # --- verdicts from results --------------------------------------------------------------------------------------------
@@ -437,11 +443,16 @@ def test_the_report_has_every_section_picture_and_goal(report: Path) -> None:
         "Moving contacts",
         "Two contacts or one",
         "New contacts",
+        "When adapting pays",
+        "The lightest touch",
+        "What goes wrong",
         "What choosing costs",
     ):
         assert f"## {heading}" in text
     pictures = sorted(path.name for path in (report / "figures").glob("*.png"))
-    assert pictures == ["detection.png", "moving.png", "pairs.png", "robust.png", "static.png"]
+    assert pictures == [
+        f"{name}.png" for name in ("detection", "gain", "moving", "pairs", "robust", "sensitivity", "static")
+    ]
     assert all(f"(figures/{name})" in text for name in pictures)
     assert str(report) not in text
     assert "nan" not in text

@@ -91,6 +91,13 @@ def rotating(s: DriveSettings, injections: int) -> Drive:
     return Exploration(s.electrodes, injections or _TRACKED)
 
 
+def rotating_best(s: DriveSettings, injections: int) -> Drive:
+    """A few injections a frame in a fixed round of the best set of as many as a second scan has."""
+    table, candidates = s.design()
+    chosen = candidates.pattern.injections[best_fixed(table, candidates, s.pairs)]
+    return Exploration(s.electrodes, injections or _TRACKED, chosen)
+
+
 def _fixed(pattern: DrivePattern, injections: int) -> Drive:
     drive = Fixed(pattern)
     return drive if injections in (0, drive.injections) else drive.with_injections(injections)
@@ -107,7 +114,10 @@ def _two_scans(
 DRIVES: Registry[Callable[[DriveSettings, int], Drive]] = Registry(
     "drive",
     "ohmskin.drives",
-    {drive.__name__: drive for drive in (rim, rings, opposite, best, eq7, local, position, tracking, rotating)},
+    {
+        drive.__name__: drive
+        for drive in (rim, rings, opposite, best, eq7, local, position, tracking, rotating, rotating_best)
+    },
     PatternError,
 )
 """Drives by name."""

@@ -12,9 +12,10 @@ from ohmskin.arrays import Floats
 from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Picture
-from ohmskin.evaluate.policies import goals
+from ohmskin.evaluate.policies import doubt, goals
+from ohmskin.evaluate.policies.doubt import SETTLE
 from ohmskin.evaluate.policies.figures import PAINTERS
-from ohmskin.evaluate.policies.goals import MISS, NAMES, SETTLE, WITHIN, Done, moving_errors
+from ohmskin.evaluate.policies.goals import MISS, NAMES, WITHIN, Done, moving_errors
 from ohmskin.evaluate.policies.pairs import ideal_power
 from ohmskin.evaluate.policies.plan import Settings, plan
 from ohmskin.evaluate.policies.presses import FOOT, KNOWN, LAYERS, WRONG
@@ -281,11 +282,14 @@ SECTIONS = {
     "static": ("Contacts at rest", _static),
     "driven": ("Driven electrodes, and the corners", _driven),
     "time": ("The same in equal time", _time),
+    "gain": ("When adapting pays", lambda done: []),
     "moving": ("Moving contacts", _moving),
     "pairs": ("Two contacts or one", _pairs),
     "press": ("Light presses, hard presses, and force", _press),
+    "sensitivity": ("The lightest touch", doubt.sensitivity_tables),
     "detection": ("New contacts", _detection),
     "quiet": ("Nothing there", lambda done: []),
+    "trouble": ("What goes wrong", doubt.trouble_tables),
     "robust": ("With a flawed model, or a worn skin", _robust),
     "cost": ("What choosing costs", _cost),
 }

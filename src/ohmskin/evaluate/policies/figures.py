@@ -12,13 +12,14 @@ from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies import goals
-from ohmskin.evaluate.policies.goals import NAMES, OTHERS, SETTLE, WITHIN, Done, moving_errors
+from ohmskin.evaluate.policies.doubt import SETTLE, gain_picture, sensitivity_picture
+from ohmskin.evaluate.policies.goals import NAMES, OTHERS, WITHIN, Done, moving_errors
 from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
 from ohmskin.evaluate.policies.tracked import APART, NEAR
 from ohmskin.evaluate.statistics import mean
 
 COLOURS = {"12B": "#8c8c8c", "16I": "#0072b2", "best": "#e69f00", "16O fused": "#d55e00"}
-COLOURS |= {"16P": "#00735c", "16T": "#a6267a", "rotating": "#cc79a7"}
+COLOURS |= {"16P": "#00735c", "16T": "#a6267a", "rotating": "#cc79a7", "rotating best": "#56b4e9"}
 _MARKERS = {"centroid": "o", "fit": "D"}  # a centroid's is not filled
 
 
@@ -187,6 +188,7 @@ def robust(done: Done) -> list[Drawn]:
 
 
 PAINTERS = {"static": static, "moving": moving, "pairs": pairs, "detection": detection, "robust": robust}
+PAINTERS |= {"gain": gain_picture, "sensitivity": sensitivity_picture}
 
 
 def _dot(axes: Axes, x: float, values: Floats, key: str, reader: str = "", label: str | None = None) -> None:

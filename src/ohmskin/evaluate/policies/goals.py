@@ -8,6 +8,8 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
+from ohmskin.evaluate.policies import doubt
+from ohmskin.evaluate.policies.doubt import SETTLE, best_round
 from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power
 from ohmskin.evaluate.policies.plan import OFF, POOR, TOLD, Settings
 from ohmskin.evaluate.policies.schemes import scheme
@@ -16,7 +18,6 @@ from ohmskin.evaluate.result import Outcome, Result
 from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means, share
 from ohmskin.evaluate.verdict import Goal
 
-SETTLE = 10  # frames of a moving contact that do not count: it is found in them
 QUIET = 100_000  # frames in which no contact is to be invented
 MISS = 30e-3  # metres; a contact placed further away counts as missed
 WITHIN = 3  # frames in which a new contact is to be found
@@ -38,6 +39,7 @@ def assess(done: Done) -> list[Goal]:
         "detection": _detection,
     }
     goals |= {"quiet": _quiet, "cost": _cost}
+    goals |= {"trouble": doubt.trouble_goals, "gain": doubt.gain_goals, "sensitivity": doubt.sensitivity_goals}
     return [goal for section, find in goals.items() if section in done.results for goal in find(done)]
 
 
@@ -179,11 +181,13 @@ def _time(done: Done) -> Iterator[Goal]:
 
 def _moving(done: Done) -> Iterator[Goal]:
     for world, task, result in done.of("moving"):
-        framewise, tracked = moving_errors(result)
-        ours, fixed = (tracked[task.trackers.index(key)] for key in ("16T/4", "rotating/4"))
+        framewise, _ = moving_errors(result)
+        ours, fixed, _ = best_round(task, result)
         where = f"({NAMES[world]}, {task.decibels:g} dB)"
         data = f"{task.seeds} seeds, each a path of {task.frames} frames"
-        text = "Moving contact, tracked with 4 injections a frame: mean error of 16T over that of a fixed round"
+        text = (
+            "Moving contact, tracked with 4 injections a frame: mean error of 16T over that of the better fixed round"
+        )
         yield _ratio("moving", f"{text} {where}", 1.0, ours, fixed, data, "RATIO", world == "discs")
         for e, reader in enumerate(task.readers):
             text = "Moving contact, 4 injections of a fixed round a frame, tracked: mean error over that of 16I with 16"

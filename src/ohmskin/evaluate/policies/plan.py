@@ -7,15 +7,20 @@ from typing import Self
 
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.flaws import SOUND, Flaw
+from ohmskin.evaluate.policies.adaptivity import Gain, Sensitivity
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
 from ohmskin.evaluate.policies.presses import Felt, Forces
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.policies.tracked import Cost, Detection, Moving, Quiet
+from ohmskin.evaluate.policies.trouble import INTERFERENCE, MODES, NONE, WIRE, Drifting, Troubled
 from ohmskin.evaluate.result import Groups, chosen
 from ohmskin.evaluate.worlds import WORLDS
 
-SECTIONS = ("static", "driven", "time", "moving", "pairs", "press", "detection", "quiet", "robust", "cost")
+SECTIONS = (
+    *("static", "driven", "time", "gain", "moving", "pairs", "press", "sensitivity", "detection", "quiet", "trouble"),
+    *("robust", "cost"),
+)
 
 DISTANCES = tuple(d / 1000 for d in (12, 15, 17, 20, 25, 30))
 STRENGTHS = (0.5, 1.4)  # of 6 mm discs: the usual contact's change; about the usual contact's whole effect
@@ -56,8 +61,10 @@ class Settings:
         seeds: Noise seeds.
         side: Places along a side of the lattice of static contacts.
         random: Random places beside it.
-        levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts and of
-            detection.
+        levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts, of detection,
+            and of what adapting gains with other numbers of injections and contacts.
+        noises: Noise levels at which it is told what adapting gains (dB).
+        counts: Injections a frame with which it is told, beside 28.
         frames: Length of a moving contact's path.
         fine: Noise levels of pairs (dB).
         where: Places of pairs.
@@ -65,6 +72,10 @@ class Settings:
         trials: New contacts to detect, per case.
         quiet: Frames without a contact.
         draws: Of random flaws.
+        wires: Electrodes that open while the loop runs.
+        opened: Noise seeds with which each of them does.
+        troubled: Quiet frames under interference.
+        period: Time between frames while single pairs drift (s).
         timed: Frames of which the computing is timed, for each number of contacts.
 
     Raises:
@@ -75,6 +86,8 @@ class Settings:
     side: int = 9
     random: int = 19
     levels: tuple[float, ...] = (40.0, 50.0)
+    noises: tuple[float, ...] = (30.0, 40.0, 50.0, 60.0)
+    counts: tuple[int, ...] = (12, 16, 20, 40)
     frames: int = 60
     fine: tuple[float, ...] = (50.0, 60.0)
     where: int = 12
@@ -82,6 +95,10 @@ class Settings:
     trials: int = 600
     quiet: int = 100_000
     draws: int = 5
+    wires: int = 16
+    opened: int = 3
+    troubled: int = 1000
+    period: float = 0.1
     timed: int = 300
 
     def __post_init__(self) -> None:
@@ -92,7 +109,7 @@ class Settings:
     @classmethod
     def quick(cls) -> Self:
         """Less of everything: what takes a minute or two on two cores."""
-        return cls(5, 5, 15, (40.0,), 40, (50.0, 60.0), 4, 100, 60, 5_000, 2, 100)
+        return cls(5, 5, 15, (40.0,), (40.0, 50.0), (16,), 40, (50.0, 60.0), 4, 100, 60, 5_000, 2, 4, 1, 100, 0.5, 100)
 
 
 def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
@@ -117,6 +134,25 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
             for draw, seeds, own in _draws(flaw, s):
                 usual = Static(world, decibels, seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
                 found["driven"][f"{world}/{decibels:g}/{name}/{draw}"] = replace(usual, flaw=own, first=draw * seeds)
+    for world in WORLDS:
+        cells = [(noise, 28, 1) for noise in {*s.noises, level}]
+        cells += [(level, count, 1) for count in s.counts] + [(level, 28, count) for count in (2, 3)]
+        for decibels, count, contacts in cells:
+            gain = Gain(world, decibels, count, contacts, s.seeds, 2 * s.where)
+            found["gain"][f"frames/{world}/{decibels:g}/{count}/{contacts}"] = gain
+        for decibels in s.noises:
+            found["gain"][f"tracking/{world}/{decibels:g}"] = Moving(
+                world, decibels, s.seeds, s.frames, (), (), ("16T/4", "rotating/4", "rotating best/4")
+            )
+    found["sensitivity"]["twin"] = Sensitivity(50.0, -(-s.seeds // 4), s.side)
+    for mode in MODES:
+        same = Troubled(mode, (NONE, *INTERFERENCE), s.troubled, s.where)
+        found["trouble"][f"troubled/{mode}/interference"] = same
+        for seed in range(s.opened):
+            wires = tuple(f"{WIRE}{16 * k // s.wires}" for k in range(s.wires))
+            found["trouble"][f"troubled/{mode}/wires/{seed}"] = Troubled(mode, wires, seed=seed)
+        for seed in range(s.seeds):
+            found["trouble"][f"drifting/{mode}/{seed}"] = Drifting(mode, 3.0, seed, s.period)
     blocks = max(1, s.quiet // 12_500)
     for block in range(blocks):  # contacts tracked, and contacts fitted while contact impedances are followed
         fitted = Quiet("pressed", s.levels[-1], s.quiet // blocks, "16P", "fit, driven", block)

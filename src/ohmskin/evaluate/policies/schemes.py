@@ -16,6 +16,7 @@ SCHEMES = {  # what it does, the product's name, and the usual number of injecti
     "16P": ("6 opposite drives on all electrodes, then pairs by position information", "position", 28),
     "16T": ("a few injections per frame, up to two exploring, the others by position information", "tracking", 4),
     "rotating": ("a few injections per frame in a fixed round of opposite electrodes", "rotating", 4),
+    "rotating best": ("a few injections per frame in a fixed round of the best set of 16", "rotating_best", 4),
 }
 INSTRUMENTS = ("parallel", "multiplexed")
 YARDSTICK = "16O fused"  # whose time on an instrument all schemes get

@@ -19,9 +19,9 @@ FASTEST = 3e-3  # metres per frame
 _RIM = 15e-3  # metres between a path and the rim
 _SWING = 40  # frames from rest to the highest speed and back
 _TURN = 0.15  # radians per frame by which a path may well turn
-NEAR = 20e-3  # metres; a contact reported so close to a new one is that one
+NEAR = 12e-3  # metres; a contact reported so close to a new one is that one
 _MARGIN = 10e-3  # metres from a contact to the rim
-APART = 50e-3  # metres between contacts
+APART = 25e-3  # metres between contacts
 _BEFORE = 25  # frames in which those already there are found and tracked, or nothing happens
 _PATIENCE = 20  # frames in which a new one may be found
 
@@ -47,7 +47,7 @@ class Moving:
     frames: int
     schemes: tuple[str, ...] = ("16I", "16P/16")
     readers: tuple[str, ...] = ("centroid", "fit")
-    trackers: tuple[str, ...] = ("16T/2", "16T/4", "16T/8", "rotating/4")
+    trackers: tuple[str, ...] = ("16T/2", "16T/4", "16T/8", "rotating/4", "rotating best/4")
     flaw: Flaw = SOUND
     first: int = 0
 
