@@ -86,9 +86,8 @@ class DiscFitter:
 
     def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        power = np.einsum("pn,pn->p", self._candidates @ left.told.matrix[:-1, :-1], self._candidates)
-        least = 1e-12 * float(self._largest @ np.diag(left.white.matrix)[:-1])  # rounding reaches that far
-        return self._candidates @ left.told.vector[:-1], np.maximum(power, least)
+        least = 1e-12 * float(self._largest @ left.white.diagonal[:-1])  # rounding reaches that far
+        return self._candidates @ left.told.vector[:-1], np.maximum(left.told.power(self._candidates), least)
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""

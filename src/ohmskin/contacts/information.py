@@ -7,7 +7,8 @@ at its best, is constant - 2 vector.x + x.matrix.x. That is sufficient: scans wi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from math import sqrt
 
 import numpy as np
@@ -18,6 +19,7 @@ from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import n_pairs, pair_numbers
 
+Parts = tuple[Floats, Floats, float]
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 _COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
 _SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
@@ -32,40 +34,49 @@ class Misfit:
     """A squared misfit constant - 2 vector.x + x.matrix.x, of data in units of their noise.
 
     Args:
-        matrix: (n, n) its curvature, halved; n = n_pairs + 1.
+        whole: (n, n) its curvature, halved, but for what is lost; n = n_pairs + 1.
         vector: (n,) its downhill gradient at nothing, halved.
         constant: That of nothing.
+        lost: (k, n) rows whose products with themselves are to be taken off the `whole`.
+        powers: Of the whole, as far as they have been asked for, see `power`.
     """
 
-    matrix: Floats
+    whole: Floats
     vector: Floats
     constant: float
+    lost: Floats
+    powers: dict[int, Floats] = field(default_factory=dict, repr=False)
 
-    @classmethod
-    def gathered(cls, gram: Floats) -> "Misfit":
-        """That of rows, from the products (n + 1, n + 1) of their columns, the data last."""
-        return cls(np.ascontiguousarray(gram[:-1, :-1]), gram[-1, :-1], float(gram[-1, -1]))
+    @cached_property
+    def matrix(self) -> Floats:
+        """(n, n) its curvature, halved."""
+        return self.whole - self.lost.T @ self.lost if len(self.lost) else self.whole
+
+    @property
+    def diagonal(self) -> Floats:
+        """(n,) that of the matrix."""
+        return np.asarray(np.diag(self.whole) - (self.lost**2).sum(axis=0))
 
     def less(self, known: Floats) -> "Misfit":
         """What is left once changes (n_pairs or n,) are known."""
-        many = len(known)
-        seen = self.matrix[:, :many] @ known
-        constant = self.constant - float(known @ (2 * self.vector[:many] - seen[:many]))
-        return Misfit(self.matrix, self.vector - seen, constant)
+        vector, constant = _less(self.whole, self.vector, self.constant, self.lost, np.ascontiguousarray(known))
+        return Misfit(self.whole, vector, constant, self.lost, self.powers)
 
     def without(self, directions: Floats) -> "Misfit":
         """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        many = len(directions)
-        seen = self.matrix[:, :many] @ directions
-        squares, turn = np.linalg.eigh(directions.T @ seen[:many])  # rounding may make those not seen negative
-        root = turn / np.sqrt(1 + np.maximum(squares, 0.0))
-        seen, told = seen @ root, root.T @ (directions.T @ self.vector[:many])
-        return Misfit(self.matrix - seen @ seen.T, self.vector - seen @ told, self.constant - float(told @ told))
+        given = self.whole, self.vector, self.constant, self.lost, np.ascontiguousarray(directions.T)
+        return Misfit(self.whole, *_without(*given), self.powers)
 
-    def size(self, changes: Floats) -> float:
-        """How large changes (n_pairs or n,) are in the data (1)."""
-        many = len(changes)
-        return sqrt(max(float(changes @ self.matrix[:many, :many] @ changes), 0.0))
+    def sizes(self, changes: Floats) -> Floats:
+        """How large each of changes (n_pairs or n, k) is in the data (k,) (1)."""
+        return _sizes(self.whole, self.lost, np.ascontiguousarray(changes.T))
+
+    def power(self, changes: Floats) -> Floats:
+        """The squares of the sizes of changes (m, n_pairs), always the same ones; that of the whole is told once."""
+        many = changes.shape[1]
+        if (known := self.powers.get(id(changes))) is None:
+            known = self.powers[id(changes)] = np.einsum("pn,pn->p", changes @ self.whole[:many, :many], changes)
+        return np.asarray(known - ((changes @ self.lost[:, :many].T) ** 2).sum(axis=1) if len(self.lost) else known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,25 +151,24 @@ class Information:
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
         changes = np.empty((n_pairs(n_elec), 0)) if errors.contacts is None else errors.contacts
-        told, wary, gram, larger, count = _statistics(
+        *found, count = _statistics(
             four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec), int(starts[-1]),
             errors.noise, errors.gain, errors.model, changes,
         )  # fmt: skip
         if not count:
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        return (
-            cls(Misfit.gathered(told), Misfit.gathered(gram), count),
-            cls(Misfit.gathered(wary), Misfit.gathered(gram / larger), count),
-        )
+        told, wary, white, warier = (Misfit(*one, np.empty((0, len(one[1])))) for one in found)
+        return cls(told, white, count), cls(wary, warier, count)
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
         """What several say whose errors are their own."""
         told, white = (
             Misfit(
-                np.sum([one.matrix for one in each], axis=0),
+                np.sum([one.whole for one in each], axis=0),
                 np.sum([one.vector for one in each], axis=0),
                 sum(one.constant for one in each),
+                np.concatenate([one.lost for one in each]),
             )
             for each in ([part.told for part in parts], [part.white for part in parts])
         )
@@ -171,11 +181,11 @@ class Information:
 
     def less(self, known: Floats) -> "Information":
         """What is left to say once changes (n_pairs or n,) are known to be a part of it."""
-        return replace(self, told=self.told.less(known), white=self.white.less(known))
+        return Information(self.told.less(known), self.white.less(known), self.count)
 
     def without(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        return replace(self, told=self.told.without(directions))
+        return Information(self.told.without(directions), self.white, self.count)
 
     def beside_common(self, variance: float = _COMMON**2) -> "Information":
         """What is said beside a common relative change of all resistances, of which the variance is known (1)."""
@@ -205,31 +215,31 @@ class Information:
     def leaving_out(self, directions: Floats) -> "Information":
         """What is said if changes (n_pairs or n, k) count for nothing, not in the size of others either."""
         unknown = self._unknown(directions)
-        return replace(self, told=self.told.without(unknown), white=self.white.without(unknown))
+        return Information(self.told.without(unknown), self.white.without(unknown), self.count)
 
     def _unknown(self, directions: Floats) -> Floats:
         """Changes (n_pairs or n, k) as large as they are where nothing is known of them."""
-        sizes = np.array([self.size(direction) for direction in directions.T])
+        sizes = self.white.sizes(directions)
         return np.asarray(directions[:, sizes > 0] / (_UNSAID * sizes[sizes > 0]))
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
         told = self.told
-        return replace(self, told=Misfit(share * told.matrix, share * told.vector, share * told.constant))
+        less = Misfit(share * told.whole, share * told.vector, share * told.constant, sqrt(share) * told.lost)
+        return Information(less, self.white, self.count)
 
     def size(self, changes: Floats) -> float:
         """How large changes (n_pairs or n,) are in the data, in standard deviations of white noise."""
-        return self.white.size(changes)
+        return float(self.white.sizes(changes[:, None])[0])
 
 
 @njit(cache=True, nogil=True)
 def _statistics(
     four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
     numbers: Ints, n_inj: int, noise: float, gain: float, model: float, contacts: Floats,
-) -> tuple[Floats, Floats, Floats, float, int]:  # fmt: skip
-    """Products (n_pairs + 2, n_pairs + 2) of columns - pairs of electrodes, common change, data - beside errors of all
-    kinds; the same wary of the model's error; with white noise alone; the factor by which the model's error raises the
-    variance; and the number of finite data."""
+) -> tuple[Parts, Parts, Parts, Parts, int]:  # fmt: skip
+    """The curvature, gradient and constant of the misfit beside errors of all kinds; the same wary of the model's
+    error; both with white noise alone; and the number of finite data."""
     counts, squares = np.zeros(2, np.int64), np.zeros(2)
     for row in range(len(four)):
         if np.isfinite(volts[row]) and np.isfinite(amperes[row]):
@@ -241,8 +251,7 @@ def _statistics(
         share = min(1.0, np.sqrt(usual / theirs))
     pairs = numbers[0, 0]  # on the diagonal: of no pair
     n, n_gain = pairs + 2, n_inj if gain > 0 else 0
-    k = n_gain + contacts.shape[1]
-    gram, beside, inner = np.zeros((n, n)), np.zeros((k, n)), np.zeros((k, k))
+    gram, gains, sizes = np.zeros((n, n)), np.zeros((n_gain, n)), np.empty(n_gain)
     columns, entries = np.empty(7, np.int64), np.empty(7)
     for row in range(len(four)):
         if not (np.isfinite(volts[row]) and np.isfinite(amperes[row])):
@@ -263,24 +272,100 @@ def _statistics(
             for q in range(many):
                 gram[columns[p], columns[q]] += entries[p] * entries[q]
             if n_gain:  # an error of the current looks like the quiet skin
-                beside[which[row], columns[p]] += gain * entries[many - 2] * entries[p]
+                gains[which[row], columns[p]] += gain * entries[many - 2] * entries[p]
     for m in range(n_gain):
-        inner[m, m] = gain * beside[m, pairs]
-    if k > n_gain:
-        beside[n_gain:] = contacts.T @ gram[:pairs]
-        inner[:, n_gain:] = np.ascontiguousarray(beside[:, :pairs]) @ contacts
-        inner[n_gain:, :n_gain] = inner[:n_gain, n_gain:].T
+        sizes[m] = gain * gains[m, pairs]
+    changes = np.ascontiguousarray(contacts.T)
+    beside = changes @ gram[:pairs]
+    own = np.ascontiguousarray(beside[:, :pairs]) @ contacts
+    mixed = np.ascontiguousarray(gains[:, :pairs]) @ contacts
     larger = 1 + model**2 * gram[n - 1, n - 1] / max(count, 1)
-    return _whitened(gram, beside, inner, 1.0), _whitened(gram, beside, inner, larger), gram, larger, count
+    told = _whitened(gram, gains, sizes, beside, own, mixed, 1.0)
+    wary = _whitened(gram, gains, sizes, beside, own, mixed, larger)
+    return _parts(told), _parts(wary), _parts(gram), _parts(gram / larger), count
 
 
 @njit(cache=True, nogil=True)
-def _whitened(gram: Floats, beside: Floats, inner: Floats, variance: float) -> Floats:
-    """Products (n, n) of columns of data beside errors, whose products with them are (k, n) and with each other (k, k),
-    if the noise has that variance."""
-    ridge = variance + _ROUNDING * np.trace(inner)
-    root = np.linalg.solve(np.linalg.cholesky(inner + ridge * np.eye(len(inner))), beside)
-    whitened: Floats = (gram - root.T @ root) / variance
-    for k in range(len(gram)):
-        whitened[k, k] += _ROUNDING / variance * gram[k, k]  # or where errors leave nothing, rounding would leave less
+def _parts(products: Floats) -> Parts:
+    """Curvature, gradient and constant from products (n + 1, n + 1) of columns, the data last."""
+    return np.ascontiguousarray(products[:-1, :-1]), products[-1, :-1].copy(), products[-1, -1]
+
+
+@njit(cache=True, nogil=True)
+def _whitened(
+    gram: Floats, gains: Floats, sizes: Floats, beside: Floats, own: Floats, mixed: Floats, variance: float
+) -> Floats:
+    """Products (n, n) of columns of data beside errors, if the noise has that variance.
+
+    Args:
+        gram: (n, n) theirs.
+        gains: (n_gain, n) theirs with errors that have no data in common.
+        sizes: (n_gain,) squares of these.
+        beside: (k, n) theirs with further errors.
+        own: (k, k) products of the further errors.
+        mixed: (n_gain, k) of both kinds of errors.
+        variance: Of the noise.
+    """
+    ridge = variance + _ROUNDING * (sizes.sum() + np.trace(own))
+    rows, known = np.concatenate((gains, beside)), len(gains)
+    root = 1 / np.sqrt(ridge + sizes).reshape(-1, 1)
+    rows[:known] *= root
+    both = root * mixed
+    rows[known:] -= both.T @ rows[:known]
+    lower = np.linalg.cholesky(own + ridge * np.eye(len(own)) - both.T @ both)
+    for i in range(len(own)):
+        for k in range(i):
+            rows[known + i] -= lower[i, k] * rows[known + k]
+        rows[known + i] /= lower[i, i]
+    whitened: Floats = rows.T @ rows
+    share = 1 / variance
+    for i in range(len(gram)):
+        for k in range(len(gram)):
+            whitened[i, k] = (gram[i, k] - whitened[i, k]) * share
+        whitened[i, i] += _ROUNDING * share * gram[i, i]  # or where errors leave nothing, rounding would leave less
     return whitened
+
+
+@njit(cache=True, nogil=True)
+def _seen(whole: Floats, lost: Floats, changes: Floats) -> Floats:
+    """What changes (m, many) do to the gradient (m, n)."""
+    many = changes.shape[1]
+    seen: Floats = changes @ whole[:many]
+    return seen - (changes @ np.ascontiguousarray(lost[:, :many]).T) @ lost if len(lost) else seen
+
+
+@njit(cache=True, nogil=True)
+def _less(whole: Floats, vector: Floats, constant: float, lost: Floats, known: Floats) -> tuple[Floats, float]:
+    """Gradient and constant once changes (n_pairs or n,) are known."""
+    seen = _seen(whole, lost, known.reshape(1, -1))[0]
+    for i in range(len(known)):
+        constant -= known[i] * (2 * vector[i] - seen[i])
+    return vector - seen, constant
+
+
+@njit(cache=True, nogil=True)
+def _without(
+    whole: Floats, vector: Floats, constant: float, lost: Floats, directions: Floats
+) -> tuple[Floats, float, Floats]:
+    """Gradient, constant and what is lost beside directions (k, n_pairs or n), taken off one after the other."""
+    many, had, left = directions.shape[1], len(lost), vector.copy()
+    rows = np.concatenate((lost, _seen(whole, lost, directions)))
+    for i in range(len(directions)):
+        row, direction = rows[had + i], directions[i]
+        for k in range(had, had + i):
+            row -= (rows[k, :many] @ direction) * rows[k]
+        # rounding may make it negative where it is not seen
+        root = np.sqrt(1 + max(row[:many] @ direction, 0.0))
+        row /= root
+        told = (left[:many] @ direction) / root
+        left -= told * row
+        constant -= told**2
+    return left, constant, rows
+
+
+@njit(cache=True, nogil=True)
+def _sizes(whole: Floats, lost: Floats, changes: Floats) -> Floats:
+    """How large changes (m, n_pairs or n) are (m,)."""
+    seen = _seen(whole, lost, changes)[:, : changes.shape[1]]
+    sizes: Floats = np.sqrt(np.maximum((seen * changes).sum(axis=1), 0.0))
+    return sizes
