@@ -17,9 +17,8 @@ from ohmskin.forward import ContactTable
 from ohmskin.scan import Difference, DrivePattern
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
-SQUARE_STD = 0.75  # prior standard deviation of the squared radius, likewise
-STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
+_UNKNOWN = np.empty(0), np.empty((0, 0))
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 cost_of = attrgetter("cost")
 
@@ -45,9 +44,10 @@ class DiscFitter:
         self._candidates = table.responses[chosen]
         self._largest = (self._candidates**2).max(axis=0)
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
+        self._least = -np.inf if bipolar else 1e-3 * table.radius**2
         quiet = DrivePattern(np.array([[0, 1]]), np.array([[0, 0, 1]]))
         told, _ = self.information(Difference(quiet, np.ones(1), np.zeros(1)))
-        self.refine(told, self.prior[0][None])  # compile now, not at the first contact
+        self.refine(told, self.expected(np.zeros(1))[0][None])  # compile now, not at the first contact
 
     # --- what is measured ---------------------------------------------------------------------------------------------
 
@@ -65,9 +65,8 @@ class DiscFitter:
 
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
-        inside = np.array(positions, float)
-        for position in inside:
-            kernels.onto(position, *self.table.sheet)
+        inside = np.array(positions, float, order="C")
+        kernels.all_onto(inside, self.table.sheet)
         return inside
 
     def within(self, params: Floats) -> Floats:
@@ -95,35 +94,18 @@ class DiscFitter:
 
     def added(self, data: Information, score: Floats, power: Floats, known: Floats | None = None) -> Solution:
         """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
-        height = self.heights(score, power)
-        taken, starts = np.zeros(len(height), bool), list[Floats]()
-        for _ in range(_STARTS):
-            place = int(np.argmax(np.where(taken, -np.inf, height)))
-            if starts and height[place] < _PROMISE * height.max():
-                break
-            # near an electrode, the truth may lie on its other side
-            taken |= np.linalg.norm(self.places - self.places[place], axis=1) < 1.4 * self.table.radius
-            start = np.array([[*self.places[place], score[place] / power[place], self.table.radius**2]])
-            starts.append(start if known is None else np.vstack([known, start]))
-        return min((self.refine(data, start) for start in starts), key=cost_of)
+        places = kernels.peaks(self.heights(score, power), self.places, _STARTS, _PROMISE, 1.4 * self.table.radius)
+        starts = np.empty((len(places), (0 if known is None else len(known)) + 1, PER_CONTACT))
+        starts[:, :-1] = starts[:, :0] if known is None else known
+        starts[:, -1, :2], starts[:, -1, 3] = self.places[places], self.table.radius**2
+        starts[:, -1, 2] = score[places] / power[places]
+        return self.refine(data, starts)
 
     # --- fitting ------------------------------------------------------------------------------------------------------
 
-    @property
-    def prior(self) -> tuple[Floats, Floats]:
-        """What is known of a contact before any data: mean (4,) and information (4,). Little, except of its size."""
-        square, (low, high, *_) = self.table.radius**2, self.table.sheet
-        stds = np.array([*(high - low), 10 * np.pi * square, SQUARE_STD * square])
-        return np.array([*(low + high) / 2, 0.0, square]), stds**-2.0
-
     def expected(self, effects: Floats) -> tuple[Floats, Floats]:
-        """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2); strong are large."""
-        (centre, precision), square = self.prior, self.table.radius**2
-        larger = np.maximum(1.0, np.abs(effects) / (STRONG * np.pi * square))
-        means, precisions = (np.tile(one, (len(effects), 1)) for one in (centre, precision))
-        means[:, 3] *= larger
-        precisions[:, 3] /= larger**2
-        return means.ravel(), np.diag(precisions.ravel())
+        """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2) before any data."""
+        return kernels.expected(np.asarray(effects, float), self.table.radius, *self.table.sheet[:2])
 
     def refine(
         self,
@@ -137,18 +119,17 @@ class DiscFitter:
 
         Args:
             data: What is measured.
-            start: Where to start.
-            mean: (4 n,) believed before, `prior` unless given.
+            start: Where to start; of several (m, n, 4) the one that leads to the best fit.
+            mean: (4 n,) believed before, as `expected` of the effects unless given.
             information: (4 n, 4 n) inverse of its covariance, likewise.
             rounds: Most steps.
         """
         if mean is None or information is None:
-            mean, information = self.expected(start[:, 2])
-        radius, least = self.table.radius, -np.inf if self.bipolar else 1e-3 * self.table.radius**2
-        params = np.array(start[:, :PER_CONTACT], float)
-        cost, normal, caused, slopes = kernels.refined(
-            params, data.told.matrix, data.told.vector, data.told.constant,
-            np.asarray(mean, float), np.ascontiguousarray(information), rounds, radius, least, *self.squares,
+            mean, information = _UNKNOWN
+        starts = np.ascontiguousarray(start[..., :PER_CONTACT], float)
+        params, cost, normal, caused, slopes = kernels.fitted(
+            starts.reshape(-1, *starts.shape[-2:]), data.told.matrix, data.told.vector, data.told.constant,
+            mean, np.ascontiguousarray(information), rounds, self.table.radius, self._least, *self.squares,
             self.table.sheet, self.table.spline,
         )  # fmt: skip
         return Solution(params, cost, normal, caused, slopes.T)

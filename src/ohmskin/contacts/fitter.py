@@ -13,8 +13,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts.discs import STRONG, DiscFitter, cost_of
+from ohmskin.contacts.discs import DiscFitter, cost_of
 from ohmskin.contacts.information import Errors, Information
+from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.solution import Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
@@ -85,8 +86,9 @@ class ContactFitter(DiscFitter):
         self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        alone = np.ascontiguousarray(in_series(range(table.n_elec), table.n_elec).T)
-        self._at_electrodes = alone, table(table.electrodes).values  # (n_elec, n_pairs): in series, of contacts there
+        alone = in_series(range(table.n_elec), table.n_elec).T
+        # (2 n_elec, n_pairs): in series with each electrode, of contacts there
+        self._at_electrodes = np.concatenate([alone, table(table.electrodes).values])
 
     @staticmethod
     def split_threshold(rate: float) -> float:
@@ -188,10 +190,10 @@ class ContactFitter(DiscFitter):
 
         That is told by what the contact does beside the electrode's own resistance.
         """
-        left, (alone, over) = told.less(found.caused).told, self._at_electrodes
-        matrix, vector = left.matrix[:-1, :-1], left.vector[:-1]
-        seen, through = alone @ matrix, over @ matrix
-        own, mixed = (seen * alone).sum(axis=1), (seen * over).sum(axis=1)
+        left, electrodes = told.less(found.caused).told, self._at_electrodes
+        (alone, over), many = electrodes.reshape(2, -1, electrodes.shape[1]), electrodes.shape[1]
+        seen, through = left.seen(electrodes)[:, :many].reshape(2, -1, many)
+        own, mixed, vector = (seen * alone).sum(axis=1), (seen * over).sum(axis=1), left.vector[:-1]
         own = np.maximum(own, 1e-12 * np.max(own))  # of electrodes that are not driven nothing is seen
         score = over @ vector - mixed * (alone @ vector) / own
         power = (through * over).sum(axis=1) - mixed**2 / own
@@ -230,22 +232,21 @@ class ContactFitter(DiscFitter):
         values = self.table(self.onto(one[:2] + np.concatenate([axes, -axes, [[0.0, 0.0]]])), own).values
         ahead, behind = values[:-1].reshape(2, *axes.shape[:1], -1)
         bend, left = ahead + behind - 2 * values[-1], told.less(found.caused).beside(found.slopes)
-        power = np.einsum("pn,pn->p", bend @ left.told.matrix[:-1, :-1], bend)
-        height = bend @ left.told.vector[:-1] / np.sqrt(np.maximum(power, 1e-12 * power.max()))
+        power = left.told.sizes(bend.T)
+        height = bend @ left.told.vector[:-1] / np.maximum(power, 1e-6 * power.max())
         bar = self.split_bar if bar is None else bar
         if height.max() ** 2 < _PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
             return None
-        count, (centre, precision) = len(found.params) + 1, self.prior
-        mean, information = np.tile(centre, count), np.diag(np.tile(precision, count))
+        mean, information = self.expected(np.zeros(len(found.params) + 1))
         unlike = np.zeros(len(mean))
         unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
         information += np.outer(unlike, unlike)
         others, half = np.delete(found.params, k, axis=0), np.tile([one[2] / 2, usual**2 / 2], (2, 1))
         likely = axes[np.argsort(-height)[:_LIKELY]] if len(reaches) == 1 else axes
         pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in likely)
-        starts = [np.vstack([others, pair]) for pair in pairs]
-        tried = [self.refine(data, start, mean, information, _FEW) for start in starts]
-        two = self.refine(data, min(tried, key=cost_of).params, mean, information)
+        starts = np.array([np.vstack([others, pair]) for pair in pairs])
+        best = self.refine(data, starts, mean, information, _FEW)
+        two = self.refine(data, best.params, mean, information)
         least = _OVERLAP if own < _WIDEST * usual else _APART
         return two if _distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
 

@@ -6,6 +6,8 @@ from numba import njit
 from ohmskin.arrays import Floats, Ints
 from ohmskin.forward.response import Grid, Spline, respond, scatter
 
+SQUARE_STD = 0.75  # prior standard deviation of the squared radius, as a share of the usual one
+STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2
 _ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a standard deviation
 
 
@@ -17,6 +19,13 @@ def onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Fl
     there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
     if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
         position[0], position[1] = there[0], there[1]
+
+
+@njit(cache=True, nogil=True)
+def all_onto(positions: Floats, sheet: Grid) -> None:
+    """Moves positions (n, 2) onto the sheet, in place."""
+    for k in range(len(positions)):
+        onto(positions[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4])
 
 
 @njit(cache=True, nogil=True)
@@ -37,6 +46,68 @@ def responses(
             own[3, p] *= effect
     scatter(params, fields, low, pitch, steps, np.sqrt(squares[0]), caused, slopes)
     return caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def peaks(height: Floats, places: Floats, most: int, promise: float, apart: float) -> Ints:
+    """The numbers of at most so many of the highest places (n, 2), each so far (m) from the others.
+
+    Near an electrode, the truth may lie on its other side. Lower than a share, `promise`, of the highest is none.
+    """
+    taken, found = np.zeros(len(height), np.bool_), np.empty(most, np.int64)
+    for count in range(most):
+        best = -1
+        for k in range(len(height)):
+            if not taken[k] and (best < 0 or height[k] > height[best]):
+                best = k
+        if best < 0 or (count and height[best] < promise * height[found[0]]):
+            return found[:count]
+        found[count] = best
+        for k in range(len(height)):
+            if np.hypot(places[k, 0] - places[best, 0], places[k, 1] - places[best, 1]) < apart:
+                taken[k] = True
+    return found
+
+
+@njit(cache=True, nogil=True)
+def fitted(
+    starts: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
+    usual: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
+) -> tuple[Floats, float, Floats, Floats, Floats]:  # fmt: skip
+    """The best fit from several starts (m, n, 4): parameters, cost, curvature, what is caused, and its slopes.
+
+    Without `mean` and `prior`, what is `expected` of contacts of the effects of each start.
+    """
+    best = starts[0], np.inf, prior, mean, prior
+    for k in range(len(starts)):
+        params = starts[k].copy()
+        known = (mean, prior) if len(mean) else expected(params[:, 2].copy(), usual, sheet[0], sheet[1])
+        found = refined(
+            params, matrix, vector, constant, known[0], known[1], rounds, usual, least, smallest, largest, sheet, spline
+        )
+        if k == 0 or found[0] < best[1]:
+            best = params, found[0], found[1], found[2], found[3]
+    return best
+
+
+@njit(cache=True, nogil=True)
+def expected(effects: Floats, usual: float, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2) before any data.
+
+    Little is known, except of sizes: they are about the `usual` radius (m); strong contacts are large.
+    """
+    square = usual**2
+    mean, information = np.zeros(4 * len(effects)), np.zeros((4 * len(effects), 4 * len(effects)))
+    for k in range(len(effects)):
+        larger = max(1.0, abs(effects[k]) / (STRONG * np.pi * square))
+        for axis in range(2):
+            at = 4 * k + axis
+            mean[at] = (low[axis] + high[axis]) / 2
+            information[at, at] = (high[axis] - low[axis]) ** -2
+        mean[4 * k + 3] = square * larger
+        information[4 * k + 2, 4 * k + 2] = (10 * np.pi * square) ** -2
+        information[4 * k + 3, 4 * k + 3] = (SQUARE_STD * square * larger) ** -2
+    return mean, information
 
 
 @njit(cache=True, nogil=True)
@@ -106,17 +177,28 @@ def _linearised(
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
     caused, slopes = responses(params, *spline)
-    seen, left, n = np.zeros_like(slopes), vector.copy(), len(caused)
+    n = len(caused)
+    seen, left = np.zeros_like(slopes), vector[:n].copy()
+    _multiplied(matrix, slopes, seen)
     for i in range(n):
-        row, change = matrix[i], caused[i]
         for j in range(n):
-            left[j] -= change * row[j]
-        for k in range(len(slopes)):
-            slope = slopes[k, i]
-            for j in range(n):
-                seen[k, j] += slope * row[j]
+            left[j] -= caused[i] * matrix[i, j]
     off = mean - params.copy().reshape(-1)
     pull = prior @ off
-    left = left[:n]
     cost = float(constant - caused @ (vector[:n] + left) + off @ pull)
     return cost, seen @ slopes.T + prior, slopes @ left + pull, caused, slopes
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _multiplied(matrix: Floats, rows: Floats, out: Floats) -> None:
+    """Adds the product of rows (m, n) with a matrix, four of its rows at a time."""
+    n = rows.shape[1]
+    for i in range(0, n - 3, 4):
+        for k in range(len(rows)):
+            a, b, c, d = rows[k, i], rows[k, i + 1], rows[k, i + 2], rows[k, i + 3]
+            for j in range(n):
+                out[k, j] += a * matrix[i, j] + b * matrix[i + 1, j] + c * matrix[i + 2, j] + d * matrix[i + 3, j]
+    for i in range(n - n % 4, n):
+        for k in range(len(rows)):
+            for j in range(n):
+                out[k, j] += rows[k, i] * matrix[i, j]

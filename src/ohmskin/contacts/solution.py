@@ -1,9 +1,9 @@
 """Solutions: contacts that explain data, how well, and how surely they are known."""
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
+from numba import njit
 
 from ohmskin.arrays import Floats
 
@@ -33,14 +33,14 @@ class Solution:
     @property
     def covariance(self) -> Floats:
         """Of all contacts together (4 n, 4 n)."""
-        return inverse(self.normal)
+        return inverse(np.ascontiguousarray(self.normal))
 
     @property
     def covariances(self) -> list[Floats]:
         """Of each contact (4, 4)."""
         starts = range(0, self.params.size, PER_CONTACT)
         whole = self.covariance if starts else np.empty((0, 0))
-        return [whole[at : at + PER_CONTACT, at : at + PER_CONTACT] for at in starts]
+        return [np.ascontiguousarray(whole[at : at + PER_CONTACT, at : at + PER_CONTACT]) for at in starts]
 
 
 def nothing(n_pairs: int) -> Solution:
@@ -48,16 +48,21 @@ def nothing(n_pairs: int) -> Solution:
     return Solution(np.empty((0, PER_CONTACT)), 0.0, np.empty((0, 0)), np.zeros(n_pairs), np.empty((n_pairs, 0)))
 
 
+@njit(cache=True, nogil=True)
 def inverse(normal: Floats) -> Floats:
     """Inverse of a normal matrix whose parameters have unlike units."""
-    scale = 1 / np.sqrt(np.diag(normal))
-    unit = np.linalg.inv(normal * np.outer(scale, scale))
-    return np.asarray((unit + unit.T) / 2 * np.outer(scale, scale))
+    scale, unit = 1 / np.sqrt(np.diag(normal)), np.empty_like(normal)
+    unit[:] = np.linalg.inv(normal * np.outer(scale, scale))
+    for i in range(len(normal)):
+        for k in range(i + 1):
+            unit[i, k] = unit[k, i] = (unit[i, k] + unit[k, i]) / 2 * scale[i] * scale[k]
+    return unit
 
 
+@njit(cache=True, nogil=True)
 def effect_std(covariance: Floats) -> float:
     """How surely there is a contact: deviation of its effect (m2), its place and size taken as given.
 
     From their covariance (4, 4). Without knowing the place less is told of the effect, but not of whether it is zero.
     """
-    return float(1 / sqrt(inverse(covariance)[2, 2]))
+    return float(1 / np.sqrt(inverse(np.ascontiguousarray(covariance))[2, 2]))

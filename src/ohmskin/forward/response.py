@@ -135,8 +135,7 @@ class ContactTable:
         positions = np.asarray(positions, float).reshape(-1, 2)
         r = np.minimum(np.asarray(self.radius if radius is None else radius, float), _SPREAD[-1] * self.radius)
         found = np.empty((len(positions), 4, self._knots.shape[-1]))
-        for (x, y), square, own in zip(positions, np.broadcast_to(r**2, len(positions)), found, strict=True):
-            respond(x, y, square, *self.spline[:5], own)
+        _respond_at(np.column_stack([positions, np.broadcast_to(r**2, len(positions))]), self.spline, found)
         return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
 
 
@@ -199,6 +198,13 @@ def respond(
                 out[1, p] += across * mixed
                 out[2, p] += both * mixed
                 out[3, p] += both * wider / width
+
+
+@njit(cache=True, nogil=True)
+def _respond_at(discs: Floats, spline: Spline, out: Floats) -> None:
+    """Responses, into `out` (n, 4, n_pairs), of discs (n, 3): x, y (m) and squared radius (m2)."""
+    for k in range(len(discs)):
+        respond(discs[k, 0], discs[k, 1], discs[k, 2], spline[0], spline[1], spline[2], spline[3], spline[4], out[k])
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

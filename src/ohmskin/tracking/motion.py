@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ohmskin.contacts.discs import SQUARE_STD
 from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.kernels import SQUARE_STD
 from ohmskin.inverse.modes import check_positive
 from ohmskin.tracking.state import STATE, TrackState
 
