@@ -114,11 +114,12 @@ class ContactFitter(DiscFitter):
         told, data = everything = told.beside_common(), data.beside_common()
         found, covered = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant), tuple[int, ...]()
         while len(found.params) < self.most:
-            score, power = self.scores(told.less(found.caused).beside(found.slopes) if len(found.params) else told)
+            left = told.less(found.caused) if len(found.params) else told
+            score, power = self.scores(left.beside(found.slopes) if len(found.params) else left)
             more = [self.split(told, data, found, k, bar) for k in range(len(found.params))]
-            height, left = self.heights(score, power).max(), told.less(found.caused).told.constant
+            height = self.heights(score, power).max()
             sure = height >= self.bar + self.model_error * told.size(found.caused)
-            if sure or height > max(self.bar, sqrt(_HALF * left)):
+            if sure or height > max(self.bar, sqrt(_HALF * left.told.constant)):
                 one = self.added(data, score, power, found.params)
                 away = ((one.params[:-1, :2] - one.params[-1, :2]) ** 2).sum(axis=1)
                 beside = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
@@ -190,7 +191,8 @@ class ContactFitter(DiscFitter):
 
         That is told by what the contact does beside the electrode's own resistance.
         """
-        left, electrodes = told.less(found.caused).told, self._at_electrodes
+        left = told.less(found.caused).told if len(found.params) else told.told
+        electrodes = self._at_electrodes
         (alone, over), many = electrodes.reshape(2, -1, electrodes.shape[1]), electrodes.shape[1]
         seen, through = left.seen(electrodes)[:, :many].reshape(2, -1, many)
         own, mixed, vector = (seen * alone).sum(axis=1), (seen * over).sum(axis=1), left.vector[:-1]

@@ -1,5 +1,7 @@
 """Patterns that cover a whole sheet, and parts of them."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from ohmskin.arrays import Ints
@@ -31,9 +33,18 @@ def opposite_pairs(electrodes: Electrodes) -> Ints:
 
 
 def part_of(complete: DrivePattern, chosen: Ints) -> DrivePattern:
-    """Those injections (count,) of a pattern, in that order; all its injections must have equally many measurements."""
+    """Those injections (count,) of a pattern, in that order; all its injections must have equally many measurements.
+
+    The same ones give the same object again: what is known of a pattern is worked out once.
+    """
+    return _part_of(complete, tuple(chosen.tolist()))
+
+
+@lru_cache(maxsize=1024)
+def _part_of(complete: DrivePattern, numbers: tuple[int, ...]) -> DrivePattern:
+    chosen = np.array(numbers)
     per_pair = complete.n_meas // complete.n_inj
     rows = (chosen[:, None] * per_pair + np.arange(per_pair)).ravel()
     measured = complete.measurements[rows].copy()
     measured[:, 0] = np.repeat(np.arange(len(chosen)), per_pair)
-    return DrivePattern(complete.injections[chosen], measured)
+    return DrivePattern.valid(complete.injections[chosen], measured)

@@ -1,8 +1,9 @@
 """The untouched skin: reference data and noise, learned from quiet frames."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -90,6 +91,7 @@ class Baseline:
     resistances: Floats
     noise: float
     repeats: int
+    _known: WeakKeyDictionary[DrivePattern, Floats] = field(default_factory=WeakKeyDictionary, init=False, repr=False)
 
     @classmethod
     def learn(cls, frames: Iterable[Frame]) -> "Baseline":
@@ -143,6 +145,8 @@ class Baseline:
         Raises:
             PatternError: If one of its measurements was never seen while the skin was quiet.
         """
+        if (known := self._known.get(pattern)) is not None:
+            return known
         codes, signs = _codes(pattern.quadruples)
         at = np.minimum(np.searchsorted(self.keys, codes), len(self.keys) - 1)
         if len(missing := np.flatnonzero(self.keys[at] != codes)):
@@ -150,7 +154,8 @@ class Baseline:
                 f"no quiet reference for source, sink, plus, minus = {pattern.quadruples[missing[0]].tolist()}; "
                 "calibrate with this pattern included"
             )
-        return signs * self.resistances[at]
+        known = self._known[pattern] = signs * self.resistances[at]
+        return known
 
     def difference(self, frame: Frame) -> Difference:
         """The change of a frame's voltages against the untouched skin at the same currents."""

@@ -50,6 +50,15 @@ class DrivePattern:
             last = len(self.injections) - 1
             raise PatternError(f"measurements must be sorted by injection number and name injections 0..{last}")
 
+    @classmethod
+    def valid(cls, injections: Ints, measurements: Ints) -> "DrivePattern":
+        """A pattern made of parts of valid ones (int64, its own arrays): it is not checked again."""
+        pattern = object.__new__(cls)
+        for name, array in (("injections", injections), ("measurements", measurements)):
+            array.setflags(write=False)
+            object.__setattr__(pattern, name, array)
+        return pattern
+
     @property
     def n_inj(self) -> int:
         return len(self.injections)
@@ -66,8 +75,8 @@ class DrivePattern:
     @cached_property
     def driven(self) -> NDArray[np.bool_]:
         """Which measurements (n_meas,) involve an electrode that carries the current: its contact impedance counts."""
-        given, measured = self.quadruples[:, None, :2], self.quadruples[:, 2:, None]
-        return np.asarray((given == measured).any(axis=(1, 2)))
+        source, sink, plus, minus = self.quadruples.T
+        return np.asarray((source == plus) | (source == minus) | (sink == plus) | (sink == minus))
 
     @cached_property
     def undriven(self) -> "DrivePattern":
@@ -76,7 +85,10 @@ class DrivePattern:
         Raises:
             PatternError: If it has no others.
         """
-        return DrivePattern(self.injections, self.measurements[~self.driven])
+        kept = ~self.driven
+        if not kept.any():
+            raise PatternError("all measurements of the pattern involve an electrode that carries the current")
+        return DrivePattern.valid(self.injections, self.measurements[kept])
 
     @cached_property
     def with_driven(self) -> "DrivePattern":
@@ -85,13 +97,14 @@ class DrivePattern:
         An injection that measures one of them already stays as it is.
         """
         which, plus, minus = self.measurements.T
-        numbers, first, count = np.unique(which, return_index=True, return_counts=True)
-        kept = ~np.isin(numbers, which[self.driven])
-        numbers, first, last = numbers[kept], first[kept], (first + count - 1)[kept]
+        count = np.bincount(which, minlength=self.n_inj)
+        last = np.cumsum(count) - 1
+        numbers = np.flatnonzero((count > 0) & (np.bincount(which[self.driven], minlength=self.n_inj) == 0))
+        first, last = (last - count + 1)[numbers], last[numbers]
         source, sink = self.injections[numbers].T
-        more = [np.column_stack([numbers, *ends]) for ends in ((source, plus[first]), (minus[last], sink))]
-        rows = np.vstack([self.measurements, *more])
-        return DrivePattern(self.injections, rows[np.argsort(rows[:, 0], kind="stable")])
+        more = [np.stack([numbers, *ends], axis=1) for ends in ((source, plus[first]), (minus[last], sink))]
+        rows = np.concatenate([self.measurements, *more])
+        return DrivePattern.valid(self.injections, rows[np.argsort(rows[:, 0], kind="stable")])
 
     def uses(self, electrodes: ArrayLike) -> NDArray[np.bool_]:
         """Whether each measurement (n_meas,) involves any of `electrodes`, one or several, driven or measured."""

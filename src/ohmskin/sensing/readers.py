@@ -156,7 +156,8 @@ class FitReader:
         assert isinstance(before.tracks, Tracks)
         drift, errors = before.drift, self.fitter.errors
         if drift is not None:
-            new, recent = ([scan.less(drift) for scan in scans] for scans in (new, recent))
+            less = {id(scan): scan.less(drift) for scan in {id(scan): scan for scan in (*new, *recent)}.values()}
+            new, recent = ([less[id(scan)] for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
         solution = self.fitter.explained(told, wary)
