@@ -119,11 +119,14 @@ def refined(
 
     The `matrix` (n_pairs + 1, n_pairs + 1) and `vector` are those of a `Misfit`.
     """
-    damping = 1e-3
+    damping, floor, ceiling = 1e-3, np.full(params.size, -np.inf), np.full(params.size, np.inf)
+    for axis in range(2):
+        floor[axis::4], ceiling[axis::4] = sheet[0][axis], sheet[1][axis]
+    floor[2::4], floor[3::4], ceiling[3::4] = least, smallest, largest
     cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
     for _ in range(rounds):
-        step, slope = gradient.copy(), 0.0
-        damped_step(normal, damping, step)
+        at, slope = params.copy().reshape(-1), 0.0
+        step = _bounded_step(normal, gradient, damping, floor - at, ceiling - at)
         for i in range(len(step)):
             slope += step[i] * gradient[i]
         if not _ENOUGH <= slope < np.inf:  # also if it is no number: places would be none
@@ -150,6 +153,33 @@ def refined(
         if abs(gain) < _ENOUGH or damping > 1e4:
             break
     return cost, normal, caused, slopes
+
+
+@njit(cache=True, nogil=True)
+def _bounded_step(normal: Floats, gradient: Floats, damping: float, floor: Floats, ceiling: Floats) -> Floats:
+    """The damped step (n,), parameters that it would take beyond a bound left there: the others make up for it."""
+    n, held = len(gradient), np.zeros(len(gradient), np.bool_)
+    step, ends = gradient.copy(), np.zeros(n)
+    for _ in range(n):
+        reduced = normal.copy()
+        for i in range(n):
+            step[i] = gradient[i]
+        for i in range(n):
+            for k in range(n if held[i] else 0):
+                step[k] -= normal[k, i] * ends[i]
+                reduced[i, k] = reduced[k, i] = 1.0 if k == i else 0.0
+        for i in range(n):
+            if held[i]:
+                step[i] = ends[i] * (1 + damping)
+        damped_step(reduced, damping, step)
+        more = False
+        for i in range(n):
+            if not held[i] and not floor[i] <= step[i] <= ceiling[i]:
+                held[i], more = True, True
+                ends[i] = floor[i] if step[i] < floor[i] else ceiling[i]
+        if not more:
+            break
+    return step
 
 
 @njit(cache=True, nogil=True)
