@@ -8,6 +8,8 @@ off, hum, an offset or a spike contradict every network; a touch never does, how
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import accumulate
 from math import sqrt
 
 import numpy as np
@@ -16,6 +18,7 @@ from numba import njit
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.scan.baseline import Difference
 from ohmskin.scan.pairs import n_pairs, pair_numbers
+from ohmskin.scan.pattern import DrivePattern
 
 _SINGULAR = 1e-9  # share of its own information that is left of a resistance beside the others, below which it has none
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
@@ -82,7 +85,7 @@ class NetworkData:
     """
 
     def __init__(self, scans: Sequence[Difference], n_elec: int, instrument: Instrument) -> None:
-        starts = np.cumsum([0, *(scan.pattern.n_inj for scan in scans)]).tolist()
+        starts = list(accumulate((scan.pattern.n_inj for scan in scans), initial=0))
         self.quadruples: Ints = np.concatenate([scan.pattern.quadruples for scan in scans])
         self.injection: Ints = np.concatenate(
             [scan.pattern.measurements[:, 0] + start for scan, start in zip(scans, starts, strict=False)]
@@ -92,10 +95,9 @@ class NetworkData:
         self._volts, currents = (np.concatenate([getattr(scan, name) for scan in scans]) for name in _GIVEN)
         self._quiet, loading = (_together(scans, name) for name in ("reference", "source_loading"))
         self.known: Bools = np.isfinite(self._volts) & np.isfinite(currents)
-        ends = self.quadruples[:, _ENDS]
-        values = np.column_stack([np.tile(_SIGNS, (len(currents), 1)), -loading]) * currents[:, None]
-        self._entries = np.where(ends[..., 0] != ends[..., 1], values, 0.0)  # of a driven electrode, F_ii = 0
-        self._columns = np.ascontiguousarray(pair_numbers(n_elec)[ends[..., 0], ends[..., 1]])
+        columns, signs = zip(*(_resistances(scan.pattern, n_elec) for scan in scans), strict=True)
+        self._columns, self._entries = np.concatenate(columns), np.concatenate(signs) * currents[:, None]
+        self._entries[:, 4] = -loading * currents
         self.n_elec, self._instrument = n_elec, instrument
 
     def largest(self, kept: Bools) -> float:
@@ -104,7 +106,8 @@ class NetworkData:
 
     def without(self, electrodes: Iterable[int]) -> Bools:
         """Which measurements (n_meas,) involve none of these electrodes."""
-        return np.asarray(~np.isin(self.quadruples, list(electrodes)).any(axis=1))
+        out = list(electrodes)
+        return np.asarray(~np.isin(self.quadruples, out).any(axis=1)) if out else np.ones(len(self.quadruples), bool)
 
     def uses(self, electrode: int) -> Bools:
         """Whether each measurement (n_meas,) involves an electrode, driven or measured."""
@@ -136,6 +139,15 @@ class NetworkData:
 
 
 _GIVEN = ("volts", "currents")
+
+
+@lru_cache(maxsize=256)
+def _resistances(pattern: DrivePattern, n_elec: int) -> tuple[Ints, Floats]:
+    """The numbers (n_meas, 5) of the two-terminal resistances behind each voltage, the last its injection's own, and
+    their signs: 0 for the last one, and for the F_ii = 0 of a driven electrode."""
+    ends = pattern.quadruples[:, _ENDS]
+    signs = np.append(_SIGNS, 0.0) * (ends[..., 0] != ends[..., 1])
+    return np.ascontiguousarray(pair_numbers(n_elec)[ends[..., 0], ends[..., 1]]), signs
 
 
 def _together(scans: Sequence[Difference], name: str) -> Floats:

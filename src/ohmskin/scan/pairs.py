@@ -53,4 +53,9 @@ def two_terminal(form: Floats) -> Floats:
 
 def in_series(electrodes: Sequence[int], n_elec: int) -> Floats:
     """Change of two-terminal resistances (n_pairs, n) by 1 ohm in series with each of n electrodes (ohm)."""
-    return np.asarray((all_pairs(n_elec)[:, :, None] == np.asarray(electrodes, int)).any(axis=1).astype(float))
+    return np.asarray(_in_series(n_elec)[:, np.asarray(electrodes, int)])
+
+
+@cache
+def _in_series(n_elec: int) -> Floats:
+    return np.asarray((all_pairs(n_elec)[:, :, None] == np.arange(n_elec)).any(axis=1).astype(float))
