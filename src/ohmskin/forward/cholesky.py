@@ -82,6 +82,14 @@ class Factor:
         columns = np.asarray(loads, float).reshape(self.elimination.n, -1)
         return self._down(columns)[:, : columns.shape[1]]
 
+    def half_solve_transposed(self, white: Floats) -> Floats:
+        """W^T white (n, k): colours a white field (n or n - 1, k), with W as in `half_solve`."""
+        inner = np.zeros((len(white), (white.shape[1] + 7) // 8 * 8))
+        inner[:, : white.shape[1]] = white
+        result = np.zeros((self.elimination.n, white.shape[1]))
+        substitute_up(*self._layout, inner, result)
+        return result
+
     def _down(self, loads: Floats) -> Floats:
         inner = np.zeros((len(self.elimination.order), (loads.shape[1] + 7) // 8 * 8))
         substitute_down(*self._layout, loads, inner)

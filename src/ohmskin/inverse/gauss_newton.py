@@ -12,8 +12,8 @@ which is the same image (push-through identity) from a system of at most L (L - 
 """
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,11 +23,21 @@ from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Cells
 from ohmskin.inverse.image import Image, NoiseStd, Reconstructs
-from ohmskin.inverse.modes import ImageModes, System, check_positive, check_share, pair_system, regularised
+from ohmskin.inverse.modes import (
+    ImageModes,
+    System,
+    check_positive,
+    check_share,
+    finite_system,
+    pair_system,
+    regularised,
+)
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.positivity import nonnegative
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of
 from ohmskin.scan import Difference
+
+ILL = 1e-4  # weight over the norm of the rows below which what squares the condition number loses too many digits
 
 
 @dataclass(eq=False, repr=False)
@@ -81,9 +91,15 @@ class GaussNewton(Reconstructs):
     def reconstruct(self, *differences: Difference) -> Image:
         system = self.modes.system(*differences)
         weight = system.noise(self.noise, self.model_error) / self.amplitude
-        u, noise_std = solve_modes(self.modes, system, weight, self.noise)
+        modes = self.modes
+        if weight < ILL * np.linalg.norm(system.rows):  # too exact for rows of pairs, of which the largest parts cancel
+            relative, n_elec = self._relative(), modes.n_elec
+            whole = finite_system(lambda difference: difference.combination(n_elec) @ relative, differences)
+            modes = ImageModes.of_relative(whole.rows, self._penalty, n_elec)
+            system = System(modes.mixing, whole.volts)
+        values, noise_std = solve_modes(modes, system, weight, self.noise)
         if not self.positive:
-            return Image(u @ self.modes.modes, noise_std)
+            return Image(values, noise_std)
         pairs = pair_system(len(self.model.electrodes), *differences)
         rows = pairs.rows @ self._penalty.to_unknowns(self._relative())
         w = nonnegative(self._penalty.normalised, rows, pairs.volts, weight)
@@ -97,16 +113,46 @@ class GaussNewton(Reconstructs):
 
 
 def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, NoiseStd]:
-    """The u of least |volts - rows u|^2 + weight^2 |u|^2, and the image's standard deviation from noise (V)."""
-    rows, few = system.rows, len(system.rows) < len(modes.modes)
-    # the smaller of two systems with the same solution (push-through identity)
-    normal = regularised(rows @ rows.T if few else rows.T @ rows, weight)
-    solve = partial(cho_solve, cho_factor(normal, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
-    u: Floats = rows.T @ solve(system.volts) if few else solve(rows.T @ system.volts)
+    """The image of the u of least |volts - rows u|^2 + weight^2 |u|^2, and its standard deviation from noise (V)."""
+    rows, images, volts = system.rows, modes.modes, system.volts
+    left = volts
+    level = np.zeros(len(rows))  # what each datum says of the mean
+    if modes.free_mean and (size := float(np.linalg.norm(rows[:, 0]))) > 0:  # unpenalised: taken out of all equations
+        along = rows[:, 0] / size
+        overlap = along @ rows[:, 1:]
+        level = along * images[0, 0] / size
+        images = images[1:] - np.outer(overlap, images[0] / size)
+        rows = rows[:, 1:] - np.outer(along, overlap)
+        left = volts - along * (along @ volts)
+    solve, transposed = _least_squares(rows, weight)
 
     def noise_std(elements: ArrayLike) -> Floats:
-        some = modes.modes[:, np.atleast_1d(elements)]
-        response = solve(rows @ some) if few else rows @ solve(some)
+        response = transposed(images[:, np.atleast_1d(elements)]) + level[:, None]
         return np.asarray(noise * np.linalg.norm(response, axis=0))
 
-    return u, noise_std
+    return solve(left) @ images + level @ volts, noise_std
+
+
+def _least_squares(rows: Floats, weight: float) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:
+    """volts (n_meas,) -> u of least |volts - rows u|^2 + weight^2 |u|^2, and that linear map transposed."""
+    size = float(np.linalg.norm(rows))
+    if weight < ILL * size:  # normal equations would square the condition number
+        left, singular, right = np.linalg.svd(rows, full_matrices=False)
+        gain = singular / (singular**2 + max(weight, 1e-13 * size) ** 2)
+        return lambda volts: (gain * (left.T @ volts)) @ right, lambda b: left @ (gain[:, None] * (right @ b))
+    few = len(rows) < rows.shape[1]  # the smaller of two systems with the same solution (push-through identity)
+    normal = regularised(rows @ rows.T if few else rows.T @ rows, weight)
+    factor = cho_factor(normal, lower=True, overwrite_a=True, check_finite=False)
+
+    def inverse(right: Floats) -> Floats:
+        return np.asarray(cho_solve(factor, right, check_finite=False))
+
+    def solve(volts: Floats) -> Floats:
+        """With one step of iterative refinement, of which the residual takes no normal equations."""
+        if few:
+            y = inverse(volts)
+            return rows.T @ (y + inverse(volts - rows @ (rows.T @ y) - weight**2 * y))
+        u = inverse(rows.T @ volts)
+        return u + inverse(rows.T @ (volts - rows @ u) - weight**2 * u)
+
+    return solve, lambda b: inverse(rows @ b) if few else rows @ inverse(b)

@@ -48,8 +48,8 @@ class Greit:
     def __post_init__(self) -> None:
         check_positive(noise=self.noise, noise_figure=self.noise_figure)
         self.responses, self.desired = train(self.model)
-        covariance = self.responses @ self.responses.T
-        self.modes = ImageModes.of_products(self.responses @ self.desired.T, covariance, len(self.model.electrodes))
+        basis, triangle = np.linalg.qr(self.responses.T)
+        self.modes = ImageModes(basis.T @ self.desired.T, triangle.T.copy(), len(self.model.electrodes))
         self._weights: dict[object, float] = {}
 
     def reconstruct(self, *differences: Difference) -> Image:
@@ -60,8 +60,7 @@ class Greit:
             ModelError: If the noise figure cannot be had with these scans; the message says which can.
         """
         system = self.modes.system(*differences)
-        u, noise_std = solve_modes(self.modes, system, self._weight(differences), self.noise)
-        return Image(u @ self.modes.modes, noise_std)
+        return Image(*solve_modes(self.modes, system, self._weight(differences), self.noise))
 
     def _weight(self, differences: tuple[Difference, ...]) -> float:
         """The regularisation with the wanted noise figure, remembered by pattern, currents and channels."""

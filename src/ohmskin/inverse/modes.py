@@ -1,8 +1,9 @@
 """Image modes: all images that electrode data can call for under a prior, in coordinates that are independent a priori.
 
 Every sensitivity is a combination of the L (L - 1) / 2 pair sensitivities G (relative conductivity). With prior
-covariance Gamma, G Gamma G^T = C C^T is factored once, and Gamma G^T = B^T C^T. An image is B^T u with u white a
-priori, and data are I A C u: whatever the pattern A and the mesh, a problem has at most L (L - 1) / 2 unknowns.
+covariance Gamma = W^T W, W G^T = Q C^T is factored once, and B = Q^T W. An image is B^T u with u white a priori, and
+data are I A C u: whatever the pattern A and the mesh, a problem has at most L (L - 1) / 2 unknowns. Factors of G Gamma
+G^T would be the same, but with the square of the condition number, which is the rounding error of images at low noise.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError, ModelError
-from ohmskin.inverse.priors import Penalty
+from ohmskin.inverse.priors import FREE, Penalty
 from ohmskin.scan import Difference, DrivePattern
 
 _KEPT_ROWS = 64  # adaptive patterns come and go; the fixed ones are cheap to make again
@@ -51,11 +52,13 @@ class ImageModes:
         modes: B (n_modes, n_elem), relative conductivity change.
         mixing: C (n_pairs, n_modes), two-terminal resistances (ohm) that the modes cause.
         n_elec: Number of electrodes.
+        free_mean: Whether the first mode is the same everywhere, and nothing is known of it a priori.
     """
 
     modes: Floats
     mixing: Floats
     n_elec: int
+    free_mean: bool = False
     _rows: dict[DrivePattern, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -64,19 +67,16 @@ class ImageModes:
 
         `relative` (n_pairs, n_image): change of two-terminal resistances with each value's relative change (ohm).
         """
-        if len(relative) > relative.shape[1] and penalty.image is None and penalty.places is not None:
-            # more pairs than unknowns: the modes are the unknowns, whitened, and no matrix (n_pairs, n_pairs) is formed
-            return cls(penalty.whitened(np.eye(relative.shape[1])), penalty.whitened(relative.T).T.copy(), n_elec)
-        smoothed = penalty.covariance(relative.T).T
-        return cls.of_products(smoothed, relative @ smoothed.T, n_elec)
-
-    @classmethod
-    def of_products(cls, smoothed: Floats, covariance: Floats, n_elec: int) -> "ImageModes":
-        """The modes with Gamma G^T the transpose of `smoothed` (n_pairs, n_elem), and G Gamma G^T `covariance`."""
-        variance, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-        # variances span more decades than rounding leaves intact; a floor, unlike a cut, keeps B^T C^T = Gamma G^T
-        deviation = np.sqrt(np.maximum(variance, 1e-15 * variance[-1]))
-        return cls((vectors.T @ smoothed) / deviation[:, None], vectors * deviation, n_elec)
+        white = penalty.whitened(relative.T)
+        if len(white) < len(relative):  # more pairs than unknowns: the modes are the unknowns, whitened
+            basis, triangle = np.eye(len(white)), white
+        else:
+            basis, triangle = np.linalg.qr(white)
+        modes, mixing = penalty.coloured(basis).T, triangle.T
+        if penalty.free_mean:
+            level = np.full((1, relative.shape[1]), FREE)
+            modes, mixing = np.vstack([level, modes]), np.hstack([relative @ level.T, mixing])
+        return cls(np.ascontiguousarray(modes), np.ascontiguousarray(mixing), n_elec, penalty.free_mean)
 
     @property
     def n_modes(self) -> int:
@@ -127,7 +127,8 @@ def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Di
     """
     if not differences:
         raise DataError("no scan to make an image of; give at least one")
-    rows = [rows_of(difference) * difference.currents[:, None] for difference in differences]
+    currents = [np.where(np.isfinite(difference.currents), difference.currents, np.nan) for difference in differences]
+    rows = [rows_of(difference) * amperes[:, None] for difference, amperes in zip(differences, currents, strict=True)]
     stacked = rows[0] if len(rows) == 1 else np.vstack(rows)
     volts = differences[0].volts if len(rows) == 1 else np.concatenate([d.volts for d in differences])
     known = np.isfinite(volts) & np.isfinite(stacked[:, 0])  # a current that is not finite spoils its whole row

@@ -14,15 +14,19 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
 from ohmskin.forward import TransferModel
-from ohmskin.forward.assembly import factorise, stiffness
-from ohmskin.forward.cholesky import Elimination
+from ohmskin.forward.assembly import stiffness
+from ohmskin.forward.cholesky import Elimination, Factor
 from ohmskin.geometry import Mesh
 from ohmskin.registry import Registry
 from ohmskin.scan import adjacent
+
+FREE = 100.0
+"""Standard deviation of a mean that is left free, where an estimator asks for one (relative to that of the image)."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +38,13 @@ class Penalty:
         image: (n_elem, n_unknowns) sparse, from the unknowns to the image; None where they are the same.
         mean_variance: Variance of the image, averaged over the sheet, for which the penalty is meant; None: as it
             comes, to be scaled to one by who uses it.
-        free_mean: Whether the mean of the image is to be left free, so that it does not count in the average variance.
+        free_mean: Whether images that are the same everywhere cost nothing, the null space of `matrix`. Then the mean
+            does not count in the average variance. Only without `image`.
         places: (n_unknowns, dim) where each unknown is (m); makes factorising the matrix much quicker.
+
+    Raises:
+        ModelError: If shapes do not fit, or the matrix is complex, not finite, not symmetric or, when it is first used,
+            not positive definite (with a free mean: but for constants).
     """
 
     matrix: sp.csc_array
@@ -45,34 +54,56 @@ class Penalty:
     places: Floats | None = None
 
     def __post_init__(self) -> None:
-        n = self.matrix.shape[0]
-        if self.matrix.shape != (n, n) or (self.image is not None and self.image.shape[1] != n):
-            raise ModelError(f"a penalty of shape {self.matrix.shape} does not fit its image")
+        matrix, n = checked_matrix(self.matrix), self.matrix.shape[0]
+        if self.image is not None and (self.free_mean or self.image.shape[1] != n):
+            raise ModelError(
+                f"a penalty of {n} unknowns, with image {self.image.shape}, free_mean {self.free_mean}; "
+                "give an image (n_elem, n_unknowns), and leave the mean free only without one"
+            )
+        if self.free_mean and np.abs(matrix @ np.ones(n)).max() > 1e-9 * np.abs(matrix.data).max():
+            raise ModelError("a prior with free_mean penalises constants; make each row of its matrix sum to zero")
+        object.__setattr__(self, "matrix", matrix)
 
     @cached_property
     def normalised(self) -> sp.csc_array:
-        """The matrix, scaled so that the variance of the image, averaged over the sheet, is one."""
-        return sp.csc_array(self.matrix * self._average_variance)
+        """The matrix, scaled so that the variance of the image, averaged over the sheet, is one.
+
+        A mean that is free has a standard deviation of `FREE`, so that the matrix is positive definite.
+        """
+        matrix, n = self.matrix * self.average_variance, self.matrix.shape[0]
+        return sp.csc_array(matrix + sp.eye_array(n) / (n * FREE**2) if self.free_mean else matrix)
 
     @cached_property
-    def _solve(self) -> Callable[[Floats], Floats]:
-        solve: Callable[[Floats], Floats] = factorise(self.matrix, self.places).solve
-        return solve
+    def _factor(self) -> Factor:
+        n = self.matrix.shape[0]
+        places = np.arange(n, dtype=float)[:, None] if self.places is None else self.places
+        advice = "add to its diagonal, or leave constants free: Penalty(matrix, free_mean=True)"
+        try:  # a mean that is free is taken off; what is left is known relative to the first unknown
+            factor = Elimination(self.matrix, places, 0 if self.free_mean else -1).factorise(self.matrix.data)
+        except ModelError:
+            raise ModelError(f"the prior's matrix is not positive definite; {advice}") from None
+        probe = np.random.default_rng(0).choice([-1.0, 1.0], size=(n, 1))
+        reach = float(np.abs(factor.solve(probe)).max() * np.abs(self.matrix.data).max())
+        if not reach < 1e13:
+            raise ModelError(f"the prior's matrix is singular to {1 / reach:.0e}; {advice}")
+        return factor
 
     def whitened(self, columns: Floats) -> Floats:
-        """W columns (n_unknowns, n), with W^T W the covariance of the unknowns, scaled as in `covariance`.
+        """W columns (n_white, n) of columns (n_elem, n), with W^T W the covariance, of average variance one.
 
-        Raises:
-            ModelError: If it is not known where the unknowns are.
+        A mean that is free is no part of it; then there is one white unknown less.
         """
-        if self.places is None:
-            raise ModelError("a penalty is whitened by the places of its unknowns; make it with places=")
-        factor = Elimination(self.matrix, self.places).factorise(self.matrix.data)
-        return np.asarray(factor.half_solve(columns) / np.sqrt(self._average_variance))
+        given = self._centred(columns if self.image is None else self.image.T @ columns)
+        return np.asarray(self._factor.half_solve(given) / np.sqrt(self.average_variance))
+
+    def coloured(self, white: Floats) -> Floats:
+        """The images W^T white (n_elem, n) of white unknowns (n_white, n), see `whitened`."""
+        fields = self._factor.half_solve_transposed(white) / np.sqrt(self.average_variance)
+        return self.to_image(self._centred(fields))
 
     def covariance(self, columns: Floats) -> Floats:
         """The prior covariance, scaled to an average variance of one, times `columns` (n_elem, n)."""
-        return self._apply(columns) / self._average_variance
+        return self._apply(columns) / self.average_variance
 
     def to_image(self, unknowns: Floats) -> Floats:
         """The image (n_elem, ...) of unknowns (n_unknowns, ...)."""
@@ -83,24 +114,50 @@ class Penalty:
         return rows if self.image is None else np.asarray(rows @ self.image)
 
     def _apply(self, columns: Floats) -> Floats:
-        return self.to_image(self._solve(columns if self.image is None else self.image.T @ columns))
+        given = self._centred(columns if self.image is None else self.image.T @ columns)
+        return self.to_image(self._centred(self._factor.solve(given)))
+
+    def _centred(self, columns: Floats) -> Floats:
+        return columns - columns.mean(axis=0) if self.free_mean else columns
 
     @cached_property
-    def _average_variance(self) -> float:
+    def average_variance(self) -> float:
+        """Variance of the image as the matrix is, averaged over the sheet; of a given `mean_variance` that."""
         if self.mean_variance is not None:
             return self.mean_variance
         n = self.matrix.shape[0] if self.image is None else self.image.shape[0]
-        return mean_diagonal(self._apply, n, free_mean=self.free_mean)
+        return mean_diagonal(self._apply, n)
 
 
-def mean_diagonal(apply: Callable[[Floats], Floats], n: int, probes: int = 256, free_mean: bool = False) -> float:
+def checked_matrix(given: "sp.sparray | ArrayLike") -> sp.csc_array:
+    """A prior's matrix as sparse columns, checked.
+
+    Raises:
+        ModelError: If it is not square, real, finite and symmetric.
+    """
+    advice = "a prior gives a sparse symmetric positive definite matrix (n_elem, n_elem), or a Penalty"
+    try:
+        matrix = sp.csc_array(given)
+    except (TypeError, ValueError):
+        raise ModelError(f"a prior gave {type(given).__name__}; {advice}") from None
+    if matrix.dtype.kind not in "fiub" or matrix.shape[0] != matrix.shape[1]:
+        raise ModelError(f"a prior gave a matrix of shape {matrix.shape} and type {matrix.dtype}; {advice}")
+    matrix = sp.csc_array(matrix, dtype=float)
+    if not np.isfinite(matrix.data).all():
+        raise ModelError(f"a prior gave a matrix with entries that are not finite; {advice}")
+    skew = float(np.abs((matrix - matrix.T).data).max(initial=0.0) / np.abs(matrix.data).max(initial=1e-300))
+    if skew > 1e-9:
+        by = f"by {skew:.2g} of its largest entry; both triangles are needed"
+        raise ModelError(f"a prior gave a matrix that is not symmetric ({by}); {advice}")
+    return sp.csc_array((matrix + matrix.T) / 2)
+
+
+def mean_diagonal(apply: Callable[[Floats], Floats], n: int, probes: int = 256) -> float:
     """Mean of the diagonal of a matrix (n, n) known by its products, from random signs (Hutchinson).
 
-    About one per cent off, the same every time. With `free_mean`, of the matrix without its part on constants.
+    About one per cent off, the same every time.
     """
     signs: Floats = np.random.default_rng(0).choice([-1.0, 1.0], size=(n, probes))
-    if free_mean:
-        signs = signs - signs.mean(axis=0)
     return float(np.mean(signs * apply(signs)))
 
 
@@ -116,14 +173,9 @@ def paper_laplacian(mesh: Mesh) -> sp.csc_array:
 
 
 def graph_laplacian(mesh: Mesh) -> Penalty:
-    """Twice (degree - adjacency): what EIDORS calls ``prior_laplace``. Constant images cost nothing.
-
-    To make the matrix definite, a thousandth of its mean diagonal, over the number of triangles, is added: a prior
-    standard deviation of the mean some fifteen times that of the rest, so that the mean goes where the data want it.
-    """
+    """Twice (degree - adjacency): what EIDORS calls ``prior_laplace``. Constant images cost nothing."""
     degree = np.asarray(mesh.adjacency.sum(axis=1)).ravel()
-    ridge = 1e-3 * degree.mean() / mesh.n_elem
-    laplacian = sp.csc_array(2 * (sp.diags_array(degree + ridge) - mesh.adjacency))
+    laplacian = sp.csc_array(2 * (sp.diags_array(degree) - mesh.adjacency))
     return Penalty(laplacian, free_mean=True, places=mesh.centroids)
 
 
@@ -232,5 +284,12 @@ def penalty_of(model: TransferModel, prior: "Prior | str") -> Penalty:
     Raises:
         ModelError: If there is no such prior; the message lists those there are.
     """
-    found = (PRIORS[prior](model) if isinstance(prior, str) else prior)(model.mesh)
-    return found if isinstance(found, Penalty) else Penalty(sp.csc_array(found), places=model.mesh.centroids)
+    mesh = model.mesh
+    found = (PRIORS[prior](model) if isinstance(prior, str) else prior)(mesh)
+    if not isinstance(found, Penalty):
+        matrix = checked_matrix(found)
+        found = Penalty(matrix, places=mesh.centroids if len(mesh.centroids) == matrix.shape[0] else None)
+    values = (found.matrix if found.image is None else found.image).shape[0]
+    if values != mesh.n_elem:
+        raise ModelError(f"the prior is of {values} values; give {mesh.n_elem}, one for each element of the mesh")
+    return found
