@@ -171,6 +171,29 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
         assert [tape.frames[k].sequence for k in range(len(tape.frames))] == [frame.sequence for frame in frames]
 
 
+def test_room_that_comes_back_is_used_bit_by_bit_and_the_frames_told_are_those_in_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    pipe = WriterPipe(path, METADATA, {})
+    patterns: set = set()
+    for number, frame in enumerate(some_frames(1000)):
+        if number == 10:
+            resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
+        _send(pipe, patterns, frame, number)
+    sizes = [0]
+    for room in (200_000, 300_000, 400_000):  # never enough for all
+        resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+        wait_until(lambda most=room: pipe.progress.trouble and pipe.progress.written > most - 50_000)
+        sizes.append(path.stat().st_size)
+        with Tape(path) as tape:
+            assert "damaged" not in "".join(tape.notes)
+    assert sizes == sorted(set(sizes))
+    progress = pipe.close()
+    with Tape(path) as tape:
+        assert 20 < len(tape.frames) == progress.frames < 1000
+    assert progress.trouble
+    assert 1000 <= progress.frames + progress.dropped["all topics, by the writer"] <= 1000 + len(patterns)
+
+
 def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patterns(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     pipe = WriterPipe(path, METADATA, {})

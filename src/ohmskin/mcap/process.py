@@ -23,7 +23,13 @@ def main() -> None:
     answer(ready=True)
 
     def tell(**more: object) -> None:
-        answer(written=writer.disk.written, frames=writer.frames, lost=writer.lost, trouble=writer.disk.trouble, **more)
+        answer(
+            written=writer.disk.written,
+            frames=writer.disk.frames,
+            lost=writer.lost,
+            trouble=writer.disk.trouble,
+            **more,
+        )
 
     told = time.monotonic()
     buffer = bytearray()

@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
@@ -23,10 +24,11 @@ SYNC_EVERY = 5.0  # seconds; what a power cut may cost
 
 
 class Disk:
-    """A new file that takes whole chunks or nothing: what does not fit is kept and tried again.
+    """A new file that takes whole parts or nothing of them: what does not fit is kept and tried again.
 
     Attributes:
         written: Bytes in the file.
+        frames: Frames in it.
 
     Raises:
         OSError: If the file cannot be made; FileExistsError if it is there.
@@ -34,43 +36,58 @@ class Disk:
 
     def __init__(self, path: str) -> None:
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
-        self._pending = bytearray()
-        self.written, self._synced, self._retry_at = 0, time.monotonic(), 0.0
+        self._open = bytearray()
+        self._parts: deque[tuple[bytes, int, int]] = deque()  # each with how many frames and messages are in it
+        self._pending = 0
+        self.written = self.frames = 0
+        self._synced, self._retry_at = time.monotonic(), 0.0
         self._syncing: threading.Thread | None = None
         self.trouble = ""
 
     @property
     def full(self) -> bool:
         """Whether no more should be handed over until a `commit` succeeds."""
-        return len(self._pending) > MOST_UNWRITTEN
+        return self._pending > MOST_UNWRITTEN
 
     def write(self, data: bytes) -> int:
-        self._pending += data
+        self._open += data
+        self._pending += len(data)
         return len(data)
 
     def tell(self) -> int:
-        return self.written + len(self._pending)
+        return self.written + self._pending
 
     def flush(self) -> None:
         """Nothing: `commit` writes."""
 
-    def commit(self, now: bool = False) -> None:
-        """Write what is pending, all or nothing; after a failure only once a second unless `now`."""
-        if not self._pending or (self.trouble and not now and time.monotonic() < self._retry_at):
+    @property
+    def unwritten(self) -> int:
+        """Messages of the parts that wait for room."""
+        return sum(messages for *_, messages in self._parts)
+
+    def commit(self, now: bool = False, frames: int = 0, messages: int = 0) -> None:
+        """End a part with so many frames and messages, and write what waits; after a failure once a second or `now`."""
+        if self._open:
+            self._parts.append((bytes(self._open), frames, messages))
+            self._open.clear()
+        if not self._parts or (self.trouble and not now and time.monotonic() < self._retry_at):
             return
-        try:
-            with memoryview(self._pending) as data:
+        while self._parts:
+            part, frames, _ = self._parts[0]
+            try:
                 done = 0
-                while done < len(data):
-                    done += os.write(self._file, data[done:])
-        except OSError as error:
-            self.trouble, self._retry_at = error.strerror or str(error), time.monotonic() + RETRY_AFTER
-            with suppress(OSError):
-                os.ftruncate(self._file, self.written)
-                os.lseek(self._file, self.written, os.SEEK_SET)
-            return
-        self.written += len(self._pending)
-        self._pending.clear()
+                while done < len(part):
+                    done += os.write(self._file, part[done:])
+            except OSError as error:
+                self.trouble, self._retry_at = error.strerror or str(error), time.monotonic() + RETRY_AFTER
+                with suppress(OSError):
+                    os.ftruncate(self._file, self.written)
+                    os.lseek(self._file, self.written, os.SEEK_SET)
+                return
+            self._parts.popleft()
+            self._pending -= len(part)
+            self.written += len(part)
+            self.frames += frames
         self.trouble = ""
         if time.monotonic() - self._synced > SYNC_EVERY and not (self._syncing and self._syncing.is_alive()):
             # a slow disk takes a second for this, in which the pipe would fill
@@ -126,7 +143,6 @@ class RecordingWriter:
         attachments: Texts by file name, such as the skin's description.
 
     Attributes:
-        frames: Frames written so far.
         lost: Messages given up because the disk took none.
 
     Raises:
@@ -135,8 +151,8 @@ class RecordingWriter:
 
     def __init__(self, path: str, metadata: dict[str, dict[str, str]], attachments: dict[str, str]) -> None:
         self.disk = Disk(path)
-        self.frames = self.lost = 0
-        self._recent = 0
+        self.lost = 0
+        self._recent = self._count = 0  # frames and messages of the chunk in progress
         self._owed: dict[bytes, tuple[int, int, int, bytes]] = {}  # patterns that later frames will refer to
         self._due = float("inf")
         self._writer = open_writer(self.disk, 2**30)  # chunks end where `_add` says
@@ -171,9 +187,9 @@ class RecordingWriter:
             self._due = time.monotonic() + CHUNK_SECONDS
         self._writer.add_message(topic + 1, stamp, data, stamp, sequence)
         self._size += len(data) + 31
+        self._count += 1
         if topic == FRAME:
             self._recent += 1
-            self.frames += 1
         if self._size >= CHUNK_BYTES or self._recent >= CHUNK_FRAMES or time.monotonic() > self._due:
             self.flush()
 
@@ -187,14 +203,15 @@ class RecordingWriter:
     def flush(self) -> None:
         """End the chunk in progress and hand it to the system."""
         self._writer.flush()
-        self._recent = self._size = 0
+        frames, messages, self._recent, self._count, self._size = self._recent, self._count, 0, 0, 0
         self._due = float("inf")
-        self.disk.commit()
+        self.disk.commit(frames=frames, messages=messages)
 
     def close(self) -> None:
         """Write the index and close. Without room for it the file stays one that `ohmskin recover` mends."""
         self.flush()
         self.disk.commit(now=True)
+        self.lost += self.disk.unwritten
         self._writer.finish()
         self.disk.commit(now=True)
         self.disk.close()
