@@ -332,6 +332,24 @@ def test_a_bomb_does_not_go_off(tmp_path: Path, compression: str, claim: int) ->
         tracemalloc.stop()
 
 
+def test_a_file_of_ever_the_same_frames_is_refused_before_they_are_all_read(tmp_path: Path, small: bytes) -> None:
+    """Thirty chunks of 16 MiB of the shortest messages there are, in 54 kB."""
+    import zstandard
+
+    message = struct.pack("<BQ", 5, 22) + struct.pack("<HIQQ", 1, 0, 0, 0)
+    records = message * (LARGEST_RECORD // len(message))
+    packed = chunk("zstd", zstandard.compress(records), len(records))
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(small[:8] + 30 * packed)
+    assert path.stat().st_size < 100_000
+    with Container(path) as container, pytest.raises(DataError, match="unpacks to more than 256 times its size"):
+        for _ in container.messages():
+            pass
+    assert container.end < path.stat().st_size / 5
+    with pytest.raises(DataError, match="made to do harm"):
+        Tape(path)
+
+
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("small") / "small.mcap"

@@ -22,6 +22,7 @@ MAGIC = b"\x89MCAP0\r\n"
 LARGEST_RECORD = 16 * 2**20
 """Bytes of one record, as stored and unpacked. Ours are a thousandth of it."""
 _WITHIN = 2 * LARGEST_RECORD  # a place is that of a record in the file times this, plus that of a message within it
+_MOST_UNPACKED = 256  # times the size of the file, and one record: lz4 packs zeros to a 255th
 _MOST_KEPT = 1024  # schemas, channels, metadata records, attachments
 
 _RECORD = struct.Struct("<BQ")
@@ -75,6 +76,7 @@ class Container(Closing):
         What is damaged is left out and counted. Places grow; `message` takes them.
         """
         self.damaged, self.end, self.whole = 0, len(MAGIC), False
+        left = LARGEST_RECORD + _MOST_UNPACKED * self.size
         while head := self._head(self.end):
             (opcode, length), start = head, self.end
             if start + _RECORD.size + length > self.size or opcode == 0:
@@ -92,6 +94,9 @@ class Container(Closing):
                 except DataError:
                     self.damaged += 1
                     continue
+                if (left := left - len(data)) < 0:
+                    told = f"{self.path} unpacks to more than {_MOST_UNPACKED} times its size"
+                    raise DataError(f"{told}, as no recording does; it is made to do harm, or damaged")
                 yield from self._within(start, data)
 
     def message(self, place: int) -> bytes:
