@@ -5,6 +5,7 @@ import io
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -319,6 +320,13 @@ def cell(inner: bytes, count: int = 1) -> bytes:
     return element(14, flags + dims + element(1, b"c") + inner)
 
 
+def struct_of(names: int, length: int, count: int) -> bytes:
+    """An array of `count` structs with so many bytes of names of fields, and nothing else."""
+    flags, dims = element(6, struct.pack("<II", 2, 0)), element(5, struct.pack("<ii", 1, count))
+    head = flags + dims + element(1, b"s") + element(5, struct.pack("<i", length))
+    return element(14, head + element(1, bytes(names)))
+
+
 def test_small_hostile_files_are_refused_before_they_grow(tmp_path: Path) -> None:
     bomb = zlib.compress(bytes(300 * 2**20), 9)
     deep = b""
@@ -329,10 +337,24 @@ def test_small_hostile_files_are_refused_before_they_grow(tmp_path: Path) -> Non
         ("deep", deep, "more than 16 deep"),
         ("wide", cell(b"", 2**30), "claims an array of 1073741824 parts"),
         ("short", struct.pack("<II", 14, 2**31) + b"abc", "is cut short"),
+        (
+            "fields",
+            element(15, zlib.compress(struct_of(200 * 2**20, 2, 1), 9)),
+            "1 structs of 104857600 fields and has 0",
+        ),
+        ("no parts", element(15, zlib.compress(struct_of(200 * 2**20, 2, 0), 9)), "0 structs of 104857600 fields"),
+        (
+            "dimensions",
+            element(14, element(6, bytes(8)) + element(5, bytes(4 * 33)) + element(1, b"a")),
+            "32 dimensions",
+        ),
     ):
         (tmp_path / name).write_bytes(HEADER + content)
+        tracemalloc.start()
         with pytest.raises(DataError, match=says):
             read_recording(tmp_path / name)
+        assert tracemalloc.get_traced_memory()[1] < 600 * 2**20
+        tracemalloc.stop()
     outside = sp.csc_matrix(np.eye(3))
     outside.indices[:] = 2**20  # would be written far outside of the array
     scipy.io.savemat(

@@ -16,6 +16,7 @@ from ohmskin.importers import Recording, read_recording
 from ohmskin.inverse import GaussNewton, match_model
 from ohmskin.scan import (
     Baseline,
+    Difference,
     DrivePattern,
     Frame,
     NetworkFit,
@@ -340,7 +341,7 @@ def test_missing_and_clipped_values_are_counted_named_and_left_out(model: Transf
     # the same as if these measurements had never been in the pattern
     kept = np.isfinite(difference.volts)
     shorter = DrivePattern(PATTERN.injections, PATTERN.measurements[kept])
-    smaller = replace(difference, pattern=shorter, currents=difference.currents[kept], volts=difference.volts[kept])
+    smaller = Difference(shorter, difference.currents[kept], difference.volts[kept])
     np.testing.assert_allclose(
         image.values, GaussNewton(model, NOISE).reconstruct(smaller).values, rtol=1e-6, atol=1e-12
     )

@@ -14,6 +14,7 @@ Parts are imported when they are first used, so that ``import ohmskin`` is quick
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -67,7 +68,9 @@ if TYPE_CHECKING:  # for editors
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'ohmskin' has no attribute {name!r}")
+        if name.startswith("_") or find_spec(f"ohmskin.{name}") is None:
+            raise AttributeError(f"module 'ohmskin' has no attribute {name!r}")
+        return import_module(f"ohmskin.{name}")
     return getattr(import_module(f"ohmskin.{_HOMES[name]}"), name)
 
 

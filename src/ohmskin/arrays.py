@@ -1,17 +1,62 @@
 """Array types of the whole package, and arrays as JSON has them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cached_property, wraps
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Shorts = NDArray[np.int32]
 Bools = NDArray[np.bool_]
+
+
+def real(given: ArrayLike, what: str, error: type[Exception]) -> Floats:
+    """What was given as an array of floats, not copied where it is one already.
+
+    Raises:
+        error: If it is not numeric, or complex: `what` is said of it.
+    """
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind == "c":
+            raise error(f"{what} complex; only resistive skins are modelled: give real parts, or magnitudes")
+        return np.asarray(array, float)
+    except (TypeError, ValueError) as cause:
+        if isinstance(cause, error):
+            raise
+        raise error(f"{what} of type {type(given).__name__}; give real numbers") from None
+
+
+def fixed(compute: Callable[[Any], Floats]) -> "cached_property[Floats]":
+    """A cached property that is a read-only array."""
+
+    @wraps(compute)
+    def read_only(self: Any) -> Floats:
+        array = compute(self)
+        array.setflags(write=False)
+        return array
+
+    return cached_property(read_only)
+
+
+class ReadOnly:
+    """Arrays that an object has when it is restored from a pickle are read-only, as they were."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        lock(self)
+
+
+def lock(something: object) -> None:
+    """Make the arrays that an object has read-only."""
+    for value in vars(something).values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
 
 
 def as_plain(value: Any) -> Any:

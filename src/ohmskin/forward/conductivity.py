@@ -1,9 +1,11 @@
 """Conductivity as given, checked: one value, one per element, or tensors."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, real
 from ohmskin.errors import ModelError
 from ohmskin.geometry import Mesh
 
@@ -21,7 +23,8 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> tuple[Floats, Floats | None
     Raises:
         ModelError: If a value is not positive, a tensor not symmetric positive definite, or the shape is wrong.
     """
-    sigma, n, dim = np.array(given, float), mesh.n_elem, mesh.nodes.shape[1]
+    sigma: Any = real(given, "the conductivity is", ModelError).copy()
+    n, dim = mesh.n_elem, mesh.nodes.shape[1]
     if sigma.shape == (dim, dim):
         sigma = np.array(np.broadcast_to(sigma, (n, dim, dim)))
     if sigma.ndim == 0:

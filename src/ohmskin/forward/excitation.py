@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, real
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.scan import Difference, DrivePattern, all_pairs, pair_index
@@ -65,7 +65,7 @@ def drive_currents(model: TransferModel, currents: ArrayLike) -> Response:
     Raises:
         ModelError: If the currents do not fit the electrodes, are not finite, or a row does not sum to zero.
     """
-    given, n_elec = np.array(currents, float), len(model.electrodes)
+    given, n_elec = real(currents, "currents are", ModelError), len(model.electrodes)
     if given.ndim != 2 or given.shape[1] != n_elec:
         raise ModelError(f"currents have shape {given.shape}; give (n_drive, {n_elec}), one for each electrode")
     if not np.isfinite(given).all():
@@ -91,7 +91,7 @@ def drive_voltages(model: TransferModel, voltages: ArrayLike, resistance: ArrayL
     Raises:
         ModelError: If shapes or values do not fit, fewer than two electrodes are driven, or one is a point.
     """
-    given, n_elec = np.array(voltages, float), len(model.electrodes)
+    given, n_elec = real(voltages, "voltages are", ModelError), len(model.electrodes)
     if given.ndim != 2 or given.shape[1] != n_elec:
         raise ModelError(f"voltages have shape {given.shape}; give (n_drive, {n_elec}), NaN where not driven")
     if np.isinf(given).any():

@@ -47,6 +47,7 @@ def quadratures(mesh: Mesh, electrodes: Electrodes) -> dict[int, ElectrodeQuadra
     if numbers[ElectrodeKind.RIM]:
         rim = Rim(mesh)
         found |= {k: rim.contact(places[k], extents[k], k) for k in numbers[ElectrodeKind.RIM]}
+        rim.check_others(electrodes)
     if numbers[ElectrodeKind.DISC]:
         disc = partial(flat_disc, mesh) if mesh.nodes.shape[1] == 2 else Surface(mesh).disc
         for k in numbers[ElectrodeKind.DISC]:
@@ -191,6 +192,7 @@ class Rim:
         self._walks = _walks(mesh.boundary)
         self._lines = [ClosedLine(mesh.nodes[walk]) for walk in self._walks]
         self._taken: list[tuple[int, float, float, int]] = []
+        self._stretches: dict[int, ClosedLine] = {}
 
     def contact(self, centre: Floats, length: float, number: int) -> ElectrodeQuadrature:
         """The stretch of `length` (m) about the point of the rim that is closest to `centre`."""
@@ -208,13 +210,28 @@ class Rim:
                 both = f"electrodes {other} and {number} overlap: {apart:.3g} m apart on the rim"
                 raise GeometryError(f"{both} with lengths {other_length:.3g} and {length:.3g} m; make them shorter")
         self._taken.append((k, arc, length, number))
-        return self._stretch(walk, knots, arc - length / 2, arc + length / 2)
+        start, end = arc - length / 2, arc + length / 2
+        breaks = np.concatenate([knots[:-1] - knots[-1], knots[:-1], knots[:-1] + knots[-1], [2 * knots[-1]]])
+        cuts = np.concatenate([[start], breaks[(breaks > start) & (breaks < end)], [end]])
+        corners = [np.interp(np.mod(cuts, knots[-1]), knots, along) for along in self._lines[k].points.T]
+        self._stretches[number] = ClosedLine(np.column_stack(corners))
+        return self._stretch(walk, knots, cuts)
 
-    def _stretch(self, walk: Ints, knots: Floats, start: float, end: float) -> ElectrodeQuadrature:
+    def check_others(self, electrodes: Electrodes) -> None:
+        """Raise GeometryError if a disc or point lies on a stretch."""
+        others = [k for k in range(len(electrodes)) if k not in self._stretches]
+        radius = electrodes.extents[others]
+        for number, stretch in self._stretches.items():
+            away = stretch.closest(electrodes.positions[others])[0]
+            if len(
+                on := np.flatnonzero(away - radius < np.where(radius > 0, -1e-9, 1e-9) * electrodes.extents[number])
+            ):
+                which = f"electrode {others[on[0]]} ({electrodes.kinds[others[on[0]]]}) lies on electrode {number}"
+                raise GeometryError(f"{which}, a stretch of the rim; make them smaller or move one")
+
+    def _stretch(self, walk: Ints, knots: Floats, cuts: Floats) -> ElectrodeQuadrature:
         """Two Gauss points on each edge or part of an edge: exact for products of linear functions."""
         around = knots[-1]
-        breaks = np.concatenate([knots[:-1] - around, knots[:-1], knots[:-1] + around, [2 * around]])
-        cuts = np.concatenate([[start], breaks[(breaks > start) & (breaks < end)], [end]])
         middle, half = (cuts[1:] + cuts[:-1]) / 2, (cuts[1:] - cuts[:-1]) / 2
         side = np.clip(np.searchsorted(knots, np.mod(middle, around), side="right") - 1, 0, len(knots) - 2)
         step = np.diff(knots)[side]

@@ -7,7 +7,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, ReadOnly, fixed, lock, real
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble
 from ohmskin.forward.cholesky import Elimination
@@ -18,7 +18,7 @@ from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.scan import DrivePattern, n_pairs, two_terminal
 
 
-class TransferModel:
+class TransferModel(ReadOnly):
     """Finite-element model of a skin with any electrodes (paper, section II-A), factorised once for all of them.
 
     Area electrodes follow the complete electrode model, point electrodes the paper. The skin may be a flat sheet, a
@@ -59,6 +59,10 @@ class TransferModel:
         solution = self._elimination.factorise(system.matrix.data).solve(load)
         self.potentials: Floats = solution[: mesh.n_nodes]
         self.electrode_potentials: Floats = solution[system.terminals]
+        lock(self)
+
+    def __repr__(self) -> str:
+        return f"TransferModel({self.mesh}, {len(self.electrodes)} electrodes)"
 
     def with_conductivity(self, conductivity: ArrayLike) -> "TransferModel":
         """The same skin with another conductivity. (n_elem,) values keep the directions of a sheet that has such."""
@@ -92,6 +96,7 @@ class TransferModel:
         other, own = object.__new__(TransferModel), vars(TransferModel)
         kept = {name: value for name, value in vars(self).items() if not isinstance(own.get(name), cached_property)}
         vars(other).update(kept | changed)
+        lock(other)
         return other
 
     @property
@@ -101,13 +106,13 @@ class TransferModel:
             return self.conductivity
         return self.conductivity[:, None, None] * (self._root @ self._root.swapaxes(1, 2))
 
-    @cached_property
+    @fixed
     def electrode_extents(self) -> Floats:
         """How much of each electrode lies on the skin (n_elec,), in m2 of a disc and in m of a rim segment."""
         found = [self.quadratures[k].extent if k in self.quadratures else 0.0 for k in range(len(self.electrodes))]
         return np.array(found)
 
-    @cached_property
+    @fixed
     def transfer_resistance(self) -> Floats:
         """S of eq. (3), (n_elec, n_elec) in ohms: zero-mean electrode potentials for zero-sum currents.
 
@@ -118,7 +123,7 @@ class TransferModel:
         s = s - s.mean(axis=0) - s.mean(axis=1, keepdims=True) + s.mean()
         return np.asarray((s + s.T) / 2)
 
-    @cached_property
+    @fixed
     def pair_resistances(self) -> Floats:
         """Two-terminal resistance (n_pairs,) of each pair (ohm); of points good for four-terminal combinations only."""
         return two_terminal(self.transfer_resistance)
@@ -130,7 +135,7 @@ class TransferModel:
         s = self.transfer_resistance
         return np.asarray((s[a, c] - s[a, d] - s[b, c] + s[b, d]) * self._driven(pattern, currents))
 
-    @cached_property
+    @fixed
     def pair_sensitivity(self) -> Floats:
         """dR_ij/dsigma (n_pairs, n_elem): two-terminal resistance of each pair against conductivity (ohm/S).
 
@@ -152,7 +157,7 @@ class TransferModel:
         fill_groups(*skin, columns.indptr.astype(np.int64), columns.indices.astype(np.int64), columns.data, grouped)
         return grouped
 
-    @cached_property
+    @fixed
     def pair_contact_sensitivity(self) -> Floats:
         """dR_ij/dz_k (n_pairs, n_elec): two-terminal resistance of pairs against contact impedances (ohm / unit of z).
 
@@ -199,9 +204,10 @@ class TransferModel:
 
     def _driven(self, pattern: DrivePattern, currents: ArrayLike) -> Floats:
         """The current (n_meas,) that flows during each measurement."""
-        try:
-            given = np.broadcast_to(np.asarray(currents, float), pattern.n_inj)
-        except ValueError:
-            shape = np.shape(currents)
-            raise ModelError(f"currents have shape {shape}; give one value or ({pattern.n_inj},)") from None
+        amperes = real(currents, "currents are", ModelError)
+        if amperes.shape not in ((), (1,), (pattern.n_inj,)):
+            raise ModelError(f"currents have shape {amperes.shape}; give one value or ({pattern.n_inj},)")
+        if not np.isfinite(amperes).all():
+            raise ModelError("a current is not finite; give 0 for no current (A)")
+        given = np.broadcast_to(amperes, pattern.n_inj)
         return np.asarray(given[pattern.measurements[:, 0]])

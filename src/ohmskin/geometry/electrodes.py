@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, ReadOnly, real
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.domain import Domain, Rectangle
 
@@ -22,7 +22,7 @@ class ElectrodeKind(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Electrodes:
+class Electrodes(ReadOnly):
     """Electrodes, numbered ring by ring from the rim inwards, each ring counterclockwise; points unless said otherwise.
 
     Kinds mix freely: `with_discs`, `with_rim_segments` and `with_points` return a changed copy.
@@ -46,7 +46,7 @@ class Electrodes:
     contact_impedances: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        positions = np.array(self.positions, float)
+        positions = real(self.positions, "electrode positions are", GeometryError).copy()
         if positions.ndim != 2 or positions.shape[1] not in (2, 3) or len(positions) < 4:
             raise GeometryError(f"electrode positions have shape {positions.shape}; need (n, 2) or (n, 3), n >= 4")
         if not np.isfinite(positions).all():
@@ -74,7 +74,7 @@ class Electrodes:
         area = self.are_areas
         for name, unit in (("extents", "m"), ("contact_impedances", "ohm m2 for a disc, ohm m on the rim")):
             given = getattr(self, name)
-            values = np.array(given, float) if len(given) else np.zeros(count)
+            values = real(given, f"electrode {name} are", GeometryError).copy() if len(given) else np.zeros(count)
             if values.shape != (count,):
                 raise GeometryError(f"electrode {name} have shape {values.shape}; give ({count},)")
             wrong = np.where(area, ~(np.isfinite(values) & (values > 0)), values != 0)
@@ -122,7 +122,7 @@ class Electrodes:
 
     def with_contact_impedances(self, values: ArrayLike) -> Self:
         """A copy with other contact impedances, one value for all area electrodes or (n_elec,), 0 for points."""
-        given = np.asarray(values, float)
+        given = real(values, "contact impedances are", GeometryError)
         return replace(self, contact_impedances=np.where(self.are_areas, given, 0.0) if given.ndim == 0 else given)
 
     def mapped(self, move: Callable[[Floats], ArrayLike]) -> Self:
@@ -136,6 +136,8 @@ class Electrodes:
         kinds, extents, impedances = list(self.kinds), self.extents.copy(), self.contact_impedances.copy()
         for number in numbers:
             kinds[number] = kind
+        extent = real(extent, "electrode extents are", GeometryError)
+        impedance = real(impedance, "contact impedances are", GeometryError)
         try:
             extents[numbers], impedances[numbers] = extent, impedance
         except ValueError:

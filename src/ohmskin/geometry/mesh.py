@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, ReadOnly, real
 from ohmskin.errors import GeometryError
 
 _NOUNS = {2: ("triangle", "triangles", "edge", "area"), 3: ("tetrahedron", "tetrahedra", "face", "volume")}
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(ReadOnly):
     """A connected mesh: triangles of a flat sheet or of a curved surface in space, or tetrahedra of a thick skin.
 
     Clockwise triangles of a flat mesh and inverted tetrahedra are turned round and counted in `flipped`.
@@ -29,7 +29,7 @@ class Mesh:
 
     Raises:
         GeometryError: If shapes, numbers or coordinates are invalid, an element has no area or volume, a node is
-            unused, or the mesh falls into several parts.
+            unused, the mesh falls into several parts, or two elements lie on the same side of what they share.
     """
 
     nodes: Floats
@@ -37,7 +37,7 @@ class Mesh:
     flipped: int = 0
 
     def __post_init__(self) -> None:
-        nodes, elements = np.array(self.nodes, float), np.array(self.elements)
+        nodes, elements = real(self.nodes, "mesh nodes are", GeometryError).copy(), np.array(self.elements)
         if nodes.ndim != 2 or nodes.shape[1] not in (2, 3):
             raise GeometryError(f"mesh nodes have shape {nodes.shape}; need (n, 2) or (n, 3)")
         corners = elements.shape[1] if elements.ndim == 2 else 0
@@ -69,6 +69,21 @@ class Mesh:
         parts, _ = connected_components(self.adjacency, directed=False)
         if parts > 1:
             raise GeometryError(f"the mesh falls into {parts} parts that share no {facet}; join them or keep one")
+        if nodes.shape[1] == corners - 1:
+            self._check_folds()
+
+    def _check_folds(self) -> None:
+        element, side = np.nonzero(self.neighbours >= 0)
+        other, facet = self.neighbours[element, side], self._facets[element, side]
+        beyond = self.nodes[self.elements[other].sum(axis=1) - facet.sum(axis=1)] - self.nodes[facet[:, 0]]
+        inwards = self.gradients[element, side - 1]  # of the corner across from the facet
+        if len(folded := np.flatnonzero(np.einsum("nd,nd->n", inwards, beyond) >= 0)):
+            _, nouns, facet_name, _ = _NOUNS[self.dim]
+            both = f"{nouns} {element[folded[0]]} and {other[folded[0]]} lie on the same side of their {facet_name}"
+            raise GeometryError(f"the mesh is folded: {both}; a flat mesh must not overlap itself")
+
+    def __repr__(self) -> str:
+        return f"Mesh({self.n_elem} {_NOUNS[self.dim][1]}, {self.n_nodes} nodes in {self.nodes.shape[1]} dimensions)"
 
     @property
     def n_nodes(self) -> int:

@@ -21,7 +21,8 @@ from ohmskin.errors import DataError
 
 _LARGEST = 256 * 2**20  # bytes, unpacked
 _DEEPEST = 16
-_MOST_ELEMENTS = 2**20
+_MOST_ELEMENTS = 2**18
+_MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME, _LONGEST_TEXT = 4096, 32, 64, 2**16  # MATLAB's names have 63 at most
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _DOUBLE, _UINT64 = 1, 2, 3, 4, 5, 6, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -49,8 +50,10 @@ def is_mat(head: bytes) -> bool:
     return head.startswith((b"MATLAB ", b"\x89HDF"))
 
 
-def load_variables(content: bytes, name: str) -> dict[str, Any]:
+def load_variables(content: bytes, name: str) -> tuple[dict[str, Any], tuple[str, ...]]:
     """The variables of a MATLAB file by name: arrays, text, lists of cells, and lists of dicts for struct arrays.
+
+    Also notes on what was left out.
 
     Args:
         content: The file's bytes.
@@ -64,13 +67,16 @@ def load_variables(content: bytes, name: str) -> dict[str, Any]:
     if len(content) < 128 or content[126:128] not in (b"IM", b"MI"):
         raise DataError(f"{name} is not a whole MATLAB 5 file; its header of 128 bytes is cut or damaged")
     try:
-        return _Reader("<" if content[126:128] == b"IM" else ">").variables(memoryview(content)[128:])
+        reader = _Reader("<" if content[126:128] == b"IM" else ">")
+        variables = reader.variables(memoryview(content)[128:])
     except _DamagedError as error:
         raise DataError(f"{name} {error}; save only what was measured, and copy the file again") from error
+    parts = "imaginary parts are left out: contacts are told from real ones"
+    return variables, (f"{', '.join(map(repr, reader.complex[:8]))}: {parts}",) if reader.complex else ()
 
 
 def numbers(value: Any, what: str, largest: int = 2**24) -> Floats:
-    """A numeric variable as an array of two dimensions; complex ones have lost their imaginary part.
+    """A numeric variable as an array of two dimensions, without imaginary parts (`load_variables` says so).
 
     Raises:
         DataError: If it is not numeric, is damaged, or has more than `largest` entries.
@@ -98,19 +104,27 @@ def entries(value: Any) -> list[dict[str, Any]]:
     return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
 
+def _name(content: memoryview) -> str:
+    return bytes(content).split(b"\0")[0].decode("latin-1")
+
+
 class _Reader:
     """Reads the elements of one file; `order` is its byte order."""
 
     def __init__(self, order: str) -> None:
         self._order, self._bytes, self._elements = order, _LARGEST, _MOST_ELEMENTS
+        self.complex: list[str] = []  # variables of which a part, not zero, is imaginary
+        self._imaginary = False
 
     def variables(self, content: memoryview) -> dict[str, Any]:
         found = {}
         for kind, body in self._split(content):
             for inner_kind, inner in self._split(self._unpack(body)) if kind == _COMPRESSED else [(kind, body)]:
                 if inner_kind == _MATRIX and len(inner):
+                    self._imaginary = False
                     name, value = self._matrix(inner, 1)
                     found[name] = value
+                    self.complex += [name[:40]] * self._imaginary
         return {name: value for name, value in found.items() if name and not name.startswith("__")}
 
     def _unpack(self, body: memoryview) -> memoryview:
@@ -152,15 +166,19 @@ class _Reader:
         if len(parts) < 3 or len(parts[0][1]) < 4:
             return "", None
         kind = struct.unpack_from(self._order + "I", parts[0][1])[0] & 0xFF
+        if len(parts[1][1]) > 4 * _MOST_DIMENSIONS:
+            raise _DamagedError(f"has an array of more than {_MOST_DIMENSIONS} dimensions")
         shape = tuple(self._array(5, parts[1][1]).tolist())
-        name, rest = bytes(parts[2][1]).decode("latin-1"), parts[3:]
+        name, rest = _name(parts[2][1][:_LONGEST_NAME]), parts[3:]
         if len(shape) < 2 or min(shape) < 0:
             raise _DamagedError(f"is damaged: {name!r} has the shape {shape}")
+        if kind == _SPARSE or _DOUBLE <= kind <= _UINT64:
+            self._imaginary |= any(self._array(*part).any() for part in rest[3 if kind == _SPARSE else 1 :])
         if _DOUBLE <= kind <= _UINT64:
             return name, self._filled(shape, rest, name)
         if kind == _SPARSE and len(rest) >= 3:
             return name, _Sparse(shape, *(self._array(*part) for part in rest[:3]))
-        if kind == _CHAR and rest:
+        if kind == _CHAR and rest and len(rest[0][1]) <= _LONGEST_TEXT:
             return name, bytes(rest[0][1]).decode(self._encoding(rest[0][0]), "replace")
         if kind in (_CELL, _STRUCT, _OBJECT):
             return name, self._parts(kind, math.prod(shape), rest, depth)
@@ -182,9 +200,13 @@ class _Reader:
             lengths = self._array(5, rest[head - 2][1]) if len(rest) >= head else np.empty(0)
             if len(lengths) != 1 or lengths[0] < 1:
                 raise _DamagedError("is damaged: a struct has no names of fields")
-            packed, length = bytes(rest[head - 1][1]), int(lengths[0])
-            names = [packed[k : k + length].split(b"\0")[0].decode("latin-1") for k in range(0, len(packed), length)]
-            rest = rest[head:]
+            packed, length, rest = rest[head - 1][1], int(lengths[0]), rest[head:]
+            fields = -(-len(packed) // length)
+            if fields > _MOST_FIELDS or count * fields != len(rest):  # counted before any is made
+                raise _DamagedError(
+                    f"is damaged: it claims {count} structs of {fields} fields and has {len(rest)} parts"
+                )
+            names = [_name(packed[k : k + min(length, _LONGEST_NAME)]) for k in range(0, len(packed), length)]
         if count * len(names) != len(rest):
             raise _DamagedError(f"is damaged: it claims an array of {count} parts and has {len(rest)}")
         values = [self._matrix(body, depth + 1)[1] if part == _MATRIX and len(body) else None for part, body in rest]

@@ -66,14 +66,16 @@ def read_recording(
     if is_mat(content[:8]):
         if pattern is not None:
             raise DataError(f"{path} is a MATLAB file, which holds its own pattern; leave pattern={str(pattern)!r} out")
-        variables = load_variables(content, str(path))
+        variables, notes = load_variables(content, str(path))
         if kuopio.is_kuopio(variables):
             other = Path(reference) if reference is not None else kuopio.usual_reference(path, variables)
-            at_rest = load_variables(_content(other), str(other)) if other is not None else None
-            return Recording(*kuopio.read(variables, at_rest, str(path), str(other), driven))
+            at_rest, more = load_variables(_content(other), str(other)) if other is not None else (None, ())
+            quiet, frames, skin, own = kuopio.read(variables, at_rest, str(path), str(other), driven)
+            return Recording(quiet, frames, skin, (*own, *notes, *more))
         if reference is not None:
             raise DataError(f"{path} holds its own reference; leave reference={str(reference)!r} out")
-        return Recording(*eidors.read(variables, str(path), driven))
+        quiet, frames, skin, own = eidors.read(variables, str(path), driven)
+        return Recording(quiet, frames, skin, (*own, *notes))
     if reference is not None:
         out = f"leave reference={str(reference)!r} out"
         raise DataError(f"{path} is a text table, which holds its own reference column; {out}")

@@ -16,6 +16,8 @@ from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of, triangle_
 from ohmskin.inverse.variation import Variation
 from ohmskin.scan import Baseline, Difference, Frame
 
+_UNEXPLAINED = 0.1  # of the voltages: more is not what a model that fits leaves
+
 
 @dataclass(frozen=True)
 class _Point:
@@ -35,7 +37,9 @@ class Iterations:
         image: The image.
         costs: Squared residual over the noise's variance plus penalty, at the start and after each round, falling.
         residual: Root mean square of what is left of the data, over the noise.
-        converged: Whether it stopped because nothing changed any more.
+        converged: Whether it stopped at a minimum that explains the data: to second order, the next step would not
+            lower the cost by `tolerance`, and not more than a tenth of the voltages is left. Data that no
+            conductivity can make, such as those of the wrong sign, have a minimum, too.
     """
 
     image: Image = field(repr=False)
@@ -44,7 +48,7 @@ class Iterations:
     converged: bool
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class AbsoluteGaussNewton:
     """Iterated Gauss-Newton on absolute voltages, in log conductivity, so that conductivity stays positive.
 
@@ -111,17 +115,19 @@ class AbsoluteGaussNewton:
         change = self._at(start, data, self.noise).left
         noise = System(data.rows, change).noise(self.noise, self.model_error)
         point = self._at(start, data, noise)
-        costs, converged = [point.cost], False
-        while not converged and len(costs) <= self.rounds:
-            jacobian = self._jacobian(point, data)
-            wanted = penalised(self._matrix(point.w), jacobian, point.left + jacobian @ point.w, noise)
-            new = self._search(point, wanted, data, noise)
+        costs = [point.cost]
+        while True:
+            jacobian, matrix = self._jacobian(point, data), self._matrix(point.w)
+            wanted = penalised(matrix, jacobian, point.left + jacobian @ point.w, noise)
+            left = point.left - jacobian @ (wanted - point.w)
+            gain = (point.left @ point.left - left @ left) / noise**2 + point.w @ (matrix @ point.w)
+            converged = bool(gain - wanted @ (matrix @ wanted) < self.tolerance * point.cost)
+            new = None if converged or len(costs) > self.rounds else self._search(point, wanted, data, noise)
             if new is None:
-                converged = True
                 break
-            converged = point.cost - new.cost < self.tolerance * new.cost
             point = new
             costs.append(point.cost)
+        converged &= bool(np.linalg.norm(point.left) <= _UNEXPLAINED * np.linalg.norm(data.volts))
         residual = float(np.sqrt(np.mean(point.left**2))) / noise
         return Iterations(self._image(point, data, noise), tuple(costs), residual, converged)
 

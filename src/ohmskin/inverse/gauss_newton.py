@@ -40,7 +40,7 @@ from ohmskin.scan import Difference
 ILL = 1e-4  # weight over the norm of the rows below which what squares the condition number loses too many digits
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class GaussNewton(Reconstructs):
     """One-step Gauss-Newton reconstruction with a fixed linearisation (paper, section III-A).
 

@@ -21,7 +21,7 @@ _BLUR = 3.0  # radius of what they should look like, over theirs
 _SPACING = 0.5  # distance between targets, over their radius
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class Greit:
     """GREIT images on the triangles of any domain; put them on a `Raster` for pixels.
 

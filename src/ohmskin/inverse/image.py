@@ -35,10 +35,27 @@ class Image:
         """
         return np.log1p(self.values) if self.logarithmic else self.values
 
+    def __reduce__(self) -> tuple[object, ...]:
+        table = Tabulated(
+            self.noise_std(np.arange(len(self.values)))
+        )  # what it is computed from is large, and stays here
+        return Image, (self.values, table, self.logarithmic)
+
     def contrast_std(self, elements: ArrayLike) -> Floats:
         """Standard deviations (n,) that measurement noise gives the contrast of some elements (n,)."""
         std = self.noise_std(elements)
         return std / (1 + self.values[np.atleast_1d(elements)]) if self.logarithmic else std
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """Standard deviations (n_elem,) that are known already, as a function of element numbers."""
+
+    std: Floats
+
+    def __call__(self, elements: ArrayLike) -> Floats:
+        """Of some elements (n,)."""
+        return np.asarray(self.std[np.atleast_1d(elements)])
 
 
 class Reconstructs(Protocol):

@@ -47,7 +47,7 @@ class Belief:
         return Image(self.mean @ self.modes.modes, noise_std)
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class Kalman:
     """Kalman filter on images of relative conductivity change.
 

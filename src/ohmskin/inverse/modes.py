@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, real
 from ohmskin.errors import DataError, ModelError
 from ohmskin.inverse.priors import FREE, Penalty
 from ohmskin.scan import Difference, DrivePattern
@@ -160,12 +160,14 @@ def regularised(normal: Floats, noise: float) -> Floats:
 def check_positive(**settings: float) -> None:
     """Raise ModelError unless every setting is finite and positive."""
     for name, value in settings.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ModelError(f"{name} is {value!r}; it must be finite and positive")
+        number = float(real(value, f"{name} is", ModelError))
+        if not (np.isfinite(number) and number > 0):
+            raise ModelError(f"{name} is {number}; it must be finite and positive")
 
 
 def check_share(**settings: float) -> None:
     """Raise ModelError unless every setting is finite and not negative."""
     for name, value in settings.items():
-        if not (np.isfinite(value) and value >= 0):
-            raise ModelError(f"{name} is {value!r}; it must be finite and not negative")
+        number = float(real(value, f"{name} is", ModelError))
+        if not (np.isfinite(number) and number >= 0):
+            raise ModelError(f"{name} is {number}; it must be finite and not negative")

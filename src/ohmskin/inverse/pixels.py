@@ -75,6 +75,9 @@ class Pixels:
     def __len__(self) -> int:
         return len(self.cells)
 
+    def __repr__(self) -> str:
+        return f"Pixels({len(self)} of {self.pitch:.3g} m)"
+
     @cached_property
     def centroids(self) -> Floats:
         """Pixel centres (n_pixels, 2) in metres."""

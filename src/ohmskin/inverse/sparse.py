@@ -16,7 +16,7 @@ from ohmskin.inverse.modes import check_positive, check_share, pair_system, regu
 from ohmskin.scan import Difference
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class SparseBayes(Reconstructs):
     """Sparse Bayesian learning (relevance determination, Tipping 2001; made to converge as in Wipf and Nagarajan 2008).
 

@@ -64,7 +64,7 @@ class Variation:
         return np.asarray(shares / (shares.sum() * self.amplitude**2))
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(eq=False)
 class TotalVariation(Reconstructs):
     """Total-variation images: the x of least |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
 

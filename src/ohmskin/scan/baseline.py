@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import scipy.sparse as sp
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, real
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Frame
 from ohmskin.scan.pairs import pair_index, pair_numbers
@@ -28,6 +28,10 @@ class Difference:
         source_loading: (n_meas,) by how much more a voltage would rise with the two-terminal resistance of its
             injection if that did not take current away (ohm per ohm): of a voltage source whose current is not
             measured, see `VoltageSource.unmeasured`. None where the currents are measured or given.
+        reference: (n_meas,) voltage of the untouched skin at that current (V), if it is known.
+
+    Raises:
+        DataError: If shapes do not fit the pattern, or an array is complex.
     """
 
     pattern: DrivePattern
@@ -35,6 +39,16 @@ class Difference:
     volts: Floats
     source_loading: Floats | None = None
     reference: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("currents", "volts", "source_loading", "reference"):
+            if (given := getattr(self, name)) is None:
+                continue
+            array = real(given, f"the {name} of a difference are", DataError)
+            if array.shape != (self.pattern.n_meas,):
+                needs = f"the pattern driven needs ({self.pattern.n_meas},), one for each measurement"
+                raise DataError(f"the {name} of a difference have shape {array.shape}; {needs}")
+            object.__setattr__(self, name, array)
 
     @cached_property
     def undriven(self) -> "Difference":

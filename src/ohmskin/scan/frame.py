@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from enum import IntFlag
 
-import numpy as np
-
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, real
 from ohmskin.errors import DataError
 from ohmskin.scan.pattern import DrivePattern
 
@@ -27,26 +25,26 @@ class Frame:
         pattern: The pattern that was really driven.
         voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where clipped.
         currents: (n_inj,) measured injected currents in amperes.
-        time: Time of the last sample on the device's clock (s).
+        time: Time of the last sample on the device's clock (s); 0 where there is no clock, as in simulations.
         sequence: Number of the frame, counted by the device.
         flags: What the device reports beside the data.
         recorded: Of a replayed frame, when it was measured (s), however quickly it is replayed; None if measured now.
 
     Raises:
-        DataError: If the shapes do not fit the pattern.
+        DataError: If the shapes do not fit the pattern, or an array is complex.
     """
 
     pattern: DrivePattern
     voltages: Floats
     currents: Floats
-    time: float
+    time: float = 0.0
     sequence: int = 0
     flags: FrameFlag = FrameFlag(0)
     recorded: float | None = None
 
     def __post_init__(self) -> None:
         for name, count in (("voltages", self.pattern.n_meas), ("currents", self.pattern.n_inj)):
-            given = np.asarray(getattr(self, name), float)
+            given = real(getattr(self, name), f"frame {name} are", DataError)
             if given.shape != (count,):
                 raise DataError(f"frame {name} have shape {given.shape}; the pattern driven needs ({count},)")
             object.__setattr__(self, name, given)

@@ -1,5 +1,6 @@
 """Drive patterns: which electrodes inject current and between which ones the voltage is measured."""
 
+import operator
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from ohmskin.arrays import Ints
+from ohmskin.arrays import Ints, ReadOnly
 from ohmskin.errors import PatternError
 from ohmskin.scan.pairs import n_pairs, pair_index
 
@@ -17,7 +18,7 @@ _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])  # of F_ad, F_bc, F_ac and F_bd in a m
 
 
 @dataclass(frozen=True)
-class DrivePattern:
+class DrivePattern(ReadOnly):
     """A sequence of two-electrode injections, each with its measured voltages. Zero-sum by construction.
 
     Args:
@@ -170,7 +171,7 @@ def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePat
     of an injection span all that can be measured without a driven electrode, whose contact would enter.
     """
     pairs = np.asarray(injections)
-    order = np.asarray(electrodes)
+    order = np.asarray(_ring(electrodes, electrodes))
     if len(order) < 4:
         raise PatternError(f"{len(order)} electrodes; need at least 4 to drive two and measure between two others")
     measurements = []
@@ -190,6 +191,7 @@ def skip(rings: Sequence[Sequence[int]], step: int = 1) -> DrivePattern:
     Raises:
         PatternError: If `step` is not between 1 and the size of the smallest driven ring less one.
     """
+    rings = [_ring(ring, rings) for ring in (rings if isinstance(rings, Iterable) else [rings])]
     smallest = min((len(ring) for ring in rings if len(ring) > 1), default=1)
     if not 1 <= step < smallest:
         raise PatternError(f"step {step}; it must be 1..{smallest - 1} for rings of {smallest} electrodes or more")
@@ -204,8 +206,17 @@ def adjacent(rings: Sequence[Sequence[int]]) -> DrivePattern:
 
 def opposite(ring: Sequence[int]) -> DrivePattern:
     """Drive each electrode of one ring against the one half-way round, once; measure at all others of the ring."""
+    ring = _ring(ring, ring)
     half = len(ring) // 2
     return measure_others(np.array([(ring[k], ring[k + half]) for k in range(half)]), list(ring))
+
+
+def _ring(ring: Sequence[int], given: object) -> Sequence[int]:
+    try:
+        return [operator.index(electrode) for electrode in ring]
+    except TypeError:
+        wanted = "lists of electrode numbers, such as Electrodes.rings or [range(16)]; for one ring range(16)"
+        raise PatternError(f"a ring of electrodes is given as {str(given)[:40]}; give {wanted}") from None
 
 
 def needed(patterns: Iterable[DrivePattern]) -> list[DrivePattern]:
