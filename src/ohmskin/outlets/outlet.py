@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Protocol
 
 from ohmskin.errors import PublishError
@@ -46,11 +47,7 @@ def open_outlet(address: str, topics: Sequence[Topic], node: str, token: str | N
     """
     check_outlet(address)
     kind, _, place = address.partition(":")
-    module, name, package = _HOMES[kind]
-    try:
-        import_module(package)
-    except ImportError as error:
-        raise PublishError(f"publishing to {kind} needs a package: pip install 'ohmskin[{kind}]'") from error
+    module, name, _ = _HOMES[kind]
     outlet: Outlet = getattr(import_module(module), name)(place, topics, node, token)
     return outlet
 
@@ -59,8 +56,10 @@ def check_outlet(address: str) -> None:
     """Hold the kind of an address against those there are.
 
     Raises:
-        PublishError: If there is no such kind.
+        PublishError: If there is no such kind, or its extra is missing.
     """
     kind, _, place = address.partition(":")
     if kind not in KINDS or (kind == "shm" and place):
         raise PublishError(f"cannot publish to {address!r}; choose from {', '.join(KINDS)}")
+    if kind in _HOMES and find_spec(_HOMES[kind][-1]) is None:
+        raise PublishError(f"publishing to {kind} needs a package: pip install 'ohmskin[{kind}]'")
