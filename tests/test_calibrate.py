@@ -209,7 +209,7 @@ def test_a_calibration_that_makes_no_sense_is_told(text: str, message: str) -> N
 
 def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ohmskin", "calibrate", "--places", "2", "--weights", "200", "--weights", "500"]
-    arguments = ["--out", "mine.toml", "--picture", "force.png", "--mode", "16I"]
+    arguments = ["--output", "mine.toml", "--picture", "force.png", "--mode", "16I"]
     done = subprocess.run([*command, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stderr
     skin = Skin.load(tmp_path / "mine.toml")
@@ -236,4 +236,4 @@ def test_mistakes_are_told_before_anything_is_measured(
     monkeypatch.setattr(DirectDevice, "_scan", lambda *_: pytest.fail("scanned"))
     out = Path(settings.pop("out", "mine.toml"))
     with pytest.raises(OhmskinError, match=words):
-        calibrate(out=out, **settings)  # type: ignore[arg-type]
+        calibrate(output=out, **settings)  # type: ignore[arg-type]

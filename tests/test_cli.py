@@ -25,6 +25,9 @@ def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "
     )
 
 
+NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked for first
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -38,6 +41,21 @@ def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "
         (["replay", "nosuch.mcap", "--rule", "nosuch"], "no rule 'nosuch'; choose from physical, noise figure"),
         (["live", "--device", "replay:nosuch.csv"], "cannot read recording nosuch.csv"),
         (["live", "--host", "0.0.0.0"], "token"),
+        (["live", "--device", NOBODY, "--host", "0.0.0.0"], "give a token"),
+        (["live", "--device", NOBODY, "--host", "192.0.2.1", "--token", "12345678"], "cannot listen on 192.0.2.1"),
+        (["live", "--device", NOBODY, "--port", "70000"], "choose 1 to 65535"),
+        (["live", "--device", NOBODY, "--publish", "smoke"], "choose from shm, zenoh, dds, foxglove"),
+        (["live", "--device", NOBODY, "--publish", "shm", "--newtons", "-1"], "must be positive"),
+        (["live", "--device", NOBODY, "--record", "touch.csv"], "recordings are MCAP files; record to touch.mcap"),
+        (["record", "touch.csv", "--device", NOBODY], "recordings are MCAP files; record to touch.mcap"),
+        (["calibrate", "--picture", "x.doc", "--device", NOBODY], "'.doc' is no picture format; choose .png"),
+        (["layout", "--output", "x.doc"], "'.doc' is no picture format"),
+        (["image", "nosuch.csv", "--output", "nosuch/x.png"], "cannot write nosuch/x.png"),
+        (["press", "50", "120", "--device", "virtual:"], "run `ohmskin serve-skin` and press that one"),
+        (["lve"], "no command 'lve'; did you mean live?"),
+        (["frobnicate"], "`ohmskin --help` lists"),
+        (["live", "--prt", "1"], "Did you mean"),
+        (["record"], "requires an argument"),
         (["press", "50", "120", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
         (["image", "nosuch.csv"], "cannot read recording nosuch.csv"),
         (["serve-skin", "--skin", "nosuch.toml"], "cannot read skin file nosuch.toml"),
@@ -65,6 +83,107 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
     assert result.returncode == 0
     assert f"ohmskin {command}" in result.stdout
     assert "Example" in result.stdout or command == "info"
+
+
+OPTIONAL = ("mujoco", "zarr", "pyarrow", "zenoh", "cyclonedds", "foxglove", "pyeit", "distributed", "gmsh", "meshio")
+
+
+def test_help_and_suggestions_need_no_extra() -> None:
+    script = f"""if True:
+        import sys
+        from importlib.abc import MetaPathFinder
+
+        class Missing(MetaPathFinder):
+            def find_spec(self, name, path, target=None):
+                if name.partition(".")[0] in {OPTIONAL}:
+                    raise ModuleNotFoundError(name)
+
+        sys.meta_path.insert(0, Missing())
+        from command_line import ohmskin
+        from ohmskin.cli import app
+        for name in app:
+            found = ohmskin(name) if name == "--version" else ohmskin(name, "--help")
+            assert found.returncode == 0, (name, found.stderr)
+        assert "did you mean robot" in ohmskin("robt").stderr
+        """
+    folder = str(Path(__file__).parent)
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, timeout=300)
+    assert result.returncode == 0, result.stderr
+
+
+def test_a_mistyped_command_imports_none() -> None:
+    script = "from command_line import ohmskin, sys; ohmskin('lve'); print(*(m for m in sys.modules if 'cli.' in m))"
+    folder = str(Path(__file__).parent)
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, timeout=300)
+    assert (result.stdout.strip(), result.stderr) == ("", "")
+
+
+@pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
+def test_every_option_has_help_and_no_needless_twin(command: str) -> None:
+    found = command_line.ohmskin(command, "--help").stdout
+    assert "--empty" not in found
+    assert '""' not in found.replace('"best"', "")
+    for argument in app[command].assemble_argument_collection(parse_docstring=True):
+        if argument.parse and argument.parameter.show is not False and not argument.children:
+            assert argument.parameter.help, argument.name
+        if argument.field_info.default is False:
+            assert f"--no-{argument.name.lstrip('-')}" not in found
+
+
+def test_commands_come_in_groups() -> None:
+    found = command_line.ohmskin("--help").stdout
+    panels = re.findall(r"╭─ (.+?) ─+╮", found)
+    assert panels == ["Sense", "Recordings", "Build a skin", "Virtual skin", "Studies", "Options"]
+    assert "Exit status: 0 done, 1 " in found
+    assert found.index(" live ") < found.index("╭─ Recordings") < found.index(" replay ")
+
+
+def test_the_former_name_of_output_still_works() -> None:
+    assert "output folder /dev/null/x" in command_line.ohmskin("policies", "--quick", "--out", "/dev/null/x").stderr
+    assert "output folder /dev/null/x" in command_line.ohmskin("policies", "--quick", "--out=/dev/null/x").stderr
+
+
+@pytest.mark.parametrize(
+    ("shell", "file"),
+    [
+        ("bash", ".local/share/bash-completion/completions/ohmskin"),
+        ("zsh", ".zsh/completions/_cyclopts_ohmskin"),
+        ("fish", ".config/fish/completions/ohmskin.fish"),
+    ],
+)
+def test_completion_installs(shell: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    found = command_line.ohmskin("--install-completion", "--shell", shell)
+    assert found.returncode == 0, found.stderr
+    script = (tmp_path / file).read_text(encoding="utf-8")
+    assert all(word in script for word in ("calibrate", "serve-skin", "estimator"))
+    if shell == "bash":
+        assert subprocess.run(["bash", "-n", str(tmp_path / file)], check=False).returncode == 0
+
+
+def test_ctrl_c_while_it_imports_says_nothing() -> None:
+    command = [sys.executable, "-X", "importtime", "-m", "ohmskin", "image", "nosuch.csv"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "numpy._core" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+    assert process.returncode == 130
+    assert "Traceback" not in rest
+
+
+def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ohmskin", "record", "touch.mcap", "--seconds", "60"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # calibrating
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert err == ""
+    assert "recording to" not in out
 
 
 def test_help_in_a_process_of_its_own() -> None:

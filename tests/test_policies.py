@@ -487,7 +487,7 @@ def test_a_second_run_takes_results_from_the_cache_but_times_anew(report: Path, 
         (["--only", "fig9"], "choose from static"),
         (["--seeds", "0"], "seeds is 0"),
         (["--only", "quiet", "--jobs", "0"], "--jobs is 0"),
-        (["--out", "FILE"], "--out"),
+        (["--output", "FILE"], "--output"),
     ],
 )
 def test_a_mistake_is_told_in_one_line(options, message, tmp_path, monkeypatch) -> None:
@@ -511,7 +511,7 @@ def test_the_command_runs_and_says_where_the_report_is(tmp_path: Path) -> None:
         "cost",
         "--jobs",
         "1",
-        "--out",
+        "--output",
         "new",
     ]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)

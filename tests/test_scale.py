@@ -117,5 +117,5 @@ def test_a_run_writes_what_it_measured(tmp_path) -> None:  # type: ignore[no-unt
     with pytest.raises(OhmskinError, match="choose from machine"):
         run(only=("none",))
     (tmp_path / "file").write_text("")
-    with pytest.raises(OhmskinError, match="--out"):
+    with pytest.raises(OhmskinError, match="--output"):
         write_report(found, tmp_path / "file", quick=True)

@@ -301,7 +301,7 @@ def test_the_command_says_so_and_leaves_table_picture_and_json(tmp_path: Path) -
         "-m",
         "ohmskin",
         "self-test",
-        "--out",
+        "--output",
         "out",
         "--fault",
         "open 3",

@@ -1,5 +1,11 @@
-"""``python -m ohmskin``."""
+"""``ohmskin`` and ``python -m ohmskin``: from here on, Ctrl-C ends it without a traceback, while it imports, too."""
 
-from ohmskin.cli import main
+import os
+import signal
 
-main()
+signal.signal(signal.SIGINT, lambda *_: os._exit(130))  # until a command begins, which may have to clean up
+
+from ohmskin.cli import main  # noqa: E402
+
+if __name__ == "__main__":
+    main()

@@ -45,7 +45,7 @@ def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: boo
             written.append(_plot(grown[0], folder / "images" / "scale.png"))
         written[1].write_text(_page(found, quick, bool(grown)), encoding="utf-8")
     except OSError as error:
-        raise OhmskinError(f"cannot write the report to {folder}: {error}; choose another folder with --out") from error
+        raise OhmskinError(f"cannot write the report to {folder}: {error}; choose another with --output") from error
     return written
 
 

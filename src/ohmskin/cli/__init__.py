@@ -1,62 +1,101 @@
 """The command line: each command is imported when it is called."""
 
 import os
+import re
+import signal
 import sys
+from difflib import get_close_matches
+from typing import Any
 
 # Small dense solves are slower with several BLAS threads than with one, and they would take the virtual skin's core.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from cyclopts import App
+from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
 from ohmskin.errors import OhmskinError
 
-app = App(
-    name="ohmskin",
-    help="A sense of touch from a handful of electrodes. Start with: `ohmskin live`",
-    version=ohmskin.__version__,
-    result_action="return_value",
-)
 _TOGETHER = {
     **dict.fromkeys(("scan", "check-device"), "device"),
     **dict.fromkeys(("serve-skin", "serve-firmware"), "serve"),
     **dict.fromkeys(("reproduce", "policies"), "studies"),
     "record": "loop",
 }
-for _name, (_help, _example) in {
-    "live": ("Sense touches, live in the browser or on the terminal.", "ohmskin live --headless --seconds 10"),
-    "patches": ("Sense with several skins of one robot.", "ohmskin patches body.toml --publish zenoh"),
-    "serve-skin": ("Serve a virtual skin over TCP and a pseudo-terminal.", "ohmskin serve-skin --pty"),
-    "serve-firmware": ("Run the board's firmware in QEMU on a virtual skin.", "ohmskin serve-firmware"),
-    "press": ("Press a virtual skin.", "ohmskin press 50 120 --seconds 3 --to 150 120"),
-    "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155 --mode 12B"),
-    "check-device": ("Check a device and its driver.", "ohmskin check-device tcp://127.0.0.1:7155"),
-    "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --out out"),
-    "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --out my-skin.toml"),
-    "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
-    "record": ("Record a device to a file.", "ohmskin record touch.mcap --seconds 10"),
-    "replay": ("Replay a recording, or compare estimators on it.", "ohmskin replay touch.mcap --speed 2 --loop"),
-    "recover": ("Mend a recording that was cut short.", "ohmskin recover touch.mcap"),
-    "export": ("Export a recording as tables, arrays, pictures or a film.", "ohmskin export touch.mcap --to csv"),
-    "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick"),
-    "policies": ("Compare drive policies with the paper's: what to measure next.", "ohmskin policies --quick"),
-    "robot": ("Poke a simulated robot arm that wears the skin.", "ohmskin robot --pokes 5 --picture arm.png"),
-    "dataset": ("Simulate touches for learning.", "ohmskin dataset touches.zarr --count 1000"),
-    "layout": ("Map how well a skin can locate a contact, or find a better layout.", "ohmskin layout --optimise 16"),
-    "bench": ("Measure how fast everything is, beside others and the machine's limits.", "ohmskin bench --quick"),
-    "info": ("Show versions, skins and modes, estimators, drivers and serial ports.", "ohmskin info"),
-}.items():
-    _function = _name.replace("-", "_")
-    _module = _TOGETHER.get(_name, _function)
-    app.command(f"ohmskin.cli.{_module}:{_function}", name=_name, help=f"{_help}\n\nExample: `{_example}`")
+_COMMANDS = {
+    "Sense": {
+        "live": ("Sense touches, live in the browser or on the terminal.", "ohmskin live --headless --seconds 10"),
+        "patches": ("Sense with several skins of one robot.", "ohmskin patches body.toml --publish zenoh"),
+        "info": ("Show versions, skins and modes, estimators, drivers and serial ports.", "ohmskin info"),
+    },
+    "Recordings": {
+        "record": ("Record a device to a file.", "ohmskin record touch.mcap --seconds 10"),
+        "replay": ("Replay a recording, or compare estimators on it.", "ohmskin replay touch.mcap --speed 2 --loop"),
+        "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
+        "export": ("Export a recording as tables, arrays, pictures or a film.", "ohmskin export touch.mcap --to csv"),
+        "recover": ("Mend a recording that was cut short.", "ohmskin recover touch.mcap"),
+    },
+    "Build a skin": {
+        "layout": (
+            "Map the bound on a contact's position error, or find a better layout.",
+            "ohmskin layout --optimise 16",
+        ),
+        "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --output out"),
+        "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --output my-skin.toml"),
+        "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155"),
+        "check-device": ("Check a device and its driver.", "ohmskin check-device tcp://127.0.0.1:7155"),
+    },
+    "Virtual skin": {
+        "serve-skin": ("Serve a virtual skin over TCP and a pseudo-terminal.", "ohmskin serve-skin --pty"),
+        "serve-firmware": ("Run the board's firmware in QEMU on a virtual skin.", "ohmskin serve-firmware"),
+        "press": ("Press a virtual skin that is served.", "ohmskin press 50 120 --seconds 3 --to 150 120"),
+        "robot": ("Poke a simulated robot arm that wears the skin.", "ohmskin robot --pokes 5 --picture arm.png"),
+        "dataset": ("Simulate touches for learning.", "ohmskin dataset touches.zarr --count 1000"),
+    },
+    "Studies": {
+        "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick"),
+        "policies": ("Compare drive policies with the paper's.", "ohmskin policies --quick"),
+        "bench": ("Measure speed, beside other software and the machine's limits.", "ohmskin bench --quick"),
+    },
+}
+
+
+def _shown(default: Any) -> Any:
+    """A default as help shows it; None where there is nothing to show."""
+    if isinstance(default, bool) or default in ("", ()):
+        return None
+    return " ".join(f"{value:g}" for value in default) if isinstance(default, tuple) else default
+
+
+app = App(
+    name="ohmskin",
+    help="A sense of touch from a handful of electrodes. Start with: `ohmskin live`\n\n"
+    "Exit status: 0 done, 1 a check found a fault, 2 an error, told in one line, 130 interrupted (Ctrl-C).",
+    version=ohmskin.__version__,
+    result_action="return_value",
+    default_parameter=Parameter(negative_iterable=(), show_default=_shown),
+)
+for _group, _commands in _COMMANDS.items():
+    _panel = Group.create_ordered(_group)
+    for _number, (_name, (_help, _example)) in enumerate(_commands.items()):
+        _function = _name.replace("-", "_")
+        _spec = f"ohmskin.cli.{_TOGETHER.get(_name, _function)}:{_function}"
+        app.command(_spec, name=_name, group=_panel, sort_key=_number, help=f"{_help}\n\nExample: `{_example}`")
+app.register_install_completion_command(help="Install completion for your shell, or `--shell` bash, zsh or fish.")
+_OPTIONS = Group.create_ordered("Options")
+for _name in ("--help", "--version", "--install-completion"):
+    app[_name].group = _OPTIONS
 
 
 def main() -> None:
     """Run the command line. A mistake of the user gets one line on stderr and exit status 2."""
+    arguments = [re.sub(r"^--out(?=$|=)", "--output", argument) for argument in sys.argv[1:]]  # its name until 0.1
     try:
-        app(sys.argv[1:])
-    except OhmskinError as error:
+        _check_command(arguments)
+        command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        command(*bound.args, **bound.kwargs)
+    except (OhmskinError, CycloptsError) as error:
         print(f"ohmskin: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
@@ -64,3 +103,11 @@ def main() -> None:
     except BrokenPipeError:  # the reader of our output, `head` say, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+
+
+def _check_command(arguments: list[str]) -> None:
+    """Raise OhmskinError if there is no such command; cyclopts would import them all to say so."""
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in app:
+        close = get_close_matches(arguments[0], app, 1)
+        hint = f"did you mean {close[0]}?" if close else "`ohmskin --help` lists those there are"
+        raise OhmskinError(f"no command {arguments[0]!r}; {hint}")

@@ -7,22 +7,22 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.bench import run, write_report
-from ohmskin.cli.options import Names
+from ohmskin.cli.options import Flag, Names
 
 _COLOURS = {"pass": "green", "short": "red", "not run": "yellow", "": ""}
 
 
 def bench(
     *,
-    quick: bool = False,
-    out: Path = Path("bench"),
+    quick: Flag = False,
+    output: Path = Path("bench"),
     only: Names = (),
 ) -> None:
     """Measure how fast everything is, beside pyEIT, plain SciPy and the machine's own limits; one thread.
 
     Args:
         quick: Two minutes instead of about ten: smaller sizes, fewer rounds.
-        out: Folder for benchmarks.json, benchmarks.md and the plot.
+        output: Folder for benchmarks.json, benchmarks.md and the plot.
         only: Parts wanted: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes, accuracy,
             start.
     """
@@ -37,6 +37,6 @@ def bench(
         colour, verdict = _COLOURS[figure.verdict], figure.verdict
         table.add_row(*figure.row(f"[{colour}]{verdict}[/{colour}]" if colour else verdict))
     console.print(table, highlight=False)
-    for path in write_report(found, out, quick):
+    for path in write_report(found, output, quick):
         console.print(str(path), highlight=False, soft_wrap=True)
     console.print(f"{time.monotonic() - started:.0f} s", highlight=False)

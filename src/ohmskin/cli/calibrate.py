@@ -10,7 +10,7 @@ from rich.console import Console
 
 import ohmskin
 from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
-from ohmskin.cli.options import SkinName, check_writable, open_skin, say, write
+from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.plot.calibration import save_calibration
@@ -26,7 +26,7 @@ def calibrate(
     *,
     device: str = "virtual:",
     skin: SkinName = "",
-    out: Path | None = None,
+    output: Path | None = None,
     picture: Path | None = None,
     mode: str = "",
     weights: tuple[float, ...] = (100.0, 200.0, 400.0, 700.0, 1000.0),
@@ -37,22 +37,23 @@ def calibrate(
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
-        out: File for the calibrated skin; NAME-calibrated.toml unless given.
+        output: File for the calibrated skin; NAME-calibrated.toml unless given.
         picture: Also save the sheet as found, and the curve, as a picture, such as calibration.png.
         mode: Drive mode to calibrate; the skin's best unless given.
         weights: Weights to put on (g), all on the same small foot.
         places: At how many places.
         force: Whether to calibrate newtons, too; --no-force measures the quiet skin only.
     """
+    if picture is not None:
+        check_picture(picture)
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin)
     description = replace(description, calibration=Calibration())
-    path = out or Path(f"{description.name}-calibrated.toml")
+    path = output or Path(f"{description.name}-calibrated.toml")
     with opened:
+        check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
         plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
-        for file in (path, picture) if picture else (path,):
-            check_writable(file)  # now, rather than after an hour of presses
         console.print("measuring the quiet skin; nothing may touch it")
         found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
         if ohms := found.contact_impedances:

@@ -9,13 +9,13 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.arrays import as_plain
-from ohmskin.cli.options import DeviceUrl, ModeName, SkinName, open_skin
+from ohmskin.cli.options import DeviceUrl, Flag, ModeName, SkinName, open_skin
 from ohmskin.device import connect
 from ohmskin.device.conformance import check_device as run_checks
 from ohmskin.sensing import drive_of, mode_named
 
 
-def scan(*, device: DeviceUrl = "virtual:", skin: SkinName = "", mode: ModeName = "", json: bool = False) -> None:
+def scan(*, device: DeviceUrl = "virtual:", skin: SkinName = "", mode: ModeName = "", json: Flag = False) -> None:
     """Scan a device once with the base pattern of a mode and print what it measured.
 
     Args:
@@ -37,7 +37,7 @@ def scan(*, device: DeviceUrl = "virtual:", skin: SkinName = "", mode: ModeName 
     Console().print(table)
 
 
-def check_device(url: str, *, json: bool = False) -> None:
+def check_device(url: str, *, json: Flag = False) -> None:
     """Check a device and its driver; nothing may touch the skin meanwhile. The exit status is 1 if a check fails.
 
     Args:

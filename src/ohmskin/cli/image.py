@@ -4,6 +4,7 @@ import sys
 from itertools import islice
 from pathlib import Path
 
+from ohmskin.cli.options import check_picture
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording
 from ohmskin.inverse import match_model
@@ -42,6 +43,7 @@ def image(
         rule: How the regularisation parameter is chosen, such as physical or l-curve.
     """
     target = output or Path(file.stem + ".png")
+    check_picture(target)
     if is_tape(file):
         cycles = reimage(file, estimator, prior, rule, skin=skin)
         if frame < 0 or (cycle := next(islice(cycles, frame, None), None)) is None:

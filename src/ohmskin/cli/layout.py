@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ohmskin.arrays import as_plain
-from ohmskin.cli.options import SkinName, check_writable, write
+from ohmskin.cli.options import SkinName, check_picture, check_writable, write
 from ohmskin.drive import (
     DRIVES,
     Candidates,
@@ -62,7 +62,8 @@ def layout(
         json_file: Where to put all figures, as JSON; nowhere unless given.
         save: With --optimise, where to put the skin that was found; SKIN-optimised.toml in this folder unless given.
     """
-    for path in (output, json_file, save):
+    check_picture(output)
+    for path in (json_file, save):
         if path is not None:
             check_writable(path)
     described = Skin.load(skin)

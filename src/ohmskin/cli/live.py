@@ -11,6 +11,7 @@ from ohmskin.cli.options import (
     AS_THE_MODE,
     HERE,
     DeviceUrl,
+    Flag,
     Imaging,
     ModeName,
     Page,
@@ -18,6 +19,7 @@ from ohmskin.cli.options import (
     Seconds,
     SkinName,
     Stop,
+    check_publishing,
     say,
 )
 from ohmskin.client import Patch
@@ -38,8 +40,8 @@ def live(
     imaging: Imaging = AS_THE_MODE,
     page: Page = HERE,
     demo: bool = True,
-    headless: bool = False,
-    json: bool = False,
+    headless: Flag = False,
+    json: Flag = False,
     seconds: Seconds = None,
     record: Path | None = None,
     publish: Repeated = (),
@@ -61,6 +63,10 @@ def live(
     """
     if record is not None:
         refuse_existing(record)
+    if publish:
+        check_publishing(publish, newtons, page)
+    if not (headless or json):
+        page.check()
     stop = Stop()
     tell = say if not json else lambda _: None
     out = sys.stderr if json else sys.stdout

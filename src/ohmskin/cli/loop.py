@@ -56,18 +56,20 @@ class Loop:
     player: Player | None
     sinks: list[Callable[[Touch], None]]
 
-    def run(self, stop: object, seconds: float | None, step: Callable[[], Touch | None] | None = None) -> None:
+    def run(self, stop: Stop, seconds: float | None, step: Callable[[], Touch | None] | None = None) -> None:
         """Hand what every cycle feels to the sinks, until told to stop or so many seconds are over.
 
         Without a `step` of its own, such as a page's, it ends with a recording.
         """
+        stop.listen()
+        over: object = stop
         if self.player:
-            step, stop = (self.player.lead(step), stop) if step else (self.player.step, self.player.until(stop))
+            step, over = (self.player.lead(step), over) if step else (self.player.step, self.player.until(over))
         step = step or self.engine.step
         gc.collect()
         gc.freeze()  # a full collection of what was set up would stop the loop for many frames
         end = float("inf") if seconds is None else time.monotonic() + seconds
-        while not stop and time.monotonic() < end:
+        while not over and time.monotonic() < end:
             if touch := step():
                 for sink in self.sinks:
                     sink(touch)
@@ -120,6 +122,9 @@ def open_loop(
 
 def refuse_existing(file: Path) -> None:
     """Raise unless a recording can be made here; asked before the device is opened, which takes a while."""
+    if file.suffix != ".mcap":
+        name = file.with_suffix(".mcap")
+        raise OhmskinError(f"{file}: recordings are MCAP files; record to {name}, `ohmskin export` makes others of it")
     if file.exists():
         raise OhmskinError(f"{file} exists, and a recording is never overwritten; choose another name")
     if not file.absolute().parent.is_dir():

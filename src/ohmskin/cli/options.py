@@ -15,11 +15,14 @@ from cyclopts import Parameter
 from ohmskin.child import when_input_ends
 from ohmskin.device import Device, connect
 from ohmskin.device.replay import ReplayDevice, recorded_skin
-from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError
+from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
 from ohmskin.inverse import PRIORS
 from ohmskin.inverse.choice import RULES
 from ohmskin.inverse.estimators import ESTIMATORS
+from ohmskin.outlets.outlet import check_outlet
+from ohmskin.outlets.publisher import check_settings
 from ohmskin.skin import Fault, Skin
+from ohmskin.view.live import check_address
 
 DeviceUrl = Annotated[str, Parameter(help="Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.")]
 SkinName = Annotated[str, Parameter(help="A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.")]
@@ -31,6 +34,7 @@ Jobs = Annotated[int | None, Parameter(help="Processes; one per core unless give
 Scheduler = Annotated[str, Parameter(help="Address of a Dask scheduler to run on instead, such as tcp://host:8786.")]
 Numbers = Annotated[tuple[float, ...], Parameter(consume_multiple=True)]  # --noise 45 35 55
 Names = Annotated[tuple[str, ...], Parameter(consume_multiple=True)]  # --only static pairs
+Flag = Annotated[bool, Parameter(negative="")]  # off unless given
 Repeated = Annotated[tuple[str, ...], Parameter(consume_multiple=False)]  # --publish shm --publish zenoh
 
 
@@ -98,6 +102,17 @@ class _Page:
         """Host, port and token."""
         return self.host, self.port, self.token or None
 
+    def check(self) -> None:
+        """Raise ViewError unless a page can be served there; asked before the device is opened, which takes a while."""
+        check_address(*self.address)
+        if self != HERE:
+            from ohmskin.view.server import listen  # here: its web server takes a while to import
+
+            try:
+                listen(self.host, self.port).close()
+            except OSError as error:
+                raise ViewError(f"the page cannot start: {error}") from error
+
     def open(self, url: str) -> None:
         """Say where the page is, and show it."""
         say(f"open {url}   (Ctrl-C ends)")
@@ -113,18 +128,27 @@ HERE = _Page()
 
 
 class Stop(threading.Event):
-    """Set, and true, after Ctrl-C or SIGTERM and, with a `lifeline`, at the end of standard input."""
+    """Set, and true, after Ctrl-C or SIGTERM and, with a `lifeline`, at the end of standard input.
+
+    Until `listen` is called, and when asked twice, either ends the program at once, cleaning up on the way: only a loop
+    that runs has something to finish first.
+    """
 
     def __init__(self, lifeline: bool = False) -> None:
         super().__init__()
+        self._listening = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._ask)
         if lifeline:
             when_input_ends(self.set)
 
-    def _ask(self, *_: object) -> None:
-        if self.is_set():  # asked twice: leave at once
-            raise KeyboardInterrupt
+    def listen(self) -> None:
+        """Be heeded from here on."""
+        self._listening = True
+
+    def _ask(self, number: int, _: object) -> None:
+        if self.is_set() or not self._listening:
+            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(0)
         self.set()
 
     def __bool__(self) -> bool:
@@ -153,6 +177,13 @@ def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Dev
         raise
 
 
+def check_publishing(outlets: Sequence[str], newtons: float | None, page: _Page) -> None:
+    """Raise PublishError if something cannot be published so, such as for an extra that is missing."""
+    check_settings(newtons, page.token or None, images=1.0)
+    for address in outlets:
+        check_outlet(address)
+
+
 def say(sentence: str) -> None:
     """Print a sentence now, whoever reads it."""
     print(sentence, flush=True)
@@ -171,3 +202,12 @@ def check_writable(path: Path) -> None:
     place = path if path.exists() else path.parent
     if path.is_dir() or not os.access(place, os.W_OK):
         raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or read-only'}")
+
+
+def check_picture(path: Path) -> None:
+    """Raise DataError if a picture cannot be written there, likewise."""
+    from matplotlib.backend_bases import FigureCanvasBase  # here: most commands draw nothing
+
+    check_writable(path)
+    if path.suffix.lstrip(".") not in FigureCanvasBase.filetypes:
+        raise DataError(f"cannot write {path}: {path.suffix!r} is no picture format; choose .png, .pdf or .svg")

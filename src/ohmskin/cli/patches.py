@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 from ohmskin.body.body import Body
 from ohmskin.body.patches import Patches
-from ohmskin.cli.options import HERE, Page, Repeated, Seconds, Stop, say
+from ohmskin.cli.options import HERE, Flag, Page, Repeated, Seconds, Stop, check_publishing, say
 from ohmskin.client.felt import Felt
 from ohmskin.view.overview import Overview
 
@@ -19,7 +19,7 @@ def patches(
     publish: Repeated = (),
     page: Page = HERE,
     demo: bool = True,
-    headless: bool = False,
+    headless: Flag = False,
     seconds: Seconds = None,
 ) -> None:
     """Sense with all patches of a robot: a process for each, one stream of contacts in the robot's frames, one page.
@@ -31,6 +31,9 @@ def patches(
         headless: No page.
     """
     loaded = Body.load(body)
+    check_publishing(publish, None, page)
+    if not headless:
+        page.check()
     stop = Stop()
     with ExitStack() as stack:
         all_patches = stack.enter_context(Patches(loaded, publish, page.token or None, demo, report=say))
@@ -38,6 +41,7 @@ def patches(
         if not headless:
             page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address)).url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
+        stop.listen()
         due, count, newest = time.monotonic() + _TABLE_EVERY, 0, None
         while not stop and (now := time.monotonic()) < end:
             if (felt := all_patches.step()) is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ohmskin.cli.live import live
-from ohmskin.cli.options import AS_THE_MODE, HERE, Imaging, Page, Seconds
+from ohmskin.cli.options import AS_THE_MODE, HERE, Flag, Imaging, Page, Seconds, check_picture
 from ohmskin.errors import OhmskinError
 from ohmskin.inverse.estimators import image_of
 
@@ -19,14 +19,14 @@ def replay(
     imaging: Imaging = AS_THE_MODE,
     speed: float = 1.0,
     start: float = 0.0,
-    loop: bool = False,
+    loop: Flag = False,
     rate: float = 30.0,
     compare: str = "",
     at: float | None = None,
     output: Path | None = None,
     page: Page = HERE,
-    headless: bool = False,
-    json: bool = False,
+    headless: Flag = False,
+    json: Flag = False,
     seconds: Seconds = None,
 ) -> None:
     """Replay a recording through the same loop and page as a device, or compare estimators on it.
@@ -77,6 +77,7 @@ def _compare(file: Path, names: list[str], at: float | None, mode: str, skin: st
     chosen = {name: image_of(name) for name in names}
     if output.exists():
         raise OhmskinError(f"{output} exists and is never overwritten; choose another with --output")
+    check_picture(output)
     if at is None:
         at = strongest(reimage(file, mode=mode, skin=skin)).time
     cycles = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
-from ohmskin.cli.options import check_seed
+from ohmskin.cli.options import Flag, check_seed
 from ohmskin.device import connect
 from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
@@ -23,7 +23,7 @@ def robot(
     yielding: bool = True,
     video: Path | None = None,
     picture: Path | None = None,
-    json: bool = False,
+    json: Flag = False,
 ) -> None:
     """Poke a robot arm that wears the skin: MuJoCo's contacts press it, the loop senses them, the arm yields.
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.calibrate import self_test as run_self_test
-from ohmskin.cli.options import SkinName, open_skin, write
+from ohmskin.cli.options import Flag, SkinName, open_skin, write
 from ohmskin.errors import DataError
 from ohmskin.plot.calibration import save_self_test
 from ohmskin.skin import Fault
@@ -17,8 +17,8 @@ def self_test(
     *,
     device: str = "virtual:",
     skin: SkinName = "",
-    out: Path | None = None,
-    json: bool = False,
+    output: Path | None = None,
+    json: Flag = False,
     fault: tuple[str, ...] = (),
 ) -> None:
     """Test the wiring and the instrument of an untouched skin. Nothing may touch it meanwhile.
@@ -27,7 +27,7 @@ def self_test(
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
-        out: Folder for self-test.json and self-test.png.
+        output: Folder for self-test.json and self-test.png.
         json: Print JSON instead of a table.
         fault: With virtual: only: something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5
             20".
@@ -49,12 +49,12 @@ def self_test(
             table.add_row(*row)
         if table.rows:
             console.print(table)
-    if out is not None:
+    if output is not None:
         try:
-            out.mkdir(parents=True, exist_ok=True)
+            output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise DataError(f"cannot write to {out}: {error}; choose another folder with --out") from error
-        write(out / "self-test.json", result.to_json() + "\n")
-        save_self_test(out / "self-test.png", result, description)
+            raise DataError(f"cannot write to {output}: {error}; choose another folder with --output") from error
+        write(output / "self-test.json", result.to_json() + "\n")
+        save_self_test(output / "self-test.png", result, description)
     if result.findings:
         sys.exit(1)

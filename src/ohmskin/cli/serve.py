@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ohmskin.cli.options import Lifeline, Seed, SkinName, Stop
+from ohmskin.cli.options import Flag, Lifeline, Seed, SkinName, Stop
 from ohmskin.device.firmware import EmulatedBoard
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import VirtualInstrument
@@ -16,7 +16,7 @@ def serve_skin(
     skin: SkinName = "paper",
     host: str = "127.0.0.1",
     port: int = 7155,
-    pty: bool = False,
+    pty: Flag = False,
     seed: Seed = None,
     realtime: bool = True,
     fault: tuple[str, ...] = (),
@@ -35,6 +35,7 @@ def serve_skin(
     stop = Stop(lifeline)
     instrument = VirtualInstrument(Skin.load(skin), seed, realtime, [Fault.parse(text) for text in fault])
     with DeviceServer(instrument, host=host, port=port, pty=pty) as server:
+        stop.listen()
         print(f"virtual skin {skin!r} at {server.url}", flush=True)
         if server.pty_path:
             print(f"and at serial://{server.pty_path}", flush=True)
@@ -63,6 +64,7 @@ def serve_firmware(
     """
     stop = Stop(lifeline)
     with EmulatedBoard(Skin.load(skin), image, host, port, press_port, seed, averages) as board:
+        stop.listen()
         print(f"firmware on a virtual skin {skin!r} at {board.url}", flush=True)
         print(f"press it at {board.press_url}", flush=True)
         while not stop:

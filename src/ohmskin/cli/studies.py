@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ohmskin.cli.options import Jobs, Names, Numbers, Scheduler
+from ohmskin.cli.options import Flag, Jobs, Names, Numbers, Scheduler
 from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.policies.comparison import POLICIES
 from ohmskin.evaluate.policies.plan import Settings as PolicySettings
@@ -22,7 +22,7 @@ S = TypeVar("S", Settings, PolicySettings)
 
 def reproduce(
     *,
-    quick: bool = False,
+    quick: Flag = False,
     output: Path = Path("reproduction"),
     noise: Numbers = (),
     amplitude: Numbers = (),
@@ -31,7 +31,7 @@ def reproduce(
     jobs: Jobs = None,
     scheduler: Scheduler = "",
     cache: Path | None = None,
-    fresh: bool = False,
+    fresh: Flag = False,
 ) -> None:
     """Reproduce the paper: every figure and table, beside the paper's own figures, with verdicts.
 
@@ -53,27 +53,27 @@ def reproduce(
 
 def policies(
     *,
-    quick: bool = False,
-    out: Path = Path("policies"),
+    quick: Flag = False,
+    output: Path = Path("policies"),
     seeds: int | None = None,
     only: Names = (),
     jobs: Jobs = None,
     scheduler: Scheduler = "",
     cache: Path | None = None,
-    fresh: bool = False,
+    fresh: Flag = False,
 ) -> None:
     """Compare drive policies, the paper's, by information and tracking, at equal noise and equal time with their goals.
 
     Args:
         quick: Few seeds and trials: a minute or two on two cores.
-        out: Folder for report.md, figures and data.
+        output: Folder for report.md, figures and data.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
         only: Sections wanted: static, driven, time, moving, pairs, press, detection, quiet, robust, cost.
         cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
         fresh: Run everything anew.
     """
     usual = PolicySettings.quick() if quick else PolicySettings()
-    _run(POLICIES, usual, {"seeds": seeds}, out, only, cache=cache, jobs=jobs, scheduler=scheduler, fresh=fresh)
+    _run(POLICIES, usual, {"seeds": seeds}, output, only, cache=cache, jobs=jobs, scheduler=scheduler, fresh=fresh)
 
 
 def _run(

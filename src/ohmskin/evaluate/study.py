@@ -35,7 +35,6 @@ class Study(Generic[S, V]):
         sections: The sections of the report: first an introduction, then one for each group.
         report: File name of the report, ``*.html`` or ``*.md``.
         verdicts: What the verdicts are called: they go to a JSON file of that name.
-        option: The command line's name for the output folder.
         dpi: Of the pictures.
         alone: Groups that tell how long something takes: they run last, in this process, nothing beside them, and are
             not kept.
@@ -49,7 +48,6 @@ class Study(Generic[S, V]):
     sections: Callable[[Outcome[S], Sequence[V], Pictures], Sequence[Section]]
     report: str
     verdicts: str
-    option: str = "--output"
     dpi: int = 200
     alone: tuple[str, ...] = ()
     record: Callable[[V], dict[str, Any]] = asdict  # type: ignore[assignment]
@@ -87,7 +85,7 @@ class Study(Generic[S, V]):
             (folder / "figures").mkdir(parents=True, exist_ok=True)
             (folder / "data").mkdir(exist_ok=True)
         except OSError as error:
-            text = f"cannot make the output folder {folder}: {error}; give another with {self.option}"
+            text = f"cannot make the output folder {folder}: {error}; give another with --output"
             raise OhmskinError(text) from error
         kept, wanted_by = Cache(Path(cache) if cache else folder / "cache"), assign(experiments)
 

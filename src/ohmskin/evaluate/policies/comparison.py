@@ -293,7 +293,5 @@ SECTIONS = {
     "robust": ("With a flawed model, or a worn skin", _robust),
     "cost": ("What choosing costs", _cost),
 }
-POLICIES = Study(
-    Settings, plan, goals.assess, PAINTERS, sections, "report.md", "goals", "--out", 160, ("cost",), Goal.record
-)
+POLICIES = Study(Settings, plan, goals.assess, PAINTERS, sections, "report.md", "goals", 160, ("cost",), Goal.record)
 compare = POLICIES.run
