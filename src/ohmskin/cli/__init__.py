@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from difflib import get_close_matches
 from typing import Any
 
@@ -94,7 +95,8 @@ def main() -> None:
         _check_command(arguments)
         command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        command(*bound.args, **bound.kwargs)
+        with _compiling():
+            command(*bound.args, **bound.kwargs)
     except (OhmskinError, CycloptsError) as error:
         print(f"ohmskin: {error}", file=sys.stderr)
         sys.exit(2)
@@ -103,6 +105,15 @@ def main() -> None:
     except BrokenPipeError:  # the reader of our output, `head` say, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+
+
+def _compiling() -> AbstractContextManager[None]:
+    """Says on stderr that functions are being compiled, if the command has any."""
+    if "numba" not in sys.modules:
+        return nullcontext()
+    from ohmskin.engine.compiling import compiling  # here: numba takes a while to import
+
+    return compiling(lambda sentence: print(sentence, file=sys.stderr, flush=True))
 
 
 def _check_command(arguments: list[str]) -> None:

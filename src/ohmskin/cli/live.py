@@ -68,7 +68,7 @@ def live(
     if not (headless or json):
         page.check()
     stop = Stop()
-    tell = say if not json else lambda _: None
+    tell = say if not json else lambda sentence: print(sentence, file=sys.stderr, flush=True)
     out = sys.stderr if json else sys.stdout
     with ExitStack() as stack:
         loop = stack.enter_context(open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out))

@@ -10,6 +10,7 @@ from ohmskin.calibrate.measures import check_fit
 from ohmskin.closing import Closing
 from ohmskin.device import Device
 from ohmskin.drive import Drive, Fixed
+from ohmskin.engine.compiling import compiling
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices
 from ohmskin.engine.quiet import QuietFrames, check_usable
@@ -98,20 +99,26 @@ class Engine(Closing):
             DataError: If the skin is not quiet, or its data are no skin's; likewise.
             ModelError: If the estimator or the prior is unknown, or does not go with the skin.
         """
-        before, self.state = self.state, State.CALIBRATING
+        (before, message), self.state = (self.state, self.message), State.CALIBRATING
+
+        def compiles(sentence: str) -> None:
+            self._notices.message = sentence
+            progress(0.7)
+
         try:
             quiet, notes, quality = list(self.device.reference), list[str](), None
             if not quiet:
                 quiet, notes = self._quiet_frames(lambda share: progress(0.7 * share))
                 quality = assess(quiet)
                 check_usable(quality)
-            known = SkinModel(self.skin, self._sheet, quiet, quality if quality and quality.verdicts else None)
-            sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}  # the others when they are asked for
+            with compiling(compiles):
+                known = SkinModel(self.skin, self._sheet, quiet, quality if quality and quality.verdicts else None)
+                sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}  # others when they are asked for
         except DeviceLost as error:
             self._lose(error)
             raise
         except BaseException:  # what was learned before still holds
-            self.state = before
+            self.state, self._notices.message = before, message
             raise
         self.known, self._sensors = known, sensors
         self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "")
