@@ -4,13 +4,14 @@ import sys
 from itertools import islice
 from pathlib import Path
 
-from ohmskin.cli.options import check_picture
+from ohmskin.cli.options import check_picture, watched
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording
 from ohmskin.inverse import match_model
 from ohmskin.mcap import is_tape
 from ohmskin.plot import save_picture
-from ohmskin.recording.export import save_comparison
+from ohmskin.plot.picture import full_scale, noise_of
+from ohmskin.recording.export import save_comparison, strongest
 from ohmskin.recording.player import reimage
 from ohmskin.scan import assess, left_out
 from ohmskin.sensing import RECORDED, Percept, SkinModel, perceive
@@ -24,7 +25,7 @@ def image(
     output: Path | None = None,
     reference: Path | None = None,
     pattern: Path | None = None,
-    frame: int = 0,
+    frame: int | None = None,
     estimator: str = "gauss-newton",
     prior: str = "paper",
     rule: str = "physical",
@@ -37,7 +38,8 @@ def image(
         output: Where to put the picture; beside the recording's name in this folder unless given.
         reference: File of the untouched skin, for formats that keep it apart; beside the recording unless given.
         pattern: Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
-        frame: Which frame of the recording, or which cycle of one of ours (.mcap), from 0.
+        frame: Which frame of the recording, or which cycle of one of ours (.mcap), from 0; unless given, the first
+            frame, or the cycle with the strongest contact.
         estimator: What makes the image, such as kalman or absolute (see `ohmskin info`).
         prior: What the estimator believes beforehand, such as paper or matern.
         rule: How the regularisation parameter is chosen, such as physical or l-curve.
@@ -46,12 +48,17 @@ def image(
     check_picture(target)
     if is_tape(file):
         cycles = reimage(file, estimator, prior, rule, skin=skin)
-        if frame < 0 or (cycle := next(islice(cycles, frame, None), None)) is None:
+        if frame is None:
+            cycle = strongest(watched(cycles))
+        elif frame < 0 or (found := next(islice(cycles, frame, None), None)) is None:
             by_time = f"`ohmskin export {file} --to png --at SECONDS` finds one by time"
             raise DataError(f"--frame {frame}: {file} has fewer cycles; {by_time}")
+        else:
+            cycle = found
         save_comparison(target, {f"{cycle.time:.2f} s": cycle})
         _tell(cycle.touch.percept, target)
         return
+    frame = frame or 0
     recording = read_recording(file, reference=reference, pattern=pattern)
     if not 0 <= frame < len(recording.frames):
         raise DataError(f"--frame {frame}: {file} has frames 0 to {len(recording.frames) - 1}")
@@ -71,7 +78,8 @@ def image(
     percept = perceive(known, shown, RECORDED.using(estimator, prior, rule))
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
-    save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title)
+    limit = full_scale(percept)
+    save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title, limit)
     _tell(percept, target)
 
 
@@ -82,5 +90,5 @@ def _tell(percept: Percept, target: Path) -> None:
         size = f"{contact.extent * 1e4:5.2f} cm2  {change}, confidence {contact.confidence:.2f}"
         print(f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {size}")
     if not percept.detections:
-        print("nothing above the threshold")
+        print(f"no contact; noise +-{100 * noise_of(percept.image):.2g} %")
     print(f"picture: {target}")

@@ -10,6 +10,7 @@ from ohmskin.cli.loop import open_loop, refuse_existing
 from ohmskin.cli.options import (
     AS_THE_MODE,
     HERE,
+    Demo,
     DeviceUrl,
     Flag,
     Imaging,
@@ -39,7 +40,7 @@ def live(
     mode: ModeName = "",
     imaging: Imaging = AS_THE_MODE,
     page: Page = HERE,
-    demo: bool = True,
+    demo: Demo = True,
     headless: Flag = False,
     json: Flag = False,
     seconds: Seconds = None,
@@ -52,7 +53,6 @@ def live(
     """Sense touches, live: a page in the browser, or contacts on the terminal.
 
     Args:
-        demo: Let a demonstration finger wander over a virtual skin until somebody presses.
         headless: No page: contacts as a table on the terminal.
         json: No page: a line of JSON for every frame.
         record: Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
@@ -82,7 +82,7 @@ def live(
             tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
             engine.calibrate()
             loop.sinks.append(_print_json if json else _Table())
-            loop.run(stop, seconds)
+            loop.run(stop, seconds, demo=demo)
             return
         with Session(engine, device, *page.address, demo) as session:
             if session.view.port_was_taken:

@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TextIO
 
-from ohmskin.cli.options import AS_THE_MODE, DeviceUrl, Imaging, ModeName, Seconds, SkinName, Stop, open_skin, say
+from ohmskin.cli.options import AS_THE_MODE, Demo, DeviceUrl, Imaging, ModeName, Seconds, SkinName, Stop, open_skin, say
 from ohmskin.device import Device
+from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import OhmskinError
@@ -50,21 +51,28 @@ class ProgressReport:
 
 @dataclass(frozen=True)
 class Loop:
-    """An engine, who leads it if the device is a recording, and who takes what it feels."""
+    """An engine, who leads it if the device is a recording, who takes what it feels, and who hears messages."""
 
     engine: Engine
     player: Player | None
     sinks: list[Callable[[Touch], None]]
+    tell: Callable[[str], None]
 
-    def run(self, stop: Stop, seconds: float | None, step: Callable[[], Touch | None] | None = None) -> None:
+    def run(
+        self, stop: Stop, seconds: float | None, step: Callable[[], Touch | None] | None = None, demo: bool = False
+    ) -> None:
         """Hand what every cycle feels to the sinks, until told to stop or so many seconds are over.
 
-        Without a `step` of its own, such as a page's, it ends with a recording.
+        Without a `step` of its own, such as a page's, it ends with a recording, and a `demo` finger presses a virtual
+        skin that was opened for this command.
         """
         stop.listen()
         over: object = stop
         if self.player:
             step, over = (self.player.lead(step), over) if step else (self.player.step, self.player.until(over))
+        elif step is None and demo and self.engine.device.url.startswith("virtual:"):
+            self.tell("a demonstration finger presses the virtual skin (--no-demo: nothing does)")
+            step = self._pressed()
         step = step or self.engine.step
         gc.collect()
         gc.freeze()  # a full collection of what was set up would stop the loop for many frames
@@ -73,6 +81,16 @@ class Loop:
             if touch := step():
                 for sink in self.sinks:
                     sink(touch)
+
+    def _pressed(self) -> Callable[[], Touch | None]:
+        """Cycles while a demonstration finger wanders over the skin."""
+        began = time.monotonic()
+
+        def step() -> Touch | None:
+            self.engine.press(0, *demo_finger(self.engine.skin.domain, time.monotonic() - began))
+            return self.engine.step()
+
+        return step
 
 
 @contextmanager
@@ -114,7 +132,7 @@ def open_loop(
             if recorder:
                 recorder.watch(engine)
             player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
-            yield Loop(engine, player, [recorder.publish, ProgressReport(recorder, quiet)] if recorder else [])
+            yield Loop(engine, player, [recorder.publish, ProgressReport(recorder, quiet)] if recorder else [], tell)
     finally:
         if recorder:
             print(_summary(recorder.path, recorder.close()), file=out, flush=True)
@@ -152,6 +170,7 @@ def record(
     imaging: Imaging = AS_THE_MODE,
     seconds: Seconds = None,
     images: float = 30.0,
+    demo: Demo = True,
 ) -> None:
     """Record a device: raw frames with the patterns really driven, calibration, contacts, images and health, as MCAP.
 
@@ -165,4 +184,4 @@ def record(
         say(f"{loop.engine.mode.label}; calibrating: keep the skin untouched")
         loop.engine.calibrate()
         say(f"recording to {file}   (Ctrl-C ends)")
-        loop.run(stop, seconds)
+        loop.run(stop, seconds, demo=demo)

@@ -5,12 +5,13 @@ import signal
 import sys
 import threading
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
+from rich.console import Console
 
 from ohmskin.child import when_input_ends
 from ohmskin.device import Device, connect
@@ -21,6 +22,7 @@ from ohmskin.inverse.choice import RULES
 from ohmskin.inverse.estimators import ESTIMATORS
 from ohmskin.outlets.outlet import check_outlet
 from ohmskin.outlets.publisher import check_settings
+from ohmskin.recording.player import Replayed
 from ohmskin.skin import Fault, Skin
 from ohmskin.view.live import check_address
 
@@ -28,6 +30,9 @@ DeviceUrl = Annotated[str, Parameter(help="Address: virtual:, tcp://HOST:PORT, s
 SkinName = Annotated[str, Parameter(help="A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.")]
 ModeName = Annotated[
     str, Parameter(help="A mode of the skin, such as 16P or 12B (see `ohmskin info`); the most precise unless given.")
+]
+Demo = Annotated[
+    bool, Parameter(help="Let a demonstration finger wander over a virtual skin; on the page, until somebody presses.")
 ]
 Lifeline = Annotated[bool, Parameter(show=False)]  # whether to end when standard input ends
 Jobs = Annotated[int | None, Parameter(help="Processes; one per core unless given.")]
@@ -184,6 +189,14 @@ def check_publishing(outlets: Sequence[str], newtons: float | None, page: _Page)
         check_outlet(address)
 
 
+def watched(cycles: Iterable[Replayed]) -> Iterator[Replayed]:
+    """The cycles of a recording, and on the terminal how far they are."""
+    with Console(stderr=True).status("reading the recording") as status:
+        for cycle in cycles:
+            status.update(f"reading the recording: {cycle.time:.1f} s")
+            yield cycle
+
+
 def say(sentence: str) -> None:
     """Print a sentence now, whoever reads it."""
     print(sentence, flush=True)
@@ -195,6 +208,14 @@ def write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DataError(f"cannot write {path}: {error}; choose another place") from error
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder unless it is there, or raise DataError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot write to {folder}: {error}; choose another folder") from error
 
 
 def check_writable(path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ohmskin.cli.live import live
-from ohmskin.cli.options import AS_THE_MODE, HERE, Flag, Imaging, Page, Seconds, check_picture
+from ohmskin.cli.options import AS_THE_MODE, HERE, Flag, Imaging, Page, Seconds, check_picture, watched
 from ohmskin.errors import OhmskinError
 from ohmskin.inverse.estimators import image_of
 
@@ -79,7 +79,7 @@ def _compare(file: Path, names: list[str], at: float | None, mode: str, skin: st
         raise OhmskinError(f"{output} exists and is never overwritten; choose another with --output")
     check_picture(output)
     if at is None:
-        at = strongest(reimage(file, mode=mode, skin=skin)).time
+        at = strongest(watched(reimage(file, mode=mode, skin=skin))).time
     cycles = {}
     for name, (estimator, prior) in chosen.items():
         cycles[name] = cycle = cycle_at(file, at, estimator=estimator, prior=prior, mode=mode, skin=skin)

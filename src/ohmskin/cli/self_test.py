@@ -7,8 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.calibrate import self_test as run_self_test
-from ohmskin.cli.options import Flag, SkinName, open_skin, write
-from ohmskin.errors import DataError
+from ohmskin.cli.options import Flag, SkinName, make_folder, open_skin, write
 from ohmskin.plot.calibration import save_self_test
 from ohmskin.skin import Fault
 
@@ -50,10 +49,7 @@ def self_test(
         if table.rows:
             console.print(table)
     if output is not None:
-        try:
-            output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(f"cannot write to {output}: {error}; choose another folder with --output") from error
+        make_folder(output)
         write(output / "self-test.json", result.to_json() + "\n")
         save_self_test(output / "self-test.png", result, description)
     if result.findings:

@@ -14,9 +14,12 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError
 from ohmskin.geometry import Domain, Electrodes, Mesh, Raster
+from ohmskin.inverse import Image
+from ohmskin.sensing import Percept
 
 _SHADES = "RdBu_r"  # red conducts better, blue worse, white is unchanged
 _PIXELS = 256
+_PALE = 20.0  # standard deviations of noise that full colour is, where there is no contact
 
 
 def draw_image(
@@ -74,18 +77,33 @@ def save_picture(
     electrodes: Electrodes,
     contacts: Sequence[Contact] = (),
     title: str = "",
+    limit: float | None = None,
 ) -> None:
     """Save an image of relative conductivity change (n_elem,) as a picture; the file's ending chooses the format.
+
+    Args:
+        path, title: The file, and what stands above the image.
+        mesh, values, electrodes, contacts, limit: As for `draw_image`.
 
     Raises:
         DataError: If the file cannot be written.
     """
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.add_subplot()
-    shown = draw_image(axes, mesh, values, electrodes, contacts)
+    shown = draw_image(axes, mesh, values, electrodes, contacts, limit)
     axes.set_title(title, fontsize=10)
     figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.85)
     save_figure(figure, path)
+
+
+def noise_of(image: Image) -> float:
+    """Standard deviation of an image's noise, root mean square over its elements (1)."""
+    return float(np.sqrt(np.mean(image.noise_std(np.arange(len(image.values))) ** 2)))
+
+
+def full_scale(percept: Percept) -> float | None:
+    """Value of full colour: the image's own with contacts (None), otherwise one at which noise stays pale."""
+    return None if percept.detections else _PALE * noise_of(percept.image)
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = 150) -> None:

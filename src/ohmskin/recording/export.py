@@ -21,6 +21,7 @@ from ohmskin.errors import DataError
 from ohmskin.geometry import Raster
 from ohmskin.mcap import Tape
 from ohmskin.plot import draw_image
+from ohmskin.plot.picture import full_scale
 from ohmskin.recording.player import Replayed, reimage
 
 CONTACT_COLUMNS = ("time_s", "cycle", "mode", *columns())
@@ -162,8 +163,9 @@ def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
     figure = Figure(figsize=(1 + 4.2 * len(cycles), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, (title, cycle) in zip(figure.subplots(1, len(cycles), squeeze=False)[0], cycles.items(), strict=True):
-        model, touch = cycle.known.model, cycle.touch
-        shown = draw_image(axes, model.mesh, touch.percept.image.values, model.electrodes, touch.percept.detections)
+        model, seen = cycle.known.model, cycle.touch.percept
+        limit = full_scale(seen)
+        shown = draw_image(axes, model.mesh, seen.image.values, model.electrodes, seen.detections, limit)
         axes.set_title(title, fontsize=10)
         figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.8)
     with _new(path) as part:
@@ -215,9 +217,9 @@ def strongest(cycles: Iterable[Replayed]) -> Replayed:
     best, height = None, (False, -np.inf)
     for cycle in cycles:
         contacts = cycle.touch.percept.detections  # of this image alone: tracking needs some cycles before it
-        peak = max((abs(c.peak) for c in contacts), default=float(np.abs(cycle.touch.percept.image.values).max()))
-        if (bool(contacts), peak) > height:
-            best, height = cycle, (bool(contacts), peak)
+        most = max((abs(c.strength) for c in contacts), default=float(np.abs(cycle.touch.percept.image.values).max()))
+        if (bool(contacts), most) > height:
+            best, height = cycle, (bool(contacts), most)
     if best is None:
         raise DataError("nothing was recorded in that time; choose another --start and --seconds")
     return best
