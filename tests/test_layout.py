@@ -183,7 +183,7 @@ def test_the_command_draws_the_map_and_says_mean_and_worst(tmp_path: Path) -> No
     errors = np.array(paper["errors"])
     assert len(paper["places"]) == len(errors) > 500
     assert paper["worst"] == errors.max() > paper["mean"] == pytest.approx(errors.mean())
-    assert f"position error mean {1e3 * paper['mean']:.3g} mm" in result.stdout
+    assert f"bound on the position error (Cramer-Rao): mean {1e3 * paper['mean']:.3g} mm" in result.stdout
     assert "12 injections (1.44 ms)" in result.stdout
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 

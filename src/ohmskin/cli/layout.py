@@ -1,4 +1,4 @@
-"""``ohmskin layout``: how well a skin can locate a contact, and where its electrodes had better be."""
+"""``ohmskin layout``: the bound on a contact's position error over a skin, and electrode layouts that lower it."""
 
 import json
 import math
@@ -48,16 +48,19 @@ def layout(
     json_file: Path | None = None,
     save: Path | None = None,
 ) -> None:
-    """Map the least error to which a contact's position can be told, over the sheet; or find a better electrode layout.
+    """Map the Cramer-Rao bound on a contact's position error over the sheet, or find a layout with a lower one.
+
+    No estimator errs less than the bound; docs/modes.md has what those of the modes reach.
 
     Args:
-        mode: What is driven: a mode such as 12B, 16I, 16O or 16P (as usual), or "best", the best fixed injections.
-        injections: Of a frame; for adaptive modes the base scan included. As many as the mode has unless given; with
-            "best" 28.
-        noise: Of a voltage, such as 0.2mV, 50uV or 1e-4 (volts), or 50dB below the largest voltage of the skin's first
-            mode. The skin's own unless given.
-        radius: Of the contact, in millimetres. It changes the conductivity by a half.
-        optimise: Find where so many electrodes should be for the smallest worst error, and compare.
+        mode: What is driven: a mode such as 12B, 16I, 16O or 16P, or "best", the best fixed injections; the skin's best
+            mode unless given.
+        injections: Injections of a frame, those of the base scan included; the mode's number unless given, 28 with
+            "best".
+        noise: Noise of a voltage, such as 0.2mV, 50uV or 1e-4 (volts), or 50dB below the largest voltage of the skin's
+            first mode. The noise of the skin unless given.
+        radius: Radius of the contact (mm), which changes the conductivity by a half.
+        optimise: Number of electrodes to place for the lowest worst bound; the new layout is compared with the old one.
         output: Where to put the picture.
         json_file: Where to put all figures, as JSON; nowhere unless given.
         save: With --optimise, where to put the skin that was found; SKIN-optimised.toml in this folder unless given.
@@ -95,6 +98,7 @@ def layout(
         write(target, better.dump())
     lines, layouts, maps = zip(*found, strict=True)
     print("\n".join(lines))
+    print("no estimator can err less than this; what the modes reach is in docs/modes.md")
     if json_file is not None:
         write(json_file, json.dumps({"noise": volts, "radius": size, "layouts": layouts}, indent=1))
     save_error_maps(output, maps)
@@ -115,7 +119,7 @@ def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) 
     x, y = 1e3 * places[int(np.argmax(errors))]
     line = (
         f"{title} ({1e3 * skin.cost.time(part_of(complete, np.zeros(count, np.int64))):.3g} ms): "
-        f"position error mean {1e3 * mean:.3g} mm, median {1e3 * median:.3g} mm, "
+        f"bound on the position error (Cramer-Rao): mean {1e3 * mean:.3g} mm, median {1e3 * median:.3g} mm, "
         f"worst {1e3 * worst:.3g} mm at ({x:.0f}, {y:.0f}) mm"
     )
     told = {"skin": skin.name, "mode": name, "injections": count, "mean": mean, "median": median, "worst": worst}

@@ -1,4 +1,4 @@
-"""Maps of how well a contact can be located, drawn over the sheet."""
+"""Maps of the bound on a contact's position error, drawn over the sheet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ _LEVELS = 24
 
 @dataclass(frozen=True, eq=False)
 class ErrorMap:
-    """Expected position errors over a sheet.
+    """Bounds on the position error over a sheet.
 
     Args:
         title: What was measured, in a line.
         domain: The sheet.
         electrodes: Electrode layout.
         places: (n, 2) of contacts (m).
-        errors: (n,) root-mean-square position error (m).
+        errors: (n,) least root-mean-square position error (m).
     """
 
     title: str
@@ -56,7 +56,7 @@ def draw_error_map(axes: Axes, shown: ErrorMap, limits: tuple[float, float] | No
     worst = int(np.argmax(shown.errors))
     axes.plot(*1e3 * shown.places[worst], "x", color="white", markersize=8, markeredgewidth=2)
     mean, most = 1e3 * shown.errors.mean(), 1e3 * shown.errors[worst]
-    axes.set_title(f"{shown.title}\nmean {mean:.3g} mm, worst {most:.3g} mm (cross)", fontsize=10)
+    axes.set_title(f"{shown.title}\nbound: mean {mean:.3g} mm, worst {most:.3g} mm (cross)", fontsize=10)
     axes.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")
     axes.spines[["top", "right"]].set_visible(False)
     return colours
@@ -74,6 +74,6 @@ def save_error_maps(path: str | Path, maps: Sequence[ErrorMap]) -> None:
     for place, shown in zip(axes, maps, strict=True):
         colours = draw_error_map(place, shown, (low, high))
     ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if 1e3 * low <= tick <= 1e3 * high]
-    bar = figure.colorbar(colours, ax=axes.tolist(), label="expected position error / mm", shrink=0.85, ticks=ticks)
+    bar = figure.colorbar(colours, ax=axes.tolist(), label="bound on the position error / mm", shrink=0.85, ticks=ticks)
     bar.ax.set_yticklabels([f"{tick:g}" for tick in ticks])
     save_figure(figure, path)
