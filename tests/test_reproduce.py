@@ -125,9 +125,22 @@ def test_the_report_needs_nothing_else(report: Path) -> None:
     page = report.read_text(encoding="utf-8")
     assert not re.search(r"""(?:src|href)=['"](?!data:|#)|url\(|@import|<script""", page)
     assert "{{" not in page
+    assert not re.search(r"<t[hd]>(SR|R)[<,]", page)  # one name for one quantity
     for figure in FIGURES:
         assert f"id='{figure}'" in page
     assert page.count("data:image/png;base64,") == len(list((report.parent / "figures").glob("*.png"))) == 11
+
+
+def test_the_report_opens_with_a_tally_and_the_key_claims_best_first(report: Path) -> None:
+    page = report.read_text(encoding="utf-8")
+    opening = re.sub("<[^>]+>", "\n", page[page.index("In short") : page.index("How it was done")])
+    claims = json.loads((report.parent / "claims.json").read_text())["claims"]
+    verdicts = [claim["verdict"] for claim in claims]
+    tally = f"{verdicts.count(YES)} of {len(claims)} tested claims of the paper are confirmed"
+    assert opening.index(tally) < opening.index("claims of")
+    listed = re.findall(rf"^(?:{YES}|{OPEN}|{NO})$", opening[opening.index("\nverdict\n") :], re.MULTILINE)
+    assert len(listed) == sum(claim["key"] for claim in claims)
+    assert listed == sorted(listed, key=[YES, OPEN, NO].index)
 
 
 def test_every_number_is_there_as_json(report: Path) -> None:

@@ -21,12 +21,12 @@ from ohmskin.evaluate.worlds import WORLDS
 
 ADAPTIVE = ("16O", "16O fused")  # the paper's scheme to the letter, and with both scans fused
 LADDERS = (("12B", "16B"), *(("16B", "16I", best) for best in ADAPTIVE))
-FIGURES_OF_MERIT = (  # ours, the paper's name, its column in Table I, whether lower is better
+FIGURES_OF_MERIT = (  # key, name, column in Table I, whether lower is better
     ("AR", "AR", 0, False),
     ("PE", "|PE|", 1, True),
-    ("RES", "SR", 2, True),
+    ("RES", "RES", 2, True),
     ("SD", "SD", 3, True),
-    ("RNG", "R", 4, True),
+    ("RNG", "RNG", 4, True),
     ("localisation", "localisation", None, True),
 )
 DECIDED_BY = {"dip": "the dip between two peaks", "test": "the test of two contacts against one"}

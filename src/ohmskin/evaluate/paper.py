@@ -1,12 +1,12 @@
 """What the paper reports (Zheng, Liu, Guo and Yang, sections V-A and V-B), to set beside what is measured here."""
 
-TABLE = {  # Table I: AR, PE, SR, SD, R
+TABLE = {  # Table I: AR, PE, RES (the paper: SR), SD, RNG (the paper: R)
     "12B": (0.0006, -0.29, 0.309, 1.0, 1.960),
     "16B": (0.0027, -0.253, 0.469, 0.732, 1.401),
     "16I": (0.0035, 0.242, 0.320, 0.676, 1.2282),
     "16O": (0.00475, 0.173, 0.275, 0.573, 0.917),
 }
-TABLE_COLUMNS = ("AR", "PE", "SR", "SD", "R")
+TABLE_COLUMNS = ("AR", "PE", "RES", "SD", "RNG")
 LOCALISATION = {"16I": 13.01e-3, "16O": 10.23e-3}  # metres, mean over 81 positions (Fig. 7)
 RATIO = LOCALISATION["16I"] / LOCALISATION["16O"]
 DISCRIMINATION = {"16I": 17e-3, "16O": 12e-3}  # metres, smallest distance of two contacts told apart (Fig. 8)
@@ -17,7 +17,7 @@ SAYS = {
     "fig4": "Images of several touches by the proposed method are correct, clearer, and contain fewer artefacts.",
     "fig5": "In sections through the touch the proposed method reaches the largest value, and its width follows the "
     "pressure profile.",
-    "table1": "For the touch in the upper left, the proposed method has the highest AR and the smallest PE; SD and R "
+    "table1": "For the touch in the upper left, the proposed method has the highest AR and the smallest PE; SD and RNG "
     "fall from each method to the next.",
     "fig6": "With adjacent drive the image has relatively large artefacts and another shape than the contact; with "
     "adaptive drive there are fewer artefacts and the shape of the object is reflected.",

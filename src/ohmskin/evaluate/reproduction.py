@@ -29,23 +29,37 @@ SHOWN = {
     "fig8": ("Fig. 8", "Two-point discrimination", curves.discrimination),
     "sweep": ("Sweep", "What depends on noise and prior amplitude", curves.sweep),
 }
+_VERDICTS = (YES, OPEN, NO)  # best first
 MISS = 30e-3  # metres; a touch seen further away counts as missed
 Done = Outcome[Settings]
 
 
 def sections(done: Done, claims: Sequence[Claim], pictures: Mapping[str, Sequence[Picture]]) -> list[Section]:
     """The report: what it comes to, how it was done, and a section for each figure."""
-    key = [claim for claim in claims if claim.key]
-    short = [Section("In short", _claims(key))] if key else []
+    short = [Section("In short", _short(done, claims))] if claims else []
     figures = [_figure(done, figure, claims, pictures[figure]) for figure in done.results]
-    return [*short, Section("How it was done", _method(done, claims)), *figures]
+    return [*short, Section("How it was done", _method(done)), *figures]
 
 
-def _method(done: Done, claims: Sequence[Claim]) -> list[Block]:
+def _short(done: Done, claims: Sequence[Claim]) -> list[Block]:
+    """What it comes to in three sentences, how many claims of each figure have each verdict, and the key claims."""
+    found = {SHOWN[name][0]: [c.verdict for c in claims if c.figure == name] for name in done.results}
+    counts = {label: [mine.count(verdict) for verdict in _VERDICTS] for label, mine in found.items() if mine}
+    yes, undecided, no = (sum(each) for each in zip(*counts.values(), strict=True))
+    shares = {label: each[0] / sum(each) for label, each in counts.items()}
+    best, worst = max(shares, key=shares.__getitem__), min(shares, key=shares.__getitem__)
+    key = sorted((claim for claim in claims if claim.key), key=lambda claim: _VERDICTS.index(claim.verdict))
+    text = (
+        f"**{yes} of {len(claims)} tested claims of the paper are {YES}, {undecided} are {OPEN} and {no} are {NO}.** "
+        f"Of the {len(key)} that matter most, below, {sum(claim.verdict == YES for claim in key)} are {YES}. "
+        f"Most of the claims are {YES} for {best} ({100 * shares[best]:.0f} %), "
+        f"fewest for {worst} ({100 * shares[worst]:.0f} %)."
+    )
+    return [text, Table(("claims of", *_VERDICTS), [(n, *map(str, each)) for n, each in counts.items()]), *_claims(key)]
+
+
+def _method(done: Done) -> list[Block]:
     settings = done.settings
-    verdicts = (YES, OPEN, NO)
-    found = {figure: [c.verdict for c in claims if c.figure == figure] for figure in done.results}
-    counts = [(SHOWN[name][0], *(str(mine.count(v)) for v in verdicts)) for name, mine in found.items() if mine]
     notes = {METHODS[-1]: "the paper's, all data used"}
     methods = [(m.key, m.label, m.title, str(m.injections), notes.get(m.key, "")) for m in all_methods().values()]
     text = (
@@ -60,7 +74,6 @@ def _method(done: Done, claims: Sequence[Claim]) -> list[Block]:
         text,
         Table(("data", "contact", "largest 12B voltage", "noise"), described(settings.noise[:1])),
         Table(("key", "label", "what is driven and imaged", "injections", ""), methods),
-        Folded("How many claims of each figure come out", [Table(("", *verdicts), counts)]),
     ]
 
 
@@ -106,7 +119,7 @@ def _merits(done: Done, world: str) -> list[Block]:
         f"### As EIDORS computes them, beside the paper's table, {WORLD_NAMES[world]}",
         Table(("method", *both), eidors),
         "AR as EIDORS computes it is a sum over pixels and depends on the image's unit and size; only its order can be "
-        "compared.",
+        "compared. RES and RNG are the paper's SR and R.",
     ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.statistics import Estimate, fewer, median
 
-YES, NO, OPEN = "comes out", "does not come out", "undecided"
+YES, NO, OPEN = "confirmed", "not confirmed", "undecided"
 MET, MISSED = "met", "missed"
 SURE = 0.95  # share of bootstrap resamples that must agree
 

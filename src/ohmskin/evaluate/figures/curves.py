@@ -46,7 +46,7 @@ def sections(done: Done) -> list[Drawn]:
         _medians(widths, result["width"], task.methods, 1e3)
         widths.axvline(2 * radius, color="0.4", linewidth=0.8, linestyle="--")
         peaks.set(xlabel="peak", xlim=(0, None))
-        widths.set(xlabel="full width at half maximum / mm", xlim=(0, None), yticklabels=[])
+        widths.set(xlabel="width / mm", xlim=(0, None), yticklabels=[])
     grid[0, 0].legend(frameon=False, ncols=2)
     caption = (
         f"Cross-sections of the images through the upper left touch, along y = {1e3 * task.contact.position[1]:.0f} "
@@ -59,7 +59,7 @@ def sections(done: Done) -> list[Drawn]:
 
 def merits(done: Done) -> list[Drawn]:
     """Table I as a picture."""
-    shown = (("AR", 1.0, "AR"), ("PE", 1e3, "|PE| / mm"), ("RES", 1.0, "SR"), ("SD", 1.0, "SD"), ("RNG", 1.0, "RNG"))
+    shown = (("AR", 1.0, "AR"), ("PE", 1e3, "|PE| / mm"), ("RES", 1.0, "RES"), ("SD", 1.0, "SD"), ("RNG", 1.0, "RNG"))
     canvas, grid = panels(1.75 * len(done.results["table1"]), len(done.results["table1"]), len(shown), sharey=True)
     for (world, task, result), row in zip(done.of("table1"), grid, strict=True):
         for axes, (name, scale, label) in zip(row, shown, strict=True):
@@ -69,7 +69,7 @@ def merits(done: Done) -> list[Drawn]:
     caption = (
         f"Figures of merit of the upper left touch (Table I), modern definition; {noise_text(done.settings)}. Medians "
         f"over {task.seeds} noise seeds with 95 % bootstrap intervals (some smaller than the mark). AR is 1 for a "
-        "perfect image of a disc; on the twin it is relative to the contact's area. PE, SR, SD and RNG are better the "
+        "perfect image of a disc; on the twin it is relative to the contact's area. PE, RES, SD and RNG are better the "
         "smaller they are."
     )
     return [("table1", canvas, caption)]
