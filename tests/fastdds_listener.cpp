@@ -71,7 +71,7 @@ static void contacts(Cdr& cdr) {
     for (uint32_t k = 0; k < count; ++k) {
         uint32_t patch;
         int32_t id;
-        double v[20];
+        double v[24];
         cdr >> patch >> id;
         for (double& value : v) cdr >> value;
         printf("%s[%u, %d, %.17g, %.17g, %.17g, %.17g, %.17g]", k ? ", " : "", patch, id, v[0], v[1], v[2], v[6], v[7]);

@@ -428,7 +428,9 @@ def test_a_file_that_shrinks_while_it_is_read_ends_early(tmp_path: Path) -> None
 # --- contacts and modes -----------------------------------------------------------------------------------------------
 
 
-KNOWN = Contact((0.05, 0.12), 2e-4, -3e-4, 0.97, -0.4, 7, ((2e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3)
+KNOWN = Contact(
+    (0.05, 0.12), 2e-4, -3e-4, 0.97, -0.4, 7, ((2e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3, 5.0, 0.4, 2e4, 2.5e-4
+)
 
 
 @pytest.mark.parametrize("contact", [KNOWN, replace(KNOWN, covariance=None, velocity=None, radius=None)])
@@ -443,7 +445,7 @@ def test_a_new_field_of_a_contact_reaches_every_encoding() -> None:
     assert {field.name for field in contact_fields(2)} == named == as_json(KNOWN).keys()
     assert {field.name for field in contact_fields(3)} == named | {"normal"}
     assert {f.name for f in dataclass_fields(ohm.client.Contact)} == named | {"normal", "patch", "frame"}
-    assert len(columns()) == len(components(2)) == len(numbers(KNOWN, 2)) == 13
+    assert len(columns()) == len(components(2)) == len(numbers(KNOWN, 2)) == 17
     assert as_json(KNOWN)["covariance"] == [2e-6, 1e-7, 1e-6]
     assert as_json(replace(KNOWN, velocity=None))["velocity"] is None
 

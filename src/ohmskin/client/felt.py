@@ -31,12 +31,14 @@ class Patch:
         frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
         position: Origin of the sheet in that frame (m).
         axes: Directions of the sheet's x, y and outward normal in that frame, one after the other.
+        newtons: Whether its contacts tell their force: only if the skin was calibrated for that.
     """
 
     name: str = "skin"
     frame: str = "skin"
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axes: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    newtons: bool = False
 
     def place(self, x: float, y: float) -> tuple[float, float, float]:
         """A place on the sheet (m) in the frame."""
@@ -69,6 +71,10 @@ class Patch:
             radius=contact.radius,
             velocity=None if velocity is None else self.turn(*velocity),
             covariance=covariance,
+            force=contact.force,
+            force_std=contact.force_std,
+            pressure=contact.pressure,
+            area=contact.area,
         )
 
     def flat(self, place: Sequence[float]) -> tuple[float, float]:
@@ -100,6 +106,10 @@ class Contact:
         radius: Of the disc that explains the data best (m); None where the mode does not tell.
         velocity: In the frame (m/s); None likewise.
         covariance: Of the position (3, 3) in the frame (m2); None likewise.
+        force: Along the inward normal (N); None where the skin is not calibrated for force, or it is not known yet.
+        force_std: Standard deviation of the force (N); None likewise.
+        pressure: The greatest (Pa); None likewise, or where the calibration does not tell it.
+        area: Force over pressure (m2); None likewise.
     """
 
     id: int
@@ -114,6 +124,10 @@ class Contact:
     radius: float | None = None
     velocity: tuple[float, float, float] | None = None
     covariance: tuple[tuple[float, ...], ...] | None = None
+    force: float | None = None
+    force_std: float | None = None
+    pressure: float | None = None
+    area: float | None = None
 
     @property
     def spread(self) -> float:
@@ -231,7 +245,10 @@ def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
     """
     try:
         return tuple(
-            Patch(str(p["name"]), str(p["frame"]), tuple(p["position"]), tuple(tuple(axis) for axis in p["axes"]))
+            Patch(
+                *(str(p["name"]), str(p["frame"]), tuple(p["position"]), tuple(tuple(axis) for axis in p["axes"])),
+                bool(p.get("newtons", False)),
+            )
             for p in setup["patches"]
         )
     except (KeyError, TypeError) as error:

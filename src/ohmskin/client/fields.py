@@ -72,6 +72,10 @@ FIELDS = (
     Field("radius", "m", "of the disc that explains the data best; NaN if not known", optional=True),
     Field("velocity", "m/s", "NaN if not known", 1, optional=True),
     Field("covariance", "m2", "of the position; NaN if not known", 2, optional=True),
+    Field("force", "N", "NaN if the skin is not calibrated for force, or it is not known yet", optional=True),
+    Field("force_std", "N", "standard deviation of the force; NaN likewise", optional=True),
+    Field("pressure", "Pa", "the greatest; NaN likewise, or if the calibration does not tell it", optional=True),
+    Field("area", "m2", "force over pressure; NaN likewise", optional=True),
 )
 """All fields, in the order of every binary format; on the sheet there is no normal."""
 

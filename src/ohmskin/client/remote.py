@@ -19,7 +19,7 @@ from ohmskin.errors import DataError, PublishError
 
 DOMAIN = 0
 CONTACTS_TYPE = "ohmskin_msgs::msg::dds_::Contacts_"
-CONTACTS_HASH = "RIHS01_ef9000031cb9156bf2bc36ca220bbc15c0bb4b03fccc91f5a7c2195f68b83a58"
+CONTACTS_HASH = "RIHS01_80640f5f026177bf5d7b6e62d19eeb21666805984a62fea94411c1899fe063b3"
 _USER = "ohmskin"
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
 

@@ -25,6 +25,10 @@ class Contact:
         covariance: ((xx, xy), (xy, yy)) of the position (m2); None where it is not known, as of an image's contacts.
         velocity: (x, y) in metres per second; None where contacts are not followed by `ContactFilter`.
         radius: Of the disc that explains the data best (m); None likewise.
+        force: With which it is pressed (N); None where the skin is not calibrated for force, or it is not known yet.
+        force_std: Standard deviation of the force (N); None likewise.
+        pressure: Its greatest (Pa); None likewise, or where the calibration does not tell pressure from area.
+        area: Force over pressure (m2); None likewise.
     """
 
     position: tuple[float, float]
@@ -36,6 +40,10 @@ class Contact:
     covariance: tuple[tuple[float, float], tuple[float, float]] | None = None
     velocity: tuple[float, float] | None = None
     radius: float | None = None
+    force: float | None = None
+    force_std: float | None = None
+    pressure: float | None = None
+    area: float | None = None
 
 
 @dataclass(frozen=True)

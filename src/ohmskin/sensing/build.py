@@ -10,6 +10,7 @@ from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, WithDrive
 from ohmskin.errors import ModelError
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
+from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import RECORDED
 from ohmskin.sensing.readers import READERS
@@ -69,7 +70,7 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
     locator = Locator(quick, finder, getattr(reader, "fitter", None))
     middle = known.model.mesh.centroids[:, :2].mean(axis=0)
     drive.next([Target(middle, 1e-6 * np.eye(2), 1e-4, imaging.mesh_size)], 1)  # makes its tables, if it has any, now
-    sensor = Sensor(known, drive, reader, locator, thresholds, mode.fuse, window)
+    sensor = Sensor(known, drive, reader, locator, thresholds, mode.fuse, window, forces_of(known, mode))
     sensor.implementation, sensor.seconds = compiled(sensor, mode), seconds
     return sensor
 

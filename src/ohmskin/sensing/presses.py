@@ -29,7 +29,6 @@ _WIDER, _HARDER = 4.0, 20.0  # factors by which radius and pressure may differ f
 _MODEL_ERROR = 0.02  # share of a press's signal that the model of the layer gets wrong, here and there
 _AMPLITUDE = 0.01  # and of all of it alike
 _SIZES = (0.6, 1.0)  # usual radii from which a fit starts
-_FINER = 0.8  # edges of the mesh over the estimator's: those resolve a press near the rim to 1.5 %, these to 0.5 %
 _ROUNDS, _ENOUGH = 25, 0.02  # most steps, and the gain in squared misfit below which a fit stops
 
 
@@ -85,7 +84,8 @@ class FittedLayer:
 
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this layer."""
-        return replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent)
+        stds = self.conductance_std, self.exponent_std
+        return replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds)
 
 
 class PressFitter:
@@ -103,8 +103,7 @@ class PressFitter:
     @cached_property
     def sheet(self) -> PressedSheet:
         """The skin as its quiet frames show it, under its layer as calibrated; made when it is first needed."""
-        skin = self.known.skin
-        return PressedSheet(skin, model=self.known.electrode_model(_FINER)).with_layer(skin.calibrated_layer)
+        return self.known.pressed_sheet.with_layer(self.known.skin.calibrated_layer)
 
     def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
         """The presses that explain what scans show, one for each contact.
@@ -114,9 +113,9 @@ class PressFitter:
         """
         if not contacts:
             return ()
-        data = self._information(scans)
-        found = min((self._fitted(data, self._start(contacts, size)) for size in _SIZES), key=lambda one: one[1])
-        return self._told(found[0], inverse(found[2]))
+        data = self.information(scans)
+        found = min((self._fitted(data, self.start(contacts, size)) for size in _SIZES), key=lambda one: one[1])
+        return self.told(found[0], inverse(found[2]))
 
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
         """The layer that explains presses of known force; some ten, at places and forces all over the range.
@@ -127,10 +126,10 @@ class PressFitter:
         forces = [press.force for press in presses]
         if len(presses) < 2 or not (np.isfinite(forces).all() and min(forces) > 0):
             raise DataError(f"presses of {forces} N; give two or more, each above 0 N")
-        data = [self._information(press.scans) for press in presses]
+        data = [self.information(press.scans) for press in presses]
         layer = self.sheet.skin.contact_layer
         described = np.array([np.log(layer.conductance), layer.exponent])
-        start = np.concatenate([described, *(self._start([press.contact], 1.0)[:3] for press in presses)])
+        start = np.concatenate([described, *(self.start([press.contact], 1.0)[:3] for press in presses)])
 
         def moved(params: Floats, step: Floats) -> Floats:
             after = params + step
@@ -183,18 +182,25 @@ class PressFitter:
         spread, radius = self.known.skin.contact_layer.foam_spread, float(np.exp(params[2]))
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
-    def _information(self, scans: Sequence[Difference]) -> Information:
+    def information(self, scans: Sequence[Difference], frames: float = 1.0) -> Information:
+        """What scans say, and as many `frames` like them together; noise averages out, the model's error does not."""
         fitter = self.known.fitter
         four = np.concatenate([scan.pattern.quadruples for scan in scans])
-        repeats = len(four) / len(np.unique(four, axis=0))  # which average the noise, but not the model's error
+        repeats = frames * len(four) / len(np.unique(four, axis=0))
         errors = Errors(
             fitter.errors.noise, fitter.errors.gain, fitter.errors.contacts, self._model_error * np.sqrt(repeats)
         )
         return Information.of(fitter.table.n_elec, errors, scans)[1]
 
-    def _start(self, contacts: Sequence[Contact], size: float) -> Floats:
+    def start(self, contacts: Sequence[Contact], size: float = 1.0) -> Floats:
+        """Parameters (4 n,) of presses at contacts: x, y (m), logarithms of radius (m), that many usual ones, and of
+        pressure (Pa)."""
         usual = self._usual + np.array([np.log(size), 0.0])
         return np.concatenate([[*contact.position, *usual] for contact in contacts])
+
+    def presses(self, params: Floats) -> list[Press]:
+        """The presses of parameters (4 n,)."""
+        return [self._press(one) for one in params.reshape(-1, _PER_PRESS)]
 
     def _press(self, params: Floats) -> Press:
         x, y, radius, pressure = (float(value) for value in params)
@@ -210,22 +216,26 @@ class PressFitter:
 
     def _fitted(self, data: Information, start: Floats) -> tuple[Floats, float, Floats]:
         """The parameters (4 n,) of presses near `start` that explain data best, their cost and its curvature."""
-        radius = self.known.fitter.table.radius
+        return _minimised(start, lambda params: self.weighed(data, params, *self.caused(params)), self.moved)
 
-        def moved(params: Floats, step: Floats) -> Floats:
-            by_press = step.reshape(-1, _PER_PRESS).copy()
-            by_press[:, :2] *= np.minimum(1, radius / np.maximum(np.hypot(*by_press[:, :2].T), 1e-300))[:, None]
-            by_press[:, 2:] = np.clip(by_press[:, 2:], -1.0, 1.0)
-            return self._within(params + by_press.ravel())
+    def moved(self, params: Floats, step: Floats) -> Floats:
+        """Parameters (4 n,) after a step, as far as one may go."""
+        by_press, radius = step.reshape(-1, _PER_PRESS).copy(), self.known.fitter.table.radius
+        by_press[:, :2] *= np.minimum(1, radius / np.maximum(np.hypot(*by_press[:, :2].T), 1e-300))[:, None]
+        by_press[:, 2:] = np.clip(by_press[:, 2:], -1.0, 1.0)
+        return self._within(params + by_press.ravel())
 
-        return _minimised(start, lambda params: self._linearised(data, params), moved)
+    def caused(self, params: Floats) -> tuple[Floats, Floats]:
+        """What presses (4 n,) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
+        caused, slopes = self.sheet.linearised(self.presses(params))
+        return caused, slopes[:, : params.size]
 
-    def _linearised(self, data: Information, params: Floats) -> tuple[float, Floats, Floats]:
-        """Cost, curvature and downhill gradient of presses (4 n,)."""
-        presses = params.reshape(-1, _PER_PRESS)
-        caused, slopes = self.sheet.linearised([self._press(one) for one in presses])
-        cost, normal, gradient = self._explained(data, caused, slopes[:, : params.size])
-        own, precision, pull = self._prior(presses)
+    def weighed(
+        self, data: Information, params: Floats, caused: Floats, slopes: Floats
+    ) -> tuple[float, Floats, Floats]:
+        """Cost, curvature and downhill gradient of presses (4 n,) that cause so much."""
+        cost, normal, gradient = self._explained(data, caused, slopes)
+        own, precision, pull = self._prior(params.reshape(-1, _PER_PRESS))
         return cost + own, normal + np.diag(precision), gradient + pull
 
     @staticmethod
@@ -247,14 +257,18 @@ class PressFitter:
         stds = np.tile([*[2 * self.known.fitter.table.radius] * 2, *_SPREAD], len(presses))
         return float((off**2).sum()), stds**-2.0, off.ravel() / stds
 
-    def _told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
-        told = []
+    def told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
+        """Presses (4 n,) of a covariance (4 n, 4 n), with their forces; what is not known of the layer counts, too."""
+        told, layer = [], self.sheet.skin.contact_layer
+        stds = self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))
             press = self._press(own)
             force = press.force(self.known.skin.contact_layer.foam_spread)
             slope = np.array([0.0, 0.0, self._growth(own), 1.0])
-            std = force * sqrt(float(slope @ covariance[at, at] @ slope))
+            variance = float(slope @ covariance[at, at] @ slope)
+            off = np.array([1.0, np.log(press.pressure / layer.pressure_scale)]) / layer.exponent
+            std = force * sqrt(variance + float(((off * np.array(stds)) ** 2).sum()))
             told.append(FittedPress(press, force, std, covariance[at, at]))
         return tuple(told)
 

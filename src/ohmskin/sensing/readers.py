@@ -64,6 +64,11 @@ class Belief:
         """The image, made when it is first asked for."""
         return self.estimate.image
 
+    def without_drift(self, scans: Sequence[Difference]) -> list[Difference]:
+        """Scans, drift of the quiet skin taken off."""
+        drift = self.tracks.drift if isinstance(self.tracks, TrackState) else self.drift
+        return [scan if drift is None else scan.less(drift) for scan in scans]
+
     def with_drift_of(self, before: "Belief") -> "Belief":
         """The same with the drift of another belief: data that are doubted teach none."""
         tracks = self.tracks

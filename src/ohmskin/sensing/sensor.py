@@ -17,6 +17,7 @@ from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Diagnosis, Finding
+from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.readers import Belief, Reader, undriven
 
@@ -86,6 +87,7 @@ class SensorState:
         recent: The newest scans, of drives whose frames have few injections.
         time: When the last frame was taken (s, on the device's clock); None before the first.
         diagnosis: What is known of the instrument.
+        presses: What is known of the presses behind contacts.
     """
 
     belief: Belief
@@ -93,6 +95,7 @@ class SensorState:
     recent: tuple[Difference, ...] = field(default=(), repr=False)
     time: float | None = None
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
+    presses: Presses = field(default=Presses(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +183,7 @@ class Sensor:
         thresholds: gamma_0, as learned.
         fuse: Whether the reader gets all scans of a frame, or the last one alone.
         window: Injections that a reader gets at least, scans of earlier frames included; 0: those of the frame alone.
+        forces: Tells the forces of contacts; None: the skin is not calibrated for that.
 
     Attributes:
         seconds: Time that its images of one frame take on this machine, as measured when it was made (s); 0: unknown.
@@ -194,9 +198,10 @@ class Sensor:
         thresholds: Thresholds,
         fuse: bool = True,
         window: int = 0,
+        forces: Forces | None = None,
     ) -> None:
         self.known, self.drive, self.reader, self.locator = known, drive, reader, locator
-        self.thresholds, self.fuse, self.window = thresholds, fuse, window
+        self.thresholds, self.fuse, self.window, self.forces = thresholds, fuse, window, forces
         self.detector = FaultDetector(known, window)
         self.implementation: Implementation | None = None
         self.seconds = 0.0
@@ -234,6 +239,7 @@ class Sensor:
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
         if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
+            scans = measured.scans
         else:
             diagnosis, scans = self.detector.examine(
                 state.diagnosis,
@@ -248,8 +254,12 @@ class Sensor:
         belief, recent = found
         if diagnosis.lately:
             belief = belief.with_drift_of(state.belief)
+        presses = state.presses
+        if self.forces is not None and _any_known(scans):
+            presses, contacts = self.forces.update(presses, belief.contacts, belief.without_drift(scans), elapsed)
+            belief = replace(belief, contacts=contacts)
         turn = state.turn + len(measured.frames)
-        after = SensorState(belief, turn, recent if self.window else (), now, diagnosis)
+        after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         return after, Percept(measured.frames, belief, measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:

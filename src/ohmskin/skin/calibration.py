@@ -38,6 +38,7 @@ class Calibration:
         hysteresis: Largest difference of strength between loading and unloading, as a share of the largest strength.
         layer_conductance: Of the contact layer, per area at its pressure scale (S/m2), and
         layer_exponent: of its growth with pressure (1), as presses of known force showed them; 0: as described.
+        layer_stds: Standard deviations of that conductance's logarithm, and of that exponent.
     """
 
     date: str = ""
@@ -60,6 +61,7 @@ class Calibration:
     hysteresis: float = number(0.0, 0, 1e3, "")
     layer_conductance: float = number(0.0, 0, 1e9, "S/m2")
     layer_exponent: float = number(0.0, 0, 3, "")
+    layer_stds: tuple[float, ...] = numbers(1e3)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", places(self.positions))
@@ -69,9 +71,16 @@ class Calibration:
         if len(self.strengths) != len(self.forces) or len(self.strengths) == 1:
             counts = f"{len(self.strengths)} strengths and {len(self.forces)} forces"
             raise SkinError(f"calibration has {counts}; as many of both, two or more")
+        if len(self.layer_stds) not in (0, 2):
+            raise SkinError(f"calibration.layer_stds has {len(self.layer_stds)} entries; it must have 2, or none")
         for name, values in (("strengths", self.strengths), ("forces", self.forces)):
             if any(b <= a for a, b in pairwise(values)):
                 raise SkinError(f"calibration.{name} must rise from each to the next; they are {list(values)}")
+
+    @property
+    def tells_force(self) -> bool:
+        """Whether forces were calibrated."""
+        return bool(self.layer_conductance or self.forces)
 
     def check(self, domain: Domain, n_elec: int) -> None:
         """Raise SkinError unless what was found fits a sheet with so many electrodes."""

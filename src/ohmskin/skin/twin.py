@@ -16,6 +16,7 @@ from ohmskin.scan import all_pairs, two_terminal
 from ohmskin.skin.description import ContactLayer, Skin
 
 _PLACES, _GRADED = 3, 0.8  # places along each side of a contact where the pressure is looked at; 0 is even, 1 a cosine
+_PREPARED = 1000  # patches
 _LEAST_SPREAD = 0.5e-3  # m, of the foam where slopes are asked for: the edge of a press must not be a step
 
 
@@ -96,6 +97,7 @@ class PressedSheet:
         offsets = np.stack([places.T.ravel(), places.ravel()], axis=1)
         self._places: Floats = self._patches.points[:, None] + offsets * self._patches.sizes[:, None]
         self._tree = cKDTree(self._patches.points)
+        self._unprepared = iter(np.unique(self._patches.patches)[:_PREPARED].tolist())
         self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
         # compile now: a device that compiles at its first touch is taken for one that is lost
@@ -153,25 +155,26 @@ class PressedSheet:
         """
         layer = self.skin.contact_layer
         spread = max(layer.foam_spread, _LEAST_SPREAD)
-        pressure = np.zeros(self._places.shape[:2])
+        near = self._near_any((press.position, press.radius + spread) for press in presses)
+        pressure = np.zeros((len(near), self._places.shape[1]))
         slopes = np.zeros((4 * len(presses), *pressure.shape))
         for k, press in enumerate(presses):
-            near = self._near(press.position, press.radius + spread)
             away = self._places[near] - press.position
             distance = np.linalg.norm(away, axis=-1)
             own = press.pressure_at(self._places[near], spread)
             rising = np.where((own > 0) & (own < press.pressure), press.pressure / spread, 0.0)
-            pressure[near] += own
+            pressure += own
             for axis in range(2):
-                slopes[4 * k + axis, near] = rising * away[..., axis] / np.maximum(distance, 1e-12)
-            slopes[4 * k + 2, near], slopes[4 * k + 3, near] = rising * press.radius, own
-        touching = np.flatnonzero(pressure.any(axis=1))
-        at, areas = pressure[touching], self._areas[touching]
+                slopes[4 * k + axis] = rising * away[..., axis] / np.maximum(distance, 1e-12)
+            slopes[4 * k + 2], slopes[4 * k + 3] = rising * press.radius, own
+        touched = pressure.any(axis=1)
+        at, slopes, touching = pressure[touched], slopes[:, touched], near[touched]
+        areas = self._areas[touching]
         per_area = self._conductance(at)
         logarithm = np.log(np.maximum(at, 1e-300) / layer.pressure_scale)
         by_pressure = layer.exponent * per_area / np.maximum(at, 1e-300)
-        changes = [*(by_pressure * slope for slope in slopes[:, touching]), per_area, per_area * logarithm]
-        conductance = np.zeros(len(pressure))
+        changes = [*(by_pressure * slope for slope in slopes), per_area, per_area * logarithm]
+        conductance = np.zeros(len(self._places))
         conductance[touching] = per_area.mean(axis=1) * areas
         after, volts = self._patches.linearised(conductance)
         i, j = all_pairs(len(after)).T
@@ -180,6 +183,24 @@ class PressedSheet:
             two_terminal(after) - self._patches.model.pair_resistances,
             -seen.T @ np.array([change.mean(axis=1) * areas for change in changes]).T,
         )
+
+    def contacts_under(self, presses: Iterable[Press]) -> int:
+        """How many contacts presses may close: a press costs about the cube of it."""
+        spread = self.skin.contact_layer.foam_spread
+        return len(self._near_any((press.position, press.radius + spread) for press in presses))
+
+    def prepare(self) -> None:
+        """Solve for what one patch more needs, in 6 ms or so, so that the first press there costs no more than others.
+
+        Of a thousand patches at most, because memory goes with their square.
+        """
+        if (patch := next(self._unprepared, None)) is not None:
+            self._patches.transfer_resistance(np.where(self._patches.patches == patch, 1e-6, 0.0))
+
+    def _near_any(self, circles: Iterable[tuple[ArrayLike, float]]) -> Ints:
+        """Contacts that something round may touch, each once."""
+        found = [self._near(position, reach) for position, reach in circles]
+        return np.unique(np.concatenate([np.array(one, int) for one in found]))
 
     def _near(self, position: ArrayLike, reach: float) -> list[int]:
         """Contacts that something round may touch."""

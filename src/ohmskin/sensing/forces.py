@@ -1,0 +1,276 @@
+"""Newtons: the presses behind contacts, followed from frame to frame, for few evaluations of the sheet's model.
+
+A fit of presses from nothing takes some twelve evaluations of 5 ms. From one frame to the next presses change little:
+what the last frames say is summed, and solved for small changes of the presses about where the model was evaluated
+last. It is evaluated anew when they have changed by more, or are not found yet. Since light and wide may look like hard
+and narrow, several fits are followed until all but one are far less likely.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import exp, hypot, sqrt
+from typing import Protocol
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import Contact
+from ohmskin.contacts.information import Information
+from ohmskin.contacts.kernels import damped_step
+from ohmskin.contacts.solution import inverse
+from ohmskin.scan import Difference
+from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.presses import FittedPress, PressFitter
+from ohmskin.skin import Mode, Press
+
+_KEPT = 0.05  # s for which a press is taken to stay as it is
+_SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
+_LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
+_DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
+_STRANGE = 5.0  # standard deviations of chi-square by which a frame is unlike the ones before
+_UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
+_LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
+_MOST = 1200  # contacts of patches under all presses, some three fingers: the model's time goes with the cube
+_UNKNOWN_SIZE = 0.5  # share of a force that is not known where the size of what presses is not
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Presses that may be the ones behind contacts.
+
+    Args:
+        params: (4 n,) where the model was evaluated last, see `PressFitter.start`.
+        caused, slopes: What they change there of the two-terminal resistances (n_pairs,) (ohm), and its slopes.
+        damping: Of the next step.
+        found: (4 n,) the best there is, if it is near enough; None: not yet.
+        covariance: (4 n, 4 n) of it.
+        cost: Squared misfit.
+    """
+
+    params: Floats
+    caused: Floats
+    slopes: Floats
+    damping: float = _DAMPED
+    found: Floats | None = None
+    covariance: Floats | None = None
+    cost: float = np.inf
+
+    @property
+    def best(self) -> Floats:
+        """(4 n,) the best there is."""
+        return self.params if self.found is None else self.found
+
+    @property
+    def expected(self) -> Floats:
+        """(n_pairs,) what the next frame should show (ohm)."""
+        return self.caused + self.slopes @ (self.best - self.params)
+
+
+@dataclass(frozen=True, eq=False)
+class Presses:
+    """What is known of the presses behind contacts. Start with ``Presses()``.
+
+    Args:
+        ids: Of the contacts, rising.
+        fits: What they may be, the likeliest first; none: too many or too wide to tell.
+        data: What the last frames say; None: nothing yet.
+        scans: What has been measured since, and
+        elapsed: in which time (s).
+        told: The presses found last, by contact.
+    """
+
+    ids: tuple[int, ...] = ()
+    fits: tuple[Fit, ...] = ()
+    data: Information | None = None
+    scans: tuple[Difference, ...] = ()
+    elapsed: float = 0.0
+    told: dict[int, FittedPress] = field(default_factory=dict)
+
+
+class Forces(Protocol):
+    """Tells the forces of contacts."""
+
+    def update(
+        self, before: Presses, contacts: Sequence[Contact], scans: Sequence[Difference], elapsed: float
+    ) -> tuple[Presses, tuple[Contact, ...]]:
+        """What is known of presses after one frame more, and its contacts with their forces, where they are known.
+
+        Args:
+            before: What was known.
+            contacts: Those of the frame, with ids.
+            scans: What they changed.
+            elapsed: Time since the last frame (s).
+        """
+        ...
+
+
+class PressFollower:
+    """Forces of the presses on a calibrated contact layer that explain the data best; see `PressFitter`.
+
+    Args:
+        fitter: Knows what presses change.
+        injections: What a fit is improved with, at least: frames of few are gathered.
+    """
+
+    def __init__(self, fitter: PressFitter, injections: int) -> None:
+        self.fitter, self._injections = fitter, injections
+        fitter.sheet.prepare()  # the model is made now, not at the first contact
+
+    def update(
+        self, before: Presses, contacts: Sequence[Contact], scans: Sequence[Difference], elapsed: float
+    ) -> tuple[Presses, tuple[Contact, ...]]:
+        """See `Forces`. While nothing touches, what a first press needs is made, a place in each frame."""
+        found = sorted(contacts, key=lambda contact: contact.id)
+        if not found:
+            self.fitter.sheet.prepare()
+            return Presses(), ()
+        state, ids = before, tuple(contact.id for contact in found)
+        if state.ids != ids or not state.fits or self._lost(state, found):
+            state = self._begun(state, ids, found)
+        if state.fits:
+            state = replace(state, scans=(*state.scans, *scans), elapsed=state.elapsed + elapsed)
+            if sum(scan.pattern.n_inj for scan in state.scans) >= self._injections:
+                state = self._improved(self._informed(state))
+        return state, tuple(_with_force(contact, state.told.get(contact.id)) for contact in contacts)
+
+    @staticmethod
+    def _lost(state: Presses, contacts: Sequence[Contact]) -> bool:
+        """Whether a press is far from its contact."""
+        places = [fit.params.reshape(-1, len(_LINEAR))[:, :2] for fit in state.fits[:1]]
+        away = [np.subtract(own, [contact.position for contact in contacts]) for own in places]
+        return any(bool((np.hypot(*one.T) > _LOST).any()) for one in away)
+
+    def _begun(self, before: Presses, ids: tuple[int, ...], contacts: Sequence[Contact]) -> Presses:
+        """Presses at contacts; those known before as they were, if they are still there."""
+        spots = [Press(contact.position, contact.radius or 1e-3, 0.0) for contact in contacts]
+        if self.fitter.sheet.contacts_under(spots) > _MOST:
+            return Presses(ids)
+        fits = list[Fit]()
+        told = {number: press for number, press in before.told.items() if number in ids}
+        for size in _SIZES if len(told) < len(ids) else _SIZES[:1]:
+            params = self.fitter.start(contacts, size).reshape(-1, len(_LINEAR))
+            for own, contact in zip(params, contacts, strict=True):
+                if (known := told.get(contact.id)) is not None:
+                    own[2:] = np.log([known.press.radius, known.press.pressure])
+            fits += self._evaluated(params.ravel())
+        return Presses(ids, tuple(fits), told=told)
+
+    def _evaluated(self, params: Floats) -> list[Fit]:
+        """A fit where the model is evaluated at presses (4 n,); none if that would take too long."""
+        if self.fitter.sheet.contacts_under(self.fitter.presses(params)) > _MOST:
+            return []
+        return [Fit(params, *self.fitter.caused(params))]
+
+    def _informed(self, state: Presses) -> Presses:
+        """The state with what it has gathered among its data, of which the older count less."""
+        frames = 1 + _KEPT / max(state.elapsed, 1e-3)
+        data = new = self.fitter.information(state.scans, frames)
+        if state.data is not None:
+            left = new.told.less(state.fits[0].expected).constant
+            if left < new.count + _STRANGE * sqrt(2 * new.count):
+                data = Information.together([state.data.times(exp(-state.elapsed / _KEPT)), new])
+        return replace(state, data=data, scans=(), elapsed=0.0)
+
+    def _improved(self, state: Presses) -> Presses:
+        """The state with presses that explain its data better."""
+        assert state.data is not None
+        fits = sorted((one for fit in state.fits for one in self._stepped(fit, state.data)), key=lambda fit: fit.cost)
+        if not fits:
+            return Presses(state.ids)
+        if fits[0].found is not None:
+            fits = _distinct([fit for fit in fits if fit.found is None or fit.cost < fits[0].cost + _UNLIKELY])
+        return replace(state, fits=tuple(fits), told=self._told(state, fits))
+
+    def _stepped(self, fit: Fit, data: Information) -> list[Fit]:
+        """A fit closer to the data: solved for, if that is near to where it is linear, else evaluated there."""
+        fitter = self.fitter
+        cost, normal, gradient = fitter.weighed(data, fit.params, fit.caused, fit.slopes)
+        step = _step(normal, gradient, fit.damping)
+        if not _near(step):
+            if not (after := self._evaluated(fitter.moved(fit.params, step))):
+                return []
+            trial = fitter.weighed(data, after[0].params, after[0].caused, after[0].slopes)
+            if trial[0] < cost:
+                cost, normal, gradient = trial
+                fit = replace(after[0], damping=fit.damping / 8, found=fit.found, covariance=fit.covariance)
+            else:
+                fit = replace(fit, damping=8 * fit.damping)
+            step = _step(normal, gradient, fit.damping)
+        cost -= float(step @ gradient)
+        near, covariance = _near(step) and fit.damping <= _DAMPED, inverse(normal)
+        if not near and fit.found is None:
+            return [replace(fit, cost=cost)]
+        if not near:  # how far it is from here to the best is not known
+            covariance = covariance + np.outer(step, step)
+        return [replace(fit, found=fitter.moved(fit.params, step), covariance=covariance, cost=cost)]
+
+    def _told(self, state: Presses, fits: Sequence[Fit]) -> dict[int, FittedPress]:
+        """The likeliest presses; how much likely ones differ is a part of what is not known."""
+        found = [(fit.cost, fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
+        if not found:
+            return state.told
+        shares = np.exp([(found[0][0] - cost) / 2 for cost, _, _ in found])
+        likely = [self.fitter.told(best, covariance) for _, best, covariance in found]
+        told = {}
+        for number, presses in zip(state.ids, zip(*likely, strict=True), strict=True):
+            off = sum(
+                share * (press.force - presses[0].force) ** 2 for share, press in zip(shares, presses, strict=True)
+            )
+            told[number] = replace(presses[0], force_std=hypot(presses[0].force_std, sqrt(off / shares.sum())))
+        return told
+
+
+class ForceCurve:
+    """Forces by the curve of a calibration: of what was pressed then. What is wider or narrower is told wrongly.
+
+    Args:
+        known: What is known of the skin.
+    """
+
+    def __init__(self, known: SkinModel) -> None:
+        self._calibration = known.skin.calibration
+
+    def update(
+        self, before: Presses, contacts: Sequence[Contact], scans: Sequence[Difference], elapsed: float
+    ) -> tuple[Presses, tuple[Contact, ...]]:
+        """See `Forces`."""
+        forces = self._calibration.force([abs(contact.strength) for contact in contacts]).tolist() if contacts else []
+        error = self._calibration.force_error
+        return before, tuple(
+            replace(contact, force=force, force_std=hypot(error, _UNKNOWN_SIZE * force))
+            for contact, force in zip(contacts, forces, strict=True)
+        )
+
+
+def forces_of(known: SkinModel, mode: Mode) -> Forces | None:
+    """What tells forces of a skin in a mode; None if it was not calibrated for that."""
+    calibration = known.skin.calibration
+    if calibration.layer_conductance:
+        return PressFollower(PressFitter(known), known.skin.imaging.pairs)
+    return ForceCurve(known) if calibration.forces and calibration.mode == mode.name else None
+
+
+def _step(normal: Floats, gradient: Floats, damping: float) -> Floats:
+    step = gradient.copy()
+    damped_step(normal, damping, step)
+    return step
+
+
+def _near(step: Floats) -> bool:
+    return bool((np.abs(step.reshape(-1, len(_LINEAR))) <= _LINEAR).all())
+
+
+def _distinct(fits: Sequence[Fit]) -> list[Fit]:
+    """Fits, those left out that are the same as a better one."""
+    kept = list[Fit]()
+    for fit in fits:
+        if not any(_near(fit.best - other.best) for other in kept):
+            kept.append(fit)
+    return kept
+
+
+def _with_force(contact: Contact, press: FittedPress | None) -> Contact:
+    if press is None:
+        return contact
+    area = press.force / press.press.pressure
+    return replace(contact, force=press.force, force_std=press.force_std, pressure=press.press.pressure, area=area)
