@@ -1,19 +1,31 @@
 """Newtons in the loop: presses behind contacts, followed from frame to frame on a twin whose mesh they do not know."""
 
+import json
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from direct import DirectDevice
 
+from ohmskin.cli.live import _print_json, _Table
+from ohmskin.client import Client
+from ohmskin.client.cdr import Decoder
+from ohmskin.client.remote import decode_contacts
 from ohmskin.contacts import Contact
 from ohmskin.engine import Engine, Touch
+from ohmskin.mcap import Tape
+from ohmskin.outlets.messages import encode_contacts, encode_wrench
+from ohmskin.outlets.publisher import Publisher
+from ohmskin.recording import Recorder
+from ohmskin.recording.export import CONTACT_COLUMNS
 from ohmskin.sensing import KnownPress, PressFitter
 from ohmskin.sensing.forces import Presses, forces_of
 from ohmskin.skin import Calibration, Press, Skin, VirtualSkin
+from ohmskin.view.session import _shown
 
 TRUE = Skin.load("paper")
 FOAM = TRUE.contact_layer.foam_spread
@@ -113,6 +125,42 @@ def test_a_palm_is_felt_without_a_force_that_would_hold_up_the_loop(engine: Engi
     contact = pressed(engine, Press((0.1, 0.1), 30e-3, 20e3), frames=6)[-1].contacts[0]
     assert contact.radius is not None
     assert (contact.force, contact.force_std, contact.pressure, contact.area) == (None,) * 4
+
+
+def test_the_same_force_is_told_everywhere(
+    engine: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Client, topic, wrench, page, JSON, terminal, recording and export."""
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+    touch = pressed(engine, Press((0.09, 0.11), 8e-3, 15e3))[-1]
+    (contact,) = touch.contacts
+    told = contact.force, contact.force_std, contact.pressure, contact.area
+    assert None not in told
+    with Publisher(engine.skin, (), "skin") as publisher, Client() as client:
+        publisher.publish(touch)
+        felt = client.newest()
+    assert felt is not None
+    heard = {"client": felt.contacts[0], "topic": decode_contacts(encode_contacts(felt), 0.0).contacts[0]}
+    with Recorder(tmp_path / "a.mcap", engine.skin) as recorder:
+        recorder.tee(engine.device)
+        recorder.frame(touch.percept.frames[0])
+        recorder.publish(touch)
+    with Tape(tmp_path / "a.mcap") as tape:
+        heard["recording"] = tape.touches[-1].contacts[0]
+    for name, found in heard.items():
+        assert (found.force, found.force_std, found.pressure, found.area) == told, name
+    wrench = Decoder(encode_wrench(felt.contacts, "skin", felt.stamp))
+    wrench.stamp()
+    wrench.text()
+    assert wrench.take("dddddd")[2] == pytest.approx(-told[0])
+    capsys.readouterr()
+    _print_json(touch)
+    (printed,) = json.loads(capsys.readouterr().out)["contacts"]
+    for name, shown in {"JSON": printed, "page": _shown(contact, 1.0)}.items():
+        assert tuple(shown[field] for field in ("force", "force_std", "pressure", "area")) == told, name
+    _Table()(touch)
+    assert f"{told[0]:.1f} ± {told[1]:.1f}" in capsys.readouterr().out
+    assert {"force_N", "force_std_N", "pressure_Pa", "area_m2"} <= set(CONTACT_COLUMNS)
 
 
 def test_a_curve_tells_forces_in_its_own_mode_only_and_says_that_the_size_is_unknown(engine: Engine) -> None:

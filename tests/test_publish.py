@@ -44,12 +44,14 @@ from ohmskin.outlets.messages import (
 from ohmskin.outlets.outlet import KINDS, open_outlet
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.outlets.relay import RelayProcess
-from ohmskin.outlets.topics import TEXTS, Topic, contacts_topic
-from ohmskin.skin import Skin
+from ohmskin.outlets.topics import TEXTS, Topic, contacts_topic, wrench_topic
+from ohmskin.skin import Calibration, Skin
 
 STAMP = 1_700_000_000_123_456_789
-PATCH = Patch("arm", "forearm_link", (0.1, 0.2, 0.3), axes(0.3, -0.4, 1.1))
-ON_SHEET = SheetContact((0.05, 0.12), 2e-4, 3e-4, 0.97, 0.4, 7, ((2.25e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3)
+PATCH = Patch("arm", "forearm_link", (0.1, 0.2, 0.3), axes(0.3, -0.4, 1.1), newtons=True)
+ON_SHEET = SheetContact(
+    (0.05, 0.12), 2e-4, 3e-4, 0.97, 0.4, 7, ((2.25e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3, 5.0, 0.4, 2e4, 2.5e-4
+)
 CONTACT = PATCH.contact(ON_SHEET)
 SIGHTING = Sighting("arm", "forearm_link", 41, 12.5, STAMP, "16O")
 PUBLISHED = {
@@ -165,6 +167,15 @@ def test_what_is_not_known_of_a_contact_is_nan_in_a_message_and_none_again(store
     assert decode_contacts(data, 0.0).contacts == (plain,)
 
 
+def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:
+    frames = [Sighting("a", "x"), Sighting("b", "x"), Sighting("c", "y")]
+    heads = [
+        store.deserialize_cdr(encode_contacts(felt(1, seen, [])), "ohmskin_msgs/msg/Contacts").header.frame_id
+        for seen in (frames[:1], frames[:2], frames)
+    ]
+    assert heads == ["x", "x", ""]
+
+
 def test_the_client_listens_where_contacts_are_sent() -> None:
     topic = contacts_topic("skin")
     assert (topic.dds_type, topic.hash) == (CONTACTS_TYPE, CONTACTS_HASH)
@@ -224,18 +235,24 @@ def test_points_lie_where_the_pixels_are(store: Any) -> None:
 
 def test_a_wrench_pushes_into_the_skin_where_the_contact_is(store: Any) -> None:
     message = store.deserialize_cdr(
-        encode_wrench(CONTACT, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped"
+        encode_wrench([CONTACT], "forearm_link", STAMP), "geometry_msgs/msg/WrenchStamped"
     ).wrench
     force = np.array([message.force.x, message.force.y, message.force.z])
     torque = np.array([message.torque.x, message.torque.y, message.torque.z])
-    assert np.linalg.norm(force) == pytest.approx(2e4 * CONTACT.strength)
+    assert np.linalg.norm(force) == pytest.approx(CONTACT.force)
     assert force @ CONTACT.normal < 0
     # the work of a small turn w about the origin is the same for torque and force: w . t = (w x r) . f
     for turn in np.eye(3):
         assert turn @ torque == pytest.approx(np.cross(turn, CONTACT.position) @ force)
-    none = store.deserialize_cdr(
-        encode_wrench(None, "forearm_link", STAMP, 2e4), "geometry_msgs/msg/WrenchStamped"
+    other = replace(CONTACT, position=(0.3, 0.0, 0.1), force=2.0)
+    both = store.deserialize_cdr(
+        encode_wrench([CONTACT, other], "forearm_link", STAMP), "geometry_msgs/msg/WrenchStamped"
     ).wrench
+    push = -np.array(CONTACT.normal)
+    assert (both.force.x, both.force.y, both.force.z) == pytest.approx(tuple(7.0 * push))
+    turn = np.cross(CONTACT.position, 5.0 * push) + np.cross(other.position, 2.0 * push)
+    assert (both.torque.x, both.torque.y, both.torque.z) == pytest.approx(tuple(turn))
+    none = store.deserialize_cdr(encode_wrench([], "forearm_link", STAMP), "geometry_msgs/msg/WrenchStamped").wrench
     assert (none.force.x, none.force.y, none.force.z, none.torque.x, none.torque.y, none.torque.z) == (0,) * 6
 
 
@@ -305,7 +322,11 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, An
         place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     folder = str(tmp_path_factory.mktemp("live") / "boards")
     outlets = ["shm", f"zenoh:listen/{place}", "dds", "foxglove::0"]  # Foxglove where it is unless told, at a free port
-    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--no-demo", "--port", "0", "--newtons", "1000"]
+    skin, layer = Skin.load("paper"), Skin.load("paper").contact_layer
+    known = Calibration(layer_conductance=layer.conductance, layer_exponent=layer.exponent)
+    file = tmp_path_factory.mktemp("skin") / "calibrated.toml"
+    file.write_text(replace(skin, calibration=known).dump(), encoding="utf-8")
+    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--no-demo", "--port", "0", "--skin", str(file)]
     process = subprocess.Popen(
         [*command, *(word for outlet in outlets for word in ("--publish", outlet))],
         stdout=subprocess.PIPE,
@@ -331,7 +352,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, An
         stack.callback(ears.session.close)
         until(lambda: ears.of("contacts"))
         subprocess.run(
-            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "2", "--device", device[0]],
+            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "6", "--device", device[0]],
             check=True,
             timeout=60,
         )
@@ -369,8 +390,8 @@ def test_the_contact_is_where_it_was_pressed(published: dict[str, Any], store: A
         store.deserialize_cdr(data, PUBLISHED["/ohmskin/wrench"]).wrench
         for data, _, _ in published["ears"].of("wrench")
     ]
-    strengths = {1000 * c.strength for m in messages for c in m.contacts}
-    assert sum(-push.force.z in strengths for push in pushes) > 20
+    forces = {c.force for m in messages for c in m.contacts}
+    assert sum(-push.force.z in forces for push in pushes) > 20
     (end,) = {m.stamp.sec * 10**9 + m.stamp.nanosec for m in [messages[-1].header]}
     assert abs(end - time.time_ns()) < 60e9
 
@@ -576,22 +597,29 @@ def relay() -> Iterator[RelayProcess]:
     from ohmskin.client import Board
 
     with Board("skin", {"patches": []}, 1000):
-        process = RelayProcess("skin", [], None, ["foxglove:127.0.0.1:0"], None, 30.0)
+        process = RelayProcess("skin", [], [], ["foxglove:127.0.0.1:0"], None, 30.0)
         try:
             yield process
         finally:
             process.close()
 
 
-def test_nothing_is_said_of_the_push_on_a_patch_that_was_never_heard_of() -> None:
+def test_a_wrench_is_told_of_each_link_whose_skins_all_tell_forces_and_have_been_heard_of() -> None:
     from ohmskin.outlets.process import Relay
 
-    sent: list[bytes] = []
-    relay = object.__new__(Relay)
-    relay._wrench = Topic("/w", "geometry_msgs/msg/WrenchStamped", True, 10)
-    relay._send = lambda topic, stamp, data: sent.append(data)  # type: ignore[method-assign]
-    relay._send_wrenches(felt(1, [Sighting("a", "x", 1, 0.0, STAMP), Sighting("b", "y")], []), 1.0)
-    assert len(sent) == 1
+    patches = [Patch(name, link, newtons=name != "d") for name, link in zip("abcde", "xxyzw", strict=True)]
+    links = ["x", "y", "w"]  # d, on z, is not calibrated for force
+    relay, sent = object.__new__(Relay), list[str]()
+    relay._wrenches = {link: wrench_topic("arm", link, links) for link in links}
+    relay._send = lambda topic, stamp, data: sent.append(topic.name)  # type: ignore[method-assign]
+    seen = [Sighting(name, link, 1, 0.0, STAMP) for name, link in zip("abce", "xxyw", strict=True)]
+    contacts = [replace(CONTACT, patch="a", frame="x"), replace(CONTACT, patch="c", frame="y", force=None)]
+    relay._send_wrenches(felt(1, [*seen[:3], Sighting("d", "z", 1, 0.0, STAMP), Sighting("e", "w")], contacts), patches)
+    assert sent == ["/ohmskin/arm/wrench/x"]  # of y the force is not known yet, and e was never heard of
+    relay._send_wrenches(felt(2, seen, contacts[:1]), patches)
+    assert sent[1:] == [f"/ohmskin/arm/wrench/{link}" for link in links]
+    assert wrench_topic("skin", "arm/base-link", ["arm/base-link"]).name == "/ohmskin/wrench"
+    assert wrench_topic("arm", "arm/base-link", ["arm/base-link", "x"]).name == "/ohmskin/arm/wrench/arm_base_link"
 
 
 def test_a_stopped_publishing_process_does_not_stop_the_loop(relay: RelayProcess) -> None:
@@ -633,7 +661,7 @@ def test_the_publishing_process_ends_with_the_loop() -> None:
     code = (
         "import os, signal\nfrom ohmskin.client import Board\nfrom ohmskin.outlets.relay import RelayProcess\n"
         "b = Board('skin', {'patches': []}, 100)\n"
-        "r = RelayProcess('skin', [], None, ['foxglove:127.0.0.1:0'], None, 30.0)\n"
+        "r = RelayProcess('skin', [], [], ['foxglove:127.0.0.1:0'], None, 30.0)\n"
         "print(r.pid, flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -675,8 +703,6 @@ def test_a_missing_extra_names_the_line_that_installs_it(kind: str, monkeypatch:
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        ({"scale": 0.0}, "positive"),
-        ({"scale": math.nan}, "positive"),
         ({"images": 0.0}, "above 0"),
         ({"token": "short"}, "8 to 256"),
         ({"token": "has:colon-in-it"}, "8 to 256"),

@@ -44,12 +44,10 @@ class Body:
     Args:
         name: What clients call it.
         patches: Its patches.
-        scale: Newtons per m2 of contact strength, if that was calibrated.
     """
 
     name: str
     patches: tuple[PlacedSkin, ...]
-    scale: float | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> "Body":
@@ -97,23 +95,18 @@ def read_links(path: Path) -> tuple[str, ...]:
 
 
 def _body(data: Mapping[str, Any], folder: Path) -> Body:
-    check_names(data, ("name", "urdf", "newtons", "patch"))
+    check_names(data, ("name", "urdf", "patch"))
     name, entries = _text(data, "name", "body", _NAME), data.get("patch", [])
     tables = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
     if not tables or not 1 <= len(entries) <= MOST_PATCHES:
         raise SkinError(f"there must be 1 to {MOST_PATCHES} tables [[patch]]")
-    scale = data.get("newtons")
-    if scale is not None:
-        (scale,) = _numbers({"newtons": [scale]}, "newtons", 1, 1e12)
-        if scale <= 0:
-            raise SkinError(f"newtons is {scale:g}; it must be positive")
     links = read_links(_inside(folder, data["urdf"], "urdf")) if "urdf" in data else None
     skins: dict[str, Skin] = {}
     patches = tuple(_placed(entry, number, folder, links, skins) for number, entry in enumerate(entries, start=1))
     names = [placed.patch.name for placed in patches]
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise SkinError(f"two patches are called {twice!r}; give each its own name")
-    return Body(name, patches, scale)
+    return Body(name, patches)
 
 
 def _placed(
@@ -133,7 +126,8 @@ def _placed(
         device = _device(folder, _text(entry, "device", "virtual:", _LINK))
         mode = _text(entry, "mode", "", re.compile(r"\w{0,32}"))
         mode_named(skins[source], mode)
-        return PlacedSkin(Patch(name, link, (x, y, z), axes(*turns)), skins[source], device, mode)
+        patch = Patch(name, link, (x, y, z), axes(*turns), skins[source].calibration.tells_force)
+        return PlacedSkin(patch, skins[source], device, mode)
     except OhmskinError as error:
         raise SkinError(f"{where}{error}") from None
 

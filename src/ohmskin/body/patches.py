@@ -122,15 +122,16 @@ class Patches(Closing):
         images: float = 10.0,
         report: Callable[[str], None] = lambda _: None,
     ) -> None:
-        check_settings(body.scale, token, images)
+        check_settings(token, images)
         self.body = body
         self.boards = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
         self._processes: list[PatchProcess] = []
         pictures = [f"{board}.image" for board in self.boards]
         with ExitStack() as stack:
-            self._merger = Merger(body.name, [placed.patch for placed in body.patches], self.boards)
+            patches = [placed.patch for placed in body.patches]
+            self._merger = Merger(body.name, patches, self.boards)
             stack.enter_context(self._merger)
-            self._relay = RelayProcess(body.name, pictures, body.scale, outlets, token, images)
+            self._relay = RelayProcess(body.name, pictures, patches, outlets, token, images)
             stack.enter_context(self._relay)
             stack.callback(self._end_processes)
             for placed, board in zip(body.patches, self.boards, strict=True):

@@ -48,7 +48,6 @@ def live(
     publish: Repeated = (),
     name: str = "skin",
     frame: str = "skin",
-    newtons: float | None = None,
 ) -> None:
     """Sense touches, live: a page in the browser, or contacts on the terminal.
 
@@ -59,7 +58,6 @@ def live(
         publish: Publish what is felt to shm, zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
         name: What clients call this skin, and what its topics begin with.
         frame: The frame of published contacts: a link of the robot.
-        newtons: Newtons per m2 of contact strength, if you have calibrated that; wrenches are published with it only.
     """
     if record is not None:
         refuse_existing(record)
@@ -74,7 +72,7 @@ def live(
         loop = stack.enter_context(open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out))
         engine = loop.engine
         if publish:
-            publisher = Publisher(engine.skin, publish, name, Patch(name, frame), newtons, page.token or None)
+            publisher = Publisher(engine.skin, publish, name, Patch(name, frame), page.token or None)
             stack.enter_context(publisher)
             loop.sinks.insert(0, publisher.publish)  # first, because robots wait for it
             tell(f"publishing at {', '.join(publisher.addresses)}")
@@ -116,7 +114,7 @@ class _Table:
 
     def __init__(self) -> None:
         self._due = 0.0
-        print("    time  frames/s  latency  id    x/mm    y/mm  extent/cm2  strength/cm2  confidence")
+        print("    time  frames/s  latency  id    x/mm    y/mm  extent/cm2  strength/cm2  confidence         force/N")
 
     def __call__(self, touch: Touch) -> None:
         if touch.time < self._due:
@@ -128,9 +126,10 @@ class _Table:
             x, y = c.position
             place = f"{x * 1e3:6.1f}  {y * 1e3:6.1f}"
             size = f"{c.extent * 1e4:10.1f}  {c.strength * 1e4:12.2f}"
-            print(f"{start}  {c.id:2d}  {place}  {size}  {c.confidence:10.3f}")
+            force = "-" if c.force is None else f"{c.force:.1f} ± {c.force_std:.1f}"
+            print(f"{start}  {c.id:2d}  {place}  {size}  {c.confidence:10.3f}  {force:>14}")
         if not touch.contacts:
-            print(f"{start}   -       -       -           -             -           -")
+            print(f"{start}   -       -       -           -             -           -               -")
         sys.stdout.flush()
 
 

@@ -1,5 +1,7 @@
 """What is felt as ROS 2 messages, in the frames of the robot; see `ohmskin.outlets.topics` for their definitions."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ohmskin.arrays import Floats
@@ -13,7 +15,9 @@ _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
 
 def encode_contacts(felt: Felt) -> bytes:
     """`ohmskin_msgs/msg/Contacts`."""
-    encoder = Encoder().stamp(felt.stamp).text("").put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
+    frames = {patch.frame for patch in felt.patches}
+    frame = frames.pop() if len(frames) == 1 else ""
+    encoder = Encoder().stamp(felt.stamp).text(frame).put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
     for patch in felt.patches:
         encoder.text(patch.patch).text(patch.frame).stamp(patch.stamp).put("Q", patch.sequence).text(patch.mode)
     places = {patch.patch: number for number, patch in enumerate(felt.patches)}
@@ -23,19 +27,18 @@ def encode_contacts(felt: Felt) -> bytes:
     return encoder.done()
 
 
-def encode_wrench(contact: Contact | None, frame: str, stamp: int, scale: float) -> bytes:
-    """`geometry_msgs/msg/WrenchStamped`: the push of a contact on its link, and its torque about the link's origin.
+def encode_wrench(contacts: Sequence[Contact], frame: str, stamp: int) -> bytes:
+    """`geometry_msgs/msg/WrenchStamped`: what contacts push their link with, and the torque about the link's origin.
 
     Args:
-        contact: The contact; None for no push.
+        contacts: The contacts, whose forces are known.
         frame: The link.
         stamp: ns since 1970.
-        scale: Newtons for each m2 of strength, as somebody calibrated it.
     """
     force, torque = np.zeros(3), np.zeros(3)
-    if contact is not None:
-        force = -scale * abs(contact.strength) * np.array(contact.normal)
-        torque = np.cross(contact.position, force)
+    for contact in contacts:
+        push = -(contact.force or 0.0) * np.array(contact.normal)
+        force, torque = force + push, torque + np.cross(contact.position, push)
     force, torque = force + 0.0, torque + 0.0  # no minus zeros
     return Encoder().stamp(stamp).text(frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
 

@@ -5,20 +5,21 @@ It is told on standard input what to publish where (`ohmskin.child`), then any b
 
 import os
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 
 import numpy as np
 
 from ohmskin.child import begin
 from ohmskin.client.board import BoardReader
-from ohmskin.client.felt import Felt, SharedMemory
+from ohmskin.client.felt import Felt, Patch, SharedMemory
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
 from ohmskin.mcap.messages import encode_image, encode_markers
 from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_wrench
 from ohmskin.outlets.outlet import Outlet, open_outlet
 from ohmskin.outlets.picture import Picture
-from ohmskin.outlets.topics import Topic, contacts_topic
+from ohmskin.outlets.topics import Topic, contacts_topic, wrench_topic
 
 
 class Relay:
@@ -27,7 +28,7 @@ class Relay:
     Args:
         name: Board of the contacts.
         pictures: Boards of the images, in the order of the patches.
-        scale: Newtons per m2 of strength; without it no wrench is published, for strength is no force.
+        links: Frames with patches that tell forces: each has a topic of wrenches, for strength is no force.
         outlets: Addresses, see `open_outlet`.
         token: See `open_outlet`.
 
@@ -35,13 +36,10 @@ class Relay:
         PublishError: If an outlet cannot be opened.
     """
 
-    def __init__(
-        self, name: str, pictures: list[str], scale: float | None, outlets: list[str], token: str | None
-    ) -> None:
-        self._scale = scale
+    def __init__(self, name: str, pictures: list[str], links: list[str], outlets: list[str], token: str | None) -> None:
         self._contacts = contacts_topic(name)
         self._markers = Topic(f"{prefix(name)}/markers", "visualization_msgs/msg/MarkerArray", True, 10)
-        self._wrench = Topic(f"{prefix(name)}/wrench", "geometry_msgs/msg/WrenchStamped", True, 10)
+        self._wrenches = {link: wrench_topic(name, link, links) for link in links}
         self._images = [
             (
                 Topic(f"{prefix(own)}/image", "sensor_msgs/msg/Image", False, 5),
@@ -50,7 +48,7 @@ class Relay:
             for own in (picture.removesuffix(".image") for picture in pictures)
         ]
         topics = [self._contacts, self._markers, *(topic for pair in self._images for topic in pair)]
-        topics += [self._wrench] if scale is not None else []
+        topics += self._wrenches.values()
         self.outlets: list[Outlet] = []
         with ExitStack() as stack:
             self._board = stack.enter_context(closing(SharedMemory(name)))
@@ -67,8 +65,7 @@ class Relay:
             return
         patches = self._board.patches
         self._send(self._contacts, felt.stamp, encode_contacts(felt))
-        if self._scale is not None:
-            self._send_wrenches(felt, self._scale)
+        self._send_wrenches(felt, patches)
         now = time.monotonic()
         if now < self._due:
             return
@@ -87,13 +84,16 @@ class Relay:
         """Close outlets and boards."""
         self._stack.close()
 
-    def _send_wrenches(self, felt: Felt, scale: float) -> None:
-        for patch in felt.patches:
-            if not patch.sequence:  # not heard of: that it is not pushed is not known
-                continue
-            own = [contact for contact in felt.contacts if contact.patch == patch.patch]
-            for contact in own or (None,):  # none: a wrench of zero, so that the end of a push is told
-                self._send(self._wrench, patch.stamp, encode_wrench(contact, patch.frame, patch.stamp, scale))
+    def _send_wrenches(self, felt: Felt, patches: Sequence[Patch]) -> None:
+        """What pushes each link, all its contacts together: zero when nothing does, nothing while that is not known."""
+        telling = {patch.name for patch in patches if patch.newtons}
+        for link, topic in self._wrenches.items():
+            seen = [one for one in felt.patches if one.frame == link and one.patch in telling]
+            names = [one.patch for one in seen]
+            own = [contact for contact in felt.contacts if contact.patch in names]
+            if all(one.sequence for one in seen) and not any(contact.force is None for contact in own):
+                stamp = min(one.stamp for one in seen)
+                self._send(topic, stamp, encode_wrench(own, link, stamp))
 
     def _send(self, topic: Topic, stamp: int, data: bytes) -> None:
         for outlet in self.outlets:

@@ -4,7 +4,7 @@ import re
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from ohmskin.client.board import Board
@@ -28,7 +28,6 @@ class Publisher(Closing):
         outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
         name: What clients call it; topics begin with it, too.
         patch: Where the sheet sits on the robot; its own frame ``skin`` unless given.
-        scale: Newtons per m2 of contact strength, if somebody has calibrated that; wrenches are published with it only.
         token: What listeners on other machines must give, where the protocol knows such a thing.
         images: Most images per second.
 
@@ -45,12 +44,11 @@ class Publisher(Closing):
         outlets: Sequence[str] = (),
         name: str = "skin",
         patch: Patch = Patch(),  # noqa: B008, a frozen value
-        scale: float | None = None,
         token: str | None = None,
         images: float = 30.0,
     ) -> None:
-        check_settings(scale, token, images)
-        self.patch = patch
+        check_settings(token, images)
+        self.patch = patch = replace(patch, newtons=skin.calibration.tells_force)
         self._raster = Raster(skin.mesh(), _PIXELS)
         self._every, self._due = 1 / images, 0.0
         setup = {"skin": skin.name, "domain": describe_domain(skin), "patches": [asdict(patch)]}
@@ -58,7 +56,7 @@ class Publisher(Closing):
         with ExitStack() as stack:
             self._board = stack.enter_context(Board(name, setup, LARGEST))
             self._picture = stack.enter_context(Board(f"{name}.image", about, size))
-            relay = RelayProcess(name, [f"{name}.image"], scale, outlets, token, images)
+            relay = RelayProcess(name, [f"{name}.image"], [patch], outlets, token, images)
             self._relay = stack.enter_context(relay)
             self._stack = stack.pop_all()
         self.addresses = [f"shm:{name}", *self._relay.addresses]
@@ -84,14 +82,12 @@ class Publisher(Closing):
         self._stack.close()
 
 
-def check_settings(scale: float | None, token: str | None, images: float) -> None:
+def check_settings(token: str | None, images: float) -> None:
     """Hold settings against their ranges.
 
     Raises:
         PublishError: If one is out of range.
     """
-    if scale is not None and not 0 < scale < 1e12:
-        raise PublishError(f"{scale} newtons per m2 of strength; it must be positive")
     if not 0 < images <= 1000:
         raise PublishError(f"images is {images} per second; it must be above 0 and at most 1000")
     if token is not None and not re.fullmatch(r"[A-Za-z0-9_-]{8,256}", token):

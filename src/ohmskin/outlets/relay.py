@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ohmskin.child import Child
+from ohmskin.client.felt import Patch
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.outlet import check_outlet
@@ -19,7 +20,7 @@ class RelayProcess(Closing):
     """A process that publishes what is on some boards. Nothing here waits for it once it runs.
 
     Args:
-        name, pictures, scale, token: See `ohmskin.outlets.process.Relay`.
+        name, pictures, patches, token: See `ohmskin.outlets.process.Relay`.
         outlets: See `open_outlet`; with none but ``shm`` there is no process at all.
         picture_rate: Most images per second.
 
@@ -34,7 +35,7 @@ class RelayProcess(Closing):
         self,
         name: str,
         pictures: Sequence[str],
-        scale: float | None,
+        patches: Sequence[Patch],
         outlets: Sequence[str],
         token: str | None,
         picture_rate: float,
@@ -47,7 +48,8 @@ class RelayProcess(Closing):
         if not outlets:
             return
         boards = {"name": name, "pictures": list(pictures), "picture_every": 1 / picture_rate}
-        settings: dict[str, Any] = {**boards, "scale": scale, "outlets": outlets, "token": token}
+        links = list(dict.fromkeys(patch.frame for patch in patches if patch.newtons))
+        settings: dict[str, Any] = {**boards, "links": links, "outlets": outlets, "token": token}
         child = Child.module("ohmskin.outlets.process", "the publishing process", settings, OMP_NUM_THREADS="1")
         self.addresses = child.ready(_START_TIMEOUT, PublishError)["ready"]
         os.set_blocking(child.stdin.fileno(), False)

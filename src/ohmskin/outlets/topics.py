@@ -1,5 +1,7 @@
 """The topics that are published and the definitions of their messages."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ohmskin.client.fields import definition
@@ -10,7 +12,7 @@ from ohmskin.mcap.schemas import whole_definition
 TEXTS = RECORDED | {
     "ohmskin_msgs/Contacts": """\
 # What one skin, or all skins of a robot, felt last.
-# stamp: last sample of the patch heard of longest ago; frame_id is empty, each contact has its own
+# stamp: last sample of the patch heard of longest ago; frame_id: of all contacts; empty if patches have several
 std_msgs/Header header
 uint64 boot              # changes whenever the sender starts anew
 uint64 sequence          # counts up by one, from 1 at a new boot
@@ -91,6 +93,13 @@ class Topic:
 def contacts_topic(name: str) -> Topic:
     """The topic with the contacts of the skin or body of that name."""
     return Topic(f"{prefix(name)}/contacts", "ohmskin_msgs/msg/Contacts", True, 10)
+
+
+def wrench_topic(name: str, link: str, links: Sequence[str]) -> Topic:
+    """The topic with the wrench on a link, of `links` that have one; a skin on one link needs not name it."""
+    own = re.sub(r"[^A-Za-z0-9_]", "_", link)
+    path = f"{prefix(name)}/wrench" if len(links) == 1 else f"{prefix(name)}/wrench/{own}"
+    return Topic(path, "geometry_msgs/msg/WrenchStamped", True, 10)
 
 
 def dds_name(kind: str) -> str:
