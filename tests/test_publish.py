@@ -27,10 +27,11 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+import ohmskin
 from ohmskin.body.body import axes
 from ohmskin.client import Client, Patch, Sighting
 from ohmskin.client.felt import felt
-from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, decode_contacts, is_loopback
+from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts, is_loopback
 from ohmskin.contacts import Contact as SheetContact
 from ohmskin.device import connect
 from ohmskin.errors import DataError, OhmskinError, PublishError
@@ -167,6 +168,41 @@ def test_what_is_not_known_of_a_contact_is_nan_in_a_message_and_none_again(store
     assert decode_contacts(data, 0.0).contacts == (plain,)
 
 
+def test_the_domain_is_that_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    assert data_key("/a", "T", "H") == "0/a/T/H"
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    assert data_key("/a", "T", "H") == "7/a/T/H"
+    for wrong in ("233", "-1", "x", "²"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", wrong)
+        with pytest.raises(PublishError, match="whole number from 0 to 232"):
+            open_outlet("dds", [], "node", None)
+
+
+def test_both_outlets_speak_in_the_domain_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """DDS at the UDP ports that its standard gives to a domain, zenoh in its keys."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", "43")
+    topic = contacts_topic("skin")
+    before = {at.laddr.port for at in psutil.Process().net_connections("udp")}
+    outlet = open_outlet("dds", [topic], "node", None)
+    ports = {at.laddr.port for at in psutil.Process().net_connections("udp")} - before
+    outlet.close()
+    first = 7400 + 250 * 43
+    assert any(first <= port < first + 250 for port in ports)
+    assert not any(7400 <= port < 7650 for port in ports)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    outlet = open_outlet(f"zenoh:listen/{place}", [topic], "node", None)
+    ears = Ears(place, 43)
+    try:
+        data = encode_contacts(felt(1, [SIGHTING], [CONTACT]))
+        until(lambda: [outlet.send(topic, STAMP, data), ears.of("contacts")][1])
+    finally:
+        ears.session.close()
+        outlet.close()
+
+
 def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:
     frames = [Sighting("a", "x"), Sighting("b", "x"), Sighting("c", "y")]
     heads = [
@@ -174,6 +210,26 @@ def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:
         for seen in (frames[:1], frames[:2], frames)
     ]
     assert heads == ["x", "x", ""]
+
+
+def test_the_ros_package_has_the_messages_that_are_sent(store: Any) -> None:
+    """After a change: python tools/ros_messages.py. Hashes are made of the package's files as ROS 2 reads them."""
+    import xml.etree.ElementTree as ElementTree
+
+    package = Path(__file__).parents[1] / "ros" / "ohmskin_msgs"
+    files = {path.name: path.read_text(encoding="utf-8") for path in (package / "msg").iterdir()}
+    own = {kind.partition("/")[2]: text for kind, text in TEXTS.items() if kind.startswith("ohmskin_msgs/")}
+    assert files == {f"{name}.msg": text for name, text in own.items()}
+    read = get_typestore(Stores.ROS2_JAZZY)
+    read.register({k: v for name in own for k, v in get_types_from_msg(own[name], f"ohmskin_msgs/msg/{name}").items()})
+    assert read.hash_rihs01("ohmskin_msgs/msg/Contacts") == CONTACTS_HASH
+    used = {other for text in own.values() for other in re.findall(r"^(\w+)/\w+", text, re.MULTILINE)}
+    told = ElementTree.fromstring((package / "package.xml").read_text(encoding="utf-8"))
+    depends = {entry.text for entry in told.findall("depend")}
+    assert depends == used - {"ohmskin_msgs"}
+    assert told.findtext("version") == ohmskin.__version__
+    build = (package / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert set(re.findall(r"find_package\((\w+)", build)) == depends | {"ament_cmake", "rosidl_default_generators"}
 
 
 def test_the_client_listens_where_contacts_are_sent() -> None:
@@ -294,7 +350,7 @@ def test_a_marker_is_turned_as_its_patch(store: Any, angles: tuple[float, float,
 class Ears:
     """A zenoh subscriber to everything, which knows nothing of ohmskin but the layout that rmw_zenoh documents."""
 
-    def __init__(self, place: str) -> None:
+    def __init__(self, place: str, domain: int = 0) -> None:
         import zenoh
 
         config = zenoh.Config()
@@ -303,7 +359,7 @@ class Ears:
         config.insert_json5("listen/endpoints", "[]")
         self.heard: dict[str, list[tuple[bytes, bytes, int]]] = defaultdict(list)
         self.session = zenoh.open(config)
-        self.subscriber = self.session.declare_subscriber("0/ohmskin/**", self.take)
+        self.subscriber = self.session.declare_subscriber(f"{domain}/ohmskin/**", self.take)
 
     def take(self, sample: Any) -> None:
         self.heard[str(sample.key_expr)].append(

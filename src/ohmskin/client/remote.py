@@ -5,6 +5,7 @@ Topics over zenoh are laid out as rmw_zenoh does: data go to ``<domain>/<topic>/
 
 import ipaddress
 import json
+import os
 import tempfile
 import threading
 import time
@@ -17,10 +18,10 @@ from ohmskin.client.felt import Felt, Patch, Sighting, contact_from
 from ohmskin.client.fields import components
 from ohmskin.errors import DataError, PublishError
 
-DOMAIN = 0
 CONTACTS_TYPE = "ohmskin_msgs::msg::dds_::Contacts_"
 CONTACTS_HASH = "RIHS01_80640f5f026177bf5d7b6e62d19eeb21666805984a62fea94411c1899fe063b3"
 _USER = "ohmskin"
+_LARGEST_DOMAIN = 232  # beyond which DDS has no ports
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
 
 
@@ -70,9 +71,21 @@ def prefix(name: str) -> str:
     return "/ohmskin" if name == "skin" else f"/ohmskin/{name.replace('.', '/')}"
 
 
+def domain() -> int:
+    """The ROS 2 domain to publish and listen in: that of the variable ROS_DOMAIN_ID, 0 unless set.
+
+    Raises:
+        PublishError: If it is not 0 to 232.
+    """
+    given = os.environ.get("ROS_DOMAIN_ID", "") or "0"
+    if not (given.isdecimal() and given.isascii() and int(given) <= _LARGEST_DOMAIN):
+        raise PublishError(f"ROS_DOMAIN_ID is {given!r}; it must be a whole number from 0 to {_LARGEST_DOMAIN}")
+    return int(given)
+
+
 def data_key(topic: str, dds_type: str, hash_: str) -> str:
     """The zenoh key of a topic's messages."""
-    return f"{DOMAIN}/{topic.strip('/')}/{dds_type}/{hash_}"
+    return f"{domain()}/{topic.strip('/')}/{dds_type}/{hash_}"
 
 
 def is_loopback(host: str) -> bool:

@@ -22,13 +22,13 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
+from ohmskin.client.remote import domain
 from ohmskin.errors import PublishError
 from ohmskin.mcap.schemas import FIELD
 from ohmskin.outlets.topics import TEXTS, Topic, dds_name
 
 log = logging.getLogger(__name__)
 
-DOMAIN = 0
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,32}")
 
 
@@ -48,8 +48,8 @@ class DdsOutlet:
         interface = place or "lo"
         self.address = f"dds:{interface}"
         try:
-            self._domain = Domain(DOMAIN, domain_config(interface))
-            self._participant = DomainParticipant(DOMAIN)
+            self._domain = Domain(domain(), domain_config(interface))
+            self._participant = DomainParticipant(domain())
             _stay_on(interface)
             self._writers = {topic: self._writer(topic) for topic in topics}
         except DDSException as error:

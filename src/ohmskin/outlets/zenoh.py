@@ -15,7 +15,7 @@ from typing import Any
 
 import zenoh
 
-from ohmskin.client.remote import DOMAIN, data_key, is_loopback, open_session
+from ohmskin.client.remote import data_key, domain, is_loopback, open_session
 from ohmskin.errors import PublishError
 from ohmskin.outlets.topics import Topic
 
@@ -55,7 +55,7 @@ class ZenohOutlet:
     def _announce(self, topics: Sequence[Topic], node: str) -> None:
         """Declare the node and a publisher for each topic."""
         self._publishers: dict[Topic, tuple[Any, bytes, Iterator[int]]] = {}  # with sender's id and numbers
-        me = f"@ros2_lv/{DOMAIN}/{self._session.zid()}/0"
+        me = f"@ros2_lv/{domain()}/{self._session.zid()}/0"
         named = "%/%/" + re.sub(r"[^A-Za-z0-9_]", "_", node)
         self._tokens = [self._session.liveliness().declare_token(f"{me}/0/NN/{named}")]
         for number, topic in enumerate(topics, start=10):
