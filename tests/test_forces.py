@@ -17,13 +17,14 @@ from ohmskin.client.cdr import Decoder
 from ohmskin.client.remote import decode_contacts
 from ohmskin.contacts import Contact
 from ohmskin.engine import Engine, Touch
+from ohmskin.errors import ModelError
 from ohmskin.mcap import Tape
 from ohmskin.outlets.messages import encode_contacts, encode_wrench
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.recording import Recorder
 from ohmskin.recording.export import CONTACT_COLUMNS
 from ohmskin.sensing import KnownPress, PressFitter
-from ohmskin.sensing.forces import Presses, forces_of
+from ohmskin.sensing.forces import Presses, PressFollower, forces_of
 from ohmskin.skin import Calibration, Press, Skin, VirtualSkin
 from ohmskin.view.session import _shown
 
@@ -125,6 +126,18 @@ def test_a_palm_is_felt_without_a_force_that_would_hold_up_the_loop(engine: Engi
     contact = pressed(engine, Press((0.1, 0.1), 30e-3, 20e3), frames=6)[-1].contacts[0]
     assert contact.radius is not None
     assert (contact.force, contact.force_std, contact.pressure, contact.area) == (None,) * 4
+
+
+def test_a_press_beyond_the_model_is_felt_without_a_force(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ModelError("the mesh is too coarse for patches so hard pressed")
+
+    assert engine.sensor is not None
+    follower = engine.sensor.forces
+    assert isinstance(follower, PressFollower)
+    monkeypatch.setattr(follower.fitter, "caused", fails)
+    touch = pressed(engine, Press((0.1, 0.08), 8e-3, 20e3), frames=5)[-1]
+    assert [contact.force for contact in touch.contacts] == [None]
 
 
 def test_the_same_force_is_told_everywhere(

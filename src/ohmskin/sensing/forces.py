@@ -18,6 +18,7 @@ from ohmskin.contacts import Contact
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.kernels import damped_step
 from ohmskin.contacts.solution import inverse
+from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.presses import FittedPress, PressFitter
@@ -156,10 +157,13 @@ class PressFollower:
         return Presses(ids, tuple(fits), told=told)
 
     def _evaluated(self, params: Floats) -> list[Fit]:
-        """A fit where the model is evaluated at presses (4 n,); none if that would take too long."""
+        """A fit where the model is evaluated at presses (4 n,); none if that would take too long or cannot be done."""
         if self.fitter.sheet.contacts_under(self.fitter.presses(params)) > _MOST:
             return []
-        return [Fit(params, *self.fitter.caused(params))]
+        try:
+            return [Fit(params, *self.fitter.caused(params))]
+        except ModelError:  # of presses too hard for the mesh: contacts are reported all the same
+            return []
 
     def _informed(self, state: Presses) -> Presses:
         """The state with what it has gathered among its data, of which the older count less."""
