@@ -184,7 +184,7 @@ def test_both_outlets_speak_in_the_domain_of_the_environment(monkeypatch: pytest
     monkeypatch.setenv("ROS_DOMAIN_ID", "43")
     topic = contacts_topic("skin")
     before = {at.laddr.port for at in psutil.Process().net_connections("udp")}
-    outlet = open_outlet("dds", [topic], "node", None)
+    outlet: Any = open_outlet("dds", [topic], "node", None)
     ports = {at.laddr.port for at in psutil.Process().net_connections("udp")} - before
     outlet.close()
     first = 7400 + 250 * 43
@@ -201,6 +201,16 @@ def test_both_outlets_speak_in_the_domain_of_the_environment(monkeypatch: pytest
     finally:
         ears.session.close()
         outlet.close()
+
+
+def test_a_dds_endpoint_tells_the_hash_of_its_type() -> None:
+    from cyclonedds.qos import Policy
+
+    topic = contacts_topic("skin")
+    outlet: Any = open_outlet("dds", [topic], "node", None)
+    told = outlet._writers[topic].get_qos()[Policy.Userdata].data
+    outlet.close()
+    assert told == f"typehash={CONTACTS_HASH};".encode()
 
 
 def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:

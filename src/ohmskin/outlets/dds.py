@@ -70,7 +70,8 @@ class DdsOutlet:
     def _writer(self, topic: Topic) -> DataWriter:
         lasting = Policy.Reliability.Reliable(duration(seconds=0)) if topic.reliable else Policy.Reliability.BestEffort
         history, cdr = Policy.History.KeepLast(topic.depth), Policy.DataRepresentation(True, False)
-        qos = Qos(lasting, Policy.Durability.Volatile, history, cdr)
+        told = Policy.Userdata(f"typehash={topic.hash};".encode())  # where ROS 2 looks for it
+        qos = Qos(lasting, Policy.Durability.Volatile, history, cdr, told)
         return DataWriter(self._participant, DdsTopic(self._participant, f"rt{topic.name}", _message(topic.type)), qos)
 
 
