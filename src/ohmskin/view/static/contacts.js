@@ -59,7 +59,8 @@ function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   const id = `#${contact.id}`;
   const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
   const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
-  const strength = `${number(1e4 * contact.strength, 2)} cm²`;
+  const newtons = () => `${number(contact.force, 1)} ±${number(contact.force_std, 1)} N`;
+  const strength = contact.force == null ? `${number(1e4 * contact.strength, 2)} cm²` : newtons();
   c.font = `600 11px ${FONT}`;
   const lead = c.measureText(id).width + 6;
   c.font = `11px ${FONT}`;
