@@ -17,7 +17,7 @@ from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimator, FrameWise, Settings, gauss_newton
 from ohmskin.scan import Difference
-from ohmskin.skin import Mode, Skin, VirtualSkin
+from ohmskin.skin import Fault, Mode, Skin, VirtualSkin
 from ohmskin.view.session import Session
 from ohmskin.view.wire import check_setup, read_command
 
@@ -156,6 +156,53 @@ def test_a_slow_estimator_says_what_rate_it_reaches_and_data_without_an_image_do
     looker.send("lift_all")
     last = looker.send("estimator", **AS_USUAL)[-1]
     assert last["estimator"] == "gauss-newton"
+
+
+def test_a_lost_device_takes_no_new_press_and_gets_those_it_had_again() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ohmskin.view.session.LiveView", Page)
+        device = DirectDevice(VirtualSkin(Skin.load("paper"), seed=3))
+        with Engine(lambda: device, Skin.load("paper")) as engine, Session(engine, "", "", 0, None, False) as session:
+            session.calibrate()
+            looker = Looker(session)
+            press = {"x": PLACE[0], "y": PLACE[1], "radius": 8e-3, "pressure": 2e4}
+            looker.send("press", id="held", **press)
+            device.gone = True
+            assert looker.send("press", id="held", **press | {"x": 0.1})[-1]["state"] == "lost"
+            told = looker.send("press", id="new", **press)[-1]
+            assert [shown["id"] for shown in told["presses"]] == ["held"]
+            assert (told["presses"][0]["x"], told["state"]) == (0.1, "lost")
+            assert told["message"] == "device lost: the plug was pulled; reconnecting"
+
+
+def test_the_page_is_told_what_is_doubted_where_and_both_thresholds(looker: Looker) -> None:
+    last = looker.send("mode", mode="16O")[-1]
+    assert last["findings"] == []
+    assert last["base_threshold"] > 0
+    assert last["threshold"] > 0
+    assert last["base_threshold"] != last["threshold"]
+    device: Any = looker.session._engine.device
+    device.blind = True  # voltages at electrode 5 clip
+    try:
+        (finding,) = looker.send("lift_all")[-1]["findings"]
+    finally:
+        device.blind = False
+    assert "clip" in finding["words"]
+    assert finding["electrodes"] == []
+    for _ in range(40):
+        last = looker.send("lift_all")[-1]
+    assert last["findings"] == []
+
+
+def test_electrodes_that_were_bad_at_the_calibration_are_told_with_their_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.view.session.LiveView", Page)
+    skin = Skin.load("paper")
+    device = DirectDevice(VirtualSkin(skin, seed=3, faults=[Fault.parse("open 6")]))
+    with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", "", 0, None, False) as session:
+        session.calibrate()
+        finding = Looker(session).send("lift_all")[-1]["findings"][0]
+    assert finding["electrodes"] == [6]
+    assert finding["words"].startswith("electrode 6: open")
 
 
 def test_a_slow_estimator_is_told_of_once_and_not_any_more_when_another_is_used() -> None:

@@ -96,6 +96,7 @@ def viewer(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
 
 
 def test_a_place_that_is_sought_is_shown_with_its_contacts_also_while_paused(viewer: Viewer) -> None:
+    assert viewer.page.setup["device"]["url"] == viewer.device.path.name  # type: ignore[attr-defined]
     assert viewer.page.setup["recording"] == {"length": viewer.device.duration}  # type: ignore[attr-defined]
     viewer.send("pause", paused=True)
     assert viewer.engine.state is State.PAUSED
@@ -150,7 +151,9 @@ def test_steps_show_one_frame_after_the_other_and_stop_at_the_ends(viewer: Viewe
     assert viewer.send("seek", position=viewer.device.duration) == CYCLES - 1
     assert [viewer.send("step", cycles=1) for _ in range(2)] == [CYCLES - 1, CYCLES - 1]
     assert viewer.engine.state is State.PAUSED
+    assert viewer.header["recording"]["ended"]
     assert viewer.send("step", cycles=-1) == CYCLES - 2
+    assert not viewer.header["recording"]["ended"]
     viewer.send("loop", on=True)
     viewer.send("seek", position=viewer.times[-1])
     assert viewer.send("step", cycles=1) == 0
@@ -180,6 +183,7 @@ def test_speed_and_loop_are_told_to_all(viewer: Viewer) -> None:
     assert viewer.header["recording"] == {
         "position": viewer.times[1],
         "length": viewer.device.duration,
+        "ended": False,
         "speed": None,
         "loop": False,
     }

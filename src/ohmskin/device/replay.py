@@ -39,6 +39,7 @@ class ReplayDevice(Device):
         loop: Whether to begin again at the end.
 
     Attributes:
+        path: The file.
         recording: What is replayed.
         loop: As above; may be changed at any time.
         calibrating: Asked whether the loop calibrates; until it is set, quiet frames come once, at the start.
@@ -54,7 +55,7 @@ class ReplayDevice(Device):
         path, (rate, speed, start, told) = _address(url, rate=rate, speed=speed, start=start, loop=loop)
         if not 0 < rate <= 1e5:
             raise PatternError(f"replay rate is {rate} frames/s; it must be above 0 and at most 100000")
-        self.recording = read_recording(path)
+        self.path, self.recording = Path(path), read_recording(path)
         tape = self.recording.tape
         self._reel: RecordedFrames = tape or SteadyFrames(self.recording.frames, rate)
         try:

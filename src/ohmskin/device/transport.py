@@ -100,7 +100,7 @@ class SocketTransport:
         except (OSError, UnicodeError) as error:  # the second one at a name that cannot be one, such as "a..b"
             why = f"cannot reach {host}:{port}: {error}; check the address and the network"
             if isinstance(error, ConnectionRefusedError):
-                why = f"nothing listens on {host}:{port}; is `ohmskin serve-skin` running there?"
+                why = f"no device at {host}:{port}; start one there, such as `ohmskin serve-skin`"
             elif isinstance(error, TimeoutError):
                 why = f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall"
             raise DeviceLost(why) from error
@@ -112,9 +112,9 @@ class SocketTransport:
         except TimeoutError:
             return b""
         except OSError as error:
-            raise DeviceLost(f"the connection to {self._peer} broke: {error}; connect again") from error
+            raise DeviceLost(f"connection to {self._peer} lost ({error.strerror or error}); connect again") from error
         if not data:
-            raise DeviceLost(f"{self._peer} closed the connection; connect again once it is back")
+            raise DeviceLost(f"{self._peer} closed the connection; connect again")
         return data
 
     def write(self, data: bytes) -> None:

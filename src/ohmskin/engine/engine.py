@@ -307,7 +307,7 @@ class Engine(Closing):
         self.state, self._retry_at = State.LOST, time.monotonic() + _RETRY_AFTER
         self._dropped_before += self.device.dropped
         self.device.close()
-        self._notices.say(f"device lost: {error}; reconnecting")
+        self._notices.say(_lost(error))
 
     def _seek(self) -> None:
         if (wait := self._retry_at - time.monotonic()) > 0:
@@ -318,7 +318,7 @@ class Engine(Closing):
         try:
             self.device = self._opened()
         except DeviceError as error:
-            self._notices.message = f"device lost: {error}; trying again"
+            self._notices.message = _lost(error)
             return
         self._monitor.reconnected()
         self.state = State.RUNNING if self.known else State.CALIBRATING
@@ -335,3 +335,8 @@ class Engine(Closing):
             except DataError as error:  # what is known is of another device
                 self.known = self.sensor = None
                 self._lose(DeviceLost(str(error)))
+
+
+def _lost(error: DeviceError) -> str:
+    """What a user is told of a lost device, which the loop connects to again by itself."""
+    return f"device lost: {str(error).removesuffix('; connect again')}; reconnecting"

@@ -15,6 +15,7 @@ from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import Health
 from ohmskin.errors import DeviceError, ModelError, PatternError
 from ohmskin.geometry import Raster
+from ohmskin.sensing import SkinModel
 from ohmskin.skin import Mode
 from ohmskin.view.live import LiveView
 from ohmskin.view.setup import setup_of
@@ -93,7 +94,7 @@ class Session(Closing):
 
     def _obey(self, command: dict[str, Any]) -> None:
         match command["type"]:
-            case "press":
+            case "press" if command["id"] in self._presses or self._engine.state is not State.LOST:
                 self._set_demo(False)
                 used = {held: number for held, (number, _) in self._presses.items()}
                 free = next(number for number in range(1, 0x10000) if number not in used.values())
@@ -219,11 +220,13 @@ class Session(Closing):
             "preparing": self._preparing,
             "contacts": [],
             "bad_electrodes": [],
+            "findings": [],
             "base_injections": [],
             "injections": [],
             "n_injections": engine.injections,
             "presses": self._shown_presses(),
             "threshold": 0.0,
+            "base_threshold": 0.0,
             "health": Health().figures,
             "state": engine.state.value,
             "message": self._note if fresh and engine.state is not State.LOST else engine.message,
@@ -236,9 +239,11 @@ class Session(Closing):
             header |= {
                 "contacts": [_shown(contact, scale) for contact in touch.contacts],
                 "bad_electrodes": sorted({*touch.percept.diagnosis.bad, *engine.sensor.known.bad}),
+                "findings": _findings(touch, engine.sensor.known),
                 "base_injections": frames[0].pattern.injections.tolist(),
                 "injections": frames[-1].pattern.injections.tolist() if adapts else [],
                 "threshold": engine.sensor.thresholds.final * scale,
+                "base_threshold": engine.sensor.thresholds.base * scale,
                 "health": touch.health.figures,
             }
         return header
@@ -248,7 +253,8 @@ class Session(Closing):
         if (recording := self._recording) is None:
             return None
         speed = recording.speed if math.isfinite(recording.speed) else None
-        return {"position": self._place, "length": recording.duration, "speed": speed, "loop": recording.loop}
+        place = {"position": self._place, "length": recording.duration, "ended": recording.ended}
+        return place | {"speed": speed, "loop": recording.loop}
 
     def _shown_presses(self) -> list[dict[str, Any]]:
         names = ("id", "x", "y", "radius", "pressure")
@@ -258,6 +264,13 @@ class Session(Closing):
             (x, y), radius, pressure = demo_finger(self._engine.skin.domain, time.monotonic() - self._demo_from)
             shown.append({"id": "demo", "x": x, "y": y, "radius": radius, "pressure": pressure, "demo": True})
         return shown
+
+
+def _findings(touch: Touch, known: SkinModel) -> list[dict[str, Any]]:
+    """What is wrong with data and electrodes: since the calibration, and lately."""
+    verdicts = known.quality.verdicts if known.quality else ()
+    standing = [{"words": f"electrode {v.electrode}: {v.words}", "electrodes": [v.electrode]} for v in verdicts]
+    return standing + [{"words": f.words, "electrodes": list(f.cause.electrodes)} for f in touch.percept.findings]
 
 
 def _shown(contact: Contact, scale: float) -> dict[str, Any]:

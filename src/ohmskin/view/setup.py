@@ -24,7 +24,7 @@ def setup_of(engine: Engine, url: str, raster: Raster, recording: ReplayDevice |
 
     Args:
         engine: The loop.
-        url: The device's address, as the page should show it.
+        url: The device's address, as the page should show it; of a recording it shows the file's name.
         raster: Pixels of the images.
         recording: The device, if it is a recording.
     """
@@ -39,7 +39,7 @@ def setup_of(engine: Engine, url: str, raster: Raster, recording: ReplayDevice |
         **Picture.setup(raster),
         "modes": _modes(engine),
         "choices": _choices(engine),
-        "device": {"url": url, "virtual": virtual},
+        "device": {"url": recording.path.name if recording else url, "virtual": virtual},
         "unit": "mS",
         "press": {"radius": _RADIUS, "pressure": _PRESSURE} if virtual else None,
         "recording": {"length": recording.duration} if recording else None,
