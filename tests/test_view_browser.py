@@ -329,7 +329,8 @@ def test_sliders_set_the_press(reader: Reader) -> None:
 
 def test_injections_are_chosen_where_the_mode_has_a_choice(reader: Reader) -> None:
     page, slider = reader.page, reader.page.locator("#injections")
-    expect(slider).to_be_hidden()
+    expect(slider).to_be_disabled()
+    expect(page.locator("#injections-value")).to_have_text("fixed")
     reader.loop.header.update(mode="16T", n_injections=4)
     expect(page.locator("#injections-value")).to_have_text("4 / frame")
     slider.fill("9")
@@ -466,7 +467,7 @@ def test_state_and_message_are_shown(reader: Reader) -> None:
     header.update(state="calibrating")
     expect(page.locator("#notice")).to_contain_text("keep the skin untouched")
     header.update(state="lost", message="device lost: cable; reconnecting")
-    expect(page.locator("#notice")).to_have_text("device lost: cable; reconnecting")
+    expect(page.locator("#notice")).to_have_text("Device lost: cable; reconnecting.")
     expect(page.locator("#state")).to_have_text("lost")
     header.update(state="running", message="")
     expect(page.locator("#notice")).to_have_attribute("data-kind", "hint")

@@ -3,8 +3,9 @@
 import { Range, number } from "./colour.js";
 import { Controls } from "./controls.js";
 import { Field } from "./field.js";
-import { Spark, showContacts, showFigures } from "./figures.js";
+import { Spark, showContacts, showFigures, showFindings } from "./figures.js";
 import { Frame, bounds, clampTo, heightFor } from "./frame.js";
+import { showHelp } from "./help.js";
 import { Link } from "./link.js";
 import { drawMap, drawScale } from "./map.js";
 import { noticeFor } from "./notice.js";
@@ -27,6 +28,7 @@ let ready = false;
 let asked = false;
 let everConnected = false;
 let refusal = { text: "", until: 0 };
+let notice = {};
 let frameTime = performance.now();
 let textTime = 0;
 let summaryTime = 0;
@@ -52,6 +54,8 @@ const touch = new Touch({
   settings: () => controls.press,
   send: (command) => link.send(command),
   changed: requestDraw,
+  barred: () => notice.barred ?? "",
+  refuse: (why) => refuse(`not pressed: ${why}`),
 });
 touch.attach(byId("map"));
 touch.attach(byId("base"));
@@ -100,11 +104,11 @@ const link = new Link({
     spark.add(frameTime / 1000, message.header.health?.rate);
     requestDraw();
   },
-  onRefused: refuse,
+  onRefused: (text) => refuse(`not done: ${text}`),
 });
 
 function refuse(text) {
-  refusal = { text: `Not done: ${text}.`, until: performance.now() + 4000 };
+  refusal = { text: `${text[0].toUpperCase()}${text.slice(1)}.`, until: performance.now() + 4000 };
   requestDraw();
 }
 
@@ -137,7 +141,8 @@ function drawPicture(now) {
     range.follow(Math.min(a, c), Math.max(b, d), frame.header.threshold ?? 0, now);
     placeSection();
   }
-  const scene = scenes(theme);
+  const scene = scenes(theme, Boolean(notice.unknown));
+  document.documentElement.dataset.single = Boolean(frame) && fields.base.equals(fields.map);
   surfaces.map.draw((c, w, h) => drawMap(c, w, h, scene.felt));
   surfaces.base.draw((c, w, h) => drawMap(c, w, h, scene.base));
   surfaces.scale.draw((c, w, h) => drawScale(c, w, h, scene.scale));
@@ -148,7 +153,7 @@ function drawPicture(now) {
         ...scene.scale,
         skin: setup.skin,
         felt: fields.map,
-        base: fields.base,
+        base: document.documentElement.dataset.single === "true" ? null : fields.base,
         at: section,
         axis,
       }),
@@ -157,27 +162,38 @@ function drawPicture(now) {
   surfaces.spark.draw((c, w, h) => spark.draw(c, w, h, theme));
 }
 
-function scenes(theme) {
+function scenes(theme, unknown = false) {
   const header = frame?.header ?? {};
-  const presses = shownPresses(header);
-  const bad = header.bad_electrodes ?? [];
-  const common = { skin: setup.skin, theme, limit: range.limit, presses, bad, section: frame && section };
+  const findings = header.findings ?? [];
+  const common = {
+    skin: setup.skin,
+    theme,
+    limit: range.limit,
+    presses: shownPresses(header),
+    bad: header.bad_electrodes ?? [],
+    doubted: findings.flatMap((finding) => finding.electrodes),
+    doubtful: findings.some((finding) => !finding.electrodes.length),
+    section: frame && section,
+  };
+  const threshold = header.threshold ?? 0;
   return {
     felt: {
       ...common,
       field: fields.map,
-      pairs: header.injections ?? [],
-      contacts: header.contacts ?? [],
+      threshold,
+      pairs: (!unknown && header.injections) || [],
+      contacts: (!unknown && header.contacts) || [],
       cursor: touch.cursors.get(byId("map")),
     },
     base: {
       ...common,
       field: fields.base,
-      pairs: header.base_injections ?? [],
+      threshold: header.base_threshold ?? threshold,
+      pairs: (!unknown && header.base_injections) || [],
       contacts: [],
       cursor: touch.cursors.get(byId("base")),
     },
-    scale: { theme, range, unit: setup.unit, threshold: header.threshold ?? 0 },
+    scale: { theme, range, unit: setup.unit, threshold },
   };
 }
 
@@ -208,28 +224,35 @@ function showText(now) {
   const silence = (now - frameTime) / 1000;
   if (now > refusal.until) refusal = { text: "", until: 0 };
   const header = frame?.header;
-  const notice = noticeFor({ connected: link.connected, everConnected, setup, header, silence, refusal: refusal.text });
+  notice = noticeFor({ connected: link.connected, everConnected, setup, header, silence, refusal: refusal.text });
   setText("notice", notice.text);
   byId("notice").dataset.kind = notice.kind;
-  const state = link.connected ? (header?.state ?? "connecting") : everConnected ? "disconnected" : "connecting";
+  const ended = header?.recording?.ended && header.state === "paused";
+  const shown = ended ? "end" : (header?.state ?? "connecting");
+  const state = link.connected ? shown : everConnected ? "disconnected" : "connecting";
   setText("state", state);
   byId("state").dataset.state = state;
-  document.documentElement.dataset.stale = !link.connected || state === "lost";
+  document.documentElement.dataset.stale = Boolean(notice.unknown);
+  byId("unknown").hidden = !notice.unknown;
+  setText("unknown-why", notice.unknown ? `Unknown: ${notice.unknown}.` : "");
+  setText("unknown-todo", notice.todo ?? "");
   if (!header) return;
   controls.showHeader(header);
   transport.showHeader(header);
   controls.showRange(range);
-  showFigures(header);
-  showContacts(header.contacts ?? []);
+  showFigures(notice.unknown ? {} : header);
+  const contacts = notice.unknown ? [] : (header.contacts ?? []);
+  showContacts(contacts, notice.unknown ? "Unknown" : "No contact");
+  showFindings(notice.unknown ? [] : (header.findings ?? []));
   showReadouts();
-  const contact = strongest();
-  setText("section-of", contact ? `through contact ${contact.id}` : "no contact");
+  const through = contacts.length ? `through contact ${strongest().id}` : "no contact";
+  setText("section-of", notice.unknown ? "unknown" : through);
   drawnTimes = drawnTimes.filter((time) => time > now - 1000);
-  setText("drawn", `${drawnTimes.length} drawn/s`);
+  setText("drawn", `${drawnTimes.length} displayed fps`);
   if (now - summaryTime > SUMMARY_EVERY) {
     summaryTime = now;
-    const count = (header.contacts ?? []).length;
-    setText("summary", count === 0 ? "no contact" : count === 1 ? "1 contact" : `${count} contacts`);
+    const count = contacts.length === 1 ? "1 contact" : `${contacts.length || "no"} contacts`;
+    setText("summary", notice.unknown ? `contacts unknown: ${notice.unknown}` : count);
   }
 }
 
@@ -304,4 +327,5 @@ Object.defineProperty(window, "ohmskin", {
     },
   }),
 });
+showHelp();
 requestDraw();

@@ -87,21 +87,23 @@ function table(theme) {
 
 const TABLES = { dark: table("dark"), light: table("light") };
 
-/** Colour words for values; `limit` is full scale. */
-export function paint(values, order, words, theme, limit) {
+// What is below the threshold may be noise: none below half of it has colour, all above one and a half.
+function wordOf(value, colours, limit, threshold) {
+  const size = Math.abs(value);
+  const t = threshold > 0 ? Math.min(1, Math.max(0, size / threshold - 0.5)) : 1;
+  const step = Math.min(STEPS - 1, Math.round((size / limit) * t * t * (3 - 2 * t) * (STEPS - 1))) || 0;
+  return value < 0 ? colours[STEPS - 1 - step] : colours[STEPS + step];
+}
+
+/** Colour words for values; `limit` is full scale, `threshold` is what noise stays below. */
+export function paint(values, order, words, theme, limit, threshold) {
   const colours = TABLES[theme];
-  const gain = (STEPS - 1) / limit;
-  for (let i = 0; i < words.length; i++) {
-    const v = values[order[i]];
-    const step = Math.min(STEPS - 1, Math.round(Math.abs(v) * gain)) || 0;
-    words[i] = v < 0 ? colours[STEPS - 1 - step] : colours[STEPS + step];
-  }
+  for (let i = 0; i < words.length; i++) words[i] = wordOf(values[order[i]], colours, limit, threshold);
 }
 
 /** CSS colour of one value. */
-export function colourOf(value, theme, limit) {
-  const step = Math.min(STEPS - 1, Math.round((Math.abs(value) / limit) * (STEPS - 1))) || 0;
-  const word = TABLES[theme][value < 0 ? STEPS - 1 - step : STEPS + step];
+export function colourOf(value, theme, limit, threshold) {
+  const word = wordOf(value, TABLES[theme], limit, threshold);
   return `rgb(${word & 255} ${(word >> 8) & 255} ${(word >> 16) & 255})`;
 }
 
@@ -112,29 +114,37 @@ function niceAbove(value) {
   return decade * (NICE.find((n) => n * decade >= value * 0.9999) ?? 10);
 }
 
+const BELOW = [0.2, 0.5, 1]; // how far the scale may reach below zero, in full scales
+
 /** Full scale that follows the data: up at once, down only after a quiet while, always a round number. */
 export class Range {
   constructor() {
     this.auto = true;
     this.limit = 1;
-    this.signed = false;
+    this._below = BELOW[0];
     this._quietSince = 0;
-    this._otherwiseSince = null; // since when the data have spoken for the other value of `signed`
+    this._otherwiseSince = null; // since when the data have spoken for another `_below`
     this._fresh = true;
   }
 
   /** Lower end of the shown scale; it always contains zero and some of the other sign. */
   get low() {
-    return this.signed ? -this.limit : -0.2 * this.limit;
+    return -this._below * this.limit;
   }
 
   follow(low, high, threshold, now) {
-    const signed = -low > Math.max(0.4 * high, 1.2 * threshold);
-    if (signed === this.signed) this._otherwiseSince = null;
+    this._followLimit(low, high, threshold, now);
+    const below = BELOW.find((share) => -low <= share * this.limit) ?? 1;
+    if (below === this._below) this._otherwiseSince = null;
     else this._otherwiseSince ??= now;
     // An image undershoots for a moment when a press begins or ends; that is no reason to change the scale.
-    if (this._fresh || (this._otherwiseSince !== null && now - this._otherwiseSince > (signed ? 700 : 6000)))
-      this.signed = signed;
+    const patience = below > this._below ? 700 : 6000;
+    if (this._fresh || (this._otherwiseSince !== null && now - this._otherwiseSince > patience)) this._below = below;
+    this._fresh = false;
+  }
+
+  /** Twice the threshold at least, so that a quiet skin is shown quiet. */
+  _followLimit(low, high, threshold, now) {
     if (!this.auto) return;
     const largest = Math.max(Math.abs(low), Math.abs(high), 2 * threshold);
     if (!(largest > 0)) return;
@@ -142,7 +152,6 @@ export class Range {
     if (wanted > this.limit || this._fresh) [this.limit, this._quietSince] = [wanted, now];
     else if (largest > 0.55 * this.limit) this._quietSince = now;
     else if (now - this._quietSince > 4000) [this.limit, this._quietSince] = [wanted, now];
-    this._fresh = false;
   }
 
   restart() {

@@ -3,25 +3,37 @@
 import { number } from "./colour.js";
 import { FONT } from "./ink.js";
 
-/** Contacts with their uncertainty, and labels that avoid each other. */
-export function drawContacts(c, f, width, height, scene, ink) {
-  const taken = [];
+const SURE = 0.9; // confidence below which a contact looks doubtful
+const SMALL = 260; // px of width, below which a map has no room for labels of two lines
+
+/** Contacts with their uncertainty, and labels that avoid each other and the boxes that are `taken`. */
+export function drawContacts(c, f, width, height, scene, taken, ink) {
   c.textBaseline = "alphabetic";
   c.textAlign = "left";
-  for (const contact of scene.contacts) {
+  const circles = scene.contacts.map((contact) => {
     const radius = f.scale * Math.sqrt(contact.extent / Math.PI);
+    c.save();
+    c.globalAlpha = doubtful(contact) ? 0.55 : 1;
     c.beginPath();
     c.arc(f.x(contact.x), f.y(contact.y), radius, 0, 2 * Math.PI);
     c.lineWidth = 4;
     c.strokeStyle = ink.halo;
     c.stroke();
     c.lineWidth = 2;
-    c.strokeStyle = ink.contact;
+    c.strokeStyle = doubtful(contact) ? ink.doubt : ink.contact;
+    if (doubtful(contact)) c.setLineDash([2, 3]);
     c.stroke();
+    c.restore();
     if (contact.covariance) drawUncertainty(c, f, contact, ink);
-    taken.push([f.x(contact.x) - radius, f.y(contact.y) - radius, 2 * radius, 2 * radius]);
-  }
-  scene.contacts.forEach((contact, i) => drawLabel(c, contact, taken[i], taken, width, height, ink));
+    return [f.x(contact.x) - radius, f.y(contact.y) - radius, 2 * radius, 2 * radius];
+  });
+  taken.push(...circles);
+  scene.contacts.forEach((contact, i) => drawLabel(c, contact, circles[i], taken, width, height, ink));
+}
+
+/** Whether a contact is to look doubtful. */
+export function doubtful(contact) {
+  return contact.confidence < SURE;
 }
 
 // The ellipse that holds the true place 95 times in 100; with a cross, so that a very sure one is seen too.
@@ -55,31 +67,27 @@ export function ellipse([xx, xy, yy]) {
   return { major: axis(middle + spread), minor: axis(middle - spread), angle: Math.atan2(2 * xy, xx - yy) / 2 };
 }
 
+/** Force in newtons with its standard deviation, if it is known; else "". */
+export function force(contact) {
+  if (!Number.isFinite(contact.force)) return "";
+  const sure = Number.isFinite(contact.force_deviation) ? ` ±${number(contact.force_deviation, 1)}` : "";
+  return `${number(contact.force, 1)}${sure}`;
+}
+
 function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   const id = `#${contact.id}`;
   const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
   const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
-  const newtons = () => `${number(contact.force, 1)} ±${number(contact.force_std, 1)} N`;
-  const strength = contact.force == null ? `${number(1e4 * contact.strength, 2)} cm²` : newtons();
+  const doubt = doubtful(contact) ? `${number(100 * contact.confidence, 0)} % sure` : "";
+  const short = width < SMALL && !doubt;
+  const effect = force(contact) ? `${force(contact)} N` : `strength ${number(1e4 * contact.strength, 2)}`;
   c.font = `600 11px ${FONT}`;
   const lead = c.measureText(id).width + 6;
   c.font = `11px ${FONT}`;
-  const w = lead + Math.max(c.measureText(where).width, c.measureText(strength).width) + 12;
-  const h = 34;
-  const middle = y + size / 2 - h / 2;
-  const centre = x + size / 2 - w / 2;
-  const places = [
-    [x + size + 6, middle],
-    [x - w - 6, middle],
-    [centre, y - h - 6],
-    [centre, y + size + 6],
-  ];
-  const cost = ([px, py]) => {
-    const across = Math.max(0, 2 - px) + Math.max(0, px + w + 2 - width);
-    const off = across + Math.max(0, 2 - py) + Math.max(0, py + h + 2 - height);
-    return 50 * off + taken.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
-  };
-  const [px, py] = places.reduce((best, place) => (cost(place) < cost(best) ? place : best));
+  const second = short ? 0 : c.measureText(doubt ? `${effect} · ` : effect).width;
+  const w = lead + Math.max(c.measureText(where).width, second + c.measureText(doubt).width) + 12;
+  const h = short ? 20 : 34;
+  const [px, py] = freePlace([x, y, size, size], [w, h], taken, width, height);
   taken.push([px, py, w, h]);
   c.fillStyle = ink.pill;
   c.beginPath();
@@ -90,8 +98,38 @@ function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   c.fillText(id, px + 6, py + 14);
   c.font = `11px ${FONT}`;
   c.fillText(where, px + 6 + lead, py + 14);
+  if (short) return;
   c.fillStyle = ink.quiet;
-  c.fillText(strength, px + 6 + lead, py + 28);
+  c.fillText(doubt ? `${effect} · ` : effect, px + 6 + lead, py + 28);
+  c.fillStyle = ink.doubt;
+  c.fillText(doubt, px + 6 + lead + second, py + 28);
+}
+
+// Where beside a box a label of [w, h] covers least of what is taken; near the box rather than far.
+function freePlace([x, y, width, height], [w, h], taken, right, bottom) {
+  const [cx, cy] = [x + width / 2, y + height / 2];
+  let [best, least] = [null, Infinity];
+  for (const gap of [6, 18, 32]) {
+    const [rx, ry] = [width / 2 + gap, height / 2 + gap];
+    for (const [dx, dy] of [
+      [1, 0],
+      [-1, 0],
+      [0, -1],
+      [0, 1],
+      [1, -1],
+      [1, 1],
+      [-1, -1],
+      [-1, 1],
+    ]) {
+      const px = cx + dx * rx - ((1 - dx) * w) / 2;
+      const py = cy + dy * ry - ((1 - dy) * h) / 2;
+      const across = Math.max(0, 2 - px) + Math.max(0, px + w + 2 - right);
+      const off = across + Math.max(0, 2 - py) + Math.max(0, py + h + 2 - bottom);
+      const cost = gap + 50 * off + taken.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
+      if (cost < least) [best, least] = [[px, py], cost];
+    }
+  }
+  return best;
 }
 
 function overlap([ax, ay, aw, ah], [bx, by, bw, bh]) {

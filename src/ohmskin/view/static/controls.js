@@ -2,6 +2,8 @@
 
 import { Expert } from "./expert.js";
 
+const SCALE = [0.001, 10000]; // least and largest value of the colour scale
+
 const byId = (id) => document.getElementById(id);
 
 /** A range slider from `least` to `largest`, in equal ratios where the span is wide. */
@@ -81,10 +83,18 @@ export class Controls {
       page.range.restart();
       page.changed();
     };
-    byId("range").oninput = () => {
-      const limit = byId("range").valueAsNumber;
-      if (limit > 0 && Number.isFinite(limit)) page.range.limit = limit;
+    const input = byId("range");
+    const valid = () => input.valueAsNumber >= SCALE[0] && input.valueAsNumber <= SCALE[1];
+    input.oninput = () => {
+      input.setAttribute("aria-invalid", !valid());
+      if (valid()) page.range.limit = input.valueAsNumber;
       page.changed();
+    };
+    input.onchange = () => {
+      if (valid()) return;
+      page.refuse(`not done: the scale must be from ${SCALE.join(" to ")} ${byId("range-unit").textContent}`);
+      input.setAttribute("aria-invalid", false);
+      input.value = Number(page.range.limit.toPrecision(6));
     };
   }
 
@@ -108,7 +118,7 @@ export class Controls {
     byId("mode-summary").replaceChildren(...setup.modes.map((mode) => element("span", mode.summary ?? "")));
     this._titles = new Map(setup.modes.map((mode) => [mode.name, mode.title]));
     this._budgets = new Map(setup.modes.map((mode) => [mode.name, mode.injections]));
-    delete document.documentElement.dataset.budget;
+    document.documentElement.dataset.budget = setup.modes.some((mode) => mode.injections);
     this._shownMode = null;
     this._expert.showSetup(setup.choices);
   }
@@ -129,7 +139,8 @@ export class Controls {
     }
     this._expert.showHeader(header);
     const budget = this._budgets.get(header.mode);
-    if ([...this._budgets.values()].some(Boolean)) document.documentElement.dataset.budget = Boolean(budget);
+    byId("injections").disabled = !budget;
+    if (!budget) byId("injections-value").textContent = "fixed";
     // for a moment after a change the slider stays where the finger put it
     if (budget && !(performance.now() - this._budgetSent < 500)) {
       [byId("injections").min, byId("injections").max] = budget;
@@ -163,7 +174,7 @@ export class Controls {
       const why = mode.why_not || "not available";
       button.setAttribute("aria-description", why);
       button.title = why;
-      button.onclick = () => this._page.refuse(`${mode.title} (${mode.name}) ${why}`); // for fingers
+      button.onclick = () => this._page.refuse(`not done: ${mode.title} (${mode.name}) ${why}`); // for fingers
       return button;
     }
     button.onclick = () => {

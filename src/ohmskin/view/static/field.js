@@ -20,9 +20,9 @@ export class Field {
     this.values = values;
   }
 
-  /** The painted bitmap, top row first. */
-  bitmap(theme, limit) {
-    paint(this.values, this._sources(), this._words, theme, limit);
+  /** The painted bitmap, top row first; see `paint`. */
+  bitmap(theme, limit, threshold) {
+    paint(this.values, this._sources(), this._words, theme, limit, threshold);
     this._context.putImageData(this._pixels, 0, 0);
     return this._bitmap;
   }
@@ -36,6 +36,11 @@ export class Field {
       if (v > high) high = v;
     }
     return low <= high ? [low, high] : [0, 0];
+  }
+
+  /** Whether another field of the same raster has the same values. */
+  equals(other) {
+    return this.values.every((v, i) => Object.is(v, other.values[i]));
   }
 
   /** Value between pixel centres, NaN off the skin. */

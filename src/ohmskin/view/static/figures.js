@@ -1,9 +1,11 @@
 // Numbers, table and sparkline: everything of the page that is text.
 
 import { number } from "./colour.js";
+import { doubtful, ellipse, force } from "./contacts.js";
 import { INK } from "./ink.js";
 
 const byId = (id) => document.getElementById(id);
+let shownWords = "";
 
 function put(id, value, digits, factor = 1) {
   const text = Number.isFinite(value) ? number(factor * value, digits) : "–";
@@ -22,40 +24,65 @@ export function showFigures(header) {
   put("sequence", header.sequence, 0);
 }
 
-/** Rows of the contact table are kept and refilled, so that nothing flickers and selections survive. */
-export function showContacts(contacts) {
+/** What is wrong with the data, in words. */
+export function showFindings(findings) {
+  const words = findings.map((finding) => finding.words);
+  if (words.join() === shownWords) return;
+  shownWords = words.join();
+  byId("findings").hidden = words.length === 0;
+  byId("findings").lastElementChild.replaceChildren(
+    ...words.map((text) => {
+      const item = document.createElement("li");
+      item.textContent = text;
+      return item;
+    }),
+  );
+}
+
+/**
+ * Rows of the contact table are kept and refilled, so that nothing flickers and selections survive; `none` stands there
+ * if it is empty.
+ */
+export function showContacts(contacts, none) {
   const body = byId("contacts").tBodies[0];
   while (body.rows.length > contacts.length) body.deleteRow(-1);
   while (body.rows.length < contacts.length) addRow(body);
   contacts.forEach((contact, i) => {
     const cells = body.rows[i].cells;
     const share = Math.min(1, Math.max(0, contact.confidence));
+    const sure = contact.covariance ? number(1e3 * ellipse(contact.covariance).major, 1) : "–";
     const texts = [
       String(contact.id),
       number(1e3 * contact.x, 1),
       number(1e3 * contact.y, 1),
+      sure,
       number(1e4 * contact.extent, 2),
       number(1e4 * contact.strength, 2),
+      force(contact) || "–",
     ];
     texts.forEach((text, k) => {
       if (cells[k].textContent !== text) cells[k].textContent = text;
     });
-    cells[5].firstChild.firstChild.style.width = `${100 * share}%`;
-    cells[5].lastChild.textContent = `${number(100 * share, 0)} %`;
+    // a column that has come stays, so that nothing moves with the contacts
+    if (force(contact)) document.documentElement.dataset.force = true;
+    body.rows[i].dataset.doubtful = doubtful(contact);
+    cells[7].firstChild.firstChild.style.width = `${100 * share}%`;
+    cells[7].lastChild.textContent = `${number(100 * share, 0)} %`;
   });
   byId("no-contacts").hidden = contacts.length > 0;
+  byId("no-contacts").textContent = none;
   byId("contact-count").textContent = contacts.length ? String(contacts.length) : "";
 }
 
 function addRow(body) {
   const row = body.insertRow();
-  for (let k = 0; k < 6; k++) row.insertCell();
+  for (const { className } of byId("contacts").tHead.rows[0].cells) row.insertCell().className = className;
   const track = document.createElement("span");
   track.className = "track";
   track.append(document.createElement("span"));
   const share = document.createElement("span");
   share.className = "share";
-  row.cells[5].append(track, share);
+  row.cells[7].append(track, share);
 }
 
 const SPAN = 60; // seconds that the sparkline shows

@@ -7,7 +7,8 @@ import { FONT, INK } from "./ink.js";
 
 /**
  * Draw one map.
- * scene: { skin, field (or null), theme, limit, pairs, contacts, presses, section, cursor }
+ * scene: { skin, field (or null), theme, limit, threshold, pairs, contacts, presses, bad and doubted (electrodes),
+ *   doubtful (whether all of it is), section, cursor }
  */
 export function drawMap(c, width, height, scene) {
   const ink = INK[scene.theme];
@@ -21,14 +22,16 @@ export function drawMap(c, width, height, scene) {
   if (scene.section) drawHairs(c, f, scene, ink);
   c.restore();
   outline(c, f, scene.skin.domain);
-  c.strokeStyle = ink.rim;
-  c.lineWidth = 1;
+  c.strokeStyle = scene.doubtful ? ink.doubt : ink.rim;
+  c.lineWidth = scene.doubtful ? 2.5 : 1;
+  c.setLineDash(scene.doubtful ? [8, 5] : []);
   c.stroke();
+  c.setLineDash([]);
   drawPairs(c, f, scene, ink);
   drawElectrodes(c, f, scene, ink);
   drawScaleBar(c, f, height, scene, ink);
   for (const press of scene.presses) drawPress(c, f, press, ink);
-  drawContacts(c, f, width, height - FOOT, scene, ink);
+  drawContacts(c, f, width, height - FOOT, scene, electrodeBoxes(f, scene), ink);
   if (scene.cursor) drawCursor(c, f, scene.cursor, ink);
 }
 
@@ -40,12 +43,12 @@ function outline(c, f, domain) {
 
 function drawImage(c, f, scene) {
   const { x0, y0, pitch, nx, ny } = scene.field.raster;
-  c.fillStyle = colourOf(0, scene.theme, 1);
+  c.fillStyle = colourOf(0, scene.theme, 1, 0);
   c.fill();
   c.imageSmoothingEnabled = true;
   c.imageSmoothingQuality = "high";
   c.drawImage(
-    scene.field.bitmap(scene.theme, scene.limit),
+    scene.field.bitmap(scene.theme, scene.limit, scene.threshold),
     f.x(x0 - pitch / 2),
     f.y(y0 + (ny - 0.5) * pitch),
     nx * pitch * f.scale,
@@ -80,8 +83,6 @@ function drawPairs(c, f, scene, ink) {
 }
 
 function drawElectrodes(c, f, scene, ink) {
-  const [left, bottom, right, top] = bounds(scene.skin.domain);
-  const middle = [(left + right) / 2, (bottom + top) / 2];
   c.textAlign = "center";
   c.textBaseline = "middle";
   scene.skin.electrodes.forEach((electrode, number) => {
@@ -94,13 +95,40 @@ function drawElectrodes(c, f, scene, ink) {
     c.lineWidth = 1.4;
     c.strokeStyle = ink.halo;
     c.stroke();
-    const [dx, dy] = labelSide(scene.skin.domain, electrode, middle);
+    const [dx, dy] = labelSide(scene.skin.domain, electrode);
     c.lineWidth = 3;
     c.strokeText(number, x + 14 * dx, y - 14 * dy);
     c.fillStyle = ink.quiet;
     c.fillText(number, x + 14 * dx, y - 14 * dy);
     if (scene.bad.includes(number)) drawCross(c, x, y, ink);
+    else if (scene.doubted.includes(number)) drawRing(c, x, y, ink);
   });
+}
+
+/** Boxes [x, y, width, height] of electrodes and their numbers, which labels are to leave free. */
+function electrodeBoxes(f, scene) {
+  return scene.skin.electrodes.flatMap((electrode) => {
+    const [x, y] = [f.x(electrode.x), f.y(electrode.y)];
+    const [dx, dy] = labelSide(scene.skin.domain, electrode);
+    return [
+      [x - 6, y - 6, 12, 12],
+      [x + 14 * dx - 9, y - 14 * dy - 7, 18, 14],
+    ];
+  });
+}
+
+// An electrode that something is wrong with.
+function drawRing(c, x, y, ink) {
+  for (const [colour, weight] of [
+    [ink.halo, 4.5],
+    [ink.doubt, 2.2],
+  ]) {
+    c.beginPath();
+    c.arc(x, y, 7.5, 0, 2 * Math.PI);
+    c.lineWidth = weight;
+    c.strokeStyle = colour;
+    c.stroke();
+  }
 }
 
 // An electrode that is left out.
@@ -119,8 +147,9 @@ function drawCross(c, x, y, ink) {
 }
 
 // Numbers stand outside the skin where there is an outside next to them, else up and right of the electrode.
-function labelSide(domain, electrode, middle) {
-  const away = [electrode.x - middle[0], electrode.y - middle[1]];
+function labelSide(domain, electrode) {
+  const [left, bottom, right, top] = bounds(domain);
+  const away = [electrode.x - (left + right) / 2, electrode.y - (bottom + top) / 2];
   if (domain.kind === "disc") {
     const length = Math.hypot(...away);
     return length > 0.8 * domain.radius ? [away[0] / length, away[1] / length] : [0.7, 0.7];
@@ -189,15 +218,15 @@ function drawCursor(c, f, [x, y], ink) {
   }
 }
 
-/** The colour bar with its ticks, unit and threshold; vertical. */
-export function drawScale(c, width, height, { theme, range, unit, threshold }) {
+/** The colour bar with its ticks, unit and threshold, by its name; vertical. */
+export function drawScale(c, width, height, { theme, range, unit, threshold, named = "γ₀" }) {
   const ink = INK[theme];
   const [top, bottom, bar] = [MARGIN, height - MARGIN - FOOT, 14]; // level with the skin beside it
   const y = (v) => bottom - ((v - range.low) / (range.limit - range.low)) * (bottom - top);
   c.clearRect(0, 0, width, height);
   for (let row = top; row < bottom; row++) {
     const value = range.low + ((bottom - row - 0.5) / (bottom - top)) * (range.limit - range.low);
-    c.fillStyle = colourOf(value, theme, range.limit);
+    c.fillStyle = colourOf(value, theme, range.limit, threshold);
     c.fillRect(1, row, bar, 1.5);
   }
   c.strokeStyle = ink.rim;
@@ -227,6 +256,6 @@ export function drawScale(c, width, height, { theme, range, unit, threshold }) {
     c.lineTo(bar + 5, y(threshold));
     c.stroke();
     c.setLineDash([]);
-    c.fillText("γ₀", bar + 8, y(threshold));
+    c.fillText(named, bar + 8, y(threshold));
   }
 }

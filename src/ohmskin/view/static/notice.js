@@ -3,38 +3,89 @@
 
 const HINTS = {
   touch: "Touch the map, with several fingers if you like. “Hold presses” leaves them in place.",
-  virtual: "Press the map with mouse or finger. Shift-click leaves a press in place; drag it, or double-click it away.",
+  virtual:
+    "Press the map with mouse or finger. Shift-click leaves a press in place; drag it, or double-click to remove.",
   real: "Press the skin. This page shows what it feels.",
   recording: "A recording: this page shows what the skin felt.",
 };
+const SILENCE = 3; // s without a frame, from which on nothing is known any more
 
 const finger = matchMedia("(pointer: coarse)").matches ? "touch" : "virtual";
 
-/** The notice { kind, text } for what is known; the gravest first. */
-export function noticeFor({ connected, everConnected, setup, header, silence, refusal }) {
-  if (!connected) {
-    return everConnected
-      ? { kind: "lost", text: "The page has lost its program: it has ended or the network is down. Reconnecting…" }
-      : { kind: "wait", text: "Connecting…" };
-  }
-  if (!header || !setup) return { kind: "wait", text: "Waiting for the first frame…" };
-  if (header.state === "lost") return { kind: "lost", text: header.message || "The device is lost. Reconnecting…" };
+/**
+ * The notice { kind, text } for what is known, the gravest first. Where nobody knows what touches the skin, also why
+ * (`unknown`), what to do (`todo`), and why a press is refused (`barred`).
+ */
+export function noticeFor(known) {
+  const { connected, everConnected, setup, header, silence, refusal } = known;
+  if (connected && !header) return { kind: "wait", text: "Waiting for the first frame…" };
+  const without = withoutFrames(known);
+  if (without) return refusal ? { ...without, text: refusal } : without;
   if (refusal) return { kind: "warn", text: refusal };
   if (header.preparing) {
     const waited = silence > 3 ? ` (${Math.floor(silence)} s)` : "";
     return { kind: "wait", text: `Preparing ${header.preparing}${waited}` };
   }
-  if (silence > 3)
-    return { kind: "warn", text: `No new frame for ${Math.floor(silence)} s: the loop is busy or has stopped.` };
-  if (header.state === "calibrating")
-    return { kind: "warn", text: header.message || "Calibrating: keep the skin untouched." };
+  if (header.recording?.ended && header.state === "paused")
+    return { kind: "wait", text: "End of the recording. Play begins again." };
   if (header.state === "paused" && !header.message) {
-    return {
-      kind: "wait",
-      text: setup.recording ? "Paused. The maps show this place." : "Paused. The maps show the last frame.",
-    };
+    const { position, length } = header.recording ?? {};
+    const place = setup.recording
+      ? `Showing ${position.toFixed(2)} s of ${length.toFixed(2)} s.`
+      : "Showing the last frame.";
+    return { kind: "wait", text: `Paused. ${place}` };
   }
   if (header.message) return { kind: "warn", text: header.message };
   if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
   return { kind: "hint", text: HINTS[setup.recording ? "recording" : setup.press ? finger : "real"] };
+}
+
+function withoutFrames({ connected, everConnected, setup, header, silence }) {
+  if (!connected && !everConnected) return { kind: "wait", text: "Connecting…" };
+  if (!connected) {
+    return {
+      kind: "lost",
+      text: "Connection to ohmskin lost. Is it still running? Reconnecting…",
+      unknown: "the connection to ohmskin is lost",
+      todo: "If ohmskin has ended, start it again, such as with “ohmskin live”. This page reconnects by itself.",
+      barred: "the connection to ohmskin is lost",
+    };
+  }
+  if (header.state === "lost") {
+    return {
+      kind: "lost",
+      text: sentence(header.message) || "Device lost; reconnecting.",
+      unknown: "the device is lost",
+      todo: setup.press
+        ? "Start the virtual skin again. The loop reconnects by itself."
+        : "Check the device’s power and cable. The loop reconnects by itself.",
+      barred: "the device is lost; press again when it is back",
+    };
+  }
+  if (header.state === "calibrating") {
+    const text = setup.recording
+      ? "Reading the calibration of the recording."
+      : "Calibrating: keep the skin untouched.";
+    return {
+      kind: "warn",
+      text: header.message ? sentence(header.message) : text,
+      unknown: "the skin is being calibrated",
+      todo: setup.recording ? "" : "Keep the skin untouched.",
+      barred: "the skin is being calibrated; press when it is done",
+    };
+  }
+  if (silence > SILENCE && !header.preparing) {
+    const text = `No new frame for ${Math.floor(silence)} s: the loop is busy or has stopped.`;
+    return {
+      kind: "warn",
+      text,
+      unknown: `no new frame for ${Math.floor(silence)} s`,
+      todo: "Wait, or look at the terminal.",
+    };
+  }
+  return null;
+}
+
+function sentence(text) {
+  return text && `${text[0].toUpperCase()}${text.slice(1)}${/[.…!?]$/.test(text) ? "" : "."}`;
 }

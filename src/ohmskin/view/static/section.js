@@ -7,7 +7,10 @@ import { FONT, INK } from "./ink.js";
 const SAMPLES = 160;
 const [LEFT, RIGHT, TOP, BOTTOM] = [44, 12, 20, 30];
 
-/** scene: { skin, felt, base (fields), at [x, y], axis "x" or "y", range, unit, threshold, theme } */
+/**
+ * scene: { skin, felt, base (fields; base null where it says nothing else), at [x, y], axis "x" or "y", range, unit,
+ *   threshold, theme }
+ */
 export function drawSection(c, width, height, scene) {
   const ink = INK[scene.theme];
   const [left, bottom, right, top] = bounds(scene.skin.domain);
@@ -38,6 +41,7 @@ export function drawSection(c, width, height, scene) {
     [scene.base, ink.base, 1.4],
     [scene.felt, ink.felt, 2],
   ]) {
+    if (!field) continue;
     const points = [];
     for (let k = 0; k <= SAMPLES; k++) {
       const s = from + (k / SAMPLES) * (to - from);
@@ -64,7 +68,7 @@ function drawAxes(c, width, height, scene, { px, py, from, to }, ink) {
   c.lineWidth = 1;
   c.textBaseline = "middle";
   c.textAlign = "right";
-  const value = ticks(scene.range.low, scene.range.limit, Math.max(2, Math.round(height / 45)));
+  const value = ticks(scene.range.low, scene.range.limit, Math.max(3, Math.round(height / 45)));
   value.values.forEach((v, i) => {
     c.strokeStyle = Math.abs(v) < 1e-12 ? ink.rim : ink.grid;
     line(c, [

@@ -8,7 +8,10 @@ const STEP = 0.002; // m
 const BIG_STEP = 0.01;
 
 export class Touch {
-  /** page: { skin(), virtual(), frame(canvas), settings() -> { radius, pressure }, send(command), changed() } */
+  /**
+   * page: { skin(), virtual(), frame(canvas), settings() -> { radius, pressure }, send(command), changed(),
+   *   barred() -> why nothing can be pressed now, or "", refuse(why) }
+   */
   constructor(page) {
     this._page = page;
     this.presses = new Map(); // id -> { x, y, radius, pressure, held, moved }
@@ -67,6 +70,12 @@ export class Touch {
     this._keyPress = null;
   }
 
+  _refused() {
+    const why = this._page.barred();
+    if (why) this._page.refuse(why);
+    return Boolean(why);
+  }
+
   _send(id, press) {
     press.moved = false;
     const { x, y, radius, pressure } = press;
@@ -106,7 +115,7 @@ export class Touch {
     const [x, y] = this._place(canvas, event);
     const reach = REACH / this._page.frame(canvas).scale;
     const near = this._near(x, y, reach);
-    if (near === null && !contains(this._page.skin().domain, x, y)) return;
+    if (near === null && (!contains(this._page.skin().domain, x, y) || this._refused())) return;
     canvas.setPointerCapture(event.pointerId);
     const twice = near !== null && this._lastTap.id === near && event.timeStamp - this._lastTap.time < DOUBLE;
     if (twice) {
@@ -178,7 +187,7 @@ export class Touch {
       if (press) [press.x, press.y, press.moved] = [...to, true];
     } else if (!event.repeat) {
       if (this._keyPress) this._lift(this._keyPress);
-      else this._keyPress = this._start(x, y, true);
+      else if (!this._refused()) this._keyPress = this._start(x, y, true);
     }
     this._page.changed();
   }

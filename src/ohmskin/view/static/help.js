@@ -1,0 +1,106 @@
+// What the marks on the page mean: a line under the map, and the whole of it in a dialog.
+
+const byId = (id) => document.getElementById(id);
+
+// Name, shape in 28 x 20, what it is, more, and whether it is there on virtual skins only. Its colour is in the style.
+const MARKS = [
+  [
+    "contact",
+    '<circle cx="14" cy="10" r="7.5"/>',
+    "Contact.",
+    "The circle has the area where the image exceeds half the peak.",
+  ],
+  ["unsure", '<circle cx="14" cy="10" r="7.5" stroke-dasharray="2 3"/>', "Doubtful contact:", "confidence below 90 %."],
+  [
+    "place",
+    '<ellipse cx="14" cy="10" rx="9" ry="5.5" transform="rotate(-25 14 10)"/><path d="M10 10h8M14 6v8"/>',
+    "Place.",
+    "The ellipse holds the true place 95 times in 100; “±” is its longer half axis. Centroid modes have none.",
+  ],
+  [
+    "press",
+    '<circle cx="14" cy="10" r="7.5" stroke-dasharray="5 3.5"/>',
+    "Press",
+    "on the virtual skin, with its true radius; violet: by someone else, or by the demonstration finger.",
+    true,
+  ],
+  ["driven", '<path d="M3 16L25 4"/>', "Driven now:", "current flows between these two electrodes."],
+  [
+    "hairs",
+    '<path d="M2 10h24M14 1v18"/>',
+    "Crosshair:",
+    "where the cross-sections run, through the strongest contact.",
+  ],
+  ["cursor", '<path d="M4 10h6M18 10h6M14 1v6M14 13v6"/>', "Keyboard cursor.", "", true],
+  ["electrode", '<circle cx="10" cy="12" r="3.4"/><text x="16" y="9">7</text>', "Electrode", "and its number."],
+  [
+    "out",
+    '<path d="M9 5l10 10M19 5L9 15"/>',
+    "Electrode left out:",
+    "its data are not used. “Doubts”, beside the contacts, says why.",
+  ],
+  [
+    "doubted",
+    '<circle cx="14" cy="10" r="7"/><circle cx="14" cy="10" r="1.5"/>',
+    "Electrode in doubt:",
+    "“Doubts” says why.",
+  ],
+  [
+    "doubtful",
+    '<path d="M3 17V4h22v13" stroke-dasharray="5 3"/>',
+    "Dashed rim:",
+    "all data are in doubt, such as by hum.",
+  ],
+];
+const LEGEND = { contact: "contact", press: "press", place: "place (95 %)", driven: "driven now", out: "left out" };
+const FIGURES = [
+  ["colour", "Change of sheet conductivity. Warm: it rises; blue: it falls. Most skins rise where they are pressed."],
+  ["γ₀", "The threshold. What is below it may be noise, and has next to no colour."],
+  ["area", "Where the image exceeds half the contact’s peak."],
+  ["strength", "Relative change of conductivity (Δσ/σ) times area. It grows with force, but is not a force."],
+  ["force", "In newtons, with its standard deviation; on skins that are calibrated to newtons."],
+  ["confidence", "Probability that this is a contact, given the noise and what no contact explains."],
+];
+const KEYS = [
+  ["?", "Open this help; Escape closes it."],
+  ["arrows", "On a map: move a cursor by 2 mm, with Shift by 10 mm.", true],
+  ["Space", "On a map: press at the cursor; again: lift. Escape lifts all.", true],
+];
+
+function element(kind, content, className = "") {
+  const made = document.createElement(kind);
+  made.className = className;
+  made.append(...content);
+  return made;
+}
+
+function swatch([name, shape]) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  made.setAttribute("class", `swatch ${name}`);
+  made.setAttribute("viewBox", "0 0 28 20");
+  made.setAttribute("aria-hidden", "true");
+  made.innerHTML = shape;
+  return made;
+}
+
+function list(title, rows) {
+  const entries = rows.map(([term, text, virtual]) =>
+    element("div", [element("dt", [term]), element("dd", [text].flat())], virtual ? "virtual" : ""),
+  );
+  return [element("h3", [title]), element("dl", entries)];
+}
+
+/** Fill the line and the dialog; open it at the button and at "?". */
+export function showHelp() {
+  const dialog = byId("marks");
+  for (const mark of MARKS.filter(([name]) => name in LEGEND))
+    byId("legend").append(element("span", [swatch(mark), LEGEND[mark[0]]], mark[4] ? "virtual" : ""));
+  const marks = MARKS.map((mark) => [swatch(mark), [element("b", [mark[2]]), ` ${mark[3]}`], mark[4]]);
+  dialog.append(...list("On the map", marks), ...list("Colours and figures", FIGURES), ...list("Keys", KEYS));
+  byId("help").onclick = () => dialog.showModal();
+  byId("close-marks").onclick = () => dialog.close();
+  dialog.onclick = (event) => event.target === dialog && dialog.close(); // a click beside it
+  addEventListener("keydown", (event) => {
+    if (event.key === "?" && !event.target.closest("input, select, dialog")) dialog.showModal();
+  });
+}

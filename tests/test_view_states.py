@@ -1,0 +1,321 @@
+"""What the live page tells and does not tell: lost, doubtful and quiet skins, marks explained, no collisions."""
+
+import io
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, Page, expect
+from test_view_browser import AS_USUAL, Reader, SyntheticLoop, make_setup
+
+ELECTRODE_4, RIM = (0.2, 0.0667), (0.03, 0.2)  # m
+UNKNOWN = {
+    "lost": ("the device is lost", "Device lost: cable; reconnecting."),
+    "calibrating": ("the skin is being calibrated", "Calibrating: keep the skin untouched."),
+}
+
+
+@pytest.fixture(scope="module")
+def touched() -> Iterator[SyntheticLoop]:
+    loop = SyntheticLoop(make_setup(), always=((0.05, 0.15),))
+    yield loop
+    loop.close()
+
+
+@pytest.fixture
+def reader(chromium: Browser, touched: SyntheticLoop) -> Iterator[Reader]:
+    touched.heard.clear()
+    touched.header = {"state": "running", "message": "", "demo": False, "mode": "16O", **AS_USUAL}
+    reader = Reader(chromium, touched)
+    yield reader
+    reader.close()
+
+
+def pixels(page: Page, **clip: float) -> np.ndarray:
+    """(height, width, 3) of a part of the page."""
+    shot = page.screenshot(clip=clip)  # type: ignore[arg-type]
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def colourful(image: np.ndarray) -> int:
+    """How far the most colourful pixel is from grey."""
+    return int((image.max(axis=2) - image.min(axis=2)).max())
+
+
+def around(reader: Reader, x: float, y: float, size: int = 24) -> np.ndarray:
+    left, top = reader.place(x, y)
+    return pixels(reader.page, x=left - size / 2, y=top - size / 2, width=size, height=size)
+
+
+@pytest.mark.parametrize("state", UNKNOWN)
+def test_where_nobody_knows_what_touches_the_page_says_unknown_and_refuses_presses(reader: Reader, state: str) -> None:
+    page, (why, notice) = reader.page, UNKNOWN[state]
+    rows = page.locator("#contacts tbody tr")
+    expect(rows).to_have_count(1)
+    assert colourful(around(reader, 0.05, 0.15)) > 100
+    expect(page.locator("#unknown")).to_be_hidden()
+    reader.loop.header.update(state=state, message="device lost: cable; reconnecting" if state == "lost" else "")
+    expect(page.locator("#notice")).to_have_text(notice)
+    expect(rows).to_have_count(0)
+    expect(page.get_by_text("No contact", exact=True)).to_have_count(0)
+    expect(page.locator("#no-contacts")).to_have_text("Unknown")
+    expect(page.locator("#rate")).to_have_text("\N{EN DASH}")
+    expect(page.locator("#unknown-why")).to_have_text(f"Unknown: {why}.")
+    expect(page.locator("#unknown-todo")).not_to_be_empty()
+    expect(page.locator("#summary")).to_have_text(f"contacts unknown: {why}")  # read aloud
+    page.wait_for_timeout(500)  # it fades
+    assert colourful(around(reader, 0.05, 0.15)) < 10
+    page.mouse.click(*reader.place(0.15, 0.05))
+    expect(page.locator("#notice")).to_contain_text(f"Not pressed: {why}")
+    page.locator("#map").focus()
+    page.keyboard.press("Space")
+    page.wait_for_timeout(200)
+    assert not reader.heard("press")
+    reader.loop.header.update(state="running", message="")
+    expect(page.locator("#unknown")).to_be_hidden()
+    expect(rows).to_have_count(1)
+    page.mouse.click(*reader.place(0.15, 0.05))
+    reader.until(lambda: reader.heard("press"))
+
+
+def test_a_loop_that_is_silent_is_unknown_too(reader: Reader, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = reader.page
+    monkeypatch.setattr(reader.loop.view, "wants_frame", lambda: False)
+    expect(page.locator("#unknown-why")).to_contain_text("Unknown: no new frame for", timeout=20000)
+    expect(page.locator("#no-contacts")).to_have_text("Unknown")
+    monkeypatch.undo()
+    expect(page.locator("#contacts tbody tr")).to_have_count(1)
+
+
+def test_a_program_that_ended_is_unknown_too(chromium: Browser) -> None:
+    loop = SyntheticLoop(make_setup(), always=((0.05, 0.15),))
+    reader = Reader(chromium, loop)
+    loop.close()
+    expect(reader.page.locator("#notice")).to_contain_text("Connection to ohmskin lost. Is it still running?")
+    expect(reader.page.locator("#no-contacts")).to_have_text("Unknown")
+    reader.context.close()
+
+
+def test_help_explains_every_mark_by_mouse_and_by_keyboard(reader: Reader) -> None:
+    page = reader.page
+    dialog = page.get_by_role("dialog", name="What this page shows")
+    for begin, end in (
+        (lambda: page.get_by_role("button", name="Help").click(), lambda: page.keyboard.press("Escape")),
+        (lambda: page.keyboard.press("?"), lambda: dialog.get_by_role("button", name="Close").click()),
+    ):
+        begin()
+        expect(dialog).to_be_visible()
+        for term in (
+            "Contact.",
+            "Place.",
+            "Press",
+            "Driven now:",
+            "Crosshair:",
+            "Electrode left out:",
+            "γ₀",
+            "strength",
+        ):
+            expect(dialog.get_by_text(term, exact=True)).to_be_visible()
+        end()
+        expect(dialog).to_be_hidden()
+    page.get_by_label("Radius").focus()
+    page.keyboard.press("?")  # is text there
+    expect(dialog).to_be_hidden()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_quiet_skin_has_no_colour(chromium: Browser, theme: str) -> None:
+    loop = SyntheticLoop(make_setup(), height=1e-6)
+    loop.header["mode"] = "12B"  # no lines of driven pairs on the map
+    reader = Reader(chromium, loop, color_scheme=theme)
+    try:
+        reader.page.wait_for_timeout(300)
+        corner, other = reader.place(0.145, 0.145), reader.place(0.19, 0.19)
+        image = pixels(reader.page, x=corner[0], y=other[1], width=other[0] - corner[0], height=corner[1] - other[1])
+        assert colourful(image) < 16  # the paper's own tint
+        loop.always = ((0.15, 0.15),)
+        loop.height = 0.6
+        reader.page.wait_for_timeout(500)
+        assert colourful(around(reader, 0.157, 0.157, 6)) > 60
+    finally:
+        reader.close()
+        loop.close()
+
+
+def run(page: Page, script: str) -> Any:
+    """What a script gives that uses the page's own modules."""
+    return page.evaluate(f"async () => {{ {script} }}")
+
+
+def test_the_scale_reaches_down_to_negative_lobes_and_holds_still_above_noise(reader: Reader) -> None:
+    follow = """
+        const { Range } = await import("/static/colour.js");
+        const range = new Range(), seen = [];
+        for (const [low, high, seconds] of %s)
+            for (let t = 0; t < 1000 * seconds; t += 20) range.follow(low, high, 0.1, (range.t = (range.t ?? 0) + 20));
+        return [range.low, range.limit];
+    """
+    assert run(reader.page, follow % "[[-0.05, 1.9, 1]]") == [-0.4, 2]
+    assert run(reader.page, follow % "[[-0.05, 1.9, 1], [-0.7, 1.9, 0.3]]") == [-0.4, 2]  # a moment changes nothing
+    assert run(reader.page, follow % "[[-0.05, 1.9, 1], [-0.7, 1.9, 1]]") == [-1, 2]
+    assert run(reader.page, follow % "[[-1.9, 0.5, 1]]") == [-2, 2]
+    assert run(reader.page, follow % "[[-0.7, 1.9, 2], [-0.01, 0.02, 20]]") == pytest.approx([-0.04, 0.2])
+    assert run(reader.page, follow % "[[-0.03, 0.05, 5], [-0.02, 0.09, 5]]") == pytest.approx([-0.04, 0.2])
+
+
+def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None:
+    script = """
+        const { drawContacts } = await import("/static/contacts.js");
+        const { Frame } = await import("/static/frame.js");
+        const { INK } = await import("/static/ink.js");
+        const c = document.createElement("canvas").getContext("2d");
+        const frame = new Frame({ kind: "rectangle", width: 0.2, height: 0.2 }, 460, 476);
+        const electrodes = [0.067, 0.133].flatMap(
+            (x) => [0.067, 0.133].map((y) => [frame.x(x) - 9, frame.y(y) - 9, 18, 18]),
+        );
+        const contacts = %s.map(([x, y], id) => ({ id, x, y, extent: 3e-4, strength: 2e-4, confidence: 1 }));
+        const taken = [...electrodes];
+        drawContacts(c, frame, 460, 460, { contacts }, taken, INK.dark);
+        return taken;
+    """
+    for places in (
+        [[0.06, 0.13]],
+        [[0.05, 0.13], [0.08, 0.13]],
+        [[0.1, 0.1], [0.1, 0.125], [0.075, 0.1]],
+        [[0.19, 0.19]],
+    ):
+        boxes = np.array(run(reader.page, script % places))
+        labels = boxes[-len(places) :]
+        for k, (x, y, w, h) in enumerate(labels):
+            others = np.delete(boxes, len(boxes) - len(places) + k, axis=0)
+            across = np.minimum(x + w, others[:, 0] + others[:, 2]) - np.maximum(x, others[:, 0])
+            along = np.minimum(y + h, others[:, 1] + others[:, 3]) - np.maximum(y, others[:, 1])
+            assert not ((across > 1) & (along > 1)).any(), f"{places}: label {k}"
+            assert x >= 0
+            assert x + w <= 460
+
+
+def test_the_scale_takes_what_is_a_scale(reader: Reader) -> None:
+    page, entry = reader.page, reader.page.locator("#range")
+    page.get_by_label("auto").uncheck()
+    entry.fill("3")
+    for nonsense in ("-3", "0", "", "1e9"):
+        entry.fill(nonsense)
+        expect(entry).to_have_attribute("aria-invalid", "true")
+        entry.blur()
+        expect(entry).to_have_value("3")
+        expect(entry).to_have_attribute("aria-invalid", "false")
+        expect(page.locator("#notice")).to_have_text("Not done: the scale must be from 0.001 to 10000 mS.")
+
+
+def test_the_base_map_is_shown_where_it_says_something_else_and_nothing_moves(
+    reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = reader.page
+
+    def boxes() -> list[Any]:
+        return [
+            page.locator(one).bounding_box() for one in ("#map", ".base", ".finger", ".sections", "#pressure", "#clear")
+        ]
+
+    expect(page.locator("#base")).to_be_visible()
+    before = boxes()
+    publish = reader.loop.view.publish
+    monkeypatch.setattr(reader.loop.view, "publish", lambda header, base, image: publish(header, image, image))
+    reader.loop.header["mode"] = "16T"
+    expect(page.locator("#base")).to_be_hidden()
+    expect(page.get_by_text("This mode makes one scan a frame")).to_be_visible()
+    assert boxes() == before
+
+
+def test_doubts_are_shown_where_they_are_and_in_words(reader: Reader) -> None:
+    page, header = reader.page, reader.loop.header
+
+    def amber(x: float, y: float) -> int:
+        seen = around(reader, x, y)
+        return int(((seen[..., 0] - seen[..., 2]) > 100).sum())
+
+    assert amber(*ELECTRODE_4) == amber(*RIM) == 0
+    expect(page.get_by_role("heading", name="Doubts")).to_be_hidden()
+    header["findings"] = [
+        {"words": "electrode 4: noisy; counts less", "electrodes": [4]},
+        {"words": "hum of the mains on all voltages; taken off", "electrodes": []},
+    ]
+    expect(page.locator("#findings li")).to_have_text([finding["words"] for finding in header["findings"]])
+    page.wait_for_timeout(200)
+    assert amber(*ELECTRODE_4) > 20
+    assert amber(*RIM) > 0
+    header["findings"] = []
+    expect(page.locator("#findings")).to_be_hidden()
+
+
+def test_a_doubtful_contact_looks_doubtful(reader: Reader) -> None:
+    page = reader.page
+    row = page.locator("#contacts tbody tr")
+    expect(row).to_have_attribute("data-doubtful", "false")
+    mouse = page.mouse
+    mouse.move(*reader.place(0.15, 0.05))
+    mouse.down()  # the second contact of the synthetic loop is 75 % sure
+    expect(row.nth(1)).to_have_attribute("data-doubtful", "true")
+    expect(row.nth(1)).to_contain_text("75 %")
+    mouse.up()
+
+
+def test_force_is_shown_with_its_deviation_where_it_is_known_and_strength_is_no_area(
+    reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page, publish = reader.page, reader.loop.view.publish
+    force, strength = page.get_by_role("columnheader", name="force"), page.get_by_role("columnheader", name="strength")
+    expect(force).to_have_count(0)
+    assert (
+        " ".join(strength.inner_text().split())
+        == "strength Δ\N{GREEK SMALL LETTER SIGMA}/\N{GREEK SMALL LETTER SIGMA} · cm²"
+    )
+
+    def calibrated(header: dict[str, Any], base: np.ndarray, image: np.ndarray) -> None:
+        contacts = [contact | {"force": 1.234, "force_deviation": 0.21} for contact in header["contacts"]]
+        publish(header | {"contacts": contacts}, base, image)
+
+    monkeypatch.setattr(reader.loop.view, "publish", calibrated)
+    expect(force).to_be_visible()
+    expect(page.get_by_role("cell", name="1.2 ±0.2")).to_be_visible()
+
+
+@pytest.mark.parametrize("width", [320, 390, 1024])
+def test_columns_do_not_collide(chromium: Browser, touched: SyntheticLoop, width: int) -> None:
+    touched.header = {"state": "running", "message": "", "demo": False, "mode": "16T", **AS_USUAL}
+    reader = Reader(chromium, touched, viewport={"width": width, "height": 800})
+    page = reader.page
+    expect(page.locator("#contacts tbody tr")).to_have_count(1)
+    for force in (False, True):
+        if force:
+            page.evaluate("document.documentElement.dataset.force = true")
+        too_wide = page.evaluate(
+            """() => [...document.querySelectorAll("#contacts th, #contacts td")]
+                .filter((cell) => cell.scrollWidth > cell.clientWidth + 1).map((cell) => cell.textContent)"""
+        )
+        assert too_wide == []
+    reader.close()
+
+
+def test_a_recording_is_known_by_its_file_and_has_an_end(chromium: Browser) -> None:
+    setup = make_setup(virtual=False) | {"recording": {"length": 12.0}}
+    setup["device"]["url"] = "touch.mcap"
+    loop = SyntheticLoop(setup)
+    loop.header["recording"] = {"position": 2.44, "length": 12.0, "speed": 1.0, "loop": False, "ended": False}
+    reader = Reader(chromium, loop)
+    page = reader.page
+    expect(page.locator("#device")).to_have_text("touch.mcap")
+    expect(page.locator("#calibrate")).to_be_hidden()
+    loop.header["state"] = "paused"
+    expect(page.locator("#notice")).to_have_text("Paused. Showing 2.44 s of 12.00 s.")
+    loop.header["recording"] |= {"position": 12.0, "ended": True}
+    expect(page.locator("#state")).to_have_text("end")
+    expect(page.locator("#notice")).to_have_text("End of the recording. Play begins again.")
+    loop.header["state"] = "calibrating"
+    expect(page.locator("#notice")).to_have_text("Reading the calibration of the recording.")
+    expect(page.get_by_text("untouched")).to_have_count(0)
+    reader.close()
+    loop.close()
