@@ -258,12 +258,35 @@ def test_the_gallery_shows_images_and_contacts_on_their_sheets(shown: Any) -> No
     header, pixels = read(BoardsPage("torso", ["torso.left", "torso.right"]).frame())
     left, right = header["patches"]
     assert (header["name"], left["name"], left["link"], left["mode"]) == ("torso", "left", "l_link", "16O")
-    assert left["contacts"][0]["at"] == pytest.approx([0.05, 0.1])  # on the sheet
-    assert left["contacts"][0]["in"] == [0.05, 1.1, 0.0]  # on the robot
+    (contact,) = left["contacts"]
+    assert (contact["x"], contact["y"]) == pytest.approx((0.05, 0.1))  # on the sheet
+    assert contact["confidence"] == 0.9
+    assert contact["in"] == [0.05, 1.1, 0.0]  # on the robot
     assert pixels.tolist() == [0, 0, -64, 127]
     assert left["peak"] == pytest.approx(0.4)
     assert left["age"] >= 0
     assert (right["name"], right["age"], right["contacts"]) == ("right", None, [])
+
+
+def test_the_gallery_opens_one_patch_and_shows_a_silent_one_as_unknown(shown: Any, chromium: Any) -> None:
+    with Overview("torso", ["torso.left", "torso.right"], port=0) as overview:
+        page = chromium.new_page(viewport={"width": 320, "height": 700})
+        page.goto(overview.url)
+        cards = page.locator(".patch")
+        until(lambda: "unknown: silent for" in cards.nth(0).inner_text() if cards.count() else False)
+        assert "#1" not in cards.nth(0).inner_text()
+        assert cards.nth(0).locator("canvas").evaluate("(canvas) => getComputedStyle(canvas).filter") == "grayscale(1)"
+        assert "not heard of" in cards.nth(1).inner_text()
+        boxes = [card.bounding_box() for card in cards.all()]
+        assert boxes[0]["width"] == boxes[1]["width"]
+        assert boxes[1]["y"] >= boxes[0]["y"] + boxes[0]["height"]  # one column on a phone
+        assert page.get_by_role("img", name="Colour scale").is_visible()
+        for link, visible in (("left", 1), ("All patches", 2), ("right", 1)):
+            page.get_by_role("link", name=link).click()
+            until(lambda visible=visible: sum(card.is_visible() for card in cards.all()) == visible)
+        page.reload()  # the address names the patch
+        until(lambda: [card.is_visible() for card in cards.all()] == [False, True])
+        page.close()
 
 
 def test_the_page_is_guarded_as_the_live_page_is(shown: Any) -> None:

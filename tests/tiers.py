@@ -144,6 +144,7 @@ TABLE = (
     Row("test_view_browser.py", "browser", (CHROMIUM,)),
     Row("test_view_states.py", "browser", (CHROMIUM,)),
     Row("test_live_browser.py", "browser", (CHROMIUM,)),
+    Row("test_patches.py::test_the_gallery_opens_one*", "browser", (CHROMIUM,)),
     Row("test_patches.py::test_a_robot_feels_where_it_is_touched*", "browser", (CHROMIUM,)),
     Row("test_firmware.py::test_the_core_*", "compiler", (MAKE, GCC)),
     Row("test_firmware.py::test_ten_seconds_of_fuzzing*", "compiler", (MAKE, CLANG)),

@@ -105,8 +105,9 @@ class BoardsPage:
 
 def _shown(contact: Contact, patch: Patch) -> dict[str, Any]:
     """A contact on its sheet and in its link's frame."""
-    places = {"at": patch.flat(contact.position), "in": contact.position}
-    return {"id": contact.id, **places, "extent": contact.extent, "strength": contact.strength}
+    x, y = patch.flat(contact.position)
+    told = {name: getattr(contact, name) for name in ("id", "extent", "strength", "confidence")}
+    return {**told, "x": x, "y": y, "in": contact.position}
 
 
 async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:

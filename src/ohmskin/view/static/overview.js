@@ -1,15 +1,19 @@
-// All patches of a robot: a small map of each, its contacts, and how fresh they are.
+// All patches of a robot: a small map of each, its contacts, and how fresh they are; or one of them, large (#NAME).
 
-import { number, paint } from "./colour.js";
-import { bounds } from "./frame.js";
-import { INK } from "./ink.js";
+import { Range, number } from "./colour.js";
+import { Field } from "./field.js";
+import { heightFor } from "./frame.js";
+import { drawMap, drawScale } from "./map.js";
+import { Surface } from "./surface.js";
 
 const STALE = 0.5; // seconds after which a patch counts as silent
-const MARGIN = 8; // px around a skin
-const LEAST_SCALE = 0.15; // relative change at full colour at least, so that noise stays quiet
+const THRESHOLD = 0.15; // relative change that noise stays below
+const LINES = 3; // contacts that a small card tells
 
+const byId = (id) => document.getElementById(id);
 const cards = new Map();
-const state = document.getElementById("state");
+const range = new Range();
+const scale = new Surface(byId("scale"), () => {});
 window.ohmskin = { frame: null };
 
 /** A message as { name, patches }, each patch with its pixels. */
@@ -31,98 +35,80 @@ function element(kind, className, parent) {
   return made;
 }
 
-function cardOf(patch) {
-  if (!cards.has(patch.name)) {
-    const card = element("section", "card patch", document.getElementById("patches"));
-    const title = element("h2", "", card);
-    title.textContent = patch.name;
-    const where = element("p", "where", card);
-    const canvas = element("canvas", "", card);
+class Card {
+  constructor(name) {
+    this._card = element("section", "card patch", byId("patches"));
+    const link = element("a", "", element("h2", "", this._card));
+    link.textContent = name;
+    link.onclick = () => {
+      if (this._card.dataset.one === "true") location.hash = ""; // back to all
+      return this._card.dataset.one !== "true";
+    };
+    link.href = `#${encodeURIComponent(name)}`;
+    this._where = element("p", "where", this._card);
+    const canvas = element("canvas", "map", this._card);
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Image of ${patch.name}`);
-    cards.set(patch.name, {
-      card,
-      where,
+    canvas.setAttribute("aria-label", `Image of ${name}`);
+    this._told = element("p", "told", this._card);
+    this._domain = null;
+    this._surface = new Surface(
       canvas,
-      told: element("p", "told", card),
-      small: document.createElement("canvas"),
-    });
-  }
-  return cards.get(patch.name);
-}
-
-function drawSkin(canvas, small, patch, theme) {
-  const side = Math.round(canvas.clientWidth * devicePixelRatio);
-  if (canvas.width !== side) canvas.width = canvas.height = side;
-  const pen = canvas.getContext("2d");
-  pen.clearRect(0, 0, side, side);
-  if (!patch.domain) return;
-  const [left, bottom, right, top] = bounds(patch.domain);
-  const scale = (side - 2 * MARGIN * devicePixelRatio) / Math.max(right - left, top - bottom);
-  const x = (metres) => side / 2 + scale * (metres - (left + right) / 2);
-  const y = (metres) => side / 2 - scale * (metres - (bottom + top) / 2);
-  const outline = new Path2D();
-  if (patch.domain.kind === "disc") outline.arc(x(0), y(0), scale * patch.domain.radius, 0, 2 * Math.PI);
-  else outline.rect(x(left), y(top), scale * (right - left), scale * (top - bottom));
-  const { nx, ny, pitch, x0, y0 } = patch.raster;
-  small.width = nx;
-  small.height = ny;
-  const image = new ImageData(nx, ny);
-  const order = Uint32Array.from({ length: nx * ny }, (_, k) => (ny - 1 - Math.floor(k / nx)) * nx + (k % nx));
-  const values = Float32Array.from(patch.pixels, (code) => (code * patch.peak) / 127);
-  paint(values, order, new Uint32Array(image.data.buffer), theme, Math.max(LEAST_SCALE, patch.peak));
-  small.getContext("2d").putImageData(image, 0, 0);
-  pen.save();
-  pen.clip(outline);
-  pen.drawImage(small, x(x0 - pitch / 2), y(y0 + (ny - 0.5) * pitch), scale * nx * pitch, scale * ny * pitch);
-  pen.restore();
-  pen.lineWidth = 1.5 * devicePixelRatio;
-  pen.strokeStyle = INK[theme].rim;
-  pen.stroke(outline);
-  for (const contact of patch.contacts) {
-    pen.beginPath();
-    pen.arc(
-      x(contact.at[0]),
-      y(contact.at[1]),
-      Math.max(4 * devicePixelRatio, scale * Math.sqrt(contact.extent / Math.PI)),
-      0,
-      2 * Math.PI,
+      () => {},
+      (width) => (this._domain ? heightFor(this._domain, width) : width),
     );
-    pen.strokeStyle = INK[theme].halo;
-    pen.lineWidth = 4 * devicePixelRatio;
-    pen.stroke();
-    pen.strokeStyle = INK[theme].contact;
-    pen.lineWidth = 2 * devicePixelRatio;
-    pen.stroke();
+    this._field = null;
   }
-}
 
-function show(frame) {
-  window.ohmskin.frame = frame;
-  const theme = document.documentElement.dataset.theme;
-  document.getElementById("none").hidden = frame.patches.some((patch) => patch.age !== null);
-  document.getElementById("name").textContent = frame.name;
-  const touched = frame.patches.reduce((sum, patch) => sum + patch.contacts.length, 0);
-  const silent = frame.patches.filter((patch) => patch.age === null || patch.age > STALE).length;
-  document.getElementById("summary").textContent =
-    `${frame.patches.length} patches, ${touched} contact${touched === 1 ? "" : "s"}` +
-    (silent ? `, ${silent} silent` : "");
-  for (const patch of frame.patches) {
-    const { card, where, canvas, told, small } = cardOf(patch);
-    const fresh = patch.age !== null && patch.age <= STALE;
+  show(patch, theme, known, one) {
+    const { card, fresh } = { card: this._card, fresh: known && patch.age !== null && patch.age <= STALE };
+    card.hidden = one !== "" && one !== patch.name;
+    card.dataset.one = one === patch.name;
     card.dataset.fresh = fresh;
     card.dataset.touched = fresh && patch.contacts.length > 0;
-    where.textContent = `${patch.link} ${patch.mode ? `· ${patch.mode} ` : ""}· `;
-    element("span", "age", where).textContent =
-      patch.age === null ? "not heard of" : fresh ? "live" : `silent for ${number(patch.age, 1)} s`;
-    const lines = patch.contacts
-      .slice(0, 3)
-      .map(
-        (c) => `${c.id}: (${c.in.map((v) => number(1000 * v, 0)).join(", ")}) mm · ${number(1e4 * c.extent, 1)} cm²`,
-      );
-    if (patch.contacts.length > 3) lines[2] = `and ${patch.contacts.length - 2} more`;
-    told.textContent = lines.join("\n") || "–";
-    drawSkin(canvas, small, patch, theme);
+    this._where.textContent = `${patch.link} ${patch.mode ? `· ${patch.mode} ` : ""}· `;
+    const silent = patch.age === null ? "not heard of" : `unknown: silent for ${number(patch.age, 1)} s`;
+    element("span", "age", this._where).textContent = fresh ? "live" : known ? silent : "unknown";
+    this._told.textContent = fresh ? this._lines(patch, card.dataset.one === "true") : "";
+    if (card.hidden || !patch.domain) return;
+    if (!this._domain) [this._domain, this._field] = [patch.domain, new Field(patch.raster)];
+    this._surface.fit();
+    this._field.set(Float32Array.from(patch.pixels, (code) => (code * patch.peak) / 127));
+    const marks = { pairs: [], presses: [], bad: [], doubted: [], contacts: fresh ? patch.contacts : [] };
+    const skin = { domain: patch.domain, electrodes: [] };
+    const scene = { ...marks, skin, field: this._field, theme, limit: range.limit, threshold: THRESHOLD };
+    this._surface.draw((c, w, h) => drawMap(c, w, h, scene));
+  }
+
+  _lines({ contacts }, all) {
+    const lines = contacts.map((contact) => {
+      const place = contact.in.map((v) => number(1000 * v, 0)).join(", ");
+      return `#${contact.id}: (${place}) mm · ${number(1e4 * contact.extent, 1)} cm²`;
+    });
+    const left = lines.length - LINES + 1;
+    return (all || left < 2 ? lines : [...lines.slice(0, LINES - 1), `and ${left} more`]).join("\n") || "No contact";
+  }
+}
+
+function show(frame, known) {
+  window.ohmskin.frame = frame;
+  const theme = document.documentElement.dataset.theme;
+  byId("none").hidden = frame.patches.some((patch) => patch.age !== null);
+  byId("name").textContent = frame.name;
+  const touched = frame.patches.reduce((sum, patch) => sum + patch.contacts.length, 0);
+  const silent = frame.patches.filter((patch) => patch.age === null || patch.age > STALE).length;
+  const contacts = known ? `${touched} contact${touched === 1 ? "" : "s"}` : "contacts unknown";
+  byId("summary").textContent =
+    `${frame.patches.length} patches, ${contacts}` + (silent && known ? `, ${silent} silent` : "");
+  const values = frame.patches.flatMap((patch) => [...patch.pixels].map((code) => (code * patch.peak) / 127));
+  range.follow(Math.min(0, ...values), Math.max(0, ...values), THRESHOLD, performance.now());
+  scale.fit();
+  scale.draw((c, w, h) => drawScale(c, w, h, { theme, range, unit: "Δσ/σ", threshold: THRESHOLD, named: "noise" }));
+  const wanted = decodeURIComponent(location.hash.slice(1));
+  const one = frame.patches.some((patch) => patch.name === wanted) ? wanted : "";
+  byId("all").hidden = one === "";
+  for (const patch of frame.patches) {
+    if (!cards.has(patch.name)) cards.set(patch.name, new Card(patch.name));
+    cards.get(patch.name).show(patch, theme, known, one);
   }
 }
 
@@ -132,6 +118,7 @@ function connect() {
   address.search = location.search;
   address.hash = "";
   const socket = new WebSocket(address);
+  const state = byId("state");
   socket.binaryType = "arraybuffer";
   socket.onopen = () => {
     [state.dataset.state, state.textContent] = ["running", "connected"];
@@ -139,12 +126,13 @@ function connect() {
   socket.onmessage = (event) => {
     const frame = read(event.data);
     requestAnimationFrame(() => {
-      show(frame);
+      show(frame, true);
       if (socket.readyState === WebSocket.OPEN) socket.send("drawn");
     });
   };
   socket.onclose = () => {
     [state.dataset.state, state.textContent] = ["lost", "no connection"];
+    if (window.ohmskin.frame) show(window.ohmskin.frame, false);
     setTimeout(connect, 1000);
   };
 }
