@@ -194,6 +194,17 @@ def test_the_page_is_told_what_is_doubted_where_and_both_thresholds(looker: Look
     assert last["findings"] == []
 
 
+def test_frames_without_any_image_do_not_end_the_loop(looker: Looker, monkeypatch: pytest.MonkeyPatch) -> None:
+    device: Any = looker.session._engine.device
+    scan = device._scan
+    monkeypatch.setattr(
+        device, "_scan", lambda *args: replace(f := scan(*args), voltages=np.full_like(f.voltages, np.nan))
+    )
+    assert looker.send("mode", mode="16T")[-1]["state"] == "running"
+    monkeypatch.undo()
+    assert looker.send("lift_all")[-1]["state"] == "running"
+
+
 def test_electrodes_that_were_bad_at_the_calibration_are_told_with_their_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ohmskin.view.session.LiveView", Page)
     skin = Skin.load("paper")

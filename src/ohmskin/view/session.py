@@ -13,7 +13,7 @@ from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import Health
-from ohmskin.errors import DeviceError, ModelError, PatternError
+from ohmskin.errors import DataError, DeviceError, ModelError, PatternError
 from ohmskin.geometry import Raster
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Mode
@@ -208,6 +208,8 @@ class Session(Closing):
                     image = self._raster(touch.percept.image.values) * scale
             except ModelError as error:  # such as a rule that finds no parameter for these data
                 self._tell(str(error))
+            except DataError:  # no data yet that are good for an image, such as just after a change of mode
+                pass
         self.view.publish(self._header(touch, scale), base, image)
 
     def _header(self, touch: Touch | None, scale: float) -> dict[str, Any]:
