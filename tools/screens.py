@@ -1,0 +1,227 @@
+"""Screenshots of the pages in all their states, sizes and themes, to be looked at."""
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, sync_playwright
+
+SIZES = {320: 640, 390: 844, 1024: 768, 1440: 900, 1920: 1080}
+PHONE = 500  # px of width, below which it is a phone
+THEMES = ("light", "dark")
+BODY = """
+name = "arm"
+[[patch]]
+name = "upper"
+link = "upper_arm"
+device = "virtual:"
+[[patch]]
+name = "fore"
+link = "forearm"
+device = "virtual:"
+"""
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+FRAME = "window.ohmskin.frame"
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """The address that a command of ohmskin prints first, and its process."""
+    command = [sys.executable, "-m", "ohmskin", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    try:
+        pattern = r"tcp://\S+" if arguments[0] == "serve-skin" else r"http://\S+"
+        yield next(found[0] for line in process.stdout if (found := re.search(pattern, line))), process
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+class Screens:
+    """Two browsers at a page, a desktop and a phone: the desktop presses, both are photographed.
+
+    Args:
+        chromium: The browser.
+        folder: Where the pictures go.
+        wanted: States to photograph; all if none is named.
+        widths: Widths of the window (px), out of `SIZES`.
+    """
+
+    def __init__(self, chromium: Browser, folder: Path, wanted: set[str], widths: list[int]) -> None:
+        self._chromium, self._folder, self._wanted, self._widths = chromium, folder, wanted, widths
+        self.made: list[Path] = []
+
+    def open(self, url: str) -> Page:
+        """Go to a page with both."""
+        phone = self._chromium.new_context(has_touch=True, is_mobile=True, viewport={"width": 390, "height": 844})
+        self.desk, self.phone = self._chromium.new_context().new_page(), phone.new_page()
+        for page in (self.desk, self.phone):
+            page.goto(url)
+            until(page, f"{FRAME}?.patches || {FRAME}?.state === 'running'")
+        self.desk.set_viewport_size({"width": 1440, "height": 900})
+        return self.desk
+
+    def close(self) -> None:
+        for browser in self._chromium.contexts:
+            browser.close()
+
+    def take(self, state: str) -> None:
+        """Photograph a state in all sizes and themes."""
+        if self._wanted and state not in self._wanted:
+            return
+        for width in self._widths:
+            page = self.phone if width < PHONE else self.desk
+            page.set_viewport_size({"width": width, "height": SIZES[width]})
+            for theme in THEMES:
+                page.evaluate(f"document.documentElement.dataset.theme = '{theme}'")
+                page.wait_for_timeout(500)
+                self.made.append(self._folder / f"{state}-{width}-{theme}.png")
+                page.screenshot(path=self.made[-1], full_page=True)
+        self.desk.set_viewport_size({"width": 1440, "height": 900})
+
+    def picture(self, name: str, theme: str) -> None:
+        """A picture of the documentation: what a desktop shows."""
+        self.desk.evaluate(f"document.documentElement.dataset.theme = '{theme}'; document.activeElement.blur()")
+        self.desk.mouse.move(1, 1)
+        self.desk.wait_for_timeout(8000)  # until figures and scale have settled
+        self.made.append(IMAGES / name)
+        self.desk.screenshot(path=self.made[-1])
+
+    def press(self, *places: tuple[float, float]) -> None:
+        """Leave presses at places on the sheet (m) until `lift`."""
+        self.desk.wait_for_timeout(200)
+        box = self.desk.locator("#map").bounding_box()
+        assert box is not None
+        scale = (box["width"] - 60) / 0.2
+        self.desk.keyboard.down("Shift")
+        for x, y in places:
+            self.desk.mouse.click(box["x"] + 30 + scale * x, box["y"] + box["height"] - 46 - scale * y)
+        self.desk.keyboard.up("Shift")
+        until(self.desk, f"{FRAME}.contacts.length === {len(places)}")
+
+    def lift(self) -> None:
+        self.desk.click("#clear")
+        until(self.desk, f"{FRAME}.contacts.length === 0")
+
+
+def until(page: Page, condition: str, seconds: float = 60.0) -> None:
+    for _ in range(round(10 * seconds)):
+        if page.evaluate(f"Boolean({condition})"):
+            return
+        page.wait_for_timeout(100)
+    raise SystemExit(f"{condition} did not come true within {seconds:g} s at {page.url}")
+
+
+def live(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    address, skin = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1"))
+    url, _ = stack.enter_context(
+        running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address, "--record", str(recording))
+    )
+    page = screens.open(url)
+    page.wait_for_timeout(5000)  # until the scale has settled
+    screens.take("quiet")
+    for each in (page, screens.phone):
+        each.click("#help")
+    screens.take("help")
+    for each in (page, screens.phone):
+        each.keyboard.press("Escape")
+        each.evaluate("document.activeElement.blur()")
+    screens.press((0.06, 0.13))
+    screens.take("one")
+    screens.lift()
+    screens.press((0.045, 0.05), (0.15, 0.06), (0.1, 0.16))
+    screens.take("three")
+    page.click('[data-mode="16T"]')
+    until(page, f"{FRAME}.mode === '16T' && {FRAME}.contacts.length === 3")
+    page.wait_for_timeout(1500)
+    screens.take("tracking")
+    skin.terminate()
+    until(page, f"{FRAME}.state === 'lost'")
+    screens.take("lost")
+
+
+def doubt(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    address, _ = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1", "--fault", "open 6"))
+    url, _ = stack.enter_context(running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address))
+    screens.open(url)
+    screens.press((0.06, 0.13))
+    screens.take("doubt")
+
+
+def replay(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    url, _ = stack.enter_context(running("replay", str(recording), "--no-browser", "--port", "0"))
+    page = screens.open(url)
+    page.wait_for_timeout(3000)
+    screens.take("replay")
+    page.locator("#seek").focus()
+    page.keyboard.press("End")
+    until(page, f"{FRAME}.recording.ended && {FRAME}.state === 'paused'")
+    screens.take("replay-end")
+
+
+def body(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    described = recording.with_name("body.toml")
+    described.write_text(BODY)
+    url, _ = stack.enter_context(running("patches", str(described), "--no-browser", "--port", "0"))
+    page = screens.open(url)
+    until(page, f"{FRAME}.patches.every((patch) => patch.age !== null)", 120)
+    page.wait_for_timeout(3000)
+    screens.take("body")
+    screens.desk.goto(f"{url}#fore")
+    screens.phone.goto(f"{url}#fore")
+    screens.take("patch")
+
+
+def docs(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    url, _ = stack.enter_context(running("live", "--no-browser", "--no-demo", "--port", "0"))
+    page = screens.open(url)
+    screens.phone.close()  # one viewer is enough
+    screens.press((0.06, 0.13), (0.14, 0.06))
+    screens.picture("live.png", "light")
+    page.click('[data-mode="16T"]')
+    until(page, f"{FRAME}.mode === '16T' && {FRAME}.contacts.length === 2")
+    screens.picture("live-tracking.png", "dark")
+
+
+SCENES: dict[Callable[[Screens, ExitStack, Path], None], set[str]] = {
+    live: {"quiet", "help", "one", "three", "tracking", "lost"},
+    doubt: {"doubt"},
+    replay: {"replay", "replay-end"},
+    body: {"body", "patch"},
+    docs: {"docs"},
+}
+
+
+def main(folder: Path, wanted: set[str], widths: list[int]) -> list[Path]:
+    """The pictures that were made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = next(path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name)))
+    with sync_playwright() as play, tempfile.TemporaryDirectory() as scratch:
+        browser = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        screens = Screens(browser, folder, wanted, widths)
+        for scene, states in SCENES.items():
+            needed = scene is live and wanted & SCENES[replay]  # which it records
+            if wanted & states or needed or not (wanted or scene is docs):
+                with ExitStack() as stack:
+                    scene(screens, stack, Path(scratch) / "touch.mcap")
+                    screens.close()
+    return screens.made
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("screens"), help="folder for the pictures")
+    parser.add_argument("--widths", type=int, nargs="+", choices=SIZES, default=list(SIZES), help="of the window (px)")
+    parser.add_argument("states", nargs="*", help="all of them unless named; docs makes the documentation's")
+    chosen = parser.parse_args()
+    if unknown := set(chosen.states).difference(*SCENES.values()):
+        parser.error(f"no state {', '.join(unknown)}; choose from {', '.join(sorted(set().union(*SCENES.values())))}")
+    made = main(chosen.output, set(chosen.states), chosen.widths)
+    print(f"{len(made)} pictures in {chosen.output}")
