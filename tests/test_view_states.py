@@ -275,7 +275,7 @@ def test_force_is_shown_with_its_deviation_where_it_is_known_and_strength_is_no_
     )
 
     def calibrated(header: dict[str, Any], base: np.ndarray, image: np.ndarray) -> None:
-        contacts = [contact | {"force": 1.234, "force_deviation": 0.21} for contact in header["contacts"]]
+        contacts = [contact | {"force": 1.234, "force_std": 0.21} for contact in header["contacts"]]
         publish(header | {"contacts": contacts}, base, image)
 
     monkeypatch.setattr(reader.loop.view, "publish", calibrated)

@@ -62,7 +62,7 @@ def live(
     if record is not None:
         refuse_existing(record)
     if publish:
-        check_publishing(publish, newtons, page)
+        check_publishing(publish, page)
     if not (headless or json):
         page.check()
     stop = Stop()

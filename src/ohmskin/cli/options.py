@@ -182,9 +182,9 @@ def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Dev
         raise
 
 
-def check_publishing(outlets: Sequence[str], newtons: float | None, page: _Page) -> None:
+def check_publishing(outlets: Sequence[str], page: _Page) -> None:
     """Raise PublishError if something cannot be published so, such as for an extra that is missing."""
-    check_settings(newtons, page.token or None, images=1.0)
+    check_settings(page.token or None, images=1.0)
     for address in outlets:
         check_outlet(address)
 

@@ -31,7 +31,7 @@ def patches(
         headless: No page.
     """
     loaded = Body.load(body)
-    check_publishing(publish, None, page)
+    check_publishing(publish, page)
     if not headless:
         page.check()
     stop = Stop()

@@ -70,7 +70,7 @@ export function ellipse([xx, xy, yy]) {
 /** Force in newtons with its standard deviation, if it is known; else "". */
 export function force(contact) {
   if (!Number.isFinite(contact.force)) return "";
-  const sure = Number.isFinite(contact.force_deviation) ? ` ±${number(contact.force_deviation, 1)}` : "";
+  const sure = Number.isFinite(contact.force_std) ? ` ±${number(contact.force_std, 1)}` : "";
   return `${number(contact.force, 1)}${sure}`;
 }
 
