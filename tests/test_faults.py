@@ -262,6 +262,30 @@ def test_a_host_that_was_suspended_goes_on() -> None:
     assert not any(frame["contacts"] for frame in lines)
 
 
+def test_json_says_that_the_device_is_lost_and_back() -> None:
+    with lined() as line:
+        command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "12B", "--device", line.url]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as host:
+            assert host.stdout is not None
+            try:
+                told = [json.loads(host.stdout.readline())]
+                line.unplug()
+                while told[-1]["state"] != "lost":
+                    told.append(json.loads(host.stdout.readline()))
+                assert (told[-1]["sequence"], told[-1]["contacts"]) == (None, [])
+                assert "device lost" in " ".join(told[-1]["messages"])
+                line.plugged.set()
+                while told[-1]["state"] != "running":
+                    told.append(json.loads(host.stdout.readline()))
+            finally:
+                host.terminate()
+                host.communicate(timeout=120)
+    assert told[0]["state"] == "running"
+    assert any("calibrating" in text for text in told[0]["messages"])
+    assert "device is back" in told[-1]["messages"]
+    assert told[-1]["sequence"] is not None
+
+
 @pytest.mark.parametrize("version", [0, 2])
 def test_another_protocol_version_ends_it_with_advice(version: int) -> None:
     import zlib

@@ -3,8 +3,10 @@
 import json as json_module
 import sys
 import time
+from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from ohmskin.cli.loop import open_loop, refuse_existing
 from ohmskin.cli.options import (
@@ -25,7 +27,7 @@ from ohmskin.cli.options import (
 )
 from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
-from ohmskin.engine import Touch
+from ohmskin.engine import Engine, State, Touch
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.view.session import Session
 
@@ -53,7 +55,7 @@ def live(
 
     Args:
         headless: No page: contacts as a table on the terminal.
-        json: No page: a line of JSON for every frame.
+        json: No page: a line of JSON for every frame, with state and messages; while the device is lost, for messages.
         record: Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
         publish: Publish what is felt to shm, zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
         name: What clients call this skin, and what its topics begin with.
@@ -66,11 +68,12 @@ def live(
     if not (headless or json):
         page.check()
     stop = Stop()
-    tell = say if not json else lambda sentence: print(sentence, file=sys.stderr, flush=True)
+    lines = _Lines()
+    tell = lines.tell if json else say
     out = sys.stderr if json else sys.stdout
     with ExitStack() as stack:
         loop = stack.enter_context(open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out))
-        engine = loop.engine
+        engine = lines.engine = loop.engine
         if publish:
             publisher = Publisher(engine.skin, publish, name, Patch(name, frame), page.token or None)
             stack.enter_context(publisher)
@@ -79,7 +82,7 @@ def live(
         if headless or json:
             tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
             engine.calibrate()
-            loop.sinks.append(_print_json if json else _Table())
+            loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
         with Session(engine, device, *page.address, demo) as session:
@@ -133,9 +136,31 @@ class _Table:
         sys.stdout.flush()
 
 
-def _print_json(touch: Touch) -> None:
-    contacts = [as_json(contact) for contact in touch.contacts]
-    findings = [finding.words for finding in touch.percept.findings]
-    line = {"sequence": touch.sequence, "time": touch.time, "mode": touch.mode.name, "contacts": contacts}
-    line |= {"findings": findings}
-    print(json_module.dumps(line | touch.health.figures), flush=True)
+class _Lines:
+    """A line of JSON for every frame, with what was said since the last one; while there is none, one for what is said.
+
+    Attributes:
+        engine: The loop, once there is one.
+    """
+
+    def __init__(self) -> None:
+        self.engine: Engine | None = None
+        self._said: deque[str] = deque(maxlen=100)
+
+    def tell(self, sentence: str) -> None:
+        """Say a sentence in the next line; at once if the device is lost."""
+        self._said.append(sentence)
+        if self.engine is not None and self.engine.state is State.LOST:
+            self._print({"sequence": None, "contacts": []})
+
+    def __call__(self, touch: Touch) -> None:
+        contacts = [as_json(contact) for contact in touch.contacts]
+        findings = [finding.words for finding in touch.percept.findings]
+        line = {"sequence": touch.sequence, "time": touch.time, "mode": touch.mode.name, "contacts": contacts}
+        self._print(line | {"findings": findings} | touch.health.figures)
+
+    def _print(self, line: dict[str, Any]) -> None:
+        assert self.engine is not None
+        told = {"state": self.engine.state.value, "messages": list(self._said)}
+        self._said.clear()
+        print(json_module.dumps(line | told), flush=True)
