@@ -16,7 +16,7 @@ SIZES = {320: 640, 390: 844, 1024: 768, 1440: 900, 1920: 1080}
 PHONE = 500  # px of width, below which it is a phone
 THEMES = ("light", "dark")
 BODY = """
-name = "arm"
+name = "screens"
 [[patch]]
 name = "upper"
 link = "upper_arm"
@@ -38,7 +38,12 @@ def running(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     assert process.stdout is not None
     try:
         pattern = r"tcp://\S+" if arguments[0] == "serve-skin" else r"http://\S+"
-        yield next(found[0] for line in process.stdout if (found := re.search(pattern, line))), process
+        told = ""
+        while not (found := re.search(pattern, told)):
+            if not (line := process.stdout.readline()):
+                raise SystemExit(f"ohmskin {arguments[0]} ended: {told}")
+            told += line
+        yield found[0], process
     finally:
         process.terminate()
         process.communicate()
