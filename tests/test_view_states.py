@@ -227,6 +227,10 @@ def test_the_base_map_is_shown_where_it_says_something_else_and_nothing_moves(
     reader.loop.header["mode"] = "16T"
     expect(page.locator("#base")).to_be_hidden()
     expect(page.get_by_text("This mode makes one scan a frame")).to_be_visible()
+    with page.expect_download() as download:
+        page.click("#save")
+    with Image.open(download.value.path()) as picture:
+        assert picture.size[0] < 1600  # of the large map alone
     assert boxes() == before
 
 

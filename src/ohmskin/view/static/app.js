@@ -153,13 +153,18 @@ function drawPicture(now) {
         ...scene.scale,
         skin: setup.skin,
         felt: fields.map,
-        base: document.documentElement.dataset.single === "true" ? null : fields.base,
+        base: single() ? null : fields.base,
         at: section,
         axis,
       }),
     );
   }
   surfaces.spark.draw((c, w, h) => spark.draw(c, w, h, theme));
+}
+
+/** Whether the base image is all that there is. */
+function single() {
+  return document.documentElement.dataset.single === "true";
 }
 
 function scenes(theme, unknown = false) {
@@ -287,15 +292,17 @@ function save() {
   if (!frame) return;
   const theme = document.documentElement.dataset.theme;
   const { header } = frame;
-  const scene = scenes(theme);
+  const scene = scenes(theme, Boolean(notice.unknown));
   const now = new Date();
   const stamp = new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 19);
   const canvas = compose({
     felt: { ...scene.felt, section: null, cursor: null },
-    base: { ...scene.base, section: null, cursor: null },
+    base: single() ? null : { ...scene.base, section: null, cursor: null },
     scale: scene.scale,
     theme,
-    title: `${setup.skin.name}: change of sheet conductivity (${setup.unit})`,
+    title:
+      `${setup.skin.name}: change of sheet conductivity (${setup.unit})` +
+      (notice.unknown ? `; contacts unknown: ${notice.unknown}` : ""),
     caption:
       `${stamp.replace("T", "  ")}    ${header.mode}, ${controls.title(header.mode)}    ` +
       `${madeWith(header)}frame ${header.sequence}    ohmskin ${setup.version}`,

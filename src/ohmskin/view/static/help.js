@@ -4,12 +4,7 @@ const byId = (id) => document.getElementById(id);
 
 // Name, shape in 28 x 20, what it is, more, and whether it is there on virtual skins only. Its colour is in the style.
 const MARKS = [
-  [
-    "contact",
-    '<circle cx="14" cy="10" r="7.5"/>',
-    "Contact.",
-    "The circle has the area where the image exceeds half the peak.",
-  ],
+  ["contact", '<circle cx="14" cy="10" r="7.5"/>', "Contact.", "The circle has the area of the contact’s extent."],
   ["unsure", '<circle cx="14" cy="10" r="7.5" stroke-dasharray="2 3"/>', "Doubtful contact:", "confidence below 90 %."],
   [
     "place",
@@ -56,8 +51,11 @@ const LEGEND = { contact: "contact", press: "press", place: "place (95 %)", driv
 const FIGURES = [
   ["colour", "Change of sheet conductivity. Warm: it rises; blue: it falls. Most skins rise where they are pressed."],
   ["γ₀", "The threshold. What is below it may be noise, and has next to no colour."],
-  ["area", "Where the image exceeds half the contact’s peak."],
-  ["strength", "Relative change of conductivity (Δσ/σ) times area. It grows with force, but is not a force."],
+  ["extent", "Area where the image exceeds half the contact’s peak."],
+  [
+    "strength",
+    "Relative change of conductivity (Δσ/σ), summed over the extent. It grows with force, but is not a force.",
+  ],
   ["force", "In newtons, with its standard deviation; on skins that are calibrated to newtons."],
   ["confidence", "Probability that this is a contact, given the noise and what no contact explains."],
 ];

@@ -7,11 +7,11 @@ import { drawMap, drawScale } from "./map.js";
 const RESOLUTION = 2; // pixels of the picture per pixel of its layout
 const [LARGE, SMALL, EDGE, HEAD, BAR] = [620, 420, 24, 84, 76];
 
-/** Compose the picture; scenes as for drawMap, scale as for drawScale. Gives a canvas. */
+/** Compose the picture; scenes as for drawMap (base may be null), scale as for drawScale. Gives a canvas. */
 export function compose({ felt, base, scale, title, caption, theme }) {
   const ink = INK[theme];
   const tall = heightFor(felt.skin.domain, LARGE);
-  const [width, height] = [LARGE + BAR + SMALL + 4 * EDGE, HEAD + tall + EDGE];
+  const [width, height] = [LARGE + BAR + 3 * EDGE + (base ? SMALL + EDGE : 0), HEAD + tall + EDGE];
   const canvas = document.createElement("canvas");
   canvas.width = RESOLUTION * width;
   canvas.height = RESOLUTION * height;
@@ -37,6 +37,7 @@ export function compose({ felt, base, scale, title, caption, theme }) {
   const right = 3 * EDGE + LARGE + BAR;
   part(EDGE, HEAD, LARGE, tall, (inner, w, h) => drawMap(inner, w, h, felt));
   part(2 * EDGE + LARGE, HEAD, BAR, tall, (inner, w, h) => drawScale(inner, w, h, scale));
+  if (!base) return canvas;
   part(right, HEAD + 24, SMALL, heightFor(base.skin.domain, SMALL), (inner, w, h) => drawMap(inner, w, h, base));
   c.fillStyle = ink.text;
   c.font = `600 13px ${FONT}`;
