@@ -54,7 +54,7 @@ def calibrate_quiet(
     diagnosis = diagnose(skin, mean)
     if diagnosis.findings:
         wrong = "; ".join(str(finding) for finding in diagnosis.findings)
-        raise DataError(f"the wiring is not in order: {wrong}; mend it, see `ohmskin self-test`, and calibrate again")
+        raise DataError(f"the wiring is not in order: {wrong}; repair it, see `ohmskin self-test`, and calibrate again")
     beyond = float(np.median(diagnosis.series))
     told = beyond > _TELLING * float(np.median(diagnosis.pair_resistances))
     noise = measure_noise(frames, list(range(n_elec)), skin)

@@ -141,7 +141,7 @@ def _unreached(frame: Frame, skin: Skin) -> tuple[Finding, ...]:
     signal[idle | (np.isnan(signal) & (currents < _SILENT * np.median(currents)))] = 0.0
     best = np.array([np.nanmax(signal[(injections == e).any(axis=1)], initial=0.0) for e in range(n_elec)])
     if best.max() <= 0 or (best < _SILENT * best.max()).mean() > 0.5:
-        words = "hardly a voltage anywhere on the sheet: check the source, the multiplexers and the plug of the skin"
+        words = "almost no voltage on any electrode: check the source, the multiplexers and the plug of the skin"
         return (Finding("silent", tuple(range(n_elec)), words),)
     return tuple(
         Finding("open", (e,), f"electrode {e} is open")
