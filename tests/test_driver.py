@@ -303,7 +303,7 @@ def test_a_device_that_hangs_up_is_lost_at_once() -> None:
     with connect(server.url) as device:
         server.close()
         start = time.monotonic()
-        with pytest.raises(DeviceLost, match="connect again"):
+        with pytest.raises(DeviceLost, match=r"closed the connection|connection to .* lost"):
             device.scan(RIM, timeout=60)
         assert time.monotonic() - start < 30  # it does not wait for its time to be over
     with pytest.raises(DeviceLost, match="start one there, such as `ohmskin serve-skin`"):
@@ -319,7 +319,7 @@ def test_a_pseudo_terminal_that_goes_is_lost(skin: FakeSkin) -> None:
     with connect(f"serial://{server.pty_path}") as device:
         device.scan(RIM)
         server.close()
-        with pytest.raises(DeviceLost, match="connect again"):
+        with pytest.raises(DeviceLost, match=r"is gone: .*; plug it in again|cannot send"):
             device.scan(RIM)
 
 

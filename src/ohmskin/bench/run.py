@@ -226,7 +226,7 @@ def run(
     """Measure, group by group.
 
     Args:
-        quick: Two minutes instead of about ten: smaller sizes, fewer rounds.
+        quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
         only: Names of groups; all of `GROUPS` unless given.
         report: Called with each group's name and figure as it comes.
 

@@ -35,7 +35,7 @@ _COMMANDS = {
         "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
         "export": ("Export a recording as tables, arrays, pictures or a film.", "ohmskin export touch.mcap --to csv"),
         "examples": ("Write two small recordings to try these commands on.", "ohmskin examples"),
-        "recover": ("Mend a recording that was cut short.", "ohmskin recover touch.mcap"),
+        "recover": ("Repair a recording that was cut short.", "ohmskin recover touch.mcap"),
     },
     "Build a skin": {
         "layout": (

@@ -21,10 +21,10 @@ def bench(
     """Measure how fast everything is, beside pyEIT, plain SciPy and the machine's own limits; one thread.
 
     Args:
-        quick: Two minutes instead of about ten: smaller sizes, fewer rounds.
+        quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
         output: Folder for benchmarks.json, benchmarks.md and the plot.
-        only: Parts wanted: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes, accuracy,
-            start.
+        only: Parts to measure: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes,
+            accuracy, start.
     """
     started = time.monotonic()
     console = Console()

@@ -40,8 +40,8 @@ def calibrate(
         output: File for the calibrated skin; NAME-calibrated.toml unless given.
         picture: Also save the sheet as found, and the curve, as a picture, such as calibration.png.
         mode: Drive mode to calibrate; the skin's best unless given.
-        weights: Weights to put on (g), all on the same small foot.
-        places: At how many places.
+        weights: Weights to place (g), all on the same small foot.
+        places: Number of places to press.
         force: Whether to calibrate newtons, too; --no-force measures the quiet skin only.
     """
     if picture is not None:
@@ -54,7 +54,7 @@ def calibrate(
         check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
         plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
-        console.print("measuring the quiet skin; nothing may touch it")
+        console.print("measuring the quiet skin; keep it untouched")
         found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
         if ohms := found.contact_impedances:
             contacts = f"contacts about {np.median(ohms):.2g} ohm"
@@ -65,7 +65,7 @@ def calibrate(
         calibrated, guide, curve = replace(description, calibration=found), PressGuide(plan), None
         if force:
             with Engine(lambda: opened, calibrated, mode) as engine:
-                console.print(f"learning what mode {engine.mode.name} sees of it")
+                console.print(f"calibrating mode {engine.mode.name}")
                 engine.calibrate()
                 _walk(engine, guide, calibrated)
                 curve = fit_force(guide.samples)
@@ -84,7 +84,7 @@ def calibrate(
             console.print(why)
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
-                console.print(f"note: {flat} N cannot be told from less; the skin is saturated")
+                console.print(f"note: {flat} N cannot be distinguished from smaller forces; the skin is saturated")
     write(path, replace(description, calibration=found).dump())
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
@@ -124,7 +124,7 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
                 if guide.see(touch.contacts, scans):
                     break
         else:
-            raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}; try again")
+            raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}")
         strength = guide.samples[-1].strength
         say(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not felt: it does not count")
     if virtual:

@@ -31,7 +31,7 @@ def dataset(
 
     Args:
         output: Folder of the data set; made if it is not there.
-        count: Samples wanted in all.
+        count: Total number of samples.
         pattern: What is driven: "complete" (all electrode pairs, of which every pattern is a part) or a mode such as
             16I (its base scan).
         contacts: Least and largest number of contacts.

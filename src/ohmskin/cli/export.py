@@ -31,13 +31,13 @@ def export(
     Args:
         file: The recording.
         to: csv and parquet: a table; npz: everything as NumPy arrays; png: a picture; mp4: a film (needs ffmpeg).
-        output: Where to; the recording's name in this folder unless given. No file is ever overwritten.
+        output: File to write; the recording's name in this folder unless given. No file is ever overwritten.
         what: Which table: contacts (a row per contact and cycle) or frames (a row per voltage).
-        start: From when on, seconds from the first frame after the calibration; with the calibration unless given.
-        seconds: How much of it.
-        at: png: which time; that of the strongest contact unless given.
-        mode: png, mp4: another drive mode, if its scans were recorded.
-        skin: png, mp4: another skin than the recorded one.
+        start: Start time (s from the first frame after the calibration); the calibration is included unless given.
+        seconds: Duration (s); to the end unless given.
+        at: png: time (s) to show; that of the strongest contact unless given.
+        mode: png, mp4: mode to use instead of the recorded ones, if its scans were recorded.
+        skin: png, mp4: skin to use instead of the recorded one.
         rate: mp4: pictures per second.
     """
     if (start is not None and not start >= 0) or (seconds is not None and not seconds > 0):
@@ -59,7 +59,7 @@ def export(
         print(f"picture of {cycle.time:.2f} s: {target}")
         return
     if not is_tape(file):
-        raise DataError(f"{file} is no recording of ohmskin (.mcap); recordings of others can become png and mp4")
+        raise DataError(f"{file} is not a recording of ohmskin (.mcap); others can be exported as png and mp4")
     begin = -np.inf if start is None else start
     with Tape(file) as tape:
         for note in tape.notes:

@@ -61,9 +61,9 @@ def layout(
             first mode. The noise of the skin unless given.
         radius: Radius of the contact (mm), which changes the conductivity by a half.
         optimise: Number of electrodes to place for the lowest worst bound; the new layout is compared with the old one.
-        output: Where to put the picture.
-        json_file: Where to put all figures, as JSON; nowhere unless given.
-        save: With --optimise, where to put the skin that was found; SKIN-optimised.toml in this folder unless given.
+        output: Picture to write.
+        json_file: JSON file to write with all figures; none unless given.
+        save: With --optimise, skin file to write; SKIN-optimised.toml in this folder unless given.
     """
     check_picture(output)
     for path in (json_file, save):

@@ -57,9 +57,9 @@ def live(
         headless: No page: contacts as a table on the terminal.
         json: No page: a line of JSON for every frame, with state and messages; while the device is lost, for messages.
         record: Record everything to this file, such as touch.mcap; see docs/guide/recording.md.
-        publish: Publish what is felt to shm, zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
-        name: What clients call this skin, and what its topics begin with.
-        frame: The frame of published contacts: a link of the robot.
+        publish: Publish contacts to shm, zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        name: Name of this skin for clients; its topics begin with it.
+        frame: Frame of the published contacts: a link of the robot.
     """
     if record is not None:
         refuse_existing(record)

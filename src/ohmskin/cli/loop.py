@@ -38,8 +38,8 @@ class ProgressReport:
         progress = self._recorder.progress
         if progress.trouble != self._troubled:
             self._troubled = progress.trouble
-            why = f"warning: the recording stands still: {progress.trouble}; the loop goes on"
-            print(why if progress.trouble else "the recording goes on", file=sys.stderr, flush=True)
+            why = f"warning: recording paused: {progress.trouble}; the loop continues"
+            print(why if progress.trouble else "recording resumed", file=sys.stderr, flush=True)
         if not self._quiet:
             rate = (progress.written - self._last.written) / since
             dropped = sum(progress.dropped.values())
@@ -157,7 +157,7 @@ def _summary(file: Path, progress: Progress) -> str:
     return (
         f"{file}: {progress.frames} frames, {progress.written / 1e6:.2f} MB"
         + (f"; dropped {lost}" if lost else "")
-        + (f"; {progress.trouble}: `ohmskin recover {file}` mends what is there" if progress.trouble else "")
+        + (f"; {progress.trouble}: `ohmskin recover {file}` repairs it" if progress.trouble else "")
     )
 
 
@@ -176,7 +176,7 @@ def record(
 
     Args:
         file: The recording, such as touch.mcap; an existing file is never overwritten.
-        images: Most images per second; they can be made again from the frames.
+        images: Largest number of images per second (1/s); images can be recomputed from the frames.
     """
     refuse_existing(file)
     stop = Stop()

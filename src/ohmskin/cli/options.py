@@ -56,7 +56,7 @@ def check_seed(_: object, seed: int | None) -> None:
 
 Seed = Annotated[int | None, Parameter(help="Seed of the noise, to make it repeatable.", validator=check_seed)]
 Seconds = Annotated[
-    float | None, Parameter(help="End after so many seconds; otherwise at Ctrl-C.", validator=_positive)
+    float | None, Parameter(help="End after this time (s); at Ctrl-C unless given.", validator=_positive)
 ]
 
 
@@ -65,9 +65,10 @@ class _Imaging:
     """How images are made.
 
     Args:
-        estimator: What makes the image, such as kalman or total-variation (see `ohmskin info`); the mode's as usual.
-        prior: What the estimator believes beforehand, such as paper or matern; the mode's unless given.
-        rule: How the regularisation parameter is chosen, such as physical or l-curve; the mode's unless given.
+        estimator: Estimator of the image, such as kalman or total-variation (see `ohmskin info`); the mode's
+            unless given.
+        prior: Prior of the estimator, such as paper or matern; the mode's unless given.
+        rule: Rule for the regularisation parameter, such as physical or l-curve; the mode's unless given.
     """
 
     estimator: str = ""
@@ -231,4 +232,4 @@ def check_picture(path: Path) -> None:
 
     check_writable(path)
     if path.suffix.lstrip(".") not in FigureCanvasBase.filetypes:
-        raise DataError(f"cannot write {path}: {path.suffix!r} is no picture format; choose .png, .pdf or .svg")
+        raise DataError(f"cannot write {path}: {path.suffix!r} is not a picture format; choose .png, .pdf or .svg")

@@ -26,7 +26,7 @@ def patches(
 
     Args:
         body: The body file (TOML): which patches there are, and where on the robot.
-        publish: Publish what is felt to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        publish: Publish contacts to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
         demo: Let a demonstration finger wander over each virtual patch.
         headless: No page.
     """

@@ -25,8 +25,8 @@ def press(
         y: Place from the lower edge (mm).
         radius: Radius of the finger (mm).
         pressure: Pressure (kPa).
-        seconds: How long.
-        to: Where to slide to (mm).
+        seconds: Duration (s).
+        to: Place to slide to (mm).
         device: Address of the virtual skin.
     """
     if not 0 < seconds <= 3600:

@@ -6,7 +6,7 @@ from ohmskin.mcap import recover as recover_file
 
 
 def recover(file: Path, output: Path | None = None) -> None:
-    """Mend a recording that was cut short: write an indexed copy of all that can be read. The original stays.
+    """Repair a recording that was cut short: write an indexed copy of all that can be read. The original stays.
 
     Args:
         file: The recording.
@@ -14,7 +14,7 @@ def recover(file: Path, output: Path | None = None) -> None:
     """
     done = recover_file(file, output)
     if done.whole and not done.damaged:
-        print(f"{file} is whole; {done.path} is a copy of it")
+        print(f"{file} is intact; {done.path} is a copy of it")
     else:
         print(f"{file}: {done.lost} bytes at its end and {done.damaged} parts within it cannot be read")
     print(f"recovered {done.frames} frames ({done.messages} messages) to {done.path}")

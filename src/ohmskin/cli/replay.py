@@ -33,16 +33,16 @@ def replay(
 
     Args:
         file: The recording: ours (.mcap), or a table or MATLAB file of others.
-        skin: Another skin than the recorded one.
-        mode: Another mode, if its scans were recorded; those of the recording unless given.
+        skin: Skin to use instead of the recorded one.
+        mode: Mode to use instead of the recorded ones, if its scans were recorded.
         speed: Seconds of the recording per second; inf for as fast as it goes.
-        start: Where to begin, seconds from the first frame after the calibration.
-        loop: Begin again at the end.
+        start: Start time (s from the first frame after the calibration).
+        loop: Start again at the end.
         rate: Frames per second of recordings that hold no times.
         compare: Estimators or priors, such as paper,matern,total-variation,absolute:matern: no page, a picture of their
             images side by side.
-        at: With --compare: which time; that of the strongest contact unless given.
-        output: With --compare: where to put the picture; beside the recording's name in this folder unless given.
+        at: With --compare: time (s) to show; that of the strongest contact unless given.
+        output: With --compare: picture to write; the recording's name in this folder unless given.
         headless: No page: contacts as a table on the terminal.
         json: No page: a line of JSON for every frame.
     """

@@ -28,10 +28,10 @@ def robot(
     """Poke a robot arm that wears the skin: MuJoCo's contacts press it, the loop senses them, the arm yields.
 
     Args:
-        pokes: How many times it is poked, at random places.
+        pokes: Number of pokes, at random places.
         skin: A rectangular skin that ships with ohmskin or a .toml file.
         mode: Drive mode, such as 16I or 16O; the skin's best unless given.
-        seed: Chooses the places.
+        seed: Seed of the random places.
         yielding: Let the arm yield; --no-yielding shows the forces without.
         video: MP4 file to write (needs ffmpeg).
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
@@ -74,7 +74,7 @@ def robot(
 
         encounters = list(track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console))
     if picture and not picture.exists():
-        console.print("no poke was felt, so that there is no picture")
+        console.print("no poke was felt; no picture was written")
     figures = summary(encounters)
     if json:
         print(json_module.dumps(figures))

@@ -28,7 +28,7 @@ def self_test(
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
         output: Folder for self-test.json and self-test.png.
         json: Print JSON instead of a table.
-        fault: With virtual: only: something wrong with the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5
+        fault: With virtual: only: fault of the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5
             20".
     """
     console = Console(highlight=False, soft_wrap=True)

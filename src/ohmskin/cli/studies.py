@@ -42,9 +42,9 @@ def reproduce(
         amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the
             sweep.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
-        only: Figures wanted: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep.
-        cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
-        fresh: Run everything anew.
+        only: Figures to make: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep.
+        cache: Folder of kept results, from which an interrupted run continues; within the output folder unless given.
+        fresh: Ignore the kept results and run everything again.
     """
     given = {"noise": noise or None, "amplitude": amplitude or None, "seeds": seeds}
     usual = Settings.quick() if quick else Settings()
@@ -68,9 +68,9 @@ def policies(
         quick: Few seeds and trials: a minute or two on two cores.
         output: Folder for report.md, figures and data.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
-        only: Sections wanted: static, driven, time, moving, pairs, press, detection, quiet, robust, cost.
-        cache: Folder of kept results, from which a run that was stopped goes on; within the output folder unless given.
-        fresh: Run everything anew.
+        only: Sections to make: static, driven, time, moving, pairs, press, detection, quiet, robust, cost.
+        cache: Folder of kept results, from which an interrupted run continues; within the output folder unless given.
+        fresh: Ignore the kept results and run everything again.
     """
     usual = PolicySettings.quick() if quick else PolicySettings()
     _run(POLICIES, usual, {"seeds": seeds}, output, only, cache=cache, jobs=jobs, scheduler=scheduler, fresh=fresh)

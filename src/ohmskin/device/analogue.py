@@ -68,7 +68,7 @@ class AnalogueSide:
     Args:
         skin: What to simulate.
         seed: Seed of the noise.
-        averages: Samples that the firmware makes one value of.
+        averages: Samples that the firmware averages to one value.
 
     Raises:
         SkinError: If the skin has more electrodes or bits than the emulated board, or a number is out of range.

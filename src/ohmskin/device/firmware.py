@@ -45,7 +45,7 @@ class EmulatedBoard(Closing):
         port: TCP port of the firmware's UART; 0 takes a free one.
         press_port: TCP port for touches from elsewhere; 0 takes a free one.
         seed: Seed of the noise.
-        averages: Samples that the firmware makes one value of.
+        averages: Samples that the firmware averages to one value.
 
     Raises:
         DeviceError: If QEMU or the firmware is missing, or a port is in use.

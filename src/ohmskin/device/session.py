@@ -92,5 +92,5 @@ def _no(request: Unreadable) -> Refusal:
         return Refusal(ErrorCode.WRONG_VERSION, f"this device speaks protocol {VERSION}, not {request.version}")
     if request.kind not in _REQUESTS:
         known = ", ".join(f"0x{kind:02x}" for kind in _REQUESTS)
-        return Refusal(ErrorCode.UNKNOWN_KIND, f"0x{request.kind:02x} is no request; requests are {known}")
+        return Refusal(ErrorCode.UNKNOWN_KIND, f"0x{request.kind:02x} is not a request; requests are {known}")
     return Refusal(ErrorCode.BAD_PATTERN if request.kind == Kind.PATTERN else ErrorCode.BAD_REQUEST, request.reason)

@@ -100,7 +100,7 @@ class SocketTransport:
         except (OSError, UnicodeError) as error:  # the second one at a name that cannot be one, such as "a..b"
             why = f"cannot reach {host}:{port}: {error}; check the address and the network"
             if isinstance(error, ConnectionRefusedError):
-                why = f"no device at {host}:{port}; start one there, such as `ohmskin serve-skin`"
+                why = f"no device at {host}:{port}; is `ohmskin serve-skin` running there?"
             elif isinstance(error, TimeoutError):
                 why = f"{host}:{port} did not answer within {_CONNECT_TIMEOUT:g} s; check address and firewall"
             raise DeviceLost(why) from error
@@ -112,9 +112,9 @@ class SocketTransport:
         except TimeoutError:
             return b""
         except OSError as error:
-            raise DeviceLost(f"connection to {self._peer} lost ({error.strerror or error}); connect again") from error
+            raise DeviceLost(f"connection to {self._peer} lost ({error.strerror or error})") from error
         if not data:
-            raise DeviceLost(f"{self._peer} closed the connection; connect again")
+            raise DeviceLost(f"{self._peer} closed the connection")
         return data
 
     def write(self, data: bytes) -> None:
@@ -122,7 +122,7 @@ class SocketTransport:
             self._socket.settimeout(_WRITE_TIMEOUT)
             self._socket.sendall(data)
         except OSError as error:
-            raise DeviceLost(f"cannot send {len(data)} bytes to {self._peer}: {error}; connect again") from error
+            raise DeviceLost(f"cannot send {len(data)} bytes to {self._peer}: {error.strerror or error}") from error
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -155,13 +155,13 @@ class SerialTransport:
                 if data or time.monotonic() >= end:
                     return data
         except (OSError, TypeError) as error:  # pyserial raises TypeError on a port closed meanwhile
-            raise DeviceLost(f"serial port {self._serial.port} is gone: {error}; plug it in, connect again") from error
+            raise DeviceLost(f"serial port {self._serial.port} is gone: {error}; plug it in again") from error
 
     def write(self, data: bytes) -> None:
         try:
             self._serial.write(data)
         except (OSError, TypeError) as error:
-            raise DeviceLost(f"cannot send {len(data)} bytes on {self._serial.port}: {error}; connect again") from error
+            raise DeviceLost(f"cannot send {len(data)} bytes on {self._serial.port}: {error}") from error
 
     def close(self) -> None:
         self._serial.close()

@@ -114,7 +114,7 @@ class WireDevice(Device):
         before, now = self.capabilities, self._greet(deadline - time.monotonic())
         if replace(now, boot=before.boot) != before:
             other = f"{now.name!r} instead of {before.name!r}"
-            raise DeviceLost(f"another device answers at {self._peer}: {other}; connect again")
+            raise DeviceLost(f"another device answers at {self._peer}: {other}")
         self.capabilities = now
 
     def _free_slot(self) -> int:

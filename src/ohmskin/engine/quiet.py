@@ -94,7 +94,7 @@ def check_usable(quality: Quality) -> None:
     """Raises DataError if too many electrodes are of no use."""
     if len(quality.bad) > _MOST_BAD * quality.n_elec:
         findings = "; ".join(quality.findings)
-        raise DataError(f"{len(quality.bad)} of {quality.n_elec} electrodes are of no use: {findings}")
+        raise DataError(f"{len(quality.bad)} of {quality.n_elec} electrodes cannot be used: {findings}")
 
 
 def _check_sane(frames: Sequence[Frame]) -> None:
@@ -103,7 +103,7 @@ def _check_sane(frames: Sequence[Frame]) -> None:
     flowing = np.isfinite(currents) & (currents > 0) & (currents < _LARGEST)
     if np.median(flowing.any(axis=1)) < 1:
         shown = f"such as {currents.ravel()[0]:.3g} A"
-        raise DataError(f"the device tells no current that can be, {shown}; check its excitation and its wires")
+        raise DataError(f"the device reports impossible currents, {shown}; check its excitation and its wires")
     volts = np.stack([frame.voltages for frame in frames])
     if np.median(np.isfinite(volts).any(axis=1)) < 1:
         kind = "clips" if np.isinf(volts).sum() > np.isnan(volts).sum() else "is missing"

@@ -45,7 +45,7 @@ class Player:
     def __init__(self, engine: Engine, mode: str = "", say: Callable[[str], None] = lambda _: None) -> None:
         device = engine.device
         if not isinstance(device, ReplayDevice):
-            raise DeviceError(f"{device.url} is no recording; open replay:FILE")
+            raise DeviceError(f"{device.url} is not a recording; open replay:FILE")
         self.device = device
         self._engine, self._say = engine, say
         device.calibrating = lambda: engine.state is State.CALIBRATING

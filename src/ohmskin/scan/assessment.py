@@ -128,7 +128,7 @@ def _silent(group: Repeats) -> Iterator[Verdict]:
     typical = float(np.nanmedian(currents)) if np.isfinite(currents).any() else 0.0
     driven = {e: currents[(pattern.injections == e).any(axis=1)] for e in used}
     idle = [e for e, own in driven.items() if own.size and np.nanmax(own, initial=0.0) < ABSENT * typical]
-    words = "open: hardly any current flows when it is driven; check its wire; left out"
+    words = "open: almost no current flows when it is driven; check its wire; left out"
     yield from (Verdict(e, "open", 0.0, words) for e in idle)
     levels = {e: level(e, tuple(set(idle) - {e})) for e in used}  # open ones pick up anything
     middle = float(np.nanmedian(list(levels.values()))) if np.isfinite(list(levels.values())).any() else 0.0
