@@ -14,7 +14,7 @@ from ohmskin.skin import Calibration
 
 @dataclass(frozen=True)
 class PressSample:
-    """A press of known force and how strong it seemed.
+    """A press of known force and its measured strength.
 
     Args:
         at: Where (m).
@@ -35,7 +35,7 @@ class PressSample:
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """A monotone curve from strength to force, and how well it holds.
+    """A monotone curve from strength to force, and its residual errors.
 
     Args:
         strengths: Rising (m2).

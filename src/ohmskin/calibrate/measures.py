@@ -1,4 +1,4 @@
-"""What the instrument is worth: noise, offset, linearity, settling and link, measured on the untouched skin."""
+"""Figures of the instrument: noise, offset, linearity, settling and link, measured on the untouched skin."""
 
 import time
 from dataclasses import dataclass
@@ -95,7 +95,7 @@ class Settling:
 
 @dataclass(frozen=True)
 class LinkBudget:
-    """What the way between host and device costs.
+    """Time and bytes of the link between host and device.
 
     Args:
         round_trip: Median time of the smallest scan beyond the device's own time (s).

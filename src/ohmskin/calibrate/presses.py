@@ -1,4 +1,4 @@
-"""A guided set of presses, one instruction after another. It never waits and never asks: whoever drives it does."""
+"""A guided series of presses, one instruction at a time. The caller waits and asks the user."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The self-test of a skin: is every electrode connected as it should be, and what is the instrument worth?"""
+"""The self-test of a skin: the connection of every electrode, and the figures of the instrument."""
 
 import json
 import math
@@ -48,12 +48,12 @@ class SelfTest:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the wiring, in plain words; empty if nothing is."""
+        """The faults of the wiring, in words; empty if there are none."""
         return self.diagnosis.findings
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is not as it should be with the instrument."""
+        """The faults of the instrument, in words."""
         found = []
         if (n := self.noise) and n.described > 0 and n.typical > _LOUD * n.described:
             times = f"{n.typical / n.described:.0f} times what the skin's description says"
@@ -106,7 +106,7 @@ class SelfTest:
 
 
 def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lambda _: None) -> SelfTest:
-    """Test wiring and instrument. Nothing may touch the skin meanwhile.
+    """Test wiring and instrument. Keep the skin untouched meanwhile.
 
     Args:
         device: A device that can drive any pattern; a recording cannot.

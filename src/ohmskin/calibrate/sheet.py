@@ -1,4 +1,4 @@
-"""What a quiet skin is really like: where its electrodes are, how even its sheet is, from one complete scan in volts.
+"""Self-calibration: positions of the electrodes and conductivity of the sheet, from one complete scan in volts.
 
 Screws go in a millimetre or two off, and a sprayed sheet is uneven by some per cent; both cost more accuracy than noise
 does. The four-terminal resistances of all injections, in which contact resistances do not count, tell both:

@@ -1,4 +1,4 @@
-"""Which wires are off, touching, exchanged or in poor contact: a scan of all pairs against a model of the sheet.
+"""Open, shorted and exchanged wires, and poor contacts: a scan of all pairs against a model of the sheet.
 
 Every pair of electrodes is driven, and every terminal measured against the sink, driven ones included. Whatever the
 sheet, that gives the two-terminal resistance F_ij of every pair. On a sheet in order it is what the model of the
@@ -36,7 +36,7 @@ _UNEVEN = 150.0  # share by which conductivity close to an electrode may be off,
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with the wiring.
+    """A fault of the wiring.
 
     Args:
         kind: "open", "shorted", "bridged", "swapped", "high", "contradicts", "out of range" or "silent".
