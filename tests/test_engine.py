@@ -195,7 +195,7 @@ def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:
         while engine.message:
             run(engine, 1)
     assert [line for line in told if "voltages" in line] == [told[-2]]
-    assert told[-1] == "the data are sound again"
+    assert told[-1] == "the data are in order again"
 
 
 def test_an_unknown_mode_lists_the_choices(engine: Engine) -> None:

@@ -30,7 +30,7 @@ class PatchProcess:
         name: Its boards.
         demo: Whether a demonstration finger presses a virtual one.
         images: Most images per second.
-        report: Called with a sentence whenever something worth telling happens.
+        report: Called with every message for the user.
 
     Attributes:
         status: What it told last: state, rate (1/s), p50 and p99 of the latency (s), message, address to press.
@@ -103,7 +103,7 @@ class Patches(Closing):
         token: What listeners on other machines must give, where the protocol knows such a thing.
         demo: Whether a demonstration finger presses each virtual patch.
         images: Most images per second of each patch.
-        report: Called with a sentence whenever something worth telling happens.
+        report: Called with every message for the user.
 
     Attributes:
         addresses: Where outlets are.

@@ -92,7 +92,7 @@ def calibrate(
 
 
 def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLayer | None, str]:
-    """The contact layer, if presses tell it, and a sentence; what fits no model must not cost the presses."""
+    """The contact layer, if the presses determine it, and a message; presses that fit no model are kept."""
     try:
         layer = fitter.fit_layer(presses)
     except OhmskinError as error:

@@ -27,7 +27,7 @@ def dataset(
     jobs: Jobs = None,
     scheduler: Scheduler = "",
 ) -> None:
-    """Simulate touches for learning: voltages, truth and parameters, in a Zarr group. Run again to go on or add more.
+    """Simulate touches for learning: voltages, truth and parameters, in a Zarr group. Run it again for more.
 
     Args:
         output: Folder of the data set; made if it is not there.

@@ -38,7 +38,7 @@ def scan(*, device: DeviceUrl = "virtual:", skin: SkinName = "", mode: ModeName 
 
 
 def check_device(url: str, *, json: Flag = False) -> None:
-    """Check a device and its driver; nothing may touch the skin meanwhile. The exit status is 1 if a check fails.
+    """Check a device and its driver; keep the skin untouched meanwhile. The exit status is 1 if a check fails.
 
     Args:
         url: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of a driver that is installed.

@@ -23,7 +23,7 @@ _REPORT_EVERY = 1.0  # s
 
 
 class ProgressReport:
-    """Says how a recording goes, once a second, and warns when something stands in its way."""
+    """Prints rate and size of a recording once a second, and warns when it cannot be written."""
 
     def __init__(self, recorder: Recorder, quiet: bool = False) -> None:
         self._recorder, self._quiet = recorder, quiet
@@ -150,7 +150,7 @@ def refuse_existing(file: Path) -> None:
 
 
 def _summary(file: Path, progress: Progress) -> str:
-    """What became of a recording, in a sentence."""
+    """The outcome of a recording, in a sentence."""
     if not file.exists():
         return f"nothing was recorded; there is no {file}"
     lost = ", ".join(f"{count} of {topic}" for topic, count in progress.dropped.items())

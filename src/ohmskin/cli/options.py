@@ -199,7 +199,7 @@ def watched(cycles: Iterable[Replayed]) -> Iterator[Replayed]:
 
 
 def say(sentence: str) -> None:
-    """Print a sentence now, whoever reads it."""
+    """Print a line and flush it."""
     print(sentence, flush=True)
 
 

@@ -20,7 +20,7 @@ def self_test(
     json: Flag = False,
     fault: tuple[str, ...] = (),
 ) -> None:
-    """Test the wiring and the instrument of an untouched skin. Nothing may touch it meanwhile.
+    """Test the wiring and the instrument of an untouched skin. Keep it untouched meanwhile.
 
     The exit status is 1 if an electrode is not in order.
 

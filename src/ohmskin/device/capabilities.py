@@ -1,4 +1,4 @@
-"""What a device says about itself."""
+"""Capabilities: what a device reports about itself."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _ROUNDING = 1e-6  # share of the full scale
 
 
 class Feature(IntFlag):
-    """What a device can do beside scanning."""
+    """Features of a device beside scanning."""
 
     VIRTUAL = 1  # simulated: touches can be put on it with `press`
     CURRENT_MEASURED = 2  # the currents of a frame are measured, not nominal
@@ -33,7 +33,7 @@ _RECORDED: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a device is and how much it takes at once.
+    """What a device is and its limits per scan.
 
     Args:
         name: Name of the device, at most 32 bytes of UTF-8.

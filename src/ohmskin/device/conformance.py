@@ -1,4 +1,4 @@
-"""Does a device do what every device must? For those who write drivers and firmware.
+"""Conformance check of devices, for authors of drivers and firmware.
 
 Each check is a function that raises `_Failed` with what it saw, or `_Skipped` with why it does not apply; a device
 that is lost or raises something else in a check fails it. They take some seconds; nothing should touch the skin

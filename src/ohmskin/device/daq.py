@@ -27,7 +27,7 @@ class Multiplexer(Protocol):
         """Connect nothing, so that no current flows."""
 
     def close(self) -> None:
-        """Let go of the board."""
+        """Close the board."""
 
 
 class Acquisition(Protocol):
@@ -37,7 +37,7 @@ class Acquisition(Protocol):
         """Potential (n_elec,) of each electrode against the common ground, and the voltage over the shunt (V), now."""
 
     def close(self) -> None:
-        """Let go of the card."""
+        """Close the card."""
 
 
 class MuxDaqDevice(Device):

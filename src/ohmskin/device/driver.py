@@ -1,4 +1,4 @@
-"""What every device can do, whatever carries it."""
+"""The interface of all devices, whatever the transport."""
 
 import threading
 from abc import abstractmethod
@@ -19,7 +19,7 @@ class Device(Closing):
 
     Args:
         url: The address it was opened with.
-        capabilities: What it is and how much it takes at once.
+        capabilities: What it is and its limits per scan.
     """
 
     reference: Sequence[Frame] = ()  # quiet frames that come with it, so that nobody need wait for new ones
@@ -35,7 +35,7 @@ class Device(Closing):
 
     @property
     def dropped(self) -> int:
-        """Frames lost on the way and asked for again."""
+        """Frames lost in transit and requested again."""
         return 0
 
     @final
@@ -49,7 +49,7 @@ class Device(Closing):
         Raises:
             PatternError: If the pattern names an electrode that is not there or is too large.
             DeviceLost: If no frame comes in time.
-            DeviceRefused: If the device says no.
+            DeviceRefused: If the device refuses.
             DeviceError: If it was closed, or the timeout is not positive.
         """
         limit = 2.0 + 4 * self.capabilities.scan_time(pattern) if timeout is None else timeout
@@ -65,7 +65,7 @@ class Device(Closing):
 
     @final
     def listen(self, hand: Callable[[Frame], None]) -> None:
-        """Have every frame handed on as soon as it is there, from the thread that scanned; `hand` must not wait."""
+        """Call `hand` with every frame as soon as it arrives, in the thread that scanned; it must not block."""
         self._listeners.append(hand)
 
     @final
@@ -92,7 +92,7 @@ class Device(Closing):
 
     @final
     def close(self) -> None:
-        """Let go of the device. Safe twice."""
+        """Close the device. Safe to call twice."""
         with self._lock:
             if not self._closed:
                 self._closed = True
@@ -108,7 +108,7 @@ class Device(Closing):
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go; called once."""
+        """Close; called once."""
 
     def _press(self, press: Press) -> None:
         """Put, move or lift a touch."""

@@ -113,7 +113,7 @@ class EmulatedBoard(Closing):
             raise self._ended()
 
     def close(self) -> None:
-        """End the emulator. Safe twice."""
+        """End the emulator. Safe to call twice."""
         self._press_server.close()
         self._child.close(_STOP)
         self._line.close()

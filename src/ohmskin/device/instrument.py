@@ -16,7 +16,7 @@ class Instrument(Protocol):
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it is and how much it takes at once."""
+        """What it is and its limits per scan."""
 
     def scan(self, pattern: DrivePattern) -> Frame:
         """Drive `pattern` once; may block for the time of the acquisition."""

@@ -13,7 +13,7 @@ from ohmskin.scan import DrivePattern, Frame, FrameFlag
 
 
 class ErrorCode(IntEnum):
-    """Why a device said no."""
+    """Why a device refused a request."""
 
     WRONG_VERSION = 1  # the request is of another protocol version; the header of the reply tells the device's own
     UNKNOWN_KIND = 2  # no such request
@@ -57,7 +57,7 @@ class Ack:
 
 @dataclass(frozen=True)
 class Refusal:
-    """The device said no. `code` may be one that this host does not know."""
+    """The device refused. `code` may be one that this host does not know."""
 
     code: int
     text: str

@@ -32,7 +32,7 @@ class Engine(Closing):
         open_device: Opens the device; called again after it was lost.
         skin: What the device is.
         mode: Name of the mode; the one of least measured error unless given.
-        report: Called with a sentence whenever something worth telling happens.
+        report: Called with every message for the user.
         estimator, prior, rule: Names of another estimator, prior or rule for the regularisation parameter than those
             of the modes.
 
@@ -89,7 +89,7 @@ class Engine(Closing):
         return self._notices.message
 
     def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
-        """Learn the quiet skin: reference data and noise, then gamma_0 of the mode. Nothing may touch it meanwhile.
+        """Learn the quiet skin: reference data and noise, then gamma_0 of the mode. Keep it untouched meanwhile.
 
         Args:
             progress: Called with the share done, 0 to 1.
@@ -127,7 +127,7 @@ class Engine(Closing):
         progress(1.0)
 
     def step(self) -> Touch | None:
-        """One cycle; None while there is nothing to see: paused, not calibrated, or the device is lost and sought."""
+        """One cycle; None while paused, not calibrated, or reconnecting to a lost device."""
         if self.state is State.LOST:
             self._seek()
             return None
@@ -152,7 +152,7 @@ class Engine(Closing):
         return Touch(self._sequence, self._sampled, self.mode, percept, percept.contacts, health)
 
     def touches(self) -> Iterator[Touch]:
-        """Cycles without end."""
+        """All cycles, endlessly."""
         while True:
             if (touch := self.step()) is not None:
                 yield touch
@@ -166,7 +166,7 @@ class Engine(Closing):
         self._switch(self._named(name))
 
     def ready(self, mode: Mode) -> bool:
-        """Whether it can sense in a mode at once; else its sensor is made first."""
+        """Whether the sensor of a mode is built already; building one takes a while."""
         return self.known is None or mode in self._sensors
 
     def set_estimator(self, estimator: str = "", prior: str = "", rule: str = "") -> None:
@@ -187,7 +187,7 @@ class Engine(Closing):
         return self.drive(self.mode).injections if self.drive(self.mode).adjustable else None
 
     def set_injections(self, count: int) -> None:
-        """Spend so many injections on every frame of the mode from the next cycle on; its drive must take any number.
+        """Set the injections per frame of the mode from the next cycle on; its drive must allow any number.
 
         Raises:
             PatternError: If it does not, or the device or the electrodes do not allow so many.
@@ -202,7 +202,7 @@ class Engine(Closing):
         self.mode = self.modes[changed.name] = changed
 
     def injection_limits(self, mode: Mode) -> tuple[int, int]:
-        """The least and the most injections per frame that can be set in a mode whose drive takes any number.
+        """Smallest and largest number of injections per frame of a mode whose drive allows any number.
 
         Raises:
             PatternError: If it does not.
@@ -224,14 +224,14 @@ class Engine(Closing):
         return self._drives[mode]
 
     def forget(self) -> None:
-        """Let go of the contacts that are followed, because what comes next is another time."""
+        """Forget the contacts that are followed, because the next frame is of another time."""
         self._beliefs.clear()
         if self.known is not None:
             self.sensor = self._sensor(self.mode)
             self._sensed = self.sensor.start()
 
     def pause(self, paused: bool) -> None:
-        """Stop scanning, or go on."""
+        """Pause or resume scanning."""
         if self.state in (State.RUNNING, State.PAUSED):
             self.state = State.PAUSED if paused else State.RUNNING
 
@@ -248,7 +248,7 @@ class Engine(Closing):
                 self._lose(error)
 
     def close(self) -> None:
-        """Let go of the device. Safe twice."""
+        """Close the device. Safe to call twice."""
         self.device.close()
         self._threads.restore_original_limits()
 

@@ -11,7 +11,7 @@ _SPAN = 1.0  # seconds over which rates are told
 
 @dataclass(frozen=True)
 class Health:
-    """How the loop is doing.
+    """Rate, latency and losses of the loop.
 
     Args:
         rate: Cycles per second over the last second.

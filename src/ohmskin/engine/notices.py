@@ -1,4 +1,4 @@
-"""What the loop has to tell its user, each thing once."""
+"""Messages of the loop to its user, each once."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,7 +9,7 @@ SLOW = 0.1  # s a frame, from which on an estimator is too slow for the loop
 
 
 class Notices:
-    """Reports sentences, and holds the one that is true now.
+    """Reports messages, and holds the current one.
 
     Args:
         report: Called with every sentence.
@@ -25,23 +25,23 @@ class Notices:
         self._found: list[Cause] = []
 
     def say(self, message: str) -> None:
-        """Report a sentence that holds until further notice."""
+        """Report a message that holds until the next one."""
         if message != self.message:
             self._report(message)
         self.message = message
 
     def calibrated(self, notes: Sequence[str], standing: str) -> None:
-        """Say what came of a calibration: what was done, and what is wrong until the next one."""
+        """Report the outcome of a calibration: what was done, and the faults that remain."""
         for sentence in [*notes, *([standing] if standing else [])]:
             self._report(sentence)
         self.message = self._standing = standing
 
     def findings(self, findings: Sequence[Finding]) -> None:
-        """Say what is wrong with the data when that begins, and when nothing is any more."""
+        """Report faults of the data when they begin, and when none is left."""
         words = "; ".join(finding.words for finding in findings)
         causes = [finding.cause for finding in findings]
         if causes != self._found:
-            self._report(words or "the data are sound again")
+            self._report(words or "the data are in order again")
         if causes or self._found:
             self.message = words or self._standing
         self._found = causes

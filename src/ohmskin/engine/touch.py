@@ -1,4 +1,4 @@
-"""What the loop tells of one cycle, and what it is doing."""
+"""The outcome of one cycle, and the state of the loop."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -10,7 +10,7 @@ from ohmskin.skin import Mode
 
 
 class State(Enum):
-    """What the loop is doing."""
+    """State of the loop."""
 
     CALIBRATING = "calibrating"
     RUNNING = "running"
@@ -20,7 +20,7 @@ class State(Enum):
 
 @dataclass(frozen=True)
 class Touch:
-    """What the skin feels now: the outcome of one cycle.
+    """The outcome of one cycle of the loop.
 
     Args:
         sequence: Number of the cycle.
@@ -28,7 +28,7 @@ class Touch:
         mode: The mode it was made in.
         percept: Frames and images behind it.
         contacts: Contacts to report, strongest first.
-        health: How the loop is doing.
+        health: Rate, latency and losses.
     """
 
     sequence: int

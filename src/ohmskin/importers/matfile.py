@@ -1,4 +1,4 @@
-"""Variables of a MATLAB file (versions 5 to 7), read without trusting it.
+"""Variables of a MATLAB file (versions 5 to 7), with limits that damaged files cannot exceed.
 
 A reader of our own, because SciPy's crashes the process on some damaged files (version 1.17.1; a few changed bytes are
 enough). It reads numbers, sparse matrices, text, cells and structs; other kinds (objects, function handles) become

@@ -36,7 +36,7 @@ class Recording:
 def read_recording(
     path: str | Path, *, reference: str | Path | None = None, pattern: str | Path | None = None, driven: bool = False
 ) -> Recording:
-    """Read a recording. What it is, is told by its contents:
+    """Read a recording. Its contents decide on its format:
 
     - our own, in MCAP (`ohmskin.mcap.tape`), whose frames are read from the file when they are asked for;
     - MATLAB files of the University of Eastern Finland (UEF 2017; variables CurrentPattern, MeasPattern, Uel) and of

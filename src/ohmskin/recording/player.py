@@ -1,4 +1,4 @@
-"""Recordings seen again: by the loop as it was, or by another mode or estimator."""
+"""Recordings processed again: by the loop as it was, or by another mode or estimator."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -15,7 +15,7 @@ from ohmskin.sensing import SkinModel, Thresholds
 
 @dataclass(frozen=True)
 class Replayed:
-    """One cycle of a recording, seen again.
+    """One cycle of a recording, processed again.
 
     Args:
         time: Where it is in the recording (s from its first frame behind the calibration).
@@ -144,7 +144,7 @@ def reimage(
     start: float = 0.0,
     stop: float = np.inf,
 ) -> Iterator[Replayed]:
-    """See a recording again, as fast as it goes: with the same settings the same images to the last bit.
+    """Process a recording again, as fast as possible: the same settings give the same images to the last bit.
 
     Args:
         path: The recording, ours or others'.

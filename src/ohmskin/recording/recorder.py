@@ -34,7 +34,7 @@ _HEALTH_EVERY = 1.0  # s
 
 
 class Recorder(Closing):
-    """Records a device and, if there is one, the loop that runs on it. Nothing here waits for the disk.
+    """Records a device and, if there is one, the loop that runs on it, without waiting for the disk.
 
         with Recorder("touch.mcap", skin) as recorder:
             with Engine(lambda: recorder.tee(connect(url)), skin, report=recorder.note) as engine:

@@ -1,4 +1,4 @@
-"""What a scan costs: time. The currency in which policies are compared."""
+"""Cost of a scan: its time, by which drive policies are compared."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from ohmskin.scan.pattern import DrivePattern
 
 @dataclass(frozen=True)
 class Cost:
-    """How long a device takes for what it is asked.
+    """Time that a device takes for a scan.
 
     Args:
         settle: Waiting time after each change of injection (s).

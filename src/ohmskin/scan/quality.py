@@ -1,4 +1,4 @@
-"""Data quality: what the data say about the electrodes they came from, and how to allow for it."""
+"""Data quality: what the data tell of the electrodes, and weights that allow for it."""
 
 from dataclasses import dataclass, replace
 
@@ -11,7 +11,7 @@ from ohmskin.scan.frame import Frame
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is wrong with one electrode.
+    """A fault of one electrode.
 
     Args:
         electrode: Its number, from 0.
@@ -28,7 +28,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Quality:
-    """What the data say about themselves.
+    """Quality of data, judged from the data alone.
 
     Args:
         n_elec: Number of electrodes.
@@ -55,7 +55,7 @@ class Quality:
 
     @property
     def bad(self) -> tuple[int, ...]:
-        """Electrodes whose measurements are of no use."""
+        """Electrodes whose measurements cannot be used."""
         return tuple(verdict.electrode for verdict in self.verdicts if verdict.weight == 0)
 
     @property
@@ -68,7 +68,7 @@ class Quality:
 
     @property
     def findings(self) -> list[str]:
-        """What is wrong with each electrode that is not in order, in plain words."""
+        """The fault of each electrode that has one, in words."""
         return [f"electrode {verdict.electrode}: {verdict.words}" for verdict in self.verdicts]
 
     def clean(self, frame: Frame) -> Frame:
