@@ -8,6 +8,7 @@ at its best, is constant - 2 vector.x + x.matrix.x. That is sufficient: scans wi
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from math import sqrt
 
 import numpy as np
@@ -114,8 +115,8 @@ class Information:
         """What several say whose errors are their own."""
         told, white = (
             Misfit(
-                np.sum([one.whole for one in each], axis=0),
-                np.sum([one.vector for one in each], axis=0),
+                reduce(np.add, [one.whole for one in each]),
+                reduce(np.add, [one.vector for one in each]),
                 sum(one.constant for one in each),
                 np.concatenate([one.lost for one in each]),
             )

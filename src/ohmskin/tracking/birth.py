@@ -71,9 +71,9 @@ def _found(
 ) -> tuple[Solution | None, Sequence[Residuals]]:
     """The contact that stands out most over some of the newest frames, if it does enough, and those frames."""
     windows = _WINDOWS[: np.searchsorted(_WINDOWS, len(history), side="right")]
-    score = np.cumsum([residuals.score for residuals in history], axis=0)[windows - 1]
-    power = np.cumsum([residuals.power for residuals in history], axis=0)[windows - 1]
-    energy = np.cumsum([residuals.energy for residuals in history])[windows - 1, None]
+    told = np.array([(residuals.score, residuals.power) for residuals in history])
+    score, power = np.add.accumulate(told)[windows - 1].swapaxes(0, 1)
+    energy = np.cumsum(np.array([residuals.energy for residuals in history]))[windows - 1, None]
     shared = 1 + (windows[:, None] - 1) * common
     height = fitter.heights(score, power * shared) - fitter.model_error * np.sqrt(energy)
     window, place = np.unravel_index(np.argmax(height), height.shape)

@@ -58,5 +58,7 @@ def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: flo
     added[state.pressing, :2] = added[state.pressing, 4:] * elapsed**2 / 3
     added[:, 2] = motion.pressing**2 * elapsed * (np.abs(state.mean[:, 2]) + _LEAST_EFFECT * np.pi * square) ** 2
     added[:, 3] = (1 - sized**2) * (SQUARE_STD * square) ** 2
-    step = np.kron(np.eye(n), one)
+    steps = np.zeros((n, STATE, n, STATE))
+    steps[np.arange(n), :, np.arange(n)] = one
+    step = steps.reshape(n * STATE, n * STATE)
     return replace(state, mean=mean, covariance=step @ state.covariance @ step.T + np.diag(added.ravel()))

@@ -121,6 +121,8 @@ class TrackState:
 
     def without(self, gone: Sequence[int]) -> "TrackState":
         """The state without some of its contacts."""
+        if not gone:
+            return self
         kept = np.array([k for k in range(len(self.tracks)) if k not in gone], int)
         state = (kept[:, None] * STATE + np.arange(STATE)).ravel()
         tracks = tuple(self.tracks[k] for k in kept)
