@@ -152,6 +152,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     np.testing.assert_allclose(products(found.told), whole.T @ np.linalg.solve(covariance, whole), rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(products(found.white), whole.T @ whole / 0.3**2, rtol=1e-9, atol=1e-9)
     change, beside = np.random.default_rng(3).normal(size=(2, 120, 3))
+    change_rows = np.ascontiguousarray(change.T)
     left = whole - np.column_stack([np.zeros((known.sum(), 121)), rows[known] @ change[:, 0]])
     less = found.less(change[:, 0])
     np.testing.assert_allclose(products(less.told), left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7)
@@ -159,6 +160,10 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     covariance += (rows[known] @ beside) @ (rows[known] @ beside).T
     marginal = products(less.without(beside).told)
     np.testing.assert_allclose(marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
+    for one in (found, less, less.without(beside)):  # of the same places, whatever has been taken off since
+        expected = np.einsum("pn,nm,pm->p", change.T, one.told.matrix[:-1, :-1], change.T)
+        np.testing.assert_allclose(one.told.power(change_rows), expected, rtol=1e-8)
+        np.testing.assert_allclose(one.told.sizes(change), np.sqrt(expected), rtol=1e-8)
     blind, seeing = (np.abs(one.told.matrix[:-1, :-1] @ beside).max() for one in (less.beside(beside), less))
     assert blind < 1e-5 * seeing
     assert found.size(change[:, 0]) == pytest.approx(np.linalg.norm(rows[known] @ change[:, 0]) / 0.3)
@@ -184,6 +189,24 @@ def test_what_a_pattern_cannot_see_takes_nothing_from_what_it_says() -> None:
     found, _ = Information.of(16, Errors(1e-6, contacts=in_series(range(16), 16)), [scan])
     beside = found.beside(in_series(range(16), 16))
     np.testing.assert_allclose(beside.told.matrix, found.told.matrix, rtol=0, atol=1e-6 * found.told.matrix.max())
+
+
+@pytest.mark.parametrize("place", PLACES[:5])
+@pytest.mark.parametrize("sizes", [(24e-3, 9e-4, 10e-3, -2e-4), (3e-3, 3e-4, 10e-3, -1e-4)])
+def test_a_fit_whose_radius_is_at_its_bound_ends_as_soon_as_any(
+    place: tuple[float, float], sizes: tuple[float, float, float, float]
+) -> None:
+    """Of what is stronger at its middle, or at its rim, than any disc: within 0.02 of the best after eight steps."""
+    judge, quiet = (
+        fitter("discs", 60),
+        Difference(COMPLETE, np.full(COMPLETE.n_meas, worlds.CURRENT), np.zeros(COMPLETE.n_meas)),
+    )
+    discs = np.array([[*place, effect, radius**2] for radius, effect in np.reshape(sizes, (2, 2))])
+    told, _ = judge.information(replace(quiet, volts=quiet.caused_by(sum(judge.responses(d[None])[0] for d in discs))))
+    start = np.array([[place[0] + 4e-3, place[1] - 3e-3, 3e-4, judge.table.radius**2]])
+    few, many = (judge.refine(told, start, rounds=rounds) for rounds in (8, 400))
+    assert many.params[0, 3] in judge.squares
+    assert few.cost - many.cost < 0.02
 
 
 def test_a_fit_to_nothing_or_from_no_number_ends() -> None:
