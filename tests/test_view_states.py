@@ -187,6 +187,7 @@ def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None
         [[0.19, 0.19]],
     ):
         boxes = np.array(run(reader.page, script % places))
+        assert len(boxes) == 4 + 2 * len(places)  # electrodes, contacts, labels
         labels = boxes[-len(places) :]
         for k, (x, y, w, h) in enumerate(labels):
             others = np.delete(boxes, len(boxes) - len(places) + k, axis=0)
