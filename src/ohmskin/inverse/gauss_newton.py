@@ -92,7 +92,8 @@ class GaussNewton(Reconstructs):
         system = self.modes.system(*differences)
         weight = system.noise(self.noise, self.model_error) / self.amplitude
         modes = self.modes
-        if weight < ILL * np.linalg.norm(system.rows):  # too exact for rows of pairs, of which the largest parts cancel
+        size = np.linalg.norm(system.rows[:, int(modes.free_mean) :])
+        if weight < ILL * size:  # too exact for rows of pairs, of which the largest parts cancel
             relative, n_elec = self._relative(), modes.n_elec
             whole = finite_system(lambda difference: difference.combination(n_elec) @ relative, differences)
             modes = ImageModes.of_relative(whole.rows, self._penalty, n_elec)
