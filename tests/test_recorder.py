@@ -22,7 +22,7 @@ from ohmskin.mcap.messages import encode_frame, encode_pattern
 from ohmskin.mcap.pipe import _MOST_WAITING
 from ohmskin.mcap.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOPICS, TOUCH
 from ohmskin.recording import Recorder
-from ohmskin.recording.export import CONTACT_COLUMNS, FRAME_COLUMNS
+from ohmskin.recording.export import CONTACT_COLUMNS, FRAME_COLUMNS, write_npz
 from ohmskin.scan import Frame, adjacent
 
 ABLE = {
@@ -254,6 +254,8 @@ def test_a_recording_of_nothing_leaves_no_file(tmp_path: Path) -> None:
 
 def test_without_images_there_are_no_markers(tmp_path: Path) -> None:
     record_press(tmp_path / "a.mcap", "12B", cycles=2, images=0)
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert write_npz(tmp_path / "a.npz", tape)["images"] == (0, 0, 0)
     with Container(tmp_path / "a.mcap") as container:
         topics = {topic for topic, *_ in container.messages()}
     assert "/ohmskin/touch" in topics
