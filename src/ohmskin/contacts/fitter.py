@@ -115,15 +115,16 @@ class ContactFitter(DiscFitter):
         found, covered = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant), tuple[int, ...]()
         while len(found.params) < self.most:
             left = told.less(found.caused) if len(found.params) else told
-            score, power = self.scores(left.beside(found.slopes) if len(found.params) else left)
-            more = [self.split(told, data, found, k, bar) for k in range(len(found.params))]
+            beside = left.beside(found.slopes) if len(found.params) else left
+            score, power = self.scores(beside)
+            more = [self.split(told, data, found, k, bar, beside) for k in range(len(found.params))]
             height = self.heights(score, power).max()
             sure = height >= self.bar + self.model_error * told.size(found.caused)
             if sure or height > max(self.bar, sqrt(_HALF * left.told.constant)):
                 one = self.added(data, score, power, found.params)
                 away = ((one.params[:-1, :2] - one.params[-1, :2]) ** 2).sum(axis=1)
-                beside = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
-                more += [one] if beside and (sure or self._clear(found, one, self.bar**2)) else []
+                apart = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
+                more += [one] if apart and (sure or self._clear(found, one, self.bar**2)) else []
             better = [self._cleared(data, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
             strong = bool((np.abs(found.params[:, 2]) > STRONG * np.pi * self.table.radius**2).any())
@@ -215,7 +216,13 @@ class ContactFitter(DiscFitter):
         return found
 
     def split(
-        self, told: Information, data: Information, found: Solution, k: int, bar: float | None = None
+        self,
+        told: Information,
+        data: Information,
+        found: Solution,
+        k: int,
+        bar: float | None = None,
+        left: Information | None = None,
     ) -> Solution | None:
         """The data explained with contact number k as two, if that explains them significantly better.
 
@@ -225,7 +232,9 @@ class ContactFitter(DiscFitter):
             found: The contacts.
             k: Which of them; the pair comes last.
             bar: The least gain, in units of the noise's variance; `split_bar` unless given.
+            left: What is left to say beside the contacts, if that is known.
         """
+        left = left or told.less(found.caused).beside(found.slopes)
         one = found.params[k]
         # an equal pair differs from one contact by the second derivative along its axis: does any promise a gain?
         usual, own = self.table.radius, np.sqrt(one[3])
@@ -233,7 +242,7 @@ class ContactFitter(DiscFitter):
         axes = (reaches[:, None, None] * _AXES).reshape(-1, 2)
         values = self.table(self.onto(one[:2] + np.concatenate([axes, -axes, [[0.0, 0.0]]])), own).values
         ahead, behind = values[:-1].reshape(2, *axes.shape[:1], -1)
-        bend, left = ahead + behind - 2 * values[-1], told.less(found.caused).beside(found.slopes)
+        bend = ahead + behind - 2 * values[-1]
         power = left.told.sizes(bend.T)
         height = bend @ left.told.vector[:-1] / np.maximum(power, 1e-6 * power.max())
         bar = self.split_bar if bar is None else bar
