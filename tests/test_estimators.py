@@ -25,6 +25,7 @@ from ohmskin.inverse import (
     noise_figure,
 )
 from ohmskin.inverse.choice import small_target
+from ohmskin.inverse.estimators import FrameWise
 from ohmskin.inverse.modes import pair_system
 from ohmskin.inverse.priors import graph_laplacian, penalty_of
 from ohmskin.inverse.variation import Variation
@@ -145,6 +146,13 @@ def test_nothing_finite_is_an_error_and_not_an_image(name: str) -> None:
         made(name).reconstruct(Difference(PATTERN, np.full(PATTERN.n_meas, CURRENT), np.full(PATTERN.n_meas, np.nan)))
     with pytest.raises(DataError, match="give at least one"):
         made(name).reconstruct()
+
+
+def test_the_image_of_nothing_is_zero_and_stays_the_last_one_without_a_scan() -> None:
+    image = FrameWise(made("paper"), model().mesh)
+    nothing = image.start()
+    assert not nothing.image.values.any()
+    assert image.update(nothing, (), (), 0.01) is nothing
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

@@ -18,7 +18,7 @@ from ohmskin.inverse.absolute import AbsoluteGaussNewton
 from ohmskin.inverse.choice import RULES, choose
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
-from ohmskin.inverse.image import Image, Reconstructs
+from ohmskin.inverse.image import Image, Reconstructs, Tabulated
 from ohmskin.inverse.kalman import Belief, Kalman
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.priors import PRIORS
@@ -73,6 +73,22 @@ class Still:
         return self.estimator.reconstruct(*self.scans)
 
 
+@dataclass(frozen=True)
+class Unchanged:
+    """The image of nothing.
+
+    Args:
+        count: Its elements.
+    """
+
+    count: int
+
+    @property
+    def image(self) -> Image:
+        """Zeros."""
+        return Image(np.zeros(self.count), Tabulated(np.zeros(self.count)))
+
+
 @dataclass(frozen=True, eq=False)
 class FrameWise:
     """An estimator without memory.
@@ -85,13 +101,13 @@ class FrameWise:
     estimator: Reconstructs
     cells: Cells
 
-    def start(self) -> Still:
-        """Nothing is known yet."""
-        return Still(self.estimator, ())
+    def start(self) -> Estimate:
+        """Nothing is known yet: nothing has changed."""
+        return Unchanged(len(self.cells.measures))
 
-    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Still:
-        """The image of the recent scans."""
-        return Still(self.estimator, tuple(recent))
+    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:
+        """The image of the recent scans; without any, the one before."""
+        return Still(self.estimator, tuple(recent)) if recent else before
 
 
 @dataclass(frozen=True, eq=False)
