@@ -149,7 +149,7 @@ def test_nothing_finite_is_an_error_and_not_an_image(name: str) -> None:
 
 
 def test_the_image_of_nothing_is_zero_and_stays_the_last_one_without_a_scan() -> None:
-    image = FrameWise(made("paper"), model().mesh)
+    image = FrameWise(made("Gauss-Newton"), model().mesh)
     nothing = image.start()
     assert not nothing.image.values.any()
     assert image.update(nothing, (), (), 0.01) is nothing

@@ -1,5 +1,6 @@
 """Nonsense is refused in words, values stay what they are, and what is read in is not changed without a note."""
 
+import os
 import pickle
 import subprocess
 import sys
@@ -13,9 +14,21 @@ import pytest
 import scipy.io
 
 import ohmskin as ohm
-from ohmskin.errors import DataError, GeometryError, ModelError, OhmskinError, PatternError
+from ohmskin.device import Capabilities
+from ohmskin.errors import (
+    DataError,
+    DeviceLost,
+    GeometryError,
+    ModelError,
+    OhmskinError,
+    PatternError,
+    ProtocolError,
+    SkinError,
+)
 from ohmskin.forward import drive_currents, drive_voltages
 from ohmskin.inverse import Pixels
+from ohmskin.mcap import Tape, recover
+from ohmskin.plot import save_picture
 from ohmskin.scan import measure_others
 
 SHEET = ohm.Rectangle(0.2, 0.2)
@@ -215,3 +228,68 @@ def test_importers_say_when_they_drop_imaginary_parts(tmp_path: Path, nested: bo
     assert any("imaginary" in note for note in ohm.read_recording(tmp_path / "tank_55uA_.csv").notes)
     (tmp_path / "tank_55uA_.csv").write_text(rows.replace("0.2", "0"))
     assert not any("imaginary" in note for note in ohm.read_recording(tmp_path / "tank_55uA_.csv").notes)
+
+
+LONG = "f" * 5000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"[sheet]\nwidth = 0x{LONG}", "sheet.width is a number of thousands of digits; it must be 0.001 to 10 m"),
+        (f"name = 0x{LONG}", "name is a number of thousands of digits; it must be text"),
+        (f"[sheet]\nshape = 0x{LONG}", "sheet.shape is a number of thousands of digits"),
+        (f"sheet = 0x{LONG}", "sheet is a number of thousands of digits; it must be a table"),
+        (f"[sheet]\nwidth = 1{'0' * 3000}", r"sheet.width is 1000*\.\.\. \(3001 characters\)"),
+        (f'"{LONG}" = 1', r"unknown entry 'f{50,60}\.\.\. "),
+        (f'[sheet]\nshape = "{LONG}"', r"sheet.shape is 'f*\.\.\. \(5002 characters\)"),
+    ],
+)
+def test_numbers_and_names_of_thousands_of_characters_are_not_shown_whole(text: str, message: str) -> None:
+    with pytest.raises(SkinError, match=message) as error:
+        ohm.Skin.parse(text)
+    assert len(str(error.value)) < 400
+
+
+def test_what_errors_and_devices_say_cannot_steer_a_terminal() -> None:
+    assert str(DeviceLost("a\x1b[31mred\x9b\nnext\ttab")) == "a\\x1b[31mred\\x9b\nnext\ttab"
+    assert isinstance(DeviceLost("gone"), ConnectionError)
+    assert Capabilities("a\x1b]0;b\x07", 16, 100, 1000).name == "a?]0;b?"
+    with pytest.raises(ProtocolError, match=r"settle_time is 1e.09 s; it must be at most 1e.06 s"):
+        Capabilities("a", 16, 100, 1000, settle_time=1e9)
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "x\0", "pipe"])
+def test_names_that_no_file_has_and_pipes_are_refused(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")  # whoever opens it waits for ever
+    for read in (ohm.Skin.load, lambda path: ohm.Skin.load(f"{path}.toml"), ohm.read_recording, Tape, recover):
+        with pytest.raises(OhmskinError):
+            read(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[electrode]\ncolumns = 32\nrows = 32", "1024 electrodes make 523776 pairs, .* about 11.9 GiB; allowed are 4"),
+        ('[electrode]\nlayout = "rim"\ncount = 256\n[imaging]\nmesh_size = 1e-3', "256 electrodes .* about 22.. GiB"),
+        ("[sheet]\nwidth = 10\nheight = 0.001\n[electrode]\nrows = 2", "3637 nodes on its rim, .* takes about 13 s"),
+    ],
+)
+def test_skins_that_cost_too_much_are_refused_with_the_figure(text: str, message: str) -> None:
+    skin = ohm.Skin.parse(text)
+    with pytest.raises(SkinError, match=message):
+        skin.transfer_model()
+
+
+def test_a_layer_of_too_many_patches_is_refused_with_the_time_it_would_take() -> None:
+    with pytest.raises(SkinError, match="65536 patches takes the virtual skin about 66 s to set up; allowed are 16384"):
+        ohm.VirtualSkin(ohm.Skin.parse("[contact_layer]\ncolumns = 256\nrows = 256\npatch = 0.0007"))
+
+
+def test_a_title_is_text_and_no_formula(tmp_path: Path) -> None:
+    image = ohm.GaussNewton(model(), 1e-5).reconstruct(touch())
+    save_picture(tmp_path / "a.png", model().mesh, image.values, GRID, [], "$x^{$ \\frac")
+    assert (tmp_path / "a.png").stat().st_size > 1000

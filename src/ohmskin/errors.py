@@ -1,8 +1,28 @@
 """One tree of errors. Every message says what is wrong, the value, what is allowed and what to do next."""
 
+import re
+
 
 class OhmskinError(Exception):
-    """Base class of every error that ohmskin raises on purpose."""
+    """Base class of every error that ohmskin raises on purpose. What it says is `harmless`."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(harmless(part) if isinstance(part, str) else part for part in args))
+
+
+def harmless(text: str) -> str:
+    """A text fit for a terminal: control characters written out, words of more than 500 characters shortened."""
+    text = re.sub(r"\S{501,}", lambda word: f"{word[0][:60]}... ({len(word[0])} characters)", text)
+    return re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", lambda character: repr(character[0])[1:-1], text)
+
+
+def shown(value: object) -> str:
+    """A value from outside as a message shows it: written out as far as it is short."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes out no number of more than 4,300 digits
+        return "a number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:60]}... ({len(text)} characters)"
 
 
 class GeometryError(OhmskinError, ValueError):

@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
-from ohmskin.errors import OhmskinError
+from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
     **dict.fromkeys(("scan", "check-device"), "device"),
@@ -106,6 +106,9 @@ def main() -> None:
     except BrokenPipeError:  # the reader of our output, `head` say, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+    except OSError as error:  # such as a file name that is too long
+        print(f"ohmskin: {harmless(str(error))}", file=sys.stderr)
+        sys.exit(2)
 
 
 def _compiling() -> AbstractContextManager[None]:

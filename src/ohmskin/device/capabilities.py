@@ -1,6 +1,7 @@
 """Capabilities: what a device reports about itself."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
@@ -13,6 +14,7 @@ from ohmskin.errors import PatternError, ProtocolError
 from ohmskin.scan import Cost, DrivePattern, Frame
 
 _ROUNDING = 1e-6  # share of the full scale
+_LONGEST = 1e6  # s; what is larger is not in seconds
 
 
 class Feature(IntFlag):
@@ -69,6 +71,7 @@ class Capabilities:
     boot: int = 0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", re.sub(r"[\x00-\x1f\x7f-\x9f]", "?", self.name))  # it goes to terminals
         if len(self.name.encode()) > 32:
             raise ProtocolError(f"device name {self.name!r} has {len(self.name.encode())} bytes; at most 32")
         most = {"n_electrodes": 65535, "max_injections": 65535, "max_measurements": 65535, "pattern_slots": 255}
@@ -79,6 +82,9 @@ class Capabilities:
         for name in ("excitation", "full_scale", "settle_time", "conversion_time"):
             if not (math.isfinite(value := getattr(self, name)) and value >= 0):
                 raise ProtocolError(f"{name} is {value}; it must be finite and not negative")
+        for name in ("settle_time", "conversion_time"):
+            if (value := getattr(self, name)) > _LONGEST:
+                raise ProtocolError(f"{name} is {value:g} s; it must be at most {_LONGEST:g} s")
         largest = 4 * self.max_injections + 6 * self.max_measurements
         if largest > MAX_PACKET - 512:  # leaves room for header, checksum and byte stuffing
             size = f"max_injections and max_measurements make {largest} bytes"

@@ -87,6 +87,8 @@ def read_recording(
 
 def _content(path: Path) -> bytes:
     try:
+        if path.is_fifo():
+            raise OSError("it is a pipe, which may never end")
         if path.stat().st_size > _LARGEST_FILE:
             raise DataError(f"{path} has {path.stat().st_size} bytes; others' recordings have at most {_LARGEST_FILE}")
         return path.read_bytes()

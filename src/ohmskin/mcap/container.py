@@ -61,6 +61,8 @@ class Container(Closing):
         self.damaged, self.end, self.whole = 0, 0, False
         self._loaded: tuple[int, bytes] = (-1, b"")
         try:
+            if self.path.is_fifo():
+                raise OSError("it is a pipe, which may never end")
             self._file: BinaryIO = self.path.open("rb")
             self.size = os.fstat(self._file.fileno()).st_size
             magic = self._file.read(len(MAGIC))

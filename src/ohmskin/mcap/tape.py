@@ -205,6 +205,8 @@ class Tape(Closing):
 def is_tape(path: Path) -> bool:
     """Whether a file begins as an MCAP file does."""
     try:
+        if path.is_fifo():
+            return False
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
     except (OSError, ValueError):

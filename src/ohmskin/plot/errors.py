@@ -56,7 +56,9 @@ def draw_error_map(axes: Axes, shown: ErrorMap, limits: tuple[float, float] | No
     worst = int(np.argmax(shown.errors))
     axes.plot(*1e3 * shown.places[worst], "x", color="white", markersize=8, markeredgewidth=2)
     mean, most = 1e3 * shown.errors.mean(), 1e3 * shown.errors[worst]
-    axes.set_title(f"{shown.title}\nbound: mean {mean:.3g} mm, worst {most:.3g} mm (cross)", fontsize=10)
+    axes.set_title(
+        f"{shown.title}\nbound: mean {mean:.3g} mm, worst {most:.3g} mm (cross)", fontsize=10, parse_math=False
+    )
     axes.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")
     axes.spines[["top", "right"]].set_visible(False)
     return colours

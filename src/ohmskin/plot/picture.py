@@ -91,7 +91,7 @@ def save_picture(
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.add_subplot()
     shown = draw_image(axes, mesh, values, electrodes, contacts, limit)
-    axes.set_title(title, fontsize=10)
+    axes.set_title(title, fontsize=10, parse_math=False)
     figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.85)
     save_figure(figure, path)
 

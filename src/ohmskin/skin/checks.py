@@ -7,8 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_origin
 
-from ohmskin.errors import SkinError
+from ohmskin.errors import SkinError, shown
+from ohmskin.geometry import Domain
+from ohmskin.scan import n_pairs
 
+_MOST_ON_RIM, _MOST_GIBIBYTES, _MOST_PATCHES = 3000, 4, 2**14
 _TYPES = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 _PLACES = "[x, y] in metres"
 
@@ -20,13 +23,23 @@ def read_text(path: Path, most: int, what: str) -> str:
         SkinError: If it cannot be read, is larger, or is not UTF-8.
     """
     try:
+        if path.is_fifo():
+            raise OSError("it is a pipe, which may never end")
         with path.open("rb") as file:
             content = file.read(most + 1)
         if len(content) > most:
             raise SkinError(f"{what} {path} has more than {most} bytes; that cannot be right")
         return content.decode()
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # also a name with a null byte
         raise SkinError(f"cannot read {what} {path}: {error}") from error
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; names that cannot be, too long or with a null byte, name none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def read_toml(text: str, origin: str) -> dict[str, Any]:
@@ -77,11 +90,11 @@ def check_table(table: str, values: Any) -> None:
             if not (isinstance(value, tuple) and all(map(fits, value))):
                 raise SkinError(f"{name} must be a list of {what}")
         elif not (is_number(value) if expected is float else type(value) is expected):
-            raise SkinError(f"{name} is {value!r}; it must be {_TYPES[expected]}")
+            raise SkinError(f"{name} is {shown(value)}; it must be {_TYPES[expected]}")
         elif value not in (choices := told.get("choices", (value,))):
-            raise SkinError(f"{name} is {value!r}; choose from {', '.join(choices)}")
+            raise SkinError(f"{name} is {shown(value)}; choose from {', '.join(choices)}")
         elif "low" in told and not _within(told, value):
-            raise SkinError(f"{name} is {value}; it must be {_range(told)}")
+            raise SkinError(f"{name} is {shown(value)}; it must be {_range(told)}")
 
 
 def _within(told: Any, value: Any) -> bool:
@@ -90,6 +103,25 @@ def _within(told: Any, value: Any) -> bool:
 
 def _range(told: Any) -> str:
     return f"{told['low']:g} to {told['high']:g} {told['unit']}".rstrip()
+
+
+def check_expense(domain: Domain, n_elec: int, size: float) -> None:
+    """Raise SkinError if a model with edges of `size` (m) would take too long or too much memory; it tells how much."""
+    rim, triangles, pairs = domain.perimeter / size, 2.31 * domain.area / size**2, n_pairs(n_elec)
+    if 4 * rim > triangles and rim > _MOST_ON_RIM:  # Delaunay's method takes the square of points on parallel lines
+        long = f"a strip with edges of {size:.3g} m has {rim:.0f} nodes on its rim, {_MOST_ON_RIM} are allowed"
+        raise SkinError(f"{long}: meshing takes about {1e-6 * rim**2:.0f} s; shorten it, or raise imaging.mesh_size")
+    if (gibibytes := 8 * pairs * triangles / 2**30) > _MOST_GIBIBYTES:
+        many = f"{n_elec} electrodes make {pairs} pairs, whose sensitivities on {triangles:.0f} triangles"
+        advice = "choose fewer electrodes, or raise imaging.mesh_size"
+        raise SkinError(f"{many} take about {gibibytes:.1f} GiB; allowed are {_MOST_GIBIBYTES}: {advice}")
+
+
+def check_patches(patches: int) -> None:
+    """Raise SkinError if a virtual skin with so many patches would take too long to set up; it tells how long."""
+    if patches > _MOST_PATCHES:
+        long = f"a contact layer of {patches} patches takes the virtual skin about {1e-3 * patches:.0f} s to set up"
+        raise SkinError(f"{long}; allowed are {_MOST_PATCHES}: lower contact_layer.columns and rows")
 
 
 def is_number(value: Any) -> bool:

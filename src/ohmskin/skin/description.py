@@ -15,13 +15,13 @@ import tomli_w
 
 from ohmskin.arrays import Floats
 from ohmskin.drive import Candidates, complete_pattern, pair_currents
-from ohmskin.errors import SkinError
+from ohmskin.errors import SkinError, shown
 from ohmskin.forward import ContactTable, TransferModel, VoltageSource
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Rectangle, electrode_points, mesh_domain
 from ohmskin.scan import Cost, n_pairs
 from ohmskin.skin.calibration import Calibration
-from ohmskin.skin.checks import check_names, check_table, choice, number, read_text, read_toml
+from ohmskin.skin.checks import check_expense, check_names, check_table, choice, is_file, number, read_text, read_toml
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.mode import Mode, modes_of
 
@@ -139,7 +139,7 @@ class Skin:
             SkinError: If there is no such file or skin, or its contents are not a valid description.
         """
         path = Path(source)
-        if path.suffix == _EXTENSION or path.is_file():
+        if path.suffix == _EXTENSION or is_file(path):
             try:
                 text = read_text(path, _LARGEST_FILE, "skin file")
             except SkinError as error:
@@ -166,7 +166,7 @@ class Skin:
                 kind: Any = type(known[key].default)
                 if kind is str:
                     if not isinstance(value, str):
-                        raise SkinError(f"{key} is {value!r}; it must be text")
+                        raise SkinError(f"{key} is {shown(value)}; it must be text")
                     tables[key] = value
                 elif key == "modes":
                     tables[key] = modes_of(value)
@@ -176,7 +176,7 @@ class Skin:
                     check_names(value, names, f"{key}.")
                     tables[key] = kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in value.items()})
                 else:
-                    raise SkinError(f"{key} is {value!r}; it must be a table [{key}]")
+                    raise SkinError(f"{key} is {shown(value)}; it must be a table [{key}]")
             return cls(**tables)
         except SkinError as error:
             raise SkinError(f"{origin}: {error}") from None
@@ -276,6 +276,7 @@ class Skin:
         It is finer where discs are, see `electrode_points`.
         """
         size = size or self.imaging.mesh_size
+        check_expense(self.domain, len(electrodes), size)
         if not electrodes.are_areas.any():
             return mesh_domain(self.domain, size, electrodes.positions)
         points = electrode_points(self.domain, electrodes, 1.05 * _CLOSEST * size)

@@ -13,6 +13,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
 from ohmskin.scan import all_pairs, two_terminal
+from ohmskin.skin.checks import check_patches
 from ohmskin.skin.description import ContactLayer, Skin
 
 _PLACES, _GRADED = 3, 0.8  # places along each side of a contact where the pressure is looked at; 0 is even, 1 a cosine
@@ -85,6 +86,7 @@ class PressedSheet:
     def __init__(
         self, skin: Skin, contact_factors: ArrayLike = 1.0, model: TransferModel | None = None, contacts: int = 8
     ) -> None:
+        check_patches(skin.contact_layer.columns * skin.contact_layer.rows)
         if model is None:
             mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
             factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
