@@ -186,6 +186,12 @@ def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:
     assert "recording to" not in out
 
 
+def test_a_command_leaves_signals_as_they_were() -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    command_line.ohmskin("live", "--device", NOBODY, "--headless")
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
 def test_help_in_a_process_of_its_own() -> None:
     result = ohmskin("image", "--help")
     assert result.returncode == 0

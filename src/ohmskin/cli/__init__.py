@@ -92,6 +92,7 @@ for _name in ("--help", "--version", "--install-completion"):
 def main() -> None:
     """Run the command line. A mistake of the user gets one line on stderr and exit status 2."""
     arguments = [re.sub(r"^--out(?=$|=)", "--output", argument) for argument in sys.argv[1:]]  # its name until 0.1
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         _check_command(arguments)
         command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
@@ -109,6 +110,9 @@ def main() -> None:
     except OSError as error:  # such as a file name that is too long
         print(f"ohmskin: {harmless(str(error))}", file=sys.stderr)
         sys.exit(2)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def _compiling() -> AbstractContextManager[None]:
