@@ -101,8 +101,8 @@ def test_help_and_suggestions_need_no_extra() -> None:
         sys.meta_path.insert(0, Missing())
         from command_line import ohmskin
         from ohmskin.cli import app
-        for name in app:
-            found = ohmskin(name) if name == "--version" else ohmskin(name, "--help")
+        for name in (name for name in app if not name.startswith("-")):
+            found = ohmskin(name, "--help")
             assert found.returncode == 0, (name, found.stderr)
         assert "did you mean robot" in ohmskin("robt").stderr
         """
