@@ -8,6 +8,7 @@ from ohmskin.forward.response import Grid, Spline, respond, scatter
 
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, as a share of the usual one
 STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2
+_SMALL, _HOPE = 1e-2, 10.0  # damping at which a step promises about all that can be gained, and times it may err
 _ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a standard deviation
 
 
@@ -83,8 +84,9 @@ def fitted(
         params = starts[k].copy()
         known = (mean, prior) if len(mean) else expected(params[:, 2].copy(), usual, sheet[0], sheet[1])
         found = refined(
-            params, matrix, vector, constant, known[0], known[1], rounds, usual, least, smallest, largest, sheet, spline
-        )
+            params, matrix, vector, constant, known[0], known[1], rounds, usual, least, smallest, largest, sheet,
+            spline, best[1],
+        )  # fmt: skip
         if k == 0 or found[0] < best[1]:
             best = params, found[0], found[1], found[2], found[3]
     return best
@@ -113,10 +115,11 @@ def expected(effects: Floats, usual: float, low: Floats, high: Floats) -> tuple[
 @njit(cache=True, nogil=True)
 def refined(
     params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
-    radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
+    radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline, best: float,
 ) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
     """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes.
 
+    A fit ends, too, that cannot come up with the `best` cost known, by what its next step promises.
     The `matrix` (n_pairs + 1, n_pairs + 1) and `vector` are those of a `Misfit`.
     """
     damping, floor, ceiling = 1e-3, np.full(params.size, -np.inf), np.full(params.size, np.inf)
@@ -130,6 +133,8 @@ def refined(
         for i in range(len(step)):
             slope += step[i] * gradient[i]
         if not _ENOUGH <= slope < np.inf:  # also if it is no number: places would be none
+            break
+        if damping <= _SMALL and cost - _HOPE * slope > best:
             break
         moved = params.copy()
         for k in range(len(params)):
