@@ -166,6 +166,8 @@ class FitReader:
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
         solution = self.fitter.explained(told, wary)
+        if solution.covered:
+            told = told.leaving_out(in_series(solution.covered, self.fitter.table.n_elec))
         unexplained = told.unexplained(solution.caused)
         if self._drifted(told, solution):
             solution, unexplained = nothing(len(solution.caused)), 0.0
@@ -192,7 +194,7 @@ class FitReader:
         model (ohm)."""
         left = told.less(solution.caused).beside_common()
         if len(solution.params):
-            left = left.leaving_out(in_series(solution.covered, self.fitter.table.n_elec)).beside(solution.slopes)
+            left = left.beside(solution.slopes)
         return left.drift() / (1 + (self.fitter.model_error * told.size(solution.caused)) ** 2 / told.count)
 
 
