@@ -80,7 +80,7 @@ def test_drift_is_told_from_noise() -> None:
 
 def test_a_skin_that_is_not_in_order_is_not_calibrated() -> None:
     device = DirectDevice(VirtualSkin(PAPER, 1, [Fault.parse("open 3")]))
-    with pytest.raises(DataError, match="electrode 3 is open; mend it"):
+    with pytest.raises(DataError, match="electrode 3 is open; repair it"):
         calibrate_quiet(device, PAPER, scans=3)
     with pytest.raises(DeviceError, match="16 electrodes, skin 'ktc2023' has 32"):
         calibrate_quiet(DirectDevice(VirtualSkin(PAPER, 1)), Skin.load("ktc2023"))

@@ -45,7 +45,6 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
         (["live", "--device", NOBODY, "--host", "192.0.2.1", "--token", "12345678"], "cannot listen on 192.0.2.1"),
         (["live", "--device", NOBODY, "--port", "70000"], "choose 1 to 65535"),
         (["live", "--device", NOBODY, "--publish", "smoke"], "choose from shm, zenoh, dds, foxglove"),
-        (["live", "--device", NOBODY, "--publish", "shm", "--newtons", "-1"], "must be positive"),
         (["live", "--device", NOBODY, "--record", "touch.csv"], "recordings are MCAP files; record to touch.mcap"),
         (["record", "touch.csv", "--device", NOBODY], "recordings are MCAP files; record to touch.mcap"),
         (["calibrate", "--picture", "x.doc", "--device", NOBODY], "'.doc' is not a picture format; choose .png"),

@@ -220,6 +220,7 @@ def test_spikes_make_no_contacts_and_are_told(engine: Engine) -> None:
     assert engine.message
 
 
+@pytest.mark.parametrize("engine", ["16T"], indirect=True)
 def test_rare_spikes_blame_no_electrode(engine: Engine) -> None:
     random = np.random.default_rng(6)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from direct import DirectDevice
 
-from ohmskin.cli.live import _print_json, _Table
+from ohmskin.cli.live import _Lines, _Table
 from ohmskin.client import Client
 from ohmskin.client.cdr import Decoder
 from ohmskin.client.remote import decode_contacts
@@ -167,7 +167,9 @@ def test_the_same_force_is_told_everywhere(
     wrench.text()
     assert wrench.take("dddddd")[2] == pytest.approx(-told[0])
     capsys.readouterr()
-    _print_json(touch)
+    lines = _Lines()
+    lines.engine = engine
+    lines(touch)
     (printed,) = json.loads(capsys.readouterr().out)["contacts"]
     for name, shown in {"JSON": printed, "page": _shown(contact, 1.0)}.items():
         assert tuple(shown[field] for field in ("force", "force_std", "pressure", "area")) == told, name

@@ -106,9 +106,9 @@ def test_slow_drift_and_hum_are_no_movement() -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda f: replace(f, currents=0 * f.currents), "no current that can be, such as 0 A"),
-        (lambda f: replace(f, currents=-f.currents), "no current that can be, such as -0.00"),
-        (lambda f: replace(f, currents=0 * f.currents + 1e30), r"no current that can be, such as 1e\+30 A"),
+        (lambda f: replace(f, currents=0 * f.currents), "reports impossible currents, such as 0 A"),
+        (lambda f: replace(f, currents=-f.currents), "reports impossible currents, such as -0.00"),
+        (lambda f: replace(f, currents=0 * f.currents + 1e30), r"reports impossible currents, such as 1e\+30 A"),
         (lambda f: replace(f, voltages=np.nan * f.voltages), "every voltage of a frame is missing"),
         (lambda f: replace(f, voltages=np.copysign(np.inf, f.voltages)), "every voltage of a frame clips"),
         (lambda f: replace(f, voltages=0 * f.voltages), "every voltage is 0 V"),

@@ -73,11 +73,9 @@ function element(kind, content, className = "") {
 }
 
 function swatch([name, shape]) {
-  const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const text = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 28 20" aria-hidden="true">${shape}</svg>`;
+  const made = document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
   made.setAttribute("class", `swatch ${name}`);
-  made.setAttribute("viewBox", "0 0 28 20");
-  made.setAttribute("aria-hidden", "true");
-  made.innerHTML = shape;
   return made;
 }
 
