@@ -210,7 +210,7 @@ def test_a_better_layout_is_found_compared_and_saved_as_a_skin_that_loads(tmp_pa
     np.testing.assert_allclose(skin.electrodes.positions, better["electrodes"], atol=1e-9)
     assert (len(skin.electrodes), skin.name, better["mode"], paper["mode"]) == (12, "paper-12", "12I", "16I")
     assert skin.sheet == Skin.load("paper").sheet
-    assert len(result.stdout.strip().splitlines()) == 3
+    assert len(result.stdout.strip().splitlines()) == 4
 
 
 def test_a_mistake_gets_one_line_and_no_traceback(tmp_path: Path) -> None:

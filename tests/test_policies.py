@@ -53,6 +53,7 @@ TINY = policies.Settings(
     wires=1,
     opened=1,
     troubled=4,
+    drifted=1,
     period=5.0,
     timed=10,
 )
@@ -429,9 +430,9 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every section once, with little data; warnings are errors."""
     folder = tmp_path_factory.mktemp("policies")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            import_module("ohmskin.evaluate.policies.plan"), "FLAWS", {name: FLAWS[name] for name in list(FLAWS)[:2]}
-        )
+        plan = import_module("ohmskin.evaluate.policies.plan")
+        patch.setattr(plan, "FLAWS", {name: FLAWS[name] for name in list(FLAWS)[:2]})
+        patch.setattr(plan, "MODES", ("16P",))
         assert policies.compare(folder, TINY, jobs=1) == folder / "report.md"
     return folder
 

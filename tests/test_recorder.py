@@ -308,7 +308,7 @@ def test_record_says_what_it_does_and_ends_cleanly(tmp_path: Path) -> None:
 
 def test_live_records_too(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ohmskin", "live", "--json", "--seconds", "0.5", "--record", "a.mcap"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=240)  # it may compile first
     assert done.returncode == 0, done.stderr
     cycles = [json.loads(line)["sequence"] for line in done.stdout.splitlines()]
     with Tape(tmp_path / "a.mcap") as tape:

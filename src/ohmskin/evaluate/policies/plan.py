@@ -75,6 +75,7 @@ class Settings:
         wires: Electrodes that open while the loop runs.
         opened: Noise seeds with which each of them does.
         troubled: Quiet frames under interference.
+        drifted: Seeds of drift of single pairs.
         period: Time between frames while single pairs drift (s).
         timed: Frames of which the computing is timed, for each number of contacts.
 
@@ -98,6 +99,7 @@ class Settings:
     wires: int = 16
     opened: int = 3
     troubled: int = 1000
+    drifted: int = 20
     period: float = 0.1
     timed: int = 300
 
@@ -151,7 +153,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
         for seed in range(s.opened):
             wires = tuple(f"{WIRE}{16 * k // s.wires}" for k in range(s.wires))
             found["trouble"][f"troubled/{mode}/wires/{seed}"] = Troubled(mode, wires, seed=seed)
-        for seed in range(s.seeds):
+        for seed in range(s.drifted):
             found["trouble"][f"drifting/{mode}/{seed}"] = Drifting(mode, 3.0, seed, s.period)
     blocks = max(1, s.quiet // 12_500)
     for block in range(blocks):  # contacts tracked, and contacts fitted while contact impedances are followed
