@@ -111,7 +111,26 @@ class Settings:
     @classmethod
     def quick(cls) -> Self:
         """Less of everything: what takes a minute or two on two cores."""
-        return cls(5, 5, 15, (40.0,), (40.0, 50.0), (16,), 40, (50.0, 60.0), 4, 100, 60, 5_000, 2, 4, 1, 100, 0.5, 100)
+        return cls(
+            seeds=5,
+            side=5,
+            random=15,
+            levels=(40.0,),
+            noises=(40.0, 50.0),
+            counts=(16,),
+            frames=40,
+            where=4,
+            singles=100,
+            trials=60,
+            quiet=5_000,
+            draws=2,
+            wires=4,
+            opened=1,
+            troubled=100,
+            drifted=5,
+            period=0.5,
+            timed=100,
+        )
 
 
 def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
