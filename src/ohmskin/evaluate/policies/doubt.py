@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Bools, Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies.adaptivity import WAYS
 from ohmskin.evaluate.policies.trouble import MODES, NONE, WIRE
 from ohmskin.evaluate.report import Block, Table
 from ohmskin.evaluate.result import Outcome, Result
-from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means, share
+from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means
 from ohmskin.evaluate.verdict import Goal
 
 SETTLE = 10  # frames of a moving contact that do not count: it is found in them
@@ -48,10 +48,10 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             text = f"Frames with a false contact in {mode}, the worst case: {trouble}"
             quiet = next(count for name, count in frames.items() if name == trouble or (wire and name.startswith(WIRE)))
             yield Goal("trouble", text, FALSE if wire else 0, True, most, "", f"{cases} x {quiet} frames", key=True)
-            told = share(int((result["named"] <= SOON).sum()), cases)
+            told = _exactly(result["named"] <= SOON)
             yield Goal("trouble", f"Told within {SOON:g} s by {mode}: {trouble}", 1.0, False, told, "%", data)
         if wire:
-            well = share(int((result["well"] <= SOON).sum()), cases)
+            well = _exactly(result["well"] <= SOON)
             yield Goal(
                 "trouble", f"Well again within {SOON:g} s of the mend in {mode}: {trouble}", 1.0, False, well, "%", data
             )
@@ -62,7 +62,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             note = f"{note}, {np.isinf(theirs).sum()} before"
             yield Goal("trouble", text, 1.5, True, ratio, "ratio", data, note)
         if wire or trouble == NONE:
-            gone = share(int((result["gone"] <= GONE).sum()), result["gone"].size)
+            gone = _exactly(result["gone"] <= GONE)
             after = " after a fault that was mended" if wire else ""
             yield Goal(
                 "trouble", f"Nothing is left {GONE} frames after a slide in {mode}{after}", 1.0, False, gone, "%", data
@@ -70,8 +70,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
     for mode in MODES:
         runs = [result for _, _, result in done.of("trouble", f"drifting/{mode}/")]
         if runs:
-            wrong = sum(bool(run["ghosts"][1] or run["lost"][1]) for run in runs)
-            right = share(len(runs) - wrong, len(runs))
+            right = _exactly(np.array([not (run["ghosts"][1] or run["lost"][1]) for run in runs]))
             task = next(task for _, task, _ in done.of("trouble", f"drifting/{mode}/"))
             text = f"No ghost and no finger lost in {mode}, pairs drifting by {task.times:g} times the noise a minute"
             yield Goal("trouble", text, 1.0, False, right, "%", f"{len(runs)} seeds")
@@ -80,6 +79,11 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             yield Goal(
                 "trouble", text, 1.2, True, ratio_of_means(away[:, 1], away[:, 0]), "ratio", f"{len(runs)} seeds"
             )
+
+
+def _exactly(right: Bools) -> Estimate:
+    """The share of cases that are right; of these cases, all that were asked for: there is nothing to infer."""
+    return Estimate(*[float(right.mean())] * 3)
 
 
 def trouble_tables(done: Outcome[Any]) -> list[Block]:
