@@ -137,6 +137,8 @@ LONG = {
     "test_sheet.py::test_a_skin_that_is_not": "electrodes and sheet found again",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",
     "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",
+    "test_trouble.py::test_a_gain_is_told": "contacts read from the same set-up in test_policies.py",
+    "test_trouble.py::test_the_lightest_press": "contacts read from the same set-up in test_policies.py",
     "test_trouble.py::test_pairs_that_drift": "drift of the whole skin, and of single contacts, in test_filter.py",
     "test_view_session.py::test_a_slow_estimator_says": "that one is told of once",
 }
