@@ -179,6 +179,7 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
             if cells:
                 x, estimates = zip(*cells, strict=True)
                 draw_estimates(axes, list(x), list(estimates), "o-", label=_WORLDS[world], **style)
+                axes.set_xticks(x)
             axes.set_xlabel(label)
         tracked = sorted(
             (task.decibels, ratio_of_means(*best_round(task, result)[:2]))
@@ -187,6 +188,7 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
         if tracked:
             x, estimates = zip(*tracked, strict=True)
             draw_estimates(grid[3], list(x), list(estimates), "P-", **style)
+            grid[3].set_xticks(x)
     grid[3].set_xlabel("noise / dB")
     for axes, title in zip(
         grid,
