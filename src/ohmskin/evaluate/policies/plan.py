@@ -156,7 +156,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
                 usual = Static(world, decibels, seeds, ("best", "16O fused", "16P"), DRIVEN, s.side, s.random, CORNERS)
                 found["driven"][f"{world}/{decibels:g}/{name}/{draw}"] = replace(usual, flaw=own, first=draw * seeds)
     for world in WORLDS:
-        cells = [(noise, 28, 1) for noise in {*s.noises, level}]
+        cells = [(noise, 28, 1) for noise in sorted({*s.noises, level})]
         cells += [(level, count, 1) for count in s.counts] + [(level, 28, count) for count in (2, 3)]
         for decibels, count, contacts in cells:
             gain = Gain(world, decibels, count, contacts, s.seeds, 2 * s.where)
