@@ -16,7 +16,7 @@ from ohmskin.tracking.state import TrackState
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
 _ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without an electrode, and share that then lacks
 _BLAMED = 3  # of the newest frames in which one electrode alone tells of a contact, from which on its wire is loose
-_NOTHING = 1e-9
+_NOTHING = 1e-9  # share of the power that a frame keeps whose score counts for nothing
 _GROSS = 10.0  # times all other changes, by which those of a loose wire are larger
 LONGEST = int(_WINDOWS[-1])
 

@@ -8,11 +8,11 @@ print(policies.static_errors(task.run()).mean(axis=-1))  # (n_schemes, n_readers
 
 from ohmskin.evaluate.flaws import Flaw
 from ohmskin.evaluate.policies.comparison import compare
-from ohmskin.evaluate.policies.goals import assess, moving_errors, static_errors
+from ohmskin.evaluate.policies.goals import assess, static_errors
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
 from ohmskin.evaluate.policies.plan import SECTIONS, Settings, plan
 from ohmskin.evaluate.policies.static import Static
-from ohmskin.evaluate.policies.tracked import Detection, Moving, Quiet
+from ohmskin.evaluate.policies.tracked import Detection, Moving, Quiet, moving_errors
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.verdict import Goal

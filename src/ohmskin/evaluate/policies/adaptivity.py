@@ -8,13 +8,12 @@ import numpy as np
 from ohmskin.evaluate.experiments.localisation import places as lattice
 from ohmskin.evaluate.policies.pairs import READING
 from ohmskin.evaluate.policies.schemes import scheme
-from ohmskin.evaluate.policies.tracked import NEAR, apart, near
+from ohmskin.evaluate.policies.tracked import MISS, NEAR, apart, near
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.evaluate.worlds import contact
 
-LOST = 30e-3  # metres: the most that an error counts, and what a contact counts that is not found
 PRESSURES = 50.0 * 1.5 ** np.arange(18)  # Pa, 50 Pa to 49 kPa
 WAYS = (("16O fused", "centroid"), ("best", READING), ("16P", READING))
 
@@ -40,7 +39,7 @@ class Gain:
 
     def run(self) -> Result:
         """Results: ``away`` (2, n_seeds, n_where) for ``16P`` and the best fixed set, the mean over the contacts of the
-        distance to the closest one reported, `LOST` at most (m)."""
+        distance to the closest one reported, `MISS` at most, and where it is not found (m)."""
         world, away = setup(self.world, self.decibels), np.empty((2, self.seeds, self.where))
         for w in range(self.where):
             truth = apart(np.random.default_rng([w, self.contacts, 31]), self.contacts)
@@ -48,7 +47,7 @@ class Gain:
             for (s, key), seed in product(enumerate(("16P", "best")), range(self.seeds)):
                 seen = world.see(scheme(f"{key}/{self.injections}", READING), there, seed)
                 found = [c.position for c in seen.contacts]
-                away[s, seed, w] = np.mean([min(near(found, place), LOST) for place in truth])
+                away[s, seed, w] = np.mean([min(near(found, place), MISS) for place in truth])
         return {"away": away}
 
 

@@ -13,13 +13,13 @@ from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Picture
 from ohmskin.evaluate.policies import doubt, goals
-from ohmskin.evaluate.policies.doubt import SETTLE
 from ohmskin.evaluate.policies.figures import PAINTERS
-from ohmskin.evaluate.policies.goals import MISS, NAMES, WITHIN, Done, moving_errors
+from ohmskin.evaluate.policies.goals import WITHIN, Done
 from ohmskin.evaluate.policies.pairs import ideal_power
 from ohmskin.evaluate.policies.plan import Settings, plan
 from ohmskin.evaluate.policies.presses import FOOT, KNOWN, LAYERS, WRONG
-from ohmskin.evaluate.policies.schemes import SCHEMES, instrument_cost
+from ohmskin.evaluate.policies.schemes import NAMES, SCHEMES, instrument_cost
+from ohmskin.evaluate.policies.tracked import MISS, SETTLE, moving_errors
 from ohmskin.evaluate.report import Block, Image, Section, Table
 from ohmskin.evaluate.setup import PERIOD, QUIET
 from ohmskin.evaluate.statistics import mean

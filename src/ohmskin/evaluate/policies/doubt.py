@@ -7,20 +7,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ohmskin.arrays import Bools, Floats
-from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies.adaptivity import WAYS
+from ohmskin.evaluate.policies.schemes import NAMES
+from ohmskin.evaluate.policies.tracked import moving_errors
 from ohmskin.evaluate.policies.trouble import MODES, NONE, WIRE
 from ohmskin.evaluate.report import Block, Table
 from ohmskin.evaluate.result import Outcome, Result
 from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means
 from ohmskin.evaluate.verdict import Goal
 
-SETTLE = 10  # frames of a moving contact that do not count: it is found in them
 FALSE, SOON, GONE = 5, 1.0, 3  # frames with a false contact, s, and frames that a fault, its name and a lift may take
 LIGHT = 850.0  # Pa, of a light press
 ROUNDS = "rotating/4", "rotating best/4"
-_WORLDS = {"discs": "discs", "pressed": "contact-layer twin"}
 _COLOURS = {"discs": "#0072b2", "pressed": "#d55e00"}
 
 
@@ -133,8 +132,7 @@ def trouble_tables(done: Outcome[Any]) -> list[Block]:
 
 def best_round(task: Any, result: Result) -> tuple[Floats, Floats, str]:
     """Mean errors of paths (n_seeds,) tracked with chosen injections, with the better fixed round, and its name (m)."""
-    tracked = errors(result, "tracked")[..., SETTLE:].mean(axis=-1)
-    each = {key: tracked[task.trackers.index(key)] for key in task.trackers}
+    each = dict(zip(task.trackers, moving_errors(result)[1], strict=True))
     best = min(ROUNDS, key=lambda key: float(each[key].mean()))
     return each["16T/4"], each[best], best.partition("/")[0]
 
@@ -145,7 +143,7 @@ def gain_goals(done: Outcome[Any]) -> Iterator[Goal]:
         ours, theirs = result["away"]
         ratio = ratio_of_means(ours, theirs)
         contacts = "one contact" if task.contacts == 1 else f"{task.contacts} contacts"
-        where = f"({_WORLDS[task.world]}, {task.decibels:g} dB, {task.injections} injections, {contacts})"
+        where = f"({NAMES[task.world]}, {task.decibels:g} dB, {task.injections} injections, {contacts})"
         text = f"Driven electrodes measured, fit: mean error of 16P over that of the best fixed set {where}"
         note = f"{1e3 * ours.mean():.2f} mm against {1e3 * theirs.mean():.2f} mm; 95 % below "
         note += f"{1e3 * np.quantile(ours, 0.95):.1f} against {1e3 * np.quantile(theirs, 0.95):.1f} mm"
@@ -154,7 +152,7 @@ def gain_goals(done: Outcome[Any]) -> Iterator[Goal]:
         yield Goal("gain", text, 0.8 if asked else 1.0, True, ratio, "ratio", data, note, asked)
     for _, task, result in done.of("gain", "tracking/"):
         ours, theirs, name = best_round(task, result)
-        where = f"({_WORLDS[task.world]}, {task.decibels:g} dB)"
+        where = f"({NAMES[task.world]}, {task.decibels:g} dB)"
         text = f"Tracked with 4 injections a frame: mean error of 16T over that of the better fixed round {where}"
         note = f"{1e3 * ours.mean():.2f} mm against {1e3 * theirs.mean():.2f} mm ({name})"
         ratio, asked = ratio_of_means(ours, theirs), task.decibels in (40.0, 50.0)
@@ -178,7 +176,7 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
             cells = sorted(((getattr(task, name), ratio) for task, ratio in same), key=lambda cell: cell[0])
             if cells:
                 x, estimates = zip(*cells, strict=True)
-                draw_estimates(axes, list(x), list(estimates), "o-", label=_WORLDS[world], **style)
+                draw_estimates(axes, list(x), list(estimates), "o-", label=NAMES[world], **style)
                 axes.set_xticks(x)
             axes.set_xlabel(label)
         tracked = sorted(

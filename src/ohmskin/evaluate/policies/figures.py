@@ -12,10 +12,11 @@ from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies import goals
-from ohmskin.evaluate.policies.doubt import SETTLE, gain_picture, sensitivity_picture
-from ohmskin.evaluate.policies.goals import NAMES, OTHERS, WITHIN, Done, moving_errors
+from ohmskin.evaluate.policies.doubt import gain_picture, sensitivity_picture
+from ohmskin.evaluate.policies.goals import OTHERS, WITHIN, Done
 from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
-from ohmskin.evaluate.policies.tracked import APART, NEAR
+from ohmskin.evaluate.policies.schemes import NAMES
+from ohmskin.evaluate.policies.tracked import APART, NEAR, SETTLE, moving_errors
 from ohmskin.evaluate.statistics import mean
 
 COLOURS = {"12B": "#8c8c8c", "16I": "#0072b2", "best": "#e69f00", "16O fused": "#d55e00"}

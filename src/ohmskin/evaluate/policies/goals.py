@@ -9,19 +9,18 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.policies import doubt
-from ohmskin.evaluate.policies.doubt import SETTLE, best_round
+from ohmskin.evaluate.policies.doubt import best_round
 from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power
 from ohmskin.evaluate.policies.plan import OFF, POOR, TOLD, Settings
-from ohmskin.evaluate.policies.schemes import scheme
+from ohmskin.evaluate.policies.schemes import NAMES, scheme
 from ohmskin.evaluate.policies.static import Static
+from ohmskin.evaluate.policies.tracked import MISS, moving_errors
 from ohmskin.evaluate.result import Outcome, Result
 from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means, share
 from ohmskin.evaluate.verdict import Goal
 
 QUIET = 100_000  # frames in which no contact is to be invented
-MISS = 30e-3  # metres; a contact placed further away counts as missed
 WITHIN = 3  # frames in which a new contact is to be found
-NAMES = {"discs": "discs", "pressed": "contact-layer twin"}
 ASKED_PAIRS = {(50.0, 0.02): 0.75, (60.0, 0.012): 0.95}  # share of pairs at a noise level (dB) and distance (m)
 OTHERS = ("nothing else is touched", "one other is tracked", "two others are tracked")
 Done = Outcome[Settings]
@@ -46,13 +45,6 @@ def assess(done: Done) -> list[Goal]:
 def static_errors(result: Result) -> Floats:
     """Mean error over the places (n_schemes, n_readers, n_seeds) in metres."""
     return np.asarray(errors(result).mean(axis=-1))
-
-
-def moving_errors(result: Result) -> tuple[Floats, Floats]:
-    """Mean errors over a path but its start (m): by frames (n_schemes, n_readers, n_seeds), tracked (n_trackers,
-    n_seeds)."""
-    framewise, tracked = (errors(result, name)[..., SETTLE:].mean(axis=-1) for name in ("framewise", "tracked"))
-    return framewise, tracked
 
 
 def robust_errors(done: Done) -> dict[str, dict[tuple[str, str], Floats]]:

@@ -18,6 +18,7 @@ SCHEMES = {  # what it does, the product's name, and the usual number of injecti
     "rotating": ("a few injections per frame in a fixed round of opposite electrodes", "rotating", 4),
     "rotating best": ("a few injections per frame in a fixed round of the best set of 16", "rotating_best", 4),
 }
+NAMES = {"discs": "discs", "pressed": "contact-layer twin"}  # of worlds
 INSTRUMENTS = ("parallel", "multiplexed")
 YARDSTICK = "16O fused"  # whose time on an instrument all schemes get
 

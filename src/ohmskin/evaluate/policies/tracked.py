@@ -7,6 +7,7 @@ from itertools import product, repeat
 import numpy as np
 
 from ohmskin.arrays import Floats
+from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.flaws import SOUND, Flaw
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
@@ -19,6 +20,8 @@ FASTEST = 3e-3  # metres per frame
 _RIM = 15e-3  # metres between a path and the rim
 _SWING = 40  # frames from rest to the highest speed and back
 _TURN = 0.15  # radians per frame by which a path may well turn
+MISS = 30e-3  # metres; a contact placed further away counts as missed
+SETTLE = 10  # frames of a moving contact that do not count: it is found in them
 NEAR = 12e-3  # metres; a contact reported so close to a new one is that one
 _MARGIN = 10e-3  # metres from a contact to the rim
 APART = 25e-3  # metres between contacts
@@ -76,6 +79,13 @@ class Moving:
                         tracked[t, seed, k] = strongest.position
                         std[t, seed, k] = np.sqrt(np.trace(np.asarray(strongest.covariance, float)))
         return {"truth": truth, "framewise": framewise, "tracked": tracked, "std": std, "count": count}
+
+
+def moving_errors(result: Result) -> tuple[Floats, Floats]:
+    """Mean errors over a path but its start (m): by frames (n_schemes, n_readers, n_seeds), tracked (n_trackers,
+    n_seeds)."""
+    framewise, tracked = (errors(result, name)[..., SETTLE:].mean(axis=-1) for name in ("framewise", "tracked"))
+    return framewise, tracked
 
 
 def path(seed: int, frames: int) -> Floats:
