@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 LOOP = """if True:
     from direct import DirectDevice
     from ohmskin import Engine, Skin, VirtualSkin
@@ -14,6 +16,27 @@ LOOP = """if True:
         print(*told, sep="\\n")
         print("then", repr(engine.message))
     """
+TOUCHED = """if True:
+    import sys
+    from direct import DirectDevice
+    from numba.core.dispatcher import Dispatcher
+    from ohmskin import Engine, Skin, VirtualSkin
+
+    def compiled():
+        modules = [module for name, module in list(sys.modules.items()) if name.startswith("ohmskin")]
+        parts = [part for module in modules for part in vars(module).values() if isinstance(part, Dispatcher)]
+        return {str((part, one)) for part in parts for one in part.signatures}
+
+    skin = Skin.parse("")
+    virtual = VirtualSkin(skin)
+    with Engine(lambda: DirectDevice(virtual), skin, sys.argv[1]) as engine:
+        engine.calibrate()
+        before = compiled()
+        virtual.press(1, 0.06, 0.14, 0.01, 8e3)
+        virtual.press(2, 0.14, 0.05, 0.01, 8e3)
+        print(*[len(engine.step().contacts) for _ in range(6)])
+        print(*sorted(compiled() - before), sep="\\n")
+    """
 COMMAND = """if True:
     import sys
     from ohmskin.cli import main
@@ -22,19 +45,27 @@ COMMAND = """if True:
     """
 
 
-def run(script: str, cache: Path) -> "subprocess.CompletedProcess[str]":
+def run(script: str, *arguments: str, cache: Path | None = None) -> "subprocess.CompletedProcess[str]":
     folders = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": folders}
-    return subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    environment = {**os.environ, "PYTHONPATH": folders} | ({} if cache is None else {"NUMBA_CACHE_DIR": str(cache)})
+    command = [sys.executable, "-c", script, *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
 
 
 def test_a_command_says_so_on_its_first_call_and_only_then(tmp_path: Path) -> None:
-    first, second = run(COMMAND, tmp_path), run(COMMAND, tmp_path)
+    first, second = run(COMMAND, cache=tmp_path), run(COMMAND, cache=tmp_path)
     assert "compiling, once on this machine" in first.stderr
     assert "compiling" not in second.stderr
 
 
 def test_a_loop_has_it_as_its_message_while_it_lasts(tmp_path: Path) -> None:
-    *told, then = run(LOOP, tmp_path).stdout.splitlines()
+    *told, then = run(LOOP, cache=tmp_path).stdout.splitlines()
     assert any(line.startswith("compiling, once on this machine") for line in told)
     assert then == "then ''"
+
+
+@pytest.mark.parametrize("mode", ["16P", "16T", "16O", "12B"])
+def test_nothing_is_left_to_compile_at_the_first_touch(mode: str) -> None:
+    contacts, *left = run(TOUCHED, mode).stdout.splitlines()
+    assert contacts.endswith("2")
+    assert left == [""]

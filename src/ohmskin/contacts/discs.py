@@ -14,7 +14,7 @@ from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std
 from ohmskin.forward import ContactTable
-from ohmskin.scan import Difference, DrivePattern
+from ohmskin.scan import Difference
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
@@ -45,9 +45,6 @@ class DiscFitter:
         self._largest = (self._candidates**2).max(axis=0)
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self._least = -np.inf if bipolar else 1e-3 * table.radius**2
-        quiet = DrivePattern(np.array([[0, 1]]), np.array([[0, 0, 1]]))
-        told, _ = self.information(Difference(quiet, np.ones(1), np.zeros(1)))
-        self.refine(told, self.expected(np.zeros(1))[0][None])  # compile now, not at the first contact
 
     # --- what is measured ---------------------------------------------------------------------------------------------
 

@@ -1,13 +1,14 @@
 """From a mode to a sensor: its parts by their names, gamma_0 learned from the quiet frames, compiled where possible."""
 
 import time
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
 
 from ohmskin.contacts import ContactFinder, learn_threshold
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, WithDriven
-from ohmskin.errors import ModelError
+from ohmskin.errors import DataError, ModelError
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.forces import forces_of
@@ -19,6 +20,7 @@ from ohmskin.skin import Mode, Skin
 
 _LEAST_QUIET = 8  # images, below which a threshold learned from them would be luck
 _SIGMAS = 5.0  # height of a threshold above the largest predicted noise, where it cannot be learned
+_REHEARSED = (1, 1, 1, 2, 2)  # contacts there in each frame
 _PATIENCE = 2.0  # s to learn thresholds in, of slow estimators
 
 
@@ -72,6 +74,7 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
     drive.next([Target(middle, 1e-6 * np.eye(2), 1e-4, imaging.mesh_size)], 1)  # makes its tables, if it has any, now
     sensor = Sensor(known, drive, reader, locator, thresholds, mode.fuse, window, forces_of(known, mode))
     sensor.implementation, sensor.seconds = compiled(sensor, mode), seconds
+    _rehearse(sensor)
     return sensor
 
 
@@ -89,6 +92,18 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode = RECORDED) -> Percept:
     """
     sensor = build(mode, known, Fixed(frame.pattern))
     return sensor.step(sensor.start(), lambda _: frame)[1]
+
+
+def _rehearse(sensor: Sensor) -> None:
+    """Touch a simulated skin, so that what is compiled at first use is compiled before the first contact, not at it."""
+    if sensor.locator.fitter is None:
+        return
+    mesh, state = sensor.known.model.mesh, sensor.start()
+    far = (mesh.nodes.min(axis=0) + 3 * mesh.nodes.max(axis=0)) / 4
+    contacts = np.array([mesh.centroids.mean(axis=0), far])
+    with suppress(DataError, ModelError):
+        for count in _REHEARSED:
+            state, _ = sensor.step(state, sensor.known.pressed(contacts[:count]))
 
 
 def _learned(sensor: Sensor, finder: ContactFinder) -> tuple[Thresholds, float]:

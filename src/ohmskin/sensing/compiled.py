@@ -132,7 +132,6 @@ class CompiledCycle:
         self.base_image, self.image = self._space.base_image, self._space.image
         self._looked = False
         self._patterns: dict[bytes, DrivePattern] = {}
-        self._warm()
 
     def look(self, volts: Floats, currents: Floats) -> Ints:
         """The pairs (n,) to drive next, by number, from the base scan: `volts` (n_meas,) (V), `currents` (n_inj,) (A).
@@ -189,14 +188,6 @@ class CompiledCycle:
                 self._patterns.clear()
             self._patterns[key] = part_of(self.drive.second.complete, chosen)
         return self._patterns[key]
-
-    def _warm(self) -> None:
-        """Compile now, or load what was compiled before; not at the first touch."""
-        quiet = self._tables.base_reference * self._tables.base_currents[self._tables.base_injections]
-        chosen = self.look(quiet, self._tables.base_currents)
-        ones = np.full(len(chosen), float(self._tables.base_currents[0]))
-        rows = (chosen[:, None] * self._per_pair + np.arange(self._per_pair)).ravel()
-        self.see(self._tables.reference[rows] * ones[0], ones)
 
 
 def _checked(volts: Floats, n_meas: int, currents: Floats, n_inj: int) -> Data:
@@ -273,16 +264,7 @@ def compiled(sensor: Sensor, mode: Mode) -> Compiled | None:
 
 def _agrees(sensor: Sensor, implementation: Compiled) -> bool:
     """Whether both ways image a simulated contact in the middle of the sheet alike."""
-    model, quiet = sensor.known.model, sensor.known.quiet
-    middle = model.mesh.closest_elements(model.mesh.centroids.mean(axis=0)[None], 8)[0]
-    change = 0.5 * model.pair_sensitivity[:, middle] @ model.conductivity[middle]
-
-    def scan(pattern: DrivePattern) -> Frame:
-        frame = quiet.scan(pattern, 0)
-        currents = frame.currents[pattern.measurements[:, 0]]
-        volts = frame.voltages + currents * (pattern.combination(len(model.electrodes)) @ change)
-        return Frame(pattern, volts, frame.currents * 1.0, frame.time)
-
+    scan = sensor.known.pressed(sensor.known.model.mesh.centroids.mean(axis=0)[None])
     found, plain = implementation.measure(scan), sensor.measure(sensor.start(), scan)
     if not isinstance(found, Measured) or found.read is None or found.look is None or plain.look is None:
         return False

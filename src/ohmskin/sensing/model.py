@@ -1,6 +1,6 @@
 """What is learned of a quiet skin, and the parts that every reader of it shares."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -141,6 +141,22 @@ class SkinModel:
             share = wanted / difference.currents
         reference = None if difference.reference is None else difference.reference * share
         return replace(difference, currents=wanted, volts=difference.volts * share, reference=reference)
+
+    def pressed(self, places: Floats) -> Callable[[DrivePattern], Frame]:
+        """Scans without noise as they would be were the sheet touched at places (n, 2 or 3), as linear theory has it.
+
+        At each, eight elements conduct half as well again.
+        """
+        model = self.model
+        touched = np.unique(model.mesh.closest_elements(places, 8))
+        change = 0.5 * model.pair_sensitivity[:, touched] @ model.conductivity[touched]
+
+        def scan(pattern: DrivePattern) -> Frame:
+            frame = self.quiet.scan(pattern, 0)
+            volts = frame.voltages + frame.measurement_currents * (pattern.combination(len(model.electrodes)) @ change)
+            return replace(frame, voltages=volts)
+
+        return scan
 
     def estimator(self, name: str, prior: str = "paper", rule: str = "physical") -> Estimator:
         """The estimator of that name; made once.
