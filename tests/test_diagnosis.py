@@ -122,6 +122,15 @@ def test_without_errors_of_currents_the_misfit_is_that_of_the_network_fit(patter
         np.testing.assert_allclose(1e-4 * found.residuals, fit.residuals(fit.known)[:, 0], atol=1e-9)
 
 
+def test_the_projection_tells_what_each_voltage_left_out_saves(patterns: list[DrivePattern]) -> None:
+    data = NetworkData([some_changes(np.random.default_rng(3), patterns[2], 1e-4)], 16, Instrument(1e-4, 1e-3))
+    every = np.ones(patterns[2].n_meas, bool)
+    projection, left = data.projection(every)
+    for row in range(0, len(every), 17):
+        saved = data.coherence(every).squares - data.coherence(every & (np.arange(len(every)) != row)).squares
+        assert left[row] ** 2 / projection[row, row] == pytest.approx(saved, rel=1e-4, abs=1e-4)
+
+
 # --- in the loop ------------------------------------------------------------------------------------------------------
 
 
@@ -218,6 +227,22 @@ def test_spikes_make_no_contacts_and_are_told(engine: Engine) -> None:
     device_of(engine).spoil = spoil
     assert sum(counts(run(engine, 80))) == 0
     assert engine.message
+
+
+@pytest.mark.parametrize("engine", ["16P"], indirect=True)
+def test_a_spike_in_each_scan_of_a_frame_blames_no_electrode(engine: Engine) -> None:
+    random = np.random.default_rng(8)
+
+    def spoil(frame: Frame) -> Frame:
+        volts = frame.voltages.copy()
+        volts[random.integers(len(volts))] += random.choice([-0.1, 0.1])
+        return replace(frame, voltages=volts)
+
+    run(engine, 10)
+    device_of(engine).spoil = spoil
+    touches = run(engine, 60)
+    assert sum(counts(touches)) == 0
+    assert not any(touch.percept.diagnosis.bad for touch in touches)
 
 
 @pytest.mark.parametrize("engine", ["16T"], indirect=True)

@@ -12,13 +12,12 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts import kernels
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
-from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std
+from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.forward import ContactTable
 from ohmskin.scan import Difference
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
-_UNKNOWN = np.empty(0), np.empty((0, 0))
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 cost_of = attrgetter("cost")
 
@@ -102,7 +101,7 @@ class DiscFitter:
 
     def expected(self, effects: Floats) -> tuple[Floats, Floats]:
         """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2) before any data."""
-        return kernels.expected(np.asarray(effects, float), self.table.radius, *self.table.sheet[:2])
+        return kernels.expected(np.ascontiguousarray(effects, float), self.table.radius, *self.table.sheet[:2])
 
     def refine(
         self,
@@ -121,15 +120,18 @@ class DiscFitter:
             information: (4 n, 4 n) inverse of its covariance, likewise.
             rounds: Most steps.
         """
-        if mean is None or information is None:
-            mean, information = _UNKNOWN
-        starts = np.ascontiguousarray(start[..., :PER_CONTACT], float)
-        params, cost, normal, caused, slopes = kernels.fitted(
-            starts.reshape(-1, *starts.shape[-2:]), data.told.matrix, data.told.vector, data.told.constant,
-            mean, np.ascontiguousarray(information), rounds, self.table.radius, self._least, *self.squares,
-            self.table.sheet, self.table.spline,
-        )  # fmt: skip
-        return Solution(params, cost, normal, caused, slopes.T)
+        told, best = data.told, nothing(len(data.told.vector) - 1, np.inf)
+        for one in np.array(start[..., :PER_CONTACT], float).reshape(-1, *start.shape[-2:-1], PER_CONTACT):
+            known, prior = mean, information
+            if known is None or prior is None:
+                known, prior = self.expected(one[:, 2])
+            cost, normal, caused, slopes = kernels.refined(
+                one, told.matrix, told.vector, told.constant, known, np.ascontiguousarray(prior),
+                rounds, self.table.radius, self._least, *self.squares, self.table.sheet, self.table.spline, best.cost,
+            )  # fmt: skip
+            if cost < best.cost or not len(best.params):
+                best = Solution(one, cost, normal, caused, slopes.T)
+        return best
 
     def contact(self, params: Floats, covariance: Floats) -> Contact:
         """A contact to report, from its parameters (4,) and their covariance (4, 4)."""

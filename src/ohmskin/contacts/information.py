@@ -13,6 +13,7 @@ from math import sqrt
 
 import numpy as np
 from numba import njit
+from scipy.linalg.blas import dtrsm
 
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.contacts.misfit import Misfit, Parts
@@ -101,13 +102,17 @@ class Information:
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
         changes = np.empty((n_pairs(n_elec), 0)) if errors.contacts is None else errors.contacts
-        *found, count = _statistics(
-            four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec), int(starts[-1]),
-            errors.noise, errors.gain, errors.model, changes,
-        )  # fmt: skip
+        n = len(changes) + 2
+        gram, gains = np.zeros((n, n)), np.zeros((int(starts[-1]) if errors.gain > 0 else 0, n))
+        kinds = np.array([errors.noise, errors.gain, errors.model])
+        count = _products(four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec), kinds, gram, gains)
         if not count:
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        told, wary, white, warier = (Misfit(*one, np.empty((0, len(one[1])))) for one in found)
+        larger = 1 + errors.model**2 * gram[-1, -1] / count
+        beside = [_whitened(gram, gains, changes, errors.gain, variance) for variance in (1.0, larger)]
+        told, wary, white, warier = (
+            Misfit(*_parts(one), np.empty((0, n - 1))) for one in (*beside, gram, gram / larger)
+        )
         return cls(told, white, count), cls(wary, warier, count)
 
     @classmethod
@@ -184,24 +189,26 @@ class Information:
 
 
 @njit(cache=True, nogil=True)
-def _statistics(
+def _products(
     four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
-    numbers: Ints, n_inj: int, noise: float, gain: float, model: float, contacts: Floats,
-) -> tuple[Parts, Parts, Parts, Parts, int]:  # fmt: skip
-    """The curvature, gradient and constant of the misfit beside errors of all kinds; the same wary of the model's
-    error; both with white noise alone; and the number of finite data."""
+    numbers: Ints, errors: Floats, gram: Floats, gains: Floats,
+) -> int:  # fmt: skip
+    """Products of the columns of the problem in units of noise, and the number of finite data.
+
+    Into `gram` (n, n) those of all two-terminal resistances, the quiet data and the data; into `gains` (n_inj, n) those
+    with an error of the current of each injection. The `errors` are noise, gain and model of `Errors`.
+    """
+    noise, gain, model = errors
     counts, squares = np.zeros(2, np.int64), np.zeros(2)
     for row in range(len(four)):
         if np.isfinite(volts[row]) and np.isfinite(amperes[row]):
             counts[int(driven[row])] += 1
             squares[int(driven[row])] += volts[row] ** 2
-    count, share = counts.sum(), 1.0
-    if counts.min() > 0:  # driven electrodes count as much less as their larger changes are modelled worse
-        usual, theirs = noise**2 + model**2 * squares / counts
-        share = min(1.0, np.sqrt(usual / theirs))
+    count, share = counts[0] + counts[1], 1.0
+    if counts[0] > 0 and counts[1] > 0:  # driven electrodes count less, as their larger changes are modelled worse
+        usual, theirs = squares[0] / counts[0], squares[1] / counts[1]
+        share = min(1.0, np.sqrt((noise**2 + model**2 * usual) / (noise**2 + model**2 * theirs)))
     pairs = numbers[0, 0]  # on the diagonal: of no pair
-    n, n_gain = pairs + 2, n_inj if gain > 0 else 0
-    gram, gains, sizes = np.zeros((n, n)), np.zeros((n_gain, n)), np.empty(n_gain)
     columns, entries = np.empty(7, np.int64), np.empty(7)
     for row in range(len(four)):
         if not (np.isfinite(volts[row]) and np.isfinite(amperes[row])):
@@ -221,56 +228,35 @@ def _statistics(
         for p in range(many):
             for q in range(many):
                 gram[columns[p], columns[q]] += entries[p] * entries[q]
-            if n_gain:  # an error of the current looks like the quiet skin
+            if gain > 0:  # an error of the current looks like the quiet skin
                 gains[which[row], columns[p]] += gain * entries[many - 2] * entries[p]
-    for m in range(n_gain):
-        sizes[m] = gain * gains[m, pairs]
-    changes = np.ascontiguousarray(contacts.T)
-    beside = changes @ gram[:pairs]
-    own = np.ascontiguousarray(beside[:, :pairs]) @ contacts
-    mixed = np.ascontiguousarray(gains[:, :pairs]) @ contacts
-    larger = 1 + model**2 * gram[n - 1, n - 1] / max(count, 1)
-    told = _whitened(gram, gains, sizes, beside, own, mixed, 1.0)
-    wary = _whitened(gram, gains, sizes, beside, own, mixed, larger)
-    return _parts(told), _parts(wary), _parts(gram), _parts(gram / larger), count
+    return int(count)
 
 
-@njit(cache=True, nogil=True)
 def _parts(products: Floats) -> Parts:
     """Curvature, gradient and constant from products (n + 1, n + 1) of columns, the data last."""
-    return np.ascontiguousarray(products[:-1, :-1]), products[-1, :-1].copy(), products[-1, -1]
+    return np.ascontiguousarray(products[:-1, :-1]), products[-1, :-1].copy(), float(products[-1, -1])
 
 
-@njit(cache=True, nogil=True)
-def _whitened(
-    gram: Floats, gains: Floats, sizes: Floats, beside: Floats, own: Floats, mixed: Floats, variance: float
-) -> Floats:
+def _whitened(gram: Floats, gains: Floats, contacts: Floats, gain: float, variance: float) -> Floats:
     """Products (n, n) of columns of data beside errors, if the noise has that variance.
 
     Args:
         gram: (n, n) theirs.
-        gains: (n_gain, n) theirs with errors that have no data in common.
-        sizes: (n_gain,) squares of these.
-        beside: (k, n) theirs with further errors.
-        own: (k, k) products of the further errors.
-        mixed: (n_gain, k) of both kinds of errors.
+        gains: (n_inj, n) theirs with errors of the currents, which have no data in common.
+        contacts: (n_pairs, k) changes of two-terminal resistances of one standard deviation of further errors.
+        gain: Standard deviation of the relative error of a current (1).
         variance: Of the noise.
     """
+    pairs = len(contacts)
+    beside, sizes = contacts.T @ gram[:pairs], gain * gains[:, pairs]
+    own = beside[:, :pairs] @ contacts
     ridge = variance + _ROUNDING * (sizes.sum() + np.trace(own))
-    rows, known = np.concatenate((gains, beside)), len(gains)
-    root = 1 / np.sqrt(ridge + sizes).reshape(-1, 1)
-    rows[:known] *= root
-    both = root * mixed
-    rows[known:] -= both.T @ rows[:known]
+    root = 1 / np.sqrt(ridge + sizes)[:, None]
+    first = root * gains
+    both = first[:, :pairs] @ contacts
     lower = np.linalg.cholesky(own + ridge * np.eye(len(own)) - both.T @ both)
-    for i in range(len(own)):
-        for k in range(i):
-            rows[known + i] -= lower[i, k] * rows[known + k]
-        rows[known + i] /= lower[i, i]
-    whitened: Floats = rows.T @ rows
-    share = 1 / variance
-    for i in range(len(gram)):
-        for k in range(len(gram)):
-            whitened[i, k] = (gram[i, k] - whitened[i, k]) * share
-        whitened[i, i] += _ROUNDING * share * gram[i, i]  # or where errors leave nothing, rounding would leave less
-    return whitened
+    second = dtrsm(1.0, lower, beside - both.T @ first, lower=1)
+    whitened = gram - first.T @ first - second.T @ second
+    whitened[np.diag_indices(len(gram))] += _ROUNDING * np.diag(gram)  # or rounding would leave less than nothing
+    return np.asarray(whitened / variance)

@@ -71,28 +71,6 @@ def peaks(height: Floats, places: Floats, most: int, promise: float, apart: floa
 
 
 @njit(cache=True, nogil=True)
-def fitted(
-    starts: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
-    usual: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
-) -> tuple[Floats, float, Floats, Floats, Floats]:  # fmt: skip
-    """The best fit from several starts (m, n, 4): parameters, cost, curvature, what is caused, and its slopes.
-
-    Without `mean` and `prior`, what is `expected` of contacts of the effects of each start.
-    """
-    best = starts[0], np.inf, prior, mean, prior
-    for k in range(len(starts)):
-        params = starts[k].copy()
-        known = (mean, prior) if len(mean) else expected(params[:, 2].copy(), usual, sheet[0], sheet[1])
-        found = refined(
-            params, matrix, vector, constant, known[0], known[1], rounds, usual, least, smallest, largest, sheet,
-            spline, best[1],
-        )  # fmt: skip
-        if k == 0 or found[0] < best[1]:
-            best = params, found[0], found[1], found[2], found[3]
-    return best
-
-
-@njit(cache=True, nogil=True)
 def expected(effects: Floats, usual: float, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2) before any data.
 
@@ -122,29 +100,32 @@ def refined(
     A fit ends, too, that cannot come up with the `best` cost known, by what its next step promises.
     The `matrix` (n_pairs + 1, n_pairs + 1) and `vector` are those of a `Misfit`.
     """
-    damping, floor, ceiling = 1e-3, np.full(params.size, -np.inf), np.full(params.size, np.inf)
-    for axis in range(2):
-        floor[axis::4], ceiling[axis::4] = sheet[0][axis], sheet[1][axis]
-    floor[2::4], floor[3::4], ceiling[3::4] = least, smallest, largest
+    damping, n = 1e-3, params.size
+    floor, ceiling, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    for i in range(0, n, 4):
+        for axis in range(2):
+            floor[i + axis], ceiling[i + axis] = sheet[0][axis], sheet[1][axis]
+        floor[i + 2], ceiling[i + 2], floor[i + 3], ceiling[i + 3] = least, np.inf, smallest, largest
+    moved = np.empty_like(params)
     cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
     for _ in range(rounds):
-        at, slope = params.copy().reshape(-1), 0.0
-        step = _bounded_step(normal, gradient, damping, floor - at, ceiling - at)
-        for i in range(len(step)):
+        for i in range(n):
+            low[i], high[i] = floor[i] - params[i // 4, i % 4], ceiling[i] - params[i // 4, i % 4]
+        step, slope = _bounded_step(normal, gradient, damping, low, high), 0.0
+        for i in range(n):
             slope += step[i] * gradient[i]
         if not _ENOUGH <= slope < np.inf:  # also if it is no number: places would be none
             break
         if damping <= _SMALL and cost - _HOPE * slope > best:
             break
-        moved = params.copy()
         for k in range(len(params)):
             length = np.hypot(step[4 * k], step[4 * k + 1])
             shrunk = min(1.0, radius / max(length, 1e-300))  # no longer than a radius
-            moved[k, 0] += shrunk * step[4 * k]
-            moved[k, 1] += shrunk * step[4 * k + 1]
-            moved[k, 2] = max(moved[k, 2] + step[4 * k + 2], least)
-            moved[k, 3] = min(max(moved[k, 3] + step[4 * k + 3], smallest), largest)
-            onto(moved[k, :2], *sheet)
+            moved[k, 0] = params[k, 0] + shrunk * step[4 * k]
+            moved[k, 1] = params[k, 1] + shrunk * step[4 * k + 1]
+            moved[k, 2] = max(params[k, 2] + step[4 * k + 2], least)
+            moved[k, 3] = min(max(params[k, 3] + step[4 * k + 3], smallest), largest)
+            onto(moved[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4])
         trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
         gain = cost - trial[0]
         if gain > 0:
@@ -211,17 +192,39 @@ def _linearised(
     params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, spline: Spline
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
-    caused, slopes = responses(params, *spline)
-    n = len(caused)
-    seen, left = np.zeros_like(slopes), vector[:n].copy()
-    _multiplied(matrix, slopes, seen)
+    caused, slopes = responses(params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5])
+    n, many = len(slopes), len(caused)
+    rows, seen = np.empty((n + 1, many)), np.zeros((n + 1, many))  # the slopes, and last what is caused
+    for k in range(n + 1):
+        for p in range(many):
+            rows[k, p] = slopes[k, p] if k < n else caused[p]
+    _multiplied(matrix, rows, seen)
+    products = np.empty((n + 1, n + 2))
+    _dotted(rows, seen, vector, products)
+    cost, normal, gradient = constant - 2 * products[n, n + 1] + products[n, n], prior.copy(), np.zeros(n)
     for i in range(n):
-        for j in range(n):
-            left[j] -= caused[i] * matrix[i, j]
-    off = mean - params.copy().reshape(-1)
-    pull = prior @ off
-    cost = float(constant - caused @ (vector[:n] + left) + off @ pull)
-    return cost, seen @ slopes.T + prior, slopes @ left + pull, caused, slopes
+        gradient[i] = products[i, n + 1] - products[i, n]
+        for k in range(n):
+            normal[i, k] += products[i, k]
+            off = mean[k] - params[k // 4, k % 4]
+            gradient[i] += prior[i, k] * off
+            cost += (mean[i] - params[i // 4, i % 4]) * prior[i, k] * off
+    return cost, normal, gradient, caused, slopes
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _dotted(rows: Floats, seen: Floats, vector: Floats, out: Floats) -> None:
+    """The products of rows (m, n), with those of `seen` (m, n), the same by a symmetric matrix, and with a vector."""
+    for i in range(len(rows)):
+        for k in range(i + 1):
+            total = 0.0
+            for j in range(rows.shape[1]):
+                total += rows[i, j] * seen[k, j]
+            out[i, k] = out[k, i] = total
+        total = 0.0
+        for j in range(rows.shape[1]):
+            total += rows[i, j] * vector[j]
+        out[i, len(rows)] = total
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

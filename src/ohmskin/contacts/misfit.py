@@ -42,21 +42,27 @@ class Misfit:
 
     def less(self, known: Floats) -> "Misfit":
         """What is left once changes (n_pairs or n,) are known."""
-        vector, constant = _less(self.whole, self.vector, self.constant, self.lost, np.ascontiguousarray(known))
-        return Misfit(self.whole, vector, constant, self.lost, self.powers)
+        many, seen = len(known), self.seen(known[None])[0]
+        constant = self.constant - float(known @ (2 * self.vector[:many] - seen[:many]))
+        return Misfit(self.whole, self.vector - seen, constant, self.lost, self.powers)
 
     def without(self, directions: Floats) -> "Misfit":
         """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        given = self.whole, self.vector, self.constant, self.lost, np.ascontiguousarray(directions.T)
-        return Misfit(self.whole, *_without(*given), self.powers)
+        changes, vector = np.ascontiguousarray(directions.T), self.vector.copy()
+        rows = np.concatenate((self.lost, self.seen(changes)))
+        constant = self.constant - _taken_off(rows[len(self.lost) :], changes, vector)
+        return Misfit(self.whole, vector, constant, rows, self.powers)
 
     def seen(self, changes: Floats) -> Floats:
         """What changes (m, n_pairs or n) do to the gradient (m, n)."""
-        return _seen(self.whole, self.lost, changes)
+        many = changes.shape[1]
+        seen = changes @ self.whole[:many]
+        return np.asarray(seen - (changes @ self.lost[:, :many].T) @ self.lost if len(self.lost) else seen)
 
     def sizes(self, changes: Floats) -> Floats:
         """How large each of changes (n_pairs or n, k) is in the data (k,) (1)."""
-        return _sizes(self.whole, self.lost, np.ascontiguousarray(changes.T))
+        seen = self.seen(changes.T)[:, : len(changes)]
+        return np.asarray(np.sqrt(np.maximum(np.einsum("kn,nk->k", seen, changes), 0.0)))
 
     def power(self, changes: Floats) -> Floats:
         """The squares of the sizes of changes (m, n_pairs), always the same ones; that of the whole is told once."""
@@ -69,46 +75,29 @@ class Misfit:
         return np.asarray(known - ((changes @ self.lost[:, :many].T) ** 2).sum(axis=1) if len(self.lost) else known)
 
 
-@njit(cache=True, nogil=True)
-def _seen(whole: Floats, lost: Floats, changes: Floats) -> Floats:
-    """What changes (m, many) do to the gradient (m, n)."""
-    many = changes.shape[1]
-    seen: Floats = changes @ whole[:many]
-    return seen - (changes @ np.ascontiguousarray(lost[:, :many]).T) @ lost if len(lost) else seen
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _taken_off(rows: Floats, directions: Floats, vector: Floats) -> float:
+    """Makes of what directions (k, n_pairs or n) do to the gradient, `rows` (k, n), that whose products are lost.
 
-
-@njit(cache=True, nogil=True)
-def _less(whole: Floats, vector: Floats, constant: float, lost: Floats, known: Floats) -> tuple[Floats, float]:
-    """Gradient and constant once changes (n_pairs or n,) are known."""
-    seen = _seen(whole, lost, known.reshape(1, -1))[0]
-    for i in range(len(known)):
-        constant -= known[i] * (2 * vector[i] - seen[i])
-    return vector - seen, constant
-
-
-@njit(cache=True, nogil=True)
-def _without(
-    whole: Floats, vector: Floats, constant: float, lost: Floats, directions: Floats
-) -> tuple[Floats, float, Floats]:
-    """Gradient, constant and what is lost beside directions (k, n_pairs or n), taken off one after the other."""
-    many, had, left = directions.shape[1], len(lost), vector.copy()
-    rows = np.concatenate((lost, _seen(whole, lost, directions)))
-    for i in range(len(directions)):
-        row, direction = rows[had + i], directions[i]
-        for k in range(had, had + i):
-            row -= (rows[k, :many] @ direction) * rows[k]
-        # rounding may make it negative where it is not seen
-        root = np.sqrt(1 + max(row[:many] @ direction, 0.0))
-        row /= root
-        told = (left[:many] @ direction) / root
-        left -= told * row
-        constant -= told**2
-    return left, constant, rows
-
-
-@njit(cache=True, nogil=True)
-def _sizes(whole: Floats, lost: Floats, changes: Floats) -> Floats:
-    """How large changes (m, n_pairs or n) are (m,)."""
-    seen = _seen(whole, lost, changes)[:, : changes.shape[1]]
-    sizes: Floats = np.sqrt(np.maximum((seen * changes).sum(axis=1), 0.0))
-    return sizes
+    One is taken after the other, and off the `vector` (n,); so much is taken off the constant.
+    """
+    constant = 0.0
+    for i in range(len(rows)):
+        row, direction = rows[i], directions[i]
+        for before in rows[:i]:
+            share = 0.0
+            for k in range(len(direction)):
+                share += before[k] * direction[k]
+            for k in range(len(row)):
+                row[k] -= share * before[k]
+        power, told = 0.0, 0.0
+        for k in range(len(direction)):
+            power += row[k] * direction[k]
+            told += vector[k] * direction[k]
+        root = np.sqrt(1 + max(power, 0.0))  # rounding may make it negative where it is not seen
+        told /= root
+        for k in range(len(row)):
+            row[k] /= root
+            vector[k] -= told * row[k]
+        constant += told * told
+    return constant

@@ -43,23 +43,38 @@ class Solution:
         return [np.ascontiguousarray(whole[at : at + PER_CONTACT, at : at + PER_CONTACT]) for at in starts]
 
 
-def nothing(n_pairs: int) -> Solution:
-    """Data explained by no contact. Its cost is not told."""
-    return Solution(np.empty((0, PER_CONTACT)), 0.0, np.empty((0, 0)), np.zeros(n_pairs), np.empty((n_pairs, 0)))
+def nothing(n_pairs: int, cost: float = 0.0) -> Solution:
+    """Data explained by no contact. Its cost is not told unless given."""
+    return Solution(np.empty((0, PER_CONTACT)), cost, np.empty((0, 0)), np.zeros(n_pairs), np.empty((n_pairs, 0)))
 
 
 @njit(cache=True, nogil=True)
 def inverse(normal: Floats) -> Floats:
-    """Inverse of a normal matrix whose parameters have unlike units."""
-    scale, unit = 1 / np.sqrt(np.diag(normal)), np.empty_like(normal)
-    unit[:] = np.linalg.inv(normal * np.outer(scale, scale))
-    for i in range(len(normal)):
+    """Inverse of a positive definite matrix whose parameters have unlike units (Gauss and Jordan)."""
+    n = len(normal)
+    scale, out = np.empty(n), np.empty_like(normal)
+    for i in range(n):
+        scale[i] = 1 / np.sqrt(normal[i, i])
+    for i in range(n):
+        for k in range(n):
+            out[i, k] = normal[i, k] * scale[i] * scale[k]
+    for pivot in range(n):
+        share = 1 / out[pivot, pivot]
+        out[pivot, pivot] = 1.0
+        for k in range(n):
+            out[pivot, k] *= share
+        for i in range(n):
+            share = out[i, pivot]
+            if i != pivot:
+                out[i, pivot] = 0.0
+                for k in range(n):
+                    out[i, k] -= share * out[pivot, k]
+    for i in range(n):
         for k in range(i + 1):
-            unit[i, k] = unit[k, i] = (unit[i, k] + unit[k, i]) / 2 * scale[i] * scale[k]
-    return unit
+            out[i, k] = out[k, i] = (out[i, k] + out[k, i]) / 2 * scale[i] * scale[k]
+    return out
 
 
-@njit(cache=True, nogil=True)
 def effect_std(covariance: Floats) -> float:
     """How surely there is a contact: deviation of its effect (m2), its place and size taken as given.
 

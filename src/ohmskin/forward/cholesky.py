@@ -32,7 +32,7 @@ class Elimination:
     def __init__(self, pattern: sp.csc_array, places: Floats, without: int = -1) -> None:
         self.n = pattern.shape[0]
         self.indptr, self.indices = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
-        places = np.ascontiguousarray(places, dtype=float)
+        places = np.array(places, dtype=float, order="C")  # one type of array is compiled for: C and writable
         self.order, part_of, self.start, self.parent = dissect(self.indptr, self.indices, places, without, _LEAF)
         self.place = np.full(self.n, -1)
         self.place[self.order] = np.arange(len(self.order))
@@ -92,7 +92,7 @@ class Factor:
 
     def _down(self, loads: Floats) -> Floats:
         inner = np.zeros((len(self.elimination.order), (loads.shape[1] + 7) // 8 * 8))
-        substitute_down(*self._layout, loads, inner)
+        substitute_down(*self._layout, np.require(loads, float, ["C", "W"]), inner)
         return inner
 
     @property

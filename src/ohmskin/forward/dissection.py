@@ -87,7 +87,8 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
     for v in order:
         part_of[v] = parts - 1 - part_of[v]
         start[part_of[v] + 1] += 1
-    start = np.cumsum(start)
+    for part in range(parts):
+        start[part + 1] += start[part]
     free = start.copy()
     for v in order:
         buffer[free[part_of[v]]] = v

@@ -142,7 +142,8 @@ def _interpolated(green: Floats, corners: Ints, weights: Floats) -> Floats:
     half, whole = np.zeros((n, green.shape[1])), np.zeros((n, n))
     for i in range(n):
         for c in range(k):
-            half[i] += weights[i, c] * green[corners[i, c]]
+            for m in range(green.shape[1]):
+                half[i, m] += weights[i, c] * green[corners[i, c], m]
     for i in range(n):
         for j in range(n):
             for c in range(k):

@@ -120,7 +120,37 @@ class NetworkData:
             kept: (n_meas,) which to use, of those known; all unless given.
             added: (n_added, n_meas) what else may add to the voltages, such as an offset, per volt of it.
         """
-        used = self.known if kept is None else self.known & kept
+        scale, noise = self._scale(self.known if kept is None else self.known & kept)
+        more = np.zeros((0, len(scale))) if added is None else added
+        return Coherence(
+            *_coherence(
+                self._columns, self._entries, np.ascontiguousarray(more.T), self.injection, scale,
+                self._volts, self._quiet, self._instrument.gain, n_pairs(self.n_elec),
+            ),
+            noise,
+        )  # fmt: skip
+
+    def projection(self, kept: Bools) -> tuple[Floats, Floats]:
+        """What is left (n_meas, n_meas) of each voltage beside all networks, in units of its noise, and of the data.
+
+        Without a voltage the squared misfit falls by the square of what is left of the datum over what is left of it.
+        """
+        used = self.known & kept
+        scale, _ = self._scale(used)
+        gains, n = self.injection.max() + 1, n_pairs(self.n_elec) + 1  # the last column is of no pair
+        rows, beside = np.arange(len(scale)), np.arange(gains)
+        known = np.zeros((len(scale) + gains, n + gains))
+        np.add.at(known, (rows[:, None], self._columns), scale[:, None] * np.where(used[:, None], self._entries, 0.0))
+        known[rows, n + self.injection] = scale * self._instrument.gain * self._quiet
+        known[len(scale) + beside, n + beside] = 1.0  # what is known of the currents beforehand
+        values, vectors = np.linalg.eigh(known.T @ known)
+        seen = values > _SINGULAR * values[-1]
+        span = known[: len(scale)] @ (vectors[:, seen] / np.sqrt(values[seen]))
+        projection = np.diag(used.astype(float)) - span @ span.T
+        return projection, projection @ (scale * np.where(used, self._volts, 0.0))
+
+    def _scale(self, used: Bools) -> tuple[Floats, float]:
+        """One over the standard deviation of each voltage (n_meas,), 0 if not used; the latter of most (V)."""
         squares, counts = np.zeros(2), np.zeros(2)
         for k, own in enumerate((used & ~self._driven, used & self._driven)):
             squares[k], counts[k] = float((self._volts[own] ** 2).sum()), own.sum()
@@ -128,14 +158,7 @@ class NetworkData:
         # driven electrodes have the larger changes, and err by a share of these
         variance = one.noise**2 + one.model**2 * squares / np.maximum(counts, 1)
         scale = np.where(used, np.where(self._driven, *(variance[::-1] ** -0.5)), 0.0)
-        more = np.zeros((0, len(used))) if added is None else added
-        return Coherence(
-            *_coherence(
-                self._columns, self._entries, np.ascontiguousarray(more.T), self.injection, scale,
-                self._volts, self._quiet, one.gain, n_pairs(self.n_elec),
-            ),
-            float(np.sqrt(variance[0])),
-        )  # fmt: skip
+        return scale, float(np.sqrt(variance[0]))
 
 
 _GIVEN = ("volts", "currents")

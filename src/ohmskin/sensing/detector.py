@@ -155,7 +155,7 @@ class FaultDetector:
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise
         if self._window:  # a finger may have come between one scan and the next
-            return next(without_offset(data, kept), None) or without_spikes(data, kept, whole), whole.noise
+            return next(without_offset(data, kept), None) or without_spikes(data, kept), whole.noise
         times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
         return likeliest(data, kept, whole, times, self._most - len(before.bad)), whole.noise
 

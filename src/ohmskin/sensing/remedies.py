@@ -12,6 +12,7 @@ from ohmskin.sensing.diagnosis import MAINS, Cause
 _LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standard deviations of its noise
 _CLOSE = 4.0  # the same where something was taken off: what is left of it would look like a contact
 _SPIKES = 3  # values that may be left out of one frame
+_TESTED, _AS_WELL = 1e-3, 9.0  # least of a value that others do not tell; squared misfit by which two are told apart
 _SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
 _GROSS = (
     15.0  # times by which a loose wire's data disagree more than the others': a touch that moves within a scan less
@@ -57,7 +58,7 @@ def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats, m
         times: (n_meas,) when each was converted, from the start of its scan (s).
         most: Electrodes that may be left out.
     """
-    tried = [without_spikes(data, kept, whole), _without_an_injection(data, kept, whole)]
+    tried = [without_spikes(data, kept), _without_an_injection(data, kept, whole)]
     tried += [
         _without_electrodes(data, kept, whole, min(most, 1)),
         *without_offset(data, kept),
@@ -108,14 +109,18 @@ def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: 
     return None
 
 
-def without_spikes(data: NetworkData, kept: Bools, whole: Coherence) -> Remedy | None:
-    """Without the few values that stand out most."""
-    kept = kept.copy()
+def without_spikes(data: NetworkData, kept: Bools) -> Remedy | None:
+    """Without the fewest values, and those that may be wrong as well in place of one of them."""
+    projection, left = data.projection(kept)
     for _ in range(_SPIKES):
-        kept[np.argmax(np.abs(whole.residuals))] = False
-        whole = data.coherence(kept)
-        if agrees(whole):
-            return Remedy(Cause("spikes"), kept, whole)
+        power = np.diag(projection)
+        saved = np.where(power > _TESTED, left**2 / np.maximum(power, _TESTED), 0.0)
+        worst = int(np.argmax(saved))
+        kept = kept & (saved < saved[worst] - _AS_WELL)
+        share = projection[worst] / power[worst]
+        left, projection = left - left[worst] * share, projection - np.outer(share, projection[worst])
+        if agrees(fit := data.coherence(kept)):
+            return Remedy(Cause("spikes"), kept, fit)
     return None
 
 
