@@ -63,7 +63,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     pressing = state.pressing
     if not pressing:
         return None
-    used, told, data = _resting(state, fitter, pressing)
+    used, told, data, _ = _resting(state, fitter, pressing)
     if used < _RESTED:
         return None
     here = fitter.refine(data, state.params[pressing])
@@ -84,7 +84,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
 
 def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
     """The state with one contact where the frames since it came want it, if that is elsewhere."""
-    _, told, data = _resting(state, fitter, [k])
+    _, told, data, _ = _resting(state, fitter, [k])
     here, there = fitter.refine(data, state.params[[k]]), fitter.added(data, *fitter.scores(told))
     if here.cost - there.cost < _ELSEWHERE:
         return None
@@ -98,8 +98,8 @@ def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> T
 
 def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k: int) -> TrackState:
     """The state with one contact as two, if these explain the last frames better; the closer one keeps the name."""
-    _, told, data = _resting(state, fitter, [k])
-    two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar)
+    _, told, data, error = _resting(state, fitter, [k])
+    two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar + error)
     if two is None:
         return state
     closer, farther = np.argsort(np.linalg.norm(two.params[:, :2] - state.mean[k, :2], axis=1))
@@ -112,30 +112,32 @@ def _merged(
     state: TrackState, fitter: ContactFitter, bar: float, speed: float, both: tuple[int, int]
 ) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
-    _, told, data = _resting(state, fitter, both)
+    _, told, data, error = _resting(state, fitter, both)
     pair = state.params[list(both)]
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
     start = weight @ pair
     start[2] = pair[:, 2].sum()
     two, one = fitter.refine(data, pair), fitter.refine(data, start[None])
-    if fitter.several(told, one, two, bar, _HYSTERESIS):
+    if fitter.several(told, one, two, bar + error, _HYSTERESIS):
         return None
     kept = min(state.tracks[k].id for k in both)
     return replace(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
-def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) -> tuple[int, Information, Information]:
-    """In how many of the newest frames the chosen contacts rested; what these say, less the others; and as it is
-    fitted."""
-    chosen = list(chosen)
-    speed = float(np.linalg.norm(state.mean[chosen, PER_CONTACT:], axis=1).max())
-    came = max(state.tracks[k].since for k in chosen)
-    play = [3 * state.effect(k)[1] + 0.1 * abs(state.mean[k, 2]) for k in chosen]
+def _resting(
+    state: TrackState, fitter: ContactFitter, chosen: Sequence[int]
+) -> tuple[int, Information, Information, float]:
+    """In how many of the newest frames all contacts rested; what these say, less all but the chosen ones; as it is
+    fitted; and how much of it may be errors of the others' model (noise's variance)."""
+    chosen, pressing = list(chosen), state.pressing
+    speed = float(np.linalg.norm(state.mean[pressing, PER_CONTACT:], axis=1).max())
+    came = max(state.tracks[k].since for k in pressing)
+    play = [3 * state.effect(k)[1] + 0.1 * abs(state.mean[k, 2]) for k in pressing]
     used = []
     for residuals in state.history:
-        effects = np.array([residuals.effects.get(state.tracks[k].id, np.nan) for k in chosen])
+        effects = np.array([residuals.effects.get(state.tracks[k].id, np.nan) for k in pressing])
         absent = np.isnan(effects).any() and residuals.time < came
-        changed = (np.abs(effects - state.mean[chosen, 2]) > play).any()
+        changed = (np.abs(effects - state.mean[pressing, 2]) > play).any()
         if absent or changed or (state.time - residuals.time) * speed > fitter.table.radius / 4:
             break
         used.append(residuals.reading)
@@ -143,4 +145,4 @@ def _resting(state: TrackState, fitter: ContactFitter, chosen: Sequence[int]) ->
     others = fitter.responses(np.delete(state.params, chosen, axis=0))[0]
     told = Information.together([reading.beside for reading in used])
     data = Information.together([reading.wary for reading in used])
-    return len(used), told.less(others), data.less(others)
+    return len(used), told.less(others), data.less(others), (fitter.model_error * told.size(others)) ** 2
