@@ -27,7 +27,7 @@ _UNLIKE = 0.4  # share of what data say that no contacts explain, above which it
 _SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
 _NOISY = 1.3  # times the quiet skin's noise, above which it is told
 _MOST_BAD = 0.25  # share of the electrodes that may be left out
-_SOUND_FRAMES, _SOUND = 5, 0.2  # frames and s for which an electrode must agree to be used again
+_SOUND_FRAMES, _SOUND, _SURELY = 5, 0.2, 50  # frames and s for which an electrode must agree to be used again; enough
 _UNLUCKY = 0.999  # probability that a misfit is larger
 _MEMORY = 40  # frames from which an offset is told from hum
 _EAGER, _PATIENCE = 3, 8  # frames in which a cause is looked for, and between two searches after these
@@ -170,7 +170,7 @@ class FaultDetector:
                 data, kept, fit = self._data(scans, [other for other in bad if other != e])
                 if (kept & data.known & data.uses(e)).any() and agrees(fit):
                     watched[e] = frames + 1, seconds + elapsed
-        return {e: (n, s) for e, (n, s) in watched.items() if n < _SOUND_FRAMES or s < _SOUND}
+        return {e: (n, s) for e, (n, s) in watched.items() if n < _SOUND_FRAMES or (s < _SOUND and n < _SURELY)}
 
     def _lost(self, frames: Sequence[Frame]) -> dict[str, int]:
         """How many voltages are missing, and how many are at the end of the converter's range."""

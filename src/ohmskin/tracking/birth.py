@@ -10,7 +10,7 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
-from ohmskin.tracking.residuals import Residuals
+from ohmskin.tracking.residuals import Residuals, energy_of
 from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
@@ -120,7 +120,7 @@ def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, varia
         residuals,
         innovation=innovation,
         residual=residuals.residual.less(caused),
-        energy=residuals.energy + residuals.reading.data.size(caused) ** 2,
+        energy=residuals.energy + energy_of(residuals.reading.data, caused),
         unforeseen=innovation.beside_common(variance),
     )
     return scored(reviewed, fitter)

@@ -21,7 +21,7 @@ from ohmskin.tracking.birth import LONGEST, birth_threshold, scored, with_births
 from ohmskin.tracking.drift import learned, with_common_drift, without_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
-from ohmskin.tracking.residuals import Reading, Residuals
+from ohmskin.tracking.residuals import Reading, Residuals, energy_of
 from ohmskin.tracking.revision import just_came, revision_threshold, with_revision
 from ohmskin.tracking.state import STATE, TrackState
 
@@ -109,7 +109,7 @@ class ContactFilter:
         innovation = _innovation(before, after, reading, seen)
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
         faded = after.echo * float(np.exp(-2 * elapsed / self.motion.creeping))
-        energy = max(reading.data.size(seen.caused) ** 2, faded)
+        energy = max(energy_of(reading.data, seen.caused), faded)
         effects = {track.id: float(effect) for track, effect in zip(after.tracks, after.mean[:, 2], strict=True)}
         unforeseen = innovation.beside_common(after.common_drift[1])
         residual = reading.data.less(seen.caused)

@@ -8,6 +8,7 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts.information import Information
 from ohmskin.scan import Difference
 
+_OTHERWISE = 2.0  # times what the data tell beside all errors by which a contact's model errs at most
 
 @dataclass(frozen=True, eq=False)
 class Reading:
@@ -24,6 +25,15 @@ class Reading:
     data: Information
     beside: Information
     wary: Information
+
+
+def energy_of(data: Information, caused: Floats) -> float:
+    """What contacts cause (n_pairs,) of a frame, where their model may err: squared size over the noise's variance.
+
+    What errors of currents and contact impedances leave of it bounds it: near an electrode nearly all is in that
+    electrode's own resistance, of which nothing is taken to be known.
+    """
+    return min(data.size(caused) ** 2, _OTHERWISE * float(data.told.sizes(caused[:, None])[0]) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
