@@ -27,7 +27,7 @@ _PACKAGES = {
     "errors": "OhmskinError",
     "forward": "ContactTable FloatingPatches TransferModel VoltageSource fit_background",
     "geometry": "Disc Electrodes Mesh Polygon Raster Rectangle mesh_domain mesh_graded read_mesh thicken write_mesh",
-    "importers": "read_recording",
+    "importers": "read_model read_recording",
     "inverse": "AbsoluteGaussNewton GaussNewton Greit Image Kalman SparseBayes TotalVariation",
     "scan": "Baseline Difference DrivePattern Frame adjacent opposite skip",
     "sensing": "Percept PressFitter Sensor SkinModel build modes perceive",
@@ -58,7 +58,7 @@ if TYPE_CHECKING:  # for editors
         thicken,
         write_mesh,
     )
-    from ohmskin.importers import read_recording
+    from ohmskin.importers import read_model, read_recording
     from ohmskin.inverse import AbsoluteGaussNewton, GaussNewton, Greit, Image, Kalman, SparseBayes, TotalVariation
     from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, opposite, skip
     from ohmskin.sensing import Percept, PressFitter, Sensor, SkinModel, build, modes, perceive

@@ -10,8 +10,13 @@ from scipy.spatial import cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry import ElectrodeKind, Electrodes, Mesh
-from ohmskin.geometry.mesh import normals
+from ohmskin.geometry.mesh import facet_measures, normals
 from ohmskin.geometry.polygon import ClosedLine
+
+_EXACT = {  # barycentric coordinates of points of equal weight, exact to the second degree
+    2: np.array([[1 + 3**-0.5, 1 - 3**-0.5], [1 - 3**-0.5, 1 + 3**-0.5]]) / 2,
+    3: np.array([[4.0, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +48,7 @@ def quadratures(mesh: Mesh, electrodes: Electrodes) -> dict[int, ElectrodeQuadra
         raise GeometryError(f"{counts}; move both with mapped()")
     numbers = {kind: [k for k, own in enumerate(electrodes.kinds) if own == kind] for kind in ElectrodeKind}
     places, extents = electrodes.positions, electrodes.extents.tolist()
-    found: dict[int, ElectrodeQuadrature] = {}
+    found = {k: _facets(mesh, electrodes.facets[k], k) for k in numbers[ElectrodeKind.FACETS]}
     if numbers[ElectrodeKind.RIM]:
         rim = Rim(mesh)
         found |= {k: rim.contact(places[k], extents[k], k) for k in numbers[ElectrodeKind.RIM]}
@@ -56,6 +61,18 @@ def quadratures(mesh: Mesh, electrodes: Electrodes) -> dict[int, ElectrodeQuadra
                 which = f"electrode {k}, a disc of {extents[k]:g} m at {places[k]}"
                 raise GeometryError(f"{which}, does not lie on the mesh; move it")
     return found
+
+
+def _facets(mesh: Mesh, facets: Ints, number: int) -> ElectrodeQuadrature:
+    """Facets of the mesh, by points at which products of linear functions are integrated exactly."""
+    if facets.shape[1] != mesh.dim or facets.max() >= mesh.n_nodes:
+        raise GeometryError(
+            f"the facets of electrode {number} are of another mesh; make them with Electrodes.on_mesh()"
+        )
+    corners = _EXACT[mesh.dim]
+    points, sizes = len(corners), facet_measures(mesh.nodes, facets)
+    at = mesh.weighted(np.repeat(facets, points, axis=0), np.tile(corners, (len(facets), 1)))
+    return ElectrodeQuadrature(at, np.repeat(sizes / points, points))
 
 
 def disc_points(radius: float, spacing: float) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from ohmskin.forward.conductivity import conductivity_of
 from ohmskin.forward.quadrature import quadratures
 from ohmskin.forward.sensitivity import fill_groups, fill_pairs
 from ohmskin.geometry import Electrodes, Mesh
-from ohmskin.scan import DrivePattern, n_pairs, two_terminal
+from ohmskin.scan import DrivePattern, Frame, n_pairs, two_terminal
 
 
 class TransferModel(ReadOnly):
@@ -134,6 +134,29 @@ class TransferModel(ReadOnly):
         a, b, c, d = pattern.quadruples.T
         s = self.transfer_resistance
         return np.asarray((s[a, c] - s[a, d] - s[b, c] + s[b, d]) * self._driven(pattern, currents))
+
+    def simulate(
+        self, pattern: DrivePattern, currents: ArrayLike = 1e-3, noise: float = 0.0, count: int = 1, seed: int = 0
+    ) -> list[Frame]:
+        """Frames as an instrument with white noise measures them; for a whole instrument see `VirtualSkin`.
+
+        Args:
+            pattern: What is driven and measured.
+            currents: Injected currents, one value or (n_inj,) (A).
+            noise: Standard deviation of a voltage (V).
+            count: How many frames.
+            seed: Of the noise.
+
+        Raises:
+            ModelError: If the noise is negative or not finite, or there is no frame to make.
+        """
+        if not (0 <= noise < np.inf and count >= 1):
+            raise ModelError(
+                f"noise {noise!r} V and {count!r} frames; the noise must be 0 or more, the count 1 or more"
+            )
+        volts, amperes = self.voltages(pattern, currents), np.broadcast_to(np.asarray(currents, float), pattern.n_inj)
+        noises = noise * np.random.default_rng(seed).normal(size=(count, pattern.n_meas))
+        return [Frame(pattern, volts + one, amperes.copy(), sequence=number) for number, one in enumerate(noises)]
 
     @fixed
     def pair_sensitivity(self) -> Floats:

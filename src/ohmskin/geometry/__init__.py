@@ -3,7 +3,7 @@
 from ohmskin.geometry.cells import Cells
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
-from ohmskin.geometry.files import read_mesh, write_mesh
+from ohmskin.geometry.files import read_groups, read_mesh, write_mesh
 from ohmskin.geometry.graded import mesh_graded, mesh_surface
 from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.meshing import electrode_points, mesh_domain
@@ -25,6 +25,7 @@ __all__ = [
     "mesh_domain",
     "mesh_graded",
     "mesh_surface",
+    "read_groups",
     "read_mesh",
     "thicken",
     "write_mesh",

@@ -1,6 +1,6 @@
 """Electrode layouts: where the electrodes are, of what kind, and in what order a scan walks round them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Self
@@ -8,9 +8,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ohmskin.arrays import Floats, ReadOnly, real
+from ohmskin.arrays import Floats, Ints, ReadOnly, real
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.domain import Domain, Rectangle
+from ohmskin.geometry.mesh import Mesh, facet_measures
 
 
 class ElectrodeKind(StrEnum):
@@ -19,20 +20,24 @@ class ElectrodeKind(StrEnum):
     POINT = "point"  # at one mesh node; its own voltage when driven grows without bound as the mesh is refined
     DISC = "disc"  # a disc on the sheet, cut off where it reaches beyond the rim; contact impedance in ohm m2
     RIM = "rim"  # a stretch of the rim of a sheet; contact impedance in ohm m
+    FACETS = "facets"  # facets of one mesh: faces of a body (contact impedance in ohm m2), edges of a rim (in ohm m)
 
 
 @dataclass(frozen=True, eq=False)
 class Electrodes(ReadOnly):
     """Electrodes, numbered ring by ring from the rim inwards, each ring counterclockwise; points unless said otherwise.
 
-    Kinds mix freely: `with_discs`, `with_rim_segments` and `with_points` return a changed copy.
+    Kinds mix freely: `with_discs`, `with_rim_segments` and `with_points` return a changed copy; `on_mesh` makes
+    electrodes of the facets of a mesh.
 
     Args:
         positions: Electrode centres (n_elec, 2), or (n_elec, 3) in space, in metres.
         rings: Electrode numbers of each ring, the rim first. A base scan walks round the first ring.
         kinds: Kind of each electrode (n_elec,).
-        extents: (n_elec,) radius of a disc, length along the rim of a rim segment, 0 for a point (m).
+        extents: (n_elec,) radius of a disc, length along the rim of a rim segment, 0 for a point (m); area (m2) or
+            length (m) of facets.
         contact_impedances: (n_elec,) of a disc in ohm m2, of a rim segment in ohm m, 0 for a point.
+        facets: Of each electrode its facets (n_facets, dim), by the nodes of one mesh; none of those of other kinds.
 
     Raises:
         GeometryError: If positions are not finite, not distinct, fewer than four, or not all named once by `rings`; if
@@ -44,6 +49,7 @@ class Electrodes(ReadOnly):
     kinds: tuple[ElectrodeKind, ...] = ()
     extents: Floats = field(default_factory=lambda: np.empty(0))
     contact_impedances: Floats = field(default_factory=lambda: np.empty(0))
+    facets: tuple[Ints, ...] = ()
 
     def __post_init__(self) -> None:
         positions = real(self.positions, "electrode positions are", GeometryError).copy()
@@ -71,6 +77,10 @@ class Electrodes(ReadOnly):
         if len(kinds) != count:
             raise GeometryError(f"{len(kinds)} electrode kinds for {count} electrodes; give one each")
         object.__setattr__(self, "kinds", kinds)
+        facets = tuple(self.facets) or (np.empty((0, 2), np.int64),) * count
+        if [len(one) > 0 for one in facets] != [kind == ElectrodeKind.FACETS for kind in kinds]:
+            raise GeometryError("facets are given for other electrodes than those of kind facets; use on_mesh()")
+        object.__setattr__(self, "facets", facets)
         area = self.are_areas
         for name, unit in (("extents", "m"), ("contact_impedances", "ohm m2 for a disc, ohm m on the rim")):
             given = getattr(self, name)
@@ -143,7 +153,8 @@ class Electrodes(ReadOnly):
         except ValueError:
             count = len(numbers)
             raise GeometryError(f"give one size and contact impedance, or one for each of {count} electrodes") from None
-        return replace(self, kinds=tuple(kinds), extents=extents, contact_impedances=impedances)
+        facets = tuple(own[: len(own) * (k not in numbers)] for k, own in enumerate(self.facets))
+        return replace(self, kinds=tuple(kinds), extents=extents, contact_impedances=impedances, facets=facets)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -153,6 +164,63 @@ class Electrodes(ReadOnly):
         """Electrodes at given positions (n_elec, 2) (m); one ring in the given order unless `rings` is given."""
         points = np.asarray(positions, float)
         return cls(points, rings or (tuple(range(len(points))),))
+
+    @classmethod
+    def on_mesh(
+        cls,
+        mesh: Mesh,
+        groups: Sequence[ArrayLike],
+        contact_impedance: ArrayLike = 0.0,
+        rings: tuple[tuple[int, ...], ...] | None = None,
+    ) -> Self:
+        """Electrodes of a mesh's nodes and facets, as other programs name them; they serve with that mesh alone.
+
+        Args:
+            mesh: Triangles or tetrahedra.
+            groups: Of each electrode its facets (n_facets, dim) by their nodes, or the numbers of its nodes (n_nodes,):
+                those facets of the boundary are it of which it has every node (EIDORS' rule). One node is a point.
+            contact_impedance: One value or (n_elec,), of faces in ohm m2, of edges in ohm m; that of points is ignored.
+            rings: As in `at`.
+
+        Raises:
+            GeometryError: If a node is not in the mesh, nodes make no facet of its boundary, facets are not of it, or
+                two electrodes share one.
+        """
+        boundary = np.sort(mesh.boundary, axis=1)
+        numbered = {tuple(facet): number for number, facet in enumerate(boundary.tolist())}
+        kinds, facets, centres, extents = [], list[Ints](), [], []
+        owner: dict[int, int] = {}
+        for k, given in enumerate(groups):
+            group = np.asarray(given)
+            if group.dtype.kind not in "iu" or not group.size or group.min() < 0 or group.max() >= mesh.n_nodes:
+                raise GeometryError(
+                    f"electrode {k} needs nodes 0 to {mesh.n_nodes - 1} of the mesh; it has {given!r:.80}"
+                )
+            if group.ndim == 2 and group.shape[1] == mesh.dim:
+                own = [numbered.get(tuple(facet), -1) for facet in np.sort(group, axis=1).tolist()]
+            elif group.ndim == 1 and len(group) > 1:
+                own = np.flatnonzero(np.isin(boundary, group).all(axis=1)).tolist()
+            elif group.ndim == 1:
+                own = []
+            else:
+                raise GeometryError(f"electrode {k} has shape {group.shape}; give nodes (n,) or facets (n, {mesh.dim})")
+            if -1 in own or (group.size > 1 and not own):
+                raise GeometryError(
+                    f"the nodes of electrode {k} make no facet of the mesh's boundary; check its numbers"
+                )
+            if shared := [(owner[number], number) for number in own if owner.setdefault(number, k) != k]:
+                raise GeometryError(f"electrodes {shared[0][0]} and {k} share a facet, nodes {boundary[shared[0][1]]}")
+            chosen = boundary[sorted(set(own))]
+            sizes = facet_measures(mesh.nodes, chosen)
+            middles = mesh.nodes[chosen].mean(axis=1) if own else mesh.nodes[group]
+            kinds.append(ElectrodeKind.FACETS if own else ElectrodeKind.POINT)
+            facets.append(chosen)
+            extents.append(float(sizes.sum()))
+            centres.append(np.average(middles, axis=0, weights=sizes) if own else middles[0])
+        areas = np.array(extents) > 0
+        impedances = np.where(areas, real(contact_impedance, "contact impedances are", GeometryError), 0.0)
+        rings = rings or (tuple(range(len(kinds))),)
+        return cls(np.array(centres), rings, tuple(kinds), np.array(extents), impedances, tuple(facets))
 
     @classmethod
     def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> Self:

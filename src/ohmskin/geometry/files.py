@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ohmskin.arrays import Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.extra import optional
 from ohmskin.geometry.mesh import Mesh
@@ -20,6 +21,15 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
 
     Raises:
         GeometryError: If meshio is not installed, the file cannot be read, or it holds no mesh that can be used.
+    """
+    return read_groups(path, scale)[0]
+
+
+def read_groups(path: str | Path, scale: float = 1.0) -> tuple[Mesh, dict[str, Ints]]:
+    """A mesh as by `read_mesh`, and Gmsh's named physical groups of facets (n, dim), or of points (n,), by their nodes.
+
+    Raises:
+        GeometryError: As `read_mesh`.
     """
     meshio = optional("meshio")
     if not (np.isfinite(scale) and scale > 0):
@@ -39,11 +49,22 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
     step = 1e-9 * max(float(np.ptp(nodes, axis=0).max()), 1e-300)
     cells = np.round((nodes - nodes.min(axis=0)) / step)
     _, first, same = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    used, elements = np.unique(first[same.ravel()][elements], return_inverse=True)
+    joined = first[same.ravel()]
+    used, elements = np.unique(joined[elements], return_inverse=True)
     nodes, elements = nodes[used], elements.reshape(-1, 4 if kind == "tetra" else 3)
     if kind == "triangle" and nodes.shape[1] == 3 and np.ptp(nodes[:, 2]) == 0:
         nodes = nodes[:, :2]
-    return Mesh(nodes, elements)
+    number = np.full(len(joined), -1)
+    number[used] = np.arange(len(used))
+    groups: dict[str, Ints] = {}
+    facet = {"tetra": "triangle", "triangle": "line"}[kind]
+    for name, (tag, _) in getattr(data, "field_data", {}).items():
+        for block, tags in zip(data.cells, data.cell_data.get("gmsh:physical", []), strict=False):
+            chosen = number[joined[block.data[tags == tag]]]
+            if len(chosen) and block.type in (facet, "vertex"):
+                chosen = chosen.ravel() if block.type == "vertex" else chosen
+                groups[name] = np.concatenate([groups[name], chosen]) if name in groups else chosen
+    return Mesh(nodes, elements), groups
 
 
 def write_mesh(path: str | Path, mesh: Mesh, fields: Mapping[str, ArrayLike] | None = None) -> None:

@@ -268,6 +268,14 @@ def _edges(nodes: Floats, elements: Ints) -> Floats:
     return np.asarray(corners[:, 1:] - corners[:, :1])
 
 
+def facet_measures(nodes: Floats, facets: Ints) -> Floats:
+    """Lengths (n,) of edges (n, 2) in metres, areas of triangles (n, 3) in m2, in any space of their nodes."""
+    corners = nodes[facets]
+    if facets.shape[1] == 2:
+        return np.asarray(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
+    return np.asarray(np.linalg.norm(normals(nodes, facets), axis=1) / 2)
+
+
 def normals(nodes: Floats, triangles: Ints) -> Floats:
     """Normals (n, 3) of triangles in space by the right-hand rule, twice as long as their areas."""
     edges = _edges(nodes, triangles)

@@ -84,10 +84,13 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
     """Points (n, 2) that a mesh should have as nodes: centres of point and disc electrodes, ends of rim segments (m).
 
     Raises:
-        GeometryError: If the electrodes are not in the plane, or the centre of a rim segment is not on the rim.
+        GeometryError: If the electrodes are not in the plane or of another mesh, or the centre of a rim segment is not
+            on the rim.
     """
     if electrodes.positions.shape[1] != 2:
         raise GeometryError("electrodes in space do not fit a flat domain; mesh it flat and move both with mapped()")
+    if ElectrodeKind.FACETS in electrodes.kinds:
+        raise GeometryError("electrodes of facets belong to the mesh that they were made of; use discs or rim segments")
     found: list[Floats] = []
     for k, (kind, centre) in enumerate(zip(electrodes.kinds, electrodes.positions, strict=True)):
         if kind != ElectrodeKind.RIM:

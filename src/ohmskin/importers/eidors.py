@@ -42,7 +42,7 @@ def read(variables: dict[str, Any], name: str, driven: bool) -> Parts:
         DataError: If pattern or data are missing, do not fit each other or cannot be represented.
     """
     try:
-        imported, select = _pattern(variables, driven)
+        imported, select = pattern_of(variables, driven)
         quiet = _frames(variables, _QUIET, imported, select)
         frames = _frames(variables, _FRAMES, imported, select)
     except DataError as error:
@@ -50,9 +50,10 @@ def read(variables: dict[str, Any], name: str, driven: bool) -> Parts:
     return quiet, frames, "", (*imported.notes, "the file does not say what the body looks like: name a skin")
 
 
-def _pattern(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, np.ndarray | None]:
+def pattern_of(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, np.ndarray | None]:
+    """The pattern that a file's variables hold, and which of its measurements (n,) are selected, if it says so."""
     for key, value in variables.items():
-        found = (array for array in _structs(value) if all("stim_pattern" in entry for entry in array))
+        found = (array for array in structs(value) if all("stim_pattern" in entry for entry in array))
         if stimulation := next(found, None):
             drives, measures = [], []
             for number, entry in enumerate(stimulation, 1):
@@ -64,7 +65,7 @@ def _pattern(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, 
                 raise DataError(f"{key}: the stimulations have different numbers of electrodes")
             selected = (
                 numbers(first["meas_select"], "meas_select").ravel() != 0
-                for first, *_ in _structs(value)
+                for first, *_ in structs(value)
                 if first.get("meas_select") is not None
             )
             return from_matrices(np.column_stack(drives), measures, driven), next(selected, None)
@@ -82,12 +83,12 @@ def _pattern(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, 
     )
 
 
-def _structs(value: Any, depth: int = 0) -> Iterator[list[dict[str, Any]]]:
+def structs(value: Any, depth: int = 0) -> Iterator[list[dict[str, Any]]]:
     """The struct array that a value is, and those inside its first entry, from the outside in."""
     if found := entries(value):
         yield found
         for inside in _INSIDE if depth < 4 else ():
-            yield from _structs(found[0].get(inside), depth + 1)
+            yield from structs(found[0].get(inside), depth + 1)
 
 
 def _unit(value: Any, where: str) -> float:

@@ -62,14 +62,14 @@ def read_recording(
             raise DataError(f"{path} holds its own patterns and quiet frames; leave reference and pattern out")
         tape = Tape(path)
         return Recording(tape.select(Role.QUIET), tape.select(*set(Role) - {Role.QUIET}), "", tape.notes, tape)
-    content = _content(path)
+    content = content_of(path)
     if is_mat(content[:8]):
         if pattern is not None:
             raise DataError(f"{path} is a MATLAB file, which holds its own pattern; leave pattern={str(pattern)!r} out")
         variables, notes = load_variables(content, str(path))
         if kuopio.is_kuopio(variables):
             other = Path(reference) if reference is not None else kuopio.usual_reference(path, variables)
-            at_rest, more = load_variables(_content(other), str(other)) if other is not None else (None, ())
+            at_rest, more = load_variables(content_of(other), str(other)) if other is not None else (None, ())
             quiet, frames, skin, own = kuopio.read(variables, at_rest, str(path), str(other), driven)
             return Recording(quiet, frames, skin, (*own, *notes, *more))
         if reference is not None:
@@ -81,11 +81,12 @@ def read_recording(
         raise DataError(f"{path} is a text table, which holds its own reference column; {out}")
     beside = path.with_name(path.stem + ".pattern.csv")
     other = Path(pattern) if pattern is not None else beside if beside.is_file() else None
-    description = _text(_content(other), other) if other is not None else None
+    description = _text(content_of(other), other) if other is not None else None
     return Recording(*table.read(_text(content, path), description, path, other, driven))
 
 
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
+    """All bytes of a file, unless it is too large."""
     try:
         if path.is_fifo():
             raise OSError("it is a pipe, which may never end")

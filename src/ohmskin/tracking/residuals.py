@@ -10,6 +10,7 @@ from ohmskin.scan import Difference
 
 _OTHERWISE = 2.0  # times what the data tell beside all errors by which a contact's model errs at most
 
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """One frame, known drift and temperature taken off.
