@@ -22,11 +22,13 @@ def test_the_loop_prints_the_contact_it_pressed(capsys: pytest.CaptureFixture[st
     assert abs(y - 0.12) < 0.012
 
 
-def test_the_mathematics_has_the_shapes_it_claims() -> None:
+def test_the_mathematics_images_a_touch_where_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, object] = {}
     exec(SNIPPETS[1], names)
-    assert names["voltages"].shape == (208,)  # type: ignore[attr-defined]
-    assert names["jacobian"].shape == (208, names["model"].mesh.n_elem)  # type: ignore[attr-defined]
+    assert names["frame"].voltages.shape == (208,)  # type: ignore[attr-defined]
+    x, y = map(float, capsys.readouterr().out.strip(" []\n").split())
+    assert abs(x - 0.05) < 0.005
+    assert abs(y - 0.12) < 0.005
 
 
 def test_every_link_leads_somewhere() -> None:
