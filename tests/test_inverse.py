@@ -1,5 +1,6 @@
 """One-step Gauss-Newton: the textbook formula, its invariances, its noise, and touches found where they are."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -251,3 +252,33 @@ def test_data_without_noise_still_make_an_image(noise: float) -> None:
 def test_settings_out_of_range_are_refused(settings: dict[str, float], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         GaussNewton(model(), **{"noise": NOISE, **settings})
+
+
+def test_normalised_data_are_imaged_as_shares_of_the_untouched_skins_voltages() -> None:
+    """Rows, data and noise divided by v0: (J / v0)^T (J / v0) and so on, as EIDORS normalises."""
+    change = touch((0.06, 0.13), CASES["16I"][0], seed=4)
+    reference = model().voltages(change.pattern, CURRENT)
+    change = replace(change, reference=reference)
+    share = NOISE / np.abs(reference).mean()
+    jacobian = four_terminal_jacobian(change.pattern) * CURRENT / reference[:, None] * model().conductivity
+    prior = covariance()
+    gain = prior @ jacobian.T @ np.linalg.inv(jacobian @ prior @ jacobian.T + share**2 * np.eye(change.pattern.n_meas))
+    image = replace(estimator(), noise=share).reconstruct(change.normalised)
+    expected = gain @ (change.volts / reference)
+    np.testing.assert_allclose(image.values, expected, atol=1e-9 * np.abs(expected).max())
+    with pytest.raises(DataError, match="is not known"):
+        _ = touch((0.06, 0.13), BASE).normalised
+
+
+def test_each_measurement_counts_by_its_own_noise() -> None:
+    """The inverse covariance of the data is diagonal, as EIDORS' meas_icov."""
+    change = touch((0.06, 0.13), CASES["16I"][0], seed=4)
+    noise = NOISE * np.random.default_rng(5).uniform(0.5, 3, change.pattern.n_meas)
+    jacobian, prior = four_terminal_jacobian(change.pattern) * CURRENT * model().conductivity, covariance()
+    gain = prior @ jacobian.T @ np.linalg.inv(jacobian @ prior @ jacobian.T + np.diag(noise**2))
+    image = replace(estimator(), noise=1.0).reconstruct(change.weighted(noise))
+    expected = gain @ change.volts
+    np.testing.assert_allclose(image.values, expected, atol=1e-9 * np.abs(expected).max())
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(DataError, match="not positive"):
+            change.weighted(np.where(np.arange(change.pattern.n_meas) == 3, wrong, noise))

@@ -7,6 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints, real
 from ohmskin.errors import DataError, PatternError
@@ -73,6 +74,37 @@ class Difference:
     def less(self, changes: Floats) -> "Difference":
         """What is left of it once changes (n_pairs,) of the two-terminal resistances (ohm) are known to be a part."""
         return replace(self, volts=self.volts - self.caused_by(changes))
+
+    def times(self, shares: Floats | float) -> "Difference":
+        """The same data with voltage and current of each measurement, one value or (n_meas,), times a share (1).
+
+        Estimators' noise is then that of these: a measurement whose share is smaller counts less.
+        """
+        reference = None if self.reference is None else self.reference * shares
+        return replace(self, currents=self.currents * shares, volts=self.volts * shares, reference=reference)
+
+    def weighted(self, noise: ArrayLike) -> "Difference":
+        """In units of the noise of each measurement, one value or (n_meas,) (V): give estimators a noise of 1.
+
+        Raises:
+            DataError: If a noise is not positive.
+        """
+        std = real(noise, "noises are", DataError)
+        if not ((std > 0) & (std < np.inf)).all():
+            raise DataError("a noise is not positive and finite; give the standard deviation of each voltage (V)")
+        return self.times(1 / std)
+
+    @property
+    def normalised(self) -> "Difference":
+        """Each voltage as a share of the untouched skin's, v / v0 - 1: give estimators a noise that is one, too (1).
+
+        Raises:
+            DataError: If the untouched skin's are not known, or one of them is zero.
+        """
+        if self.reference is None or not np.all(self.reference):
+            what = "is not known" if self.reference is None else "is zero at one measurement"
+            raise DataError(f"the voltage of the untouched skin {what}; normalised data are shares of it")
+        return self.times(1 / self.reference)
 
     def combination(self, n_elec: int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) from changes of two-terminal resistances to these volts, per ampere.

@@ -83,8 +83,8 @@ class Quality:
         so that all have the same noise again and every estimator takes them as they are.
         """
         weight = self.weights[difference.pattern.quadruples].min(axis=1)
-        volts = np.where(weight > 0, difference.volts * weight, np.nan)
-        return replace(difference, currents=difference.currents * weight, volts=volts)
+        weighed = difference.times(weight)
+        return replace(weighed, volts=np.where(weight > 0, weighed.volts, np.nan))
 
     def report(self) -> list[str]:
         """The findings in plain words, a line each; the first is a summary."""

@@ -87,7 +87,7 @@ class FaultDetector:
             if remedy is None:
                 puzzled = before.puzzled + 1
                 error = max(error, *(noise * _at_most(*fit) for fit in fits[: len(scans)]))
-                cleaned = tuple(_less_sure(scan, error / noise) for scan in scans)
+                cleaned = tuple(scan.times(noise / error) for scan in scans)
                 causes |= {Cause("noise")} if error > _NOISY * noise else set()
             else:
                 causes.add(remedy.cause)
@@ -100,7 +100,7 @@ class FaultDetector:
         if remedy is not None and remedy.off is not None:
             offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
             rest = max(remedy.fit.noise / noise, 1.0)
-            cleaned = tuple(_less_sure(scan, _NOT_ALIKE * rest) for scan in cleaned)
+            cleaned = tuple(scan.times(1 / (_NOT_ALIKE * rest)) for scan in cleaned)
         blamed = {e for cause in causes for e in cause.electrodes}
         blamed = blamed if len(blamed | before.bad.keys()) <= self._most else set()
         after = Diagnosis(
@@ -232,9 +232,3 @@ def _repaired(scans: Sequence[Difference], remedy: Remedy) -> tuple[Difference, 
         own = slice(start, start := start + scan.pattern.n_meas)
         repaired.append(replace(scan, volts=np.where(remedy.kept[own], scan.volts - off[own], np.nan)))
     return tuple(repaired)
-
-
-def _less_sure(scan: Difference, level: float) -> Difference:
-    """A scan whose errors are so many times as large: current and voltage scaled together count less everywhere."""
-    reference = None if scan.reference is None else scan.reference / level
-    return replace(scan, currents=scan.currents / level, volts=scan.volts / level, reference=reference)

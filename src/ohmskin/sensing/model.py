@@ -138,9 +138,7 @@ class SkinModel:
             return difference
         wanted = usual[difference.pattern.measurements[:, 0]]
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = wanted / difference.currents
-        reference = None if difference.reference is None else difference.reference * share
-        return replace(difference, currents=wanted, volts=difference.volts * share, reference=reference)
+            return replace(difference.times(wanted / difference.currents), currents=wanted)
 
     def pressed(self, places: Floats) -> Callable[[DrivePattern], Frame]:
         """Scans without noise as they would be were the sheet touched at places (n, 2 or 3), as linear theory has it.
