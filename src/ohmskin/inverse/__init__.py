@@ -12,6 +12,7 @@ from ohmskin.inverse.choice import (
     noise_figure,
     physical,
 )
+from ohmskin.inverse.eidors import EIDORS_PRIORS, ReconstructionMatrix, eidors_one_step
 from ohmskin.inverse.estimators import ESTIMATORS, Estimate, Estimator, FrameWise, Settings, image_of
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
@@ -25,6 +26,7 @@ from ohmskin.inverse.sparse import SparseBayes
 from ohmskin.inverse.variation import TotalVariation
 
 __all__ = [
+    "EIDORS_PRIORS",
     "ESTIMATORS",
     "PRIORS",
     "RULES",
@@ -44,12 +46,14 @@ __all__ = [
     "Penalty",
     "Pixels",
     "Prior",
+    "ReconstructionMatrix",
     "Settings",
     "SparseBayes",
     "TotalVariation",
     "choose",
     "cross_validation",
     "discrepancy",
+    "eidors_one_step",
     "evidence",
     "graph_laplacian",
     "image_of",
