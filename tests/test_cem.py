@@ -340,6 +340,27 @@ def test_voltage_drive_inverts_current_drive() -> None:
     np.testing.assert_allclose(by_voltage.potentials, by_current.potentials + 7.0, atol=1e-8)
 
 
+def test_points_with_given_potentials_are_dirichlet_nodes() -> None:
+    """Against the stiffness matrix with the nodes of driven points held, written out."""
+    mesh = mesh_domain(SHEET, 0.02, GRID.positions)
+    model = TransferModel(mesh, GRID, np.random.default_rng(1).uniform(1, 2, mesh.n_elem))
+    matrix = np.zeros((mesh.n_nodes, mesh.n_nodes))
+    for element, gradients, weight in zip(
+        mesh.elements, mesh.gradients, model.conductivity * mesh.measures, strict=True
+    ):
+        matrix[np.ix_(element, element)] += weight * gradients @ gradients.T
+    volts = np.full(16, np.nan)
+    volts[[0, 5, 13]] = 1.0, -0.5, 0.2
+    held, values = mesh.nodes_at(GRID.positions[[0, 5, 13]]), np.array([1.0, -0.5, 0.2])
+    free = np.setdiff1d(np.arange(mesh.n_nodes), held)
+    potential = np.empty(mesh.n_nodes)
+    potential[held] = values
+    potential[free] = np.linalg.solve(matrix[np.ix_(free, free)], -matrix[np.ix_(free, held)] @ values)
+    response = drive_voltages(model, [volts], dirichlet_points=True)
+    np.testing.assert_allclose(response.potentials[0], potential[mesh.nodes_at(GRID.positions)], atol=1e-10)
+    np.testing.assert_allclose(response.currents[0, [0, 5, 13]], (matrix @ potential)[held], rtol=1e-10)
+
+
 def test_series_resistance_drops_what_flows_through_it() -> None:
     model, series = mixed(), np.linspace(0, 300, 16)
     volts = np.full((1, 16), np.nan)
@@ -459,6 +480,6 @@ def test_impossible_excitations_are_refused(ask, message: str) -> None:
 
 def test_kinds_mix_and_can_be_undone() -> None:
     electrodes = mixed().electrodes
-    assert [electrodes.kinds.count(kind) for kind in ElectrodeKind] == [2, 4, 10]
+    assert [electrodes.kinds.count(kind) for kind in ElectrodeKind] == [2, 4, 10, 0]
     assert (electrodes.with_points().extents == 0).all()
     assert Electrodes(GRID.positions, GRID.rings).kinds == (ElectrodeKind.POINT,) * 16

@@ -80,13 +80,17 @@ def drive_currents(model: TransferModel, currents: ArrayLike) -> Response:
     return Response(given, given @ model.transfer_resistance, np.zeros_like(weights), weights)
 
 
-def drive_voltages(model: TransferModel, voltages: ArrayLike, resistance: ArrayLike = 0.0) -> Response:
+def drive_voltages(
+    model: TransferModel, voltages: ArrayLike, resistance: ArrayLike = 0.0, dirichlet_points: bool = False
+) -> Response:
     """The response to given voltages at some electrodes; the others carry no current (Dirichlet through the contacts).
 
     Args:
         model: The skin, with area electrodes where it is driven.
         voltages: (n_drive, n_elec) in volts, NaN at electrodes that are not driven.
         resistance: In series between the source and each driven electrode, one value or (n_elec,) in ohms.
+        dirichlet_points: Whether points may be driven, too. The potential of a point's node is then given, an
+            idealisation: its current depends on the mesh, and falls without bound as that is refined.
 
     Raises:
         ModelError: If shapes or values do not fit, fewer than two electrodes are driven, or one is a point.
@@ -108,7 +112,8 @@ def drive_voltages(model: TransferModel, voltages: ArrayLike, resistance: ArrayL
         driven = np.flatnonzero(np.isfinite(row))
         if len(driven) < 2:
             raise ModelError(f"excitation {k} gives {len(driven)} electrodes a voltage; give two or more")
-        _refuse_points(model, driven)
+        if not dirichlet_points:
+            _refuse_points(model, driven, "; or idealise it: dirichlet_points=True")
         count = len(driven)
         bordered = np.ones((count + 1, count + 1))
         bordered[:count, :count] = s[np.ix_(driven, driven)] + np.diag(series[driven])
@@ -189,8 +194,8 @@ class VoltageSource:
         return np.asarray(self.by_pairs(model, pattern) @ model.pair_contact_sensitivity)
 
 
-def _refuse_points(model: TransferModel, driven: np.ndarray) -> None:
+def _refuse_points(model: TransferModel, driven: np.ndarray, otherwise: str = "") -> None:
     if len(points := driven[~model.electrodes.are_areas[driven]]):
         advice = "give it an area (Electrodes.with_discs, with_rim_segments) to drive it by a voltage"
         grows = "whose own resistance grows without bound as the mesh is refined"
-        raise ModelError(f"electrode {points[0]} is a point, {grows}; {advice}")
+        raise ModelError(f"electrode {points[0]} is a point, {grows}; {advice}{otherwise}")
