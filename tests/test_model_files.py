@@ -8,11 +8,14 @@ import meshio
 import numpy as np
 import pytest
 import scipy.io
+from matplotlib.figure import Figure
+from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 import ohmskin as ohm
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError, GeometryError, ModelError
 from ohmskin.geometry import ElectrodeKind, Electrodes, Mesh
+from ohmskin.plot import draw_current, draw_mesh
 
 IMPEDANCE = 0.02
 
@@ -226,3 +229,33 @@ def test_simulated_frames_have_the_noise_asked_for() -> None:
     for noise, count in ((-1e-3, 1), (np.nan, 1), (0.0, 0)):
         with pytest.raises(ModelError, match="noise"):
             model.simulate(pattern, noise=noise, count=count)
+
+
+def test_meshes_fields_and_currents_are_drawn_in_one_call_each(mesh: Mesh) -> None:
+    electrodes = Electrodes.on_mesh(mesh, groups_of(mesh), IMPEDANCE)
+    model = ohm.TransferModel(mesh, electrodes, 1.0)
+    figure = Figure()
+    axes = figure.add_subplot(projection="3d") if mesh.dim == 3 else figure.add_subplot()
+    faces = len(mesh.boundary) if mesh.dim == 3 else mesh.n_elem
+    assert draw_mesh(axes, mesh, electrodes=electrodes).get_array() is None
+    by_element = draw_mesh(axes, mesh, np.full(mesh.n_elem, 7.0))
+    assert np.array_equal(by_element.get_array(), np.full(faces, 7.0))  # type: ignore[arg-type]
+    by_node = draw_mesh(axes, mesh, model.potentials[:, 1], electrodes, edges=False)
+    assert by_node.get_array().shape == (faces,)  # type: ignore[union-attr]
+    figure.canvas.draw()
+    with pytest.raises(DataError, match="by element or"):
+        draw_mesh(axes, mesh, np.ones(3))
+    other = figure.add_subplot() if mesh.dim == 3 else figure.add_subplot(projection="3d")
+    with pytest.raises(DataError, match="needs other axes"):
+        draw_mesh(other, mesh)
+    if mesh.dim == 3:
+        with pytest.raises(DataError, match="flat sheets"):
+            draw_current(other, model, 0, 1)
+    else:
+        shown = draw_current(axes, model, 3, 4, 2e-3)
+        expected = 2e-3 * (model.potentials[:, 3] - model.potentials[:, 4])[mesh.elements].mean(axis=1)
+        np.testing.assert_allclose(shown.get_array(), expected)  # type: ignore[arg-type]
+        lines = axes.collections[-1].get_segments()  # type: ignore[attr-defined]
+        begins, ends = (np.array([line[k] for line in lines]) * 1e-3 for k in (0, -1))
+        volts = LinearTriInterpolator(Triangulation(*mesh.nodes.T, mesh.elements), model.potentials @ [0, 0, 0, 1, -1])
+        assert np.mean(volts(*begins.T) >= volts(*ends.T)) > 0.95  # current flows down the potential

@@ -1,6 +1,7 @@
-"""Pictures for files and papers: images with electrodes and contacts, maps of how well contacts are located."""
+"""Pictures for files and papers: images with electrodes and contacts, maps of how well contacts are located, meshes."""
 
 from ohmskin.plot.errors import ErrorMap, draw_error_map, save_error_maps
+from ohmskin.plot.model import draw_current, draw_mesh
 from ohmskin.plot.picture import draw_image, save_picture
 
-__all__ = ["ErrorMap", "draw_error_map", "draw_image", "save_error_maps", "save_picture"]
+__all__ = ["ErrorMap", "draw_current", "draw_error_map", "draw_image", "draw_mesh", "save_error_maps", "save_picture"]
