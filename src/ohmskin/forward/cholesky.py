@@ -109,16 +109,19 @@ def eliminate(
     """Fill `factor`, own rows of each front; an unknown where the matrix is not positive definite, else -1."""
     parts = len(parent)
     skip, width, depth = np.empty(parts, np.int64), np.empty(parts, np.int64), np.zeros(parts, np.int64)
-    room, front = np.zeros(parts + 1, np.int64), np.empty(parts, np.int64)
+    room, front = np.zeros(parts, np.int64), np.empty(parts, np.int64)
     for part in range(parts - 1, -1, -1):  # of the fronts at one depth one is under way at a time: they share memory
         skip[part] = start[part + 1] - start[part] + 3 & -4
         width[part] = skip[part] + border_start[part + 1] - border_start[part]
         if parent[part] >= 0:
             depth[part] = depth[parent[part]] + 1
         room[depth[part]] = max(room[depth[part]], (width[part] + 4) * (width[part] + 8))
+    total = 0
+    for level in range(parts):  # where the room of each depth begins
+        total, room[level] = total + room[level], total
     for part in range(parts):
-        front[part] = room[: depth[part]].sum()
-    work = np.empty(room.sum())
+        front[part] = room[depth[part]]
+    work = np.empty(total)
     is_open = np.zeros(parts, np.bool_)
     into = np.zeros(len(order), np.int64)
     for part in range(parts):

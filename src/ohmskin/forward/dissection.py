@@ -15,8 +15,10 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
             in the order (n_parts + 1,), and the later part that it hangs on (n_parts,), -1 of the last.
     """
     n, dim = places.shape
-    order = np.array([v for v in range(n) if v != without])
-    count = len(order)
+    count = n - (0 <= without < n)
+    order = np.empty(count, np.int64)
+    for i in range(count):
+        order[i] = i + (0 <= without <= i)
     buffer, part_of, parent = np.empty_like(order), np.full(n, -1), np.empty(2 * count + 1, np.int64)
     low_of, high_of, above = np.empty(count + 1, np.int64), np.empty(count + 1, np.int64), np.empty(count + 1, np.int64)
     low_of[0], high_of[0], above[0] = 0, count, -1
@@ -93,9 +95,11 @@ def dissect(indptr: Ints, indices: Ints, places: Floats, without: int, leaf: int
     for v in order:
         buffer[free[part_of[v]]] = v
         free[part_of[v]] += 1
-    parent = parts - 1 - parent[:parts][::-1]
-    parent[-1] = -1
-    return buffer, part_of, start, parent
+    above = np.empty(parts, np.int64)
+    for part in range(parts):
+        above[part] = parts - 1 - parent[parts - 1 - part]
+    above[parts - 1] = -1
+    return buffer, part_of, start, above
 
 
 @njit(cache=True, nogil=True)
