@@ -95,6 +95,22 @@ def test_two_fingers_are_followed_and_keep_their_ids(engine: Engine) -> None:
         assert miss(touch, (0.15, 0.15)) < 4e-3
 
 
+@pytest.mark.parametrize(
+    ("corner", "other"),
+    [((0.189, 0.008), (0.085, 0.027)), ((0.192, 0.008), (0.109, 0.037)), ((0.008, 0.008), (0.028, 0.055))],
+)
+def test_a_contact_in_a_corner_stays_one_when_another_comes(
+    engine: Engine, corner: tuple[float, float], other: tuple[float, float]
+) -> None:
+    engine.press(0, corner, 8e-3, 20e3)
+    run(engine, 30)
+    engine.press(1, other, 8e-3, 20e3)
+    run(engine, 3)
+    touches = [run(engine, 1) for _ in range(40)]
+    assert {len(touch.contacts) for touch in touches} == {2}
+    assert max(max(miss(touch, corner), miss(touch, other)) for touch in touches) < 5e-3
+
+
 def test_the_image_of_the_last_frames_peaks_at_the_contact(engine: Engine) -> None:
     engine.press(1, (0.07, 0.13), 8e-3, 20e3)
     touch = run(engine, 10)
