@@ -16,7 +16,7 @@ from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.sensing.detector import FaultDetector
-from ohmskin.sensing.diagnosis import HELD, Diagnosis, Finding
+from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.readers import Belief, Reader, undriven
@@ -24,6 +24,7 @@ from ohmskin.sensing.readers import Belief, Reader, undriven
 Scan = Callable[[DrivePattern], Frame]
 
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
+_SPIKES = Cause("spikes")
 _LONGEST = 1.0  # s between two frames, beyond which nothing more is forgotten
 
 
@@ -228,7 +229,8 @@ class Sensor:
             state: What is remembered; begin with `start`.
             scan: Scans a pattern.
 
-        A frame without any good value changes nothing; after half a second of such, nothing is believed to touch.
+        A frame without any good value changes nothing; after half a second of such, nothing is believed to touch. While
+        values spike, a contact is reported that two frames show.
         """
         measured = self._measure(state, scan)
         last = measured.frames[-1]
@@ -260,6 +262,9 @@ class Sensor:
             belief = replace(belief, contacts=contacts)
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
+        if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
+            known = {contact.id for contact in state.belief.contacts}
+            belief = replace(belief, contacts=tuple(contact for contact in belief.contacts if contact.id in known))
         return after, Percept(measured.frames, belief, measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:
