@@ -1,7 +1,7 @@
 """Iterated Gauss-Newton: images that explain the voltages, with the forward model solved anew in each round."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -133,9 +133,10 @@ class AbsoluteGaussNewton:
 
     def _as_absolute(self, frame: Frame | Difference) -> Difference:
         """Measured voltages, or those that the model would have, in place of a change."""
-        modelled = self.model.voltages(frame.pattern)
         if isinstance(frame, Difference):
-            return Difference(frame.pattern, frame.currents, frame.volts + frame.currents * modelled)
+            modelled = frame.combination(len(self.model.electrodes)) @ self.model.pair_resistances
+            return replace(frame, volts=frame.volts + frame.currents * modelled, reference=None)
+        modelled = self.model.voltages(frame.pattern)
         offset = 0.0 if self.baseline is None else self.baseline.reference(frame.pattern) - modelled
         currents = frame.measurement_currents
         return Difference(frame.pattern, currents, frame.voltages - currents * offset)
