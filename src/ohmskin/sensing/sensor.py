@@ -243,14 +243,9 @@ class Sensor:
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
             scans = measured.scans
         else:
-            diagnosis, scans = self.detector.examine(
-                state.diagnosis,
-                measured.frames,
-                measured.scans,
-                elapsed,
-                state.belief.suspects,
-                state.belief.unexplained,
-            )
+            doubted = state.belief.suspects, state.belief.unexplained
+            given = state.diagnosis, measured.frames, measured.scans, elapsed
+            diagnosis, scans = self.detector.examine(*given, *doubted)
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
         belief, recent = found
