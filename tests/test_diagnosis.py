@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from ohmskin.engine import Engine, State, Touch
 from ohmskin.scan import Difference, DrivePattern, Frame, NetworkFit, n_pairs
 from ohmskin.scan.coherence import Instrument, NetworkData
 from ohmskin.sensing import Diagnosis
+from ohmskin.sensing.remedies import without_spikes
 from ohmskin.skin import Fault, Skin, VirtualSkin
 
 AT, RADIUS, PRESSURE = (0.07, 0.11), 6e-3, 20e3
@@ -129,6 +131,15 @@ def test_the_projection_tells_what_each_voltage_left_out_saves(patterns: list[Dr
     for row in range(0, len(every), 17):
         saved = data.coherence(every).squares - data.coherence(every & (np.arange(len(every)) != row)).squares
         assert left[row] ** 2 / projection[row, row] == pytest.approx(saved, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("times", [2.0, 3.0, 5.0])
+def test_noise_on_all_values_leaves_most_of_them_in(patterns: list[DrivePattern], times: float) -> None:
+    for seed, pattern in product(range(20), patterns):
+        changes = some_changes(np.random.default_rng(seed), pattern, times * 1e-4)
+        every = np.ones(pattern.n_meas, bool)
+        remedy = without_spikes(NetworkData([changes], 16, Instrument(1e-4, 1e-3)), every)
+        assert remedy is None or remedy.kept.mean() > 0.5
 
 
 # --- in the loop ------------------------------------------------------------------------------------------------------

@@ -116,7 +116,9 @@ def without_spikes(data: NetworkData, kept: Bools) -> Remedy | None:
         power = np.diag(projection)
         saved = np.where(power > _TESTED, left**2 / np.maximum(power, _TESTED), 0.0)
         worst = int(np.argmax(saved))
-        kept = kept & (saved < saved[worst] - _AS_WELL)
+        if saved[worst] < _AS_WELL:  # none stands out
+            return None
+        kept = kept & (saved < max(saved[worst] - _AS_WELL, _AS_WELL))
         share = projection[worst] / power[worst]
         left, projection = left - left[worst] * share, projection - np.outer(share, projection[worst])
         if agrees(fit := data.coherence(kept)):
