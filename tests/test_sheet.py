@@ -65,7 +65,7 @@ def test_slopes_are_those_of_the_model() -> None:
 
     def build(placed: Electrodes, log_conductivity: np.ndarray) -> TransferModel:
         mesh = mesh_domain(PAPER.domain, 3e-3, placed.positions)
-        factor = np.exp(cosines(mesh.centroids, PAPER.domain.bounds, log_conductivity))
+        factor = np.exp(cosines(mesh.centroids, PAPER.domain, log_conductivity))
         return TransferModel(mesh, placed, PAPER.sheet.conductivity * factor)
 
     unknowns, rows = _Unknowns(PAPER.domain, electrodes), PATTERN.combination(16)
@@ -118,7 +118,7 @@ def test_missing_channels_and_a_disc_are_no_hindrance() -> None:
 
     def build(placed: Electrodes, log_conductivity: np.ndarray) -> TransferModel:
         mesh = tank.mesh_for(placed)
-        return TransferModel(mesh, placed, np.exp(cosines(mesh.centroids, tank.domain.bounds, log_conductivity)))
+        return TransferModel(mesh, placed, np.exp(cosines(mesh.centroids, tank.domain, log_conductivity)))
 
     turn = 0.01 * np.random.default_rng(0).standard_normal(len(electrodes))
     arcs = tank.domain.arc(electrodes.positions) + turn * tank.sheet.radius

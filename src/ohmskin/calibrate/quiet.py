@@ -118,7 +118,7 @@ def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, Sheet
     ends = np.zeros((len(beyond), len(described)))
     np.put_along_axis(ends, all_pairs(len(described)), 1.0, axis=1)
     impedances = (
-        np.linalg.lstsq(ends, beyond, rcond=None)[0] + skin.electrode.contact_resistivity / fine.electrode_extents
+        np.linalg.lstsq(ends, beyond, rcond=None)[0] + fine.electrodes.contact_impedances / fine.electrode_extents
     )
     contacts, unexplained = _rounded(np.maximum(impedances, 0.0)), _rounded(np.array([fit.before, fit.after]))
     told = replace(found.calibration, contact_impedances=contacts, unexplained=unexplained)

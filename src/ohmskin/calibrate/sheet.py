@@ -120,7 +120,7 @@ def fit_sheet(
             f"(electrode {farthest}; at most {1e3 * most:.2g} mm) and an uneven sheet; check size, places and order of "
             "the electrodes, and that nothing touches the skin"
         )
-    factor = np.exp(cosines(model.mesh.centroids, domain.bounds, unknowns.log_conductivity(u)))
+    factor = np.exp(cosines(model.mesh.centroids, domain, unknowns.log_conductivity(u)))
     mean = np.average(factor, weights=model.mesh.measures)
     uneven = float(np.sqrt(np.average((factor / mean - 1) ** 2, weights=model.mesh.measures)))
     return SheetFit(model, unknowns.log_conductivity(u), moved, uneven, before, after)
@@ -187,7 +187,7 @@ class _Unknowns:
         ways = np.zeros((len(pairs), 2, n_elec))
         ways[which, :, i] = 2 * (field[:, i, i] - field[:, i, j]).T
         ways[which, :, j] = -2 * (field[:, j, i] - field[:, j, j]).T
-        waves = cosines(model.mesh.centroids, self.domain.bounds, np.eye(WAVES**2))
+        waves = cosines(model.mesh.centroids, self.domain, np.eye(WAVES**2))
         return np.hstack([ways.reshape(len(pairs), -1), model.pair_sensitivity @ (model.conductivity[:, None] * waves)])
 
 

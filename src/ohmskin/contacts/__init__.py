@@ -1,6 +1,6 @@
 """Contacts: found in images (regions, eq. 6), or fitted to the data themselves."""
 
-from ohmskin.contacts.finder import Contact, ContactFinder, learn_threshold
+from ohmskin.contacts.finder import Contact, ContactFinder, learn_threshold, on_skin
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.regions import Region, find_regions, label_peaks
 from ohmskin.contacts.solution import Solution
@@ -14,4 +14,5 @@ __all__ = [
     "find_regions",
     "label_peaks",
     "learn_threshold",
+    "on_skin",
 ]

@@ -90,7 +90,8 @@ class DiscFitter:
 
     def added(self, data: Information, score: Floats, power: Floats, known: Floats | None = None) -> Solution:
         """The contacts `known` (n, 4) and one more that explain the data best, of a few places that promise most."""
-        places = kernels.peaks(self.heights(score, power), self.places, _STARTS, _PROMISE, 1.4 * self.table.radius)
+        apart, period = 1.4 * self.table.radius, self.table.period
+        places = kernels.peaks(self.heights(score, power), self.places, _STARTS, _PROMISE, apart, period)
         starts = np.empty((len(places), (0 if known is None else len(known)) + 1, PER_CONTACT))
         starts[:, :-1] = starts[:, :0] if known is None else known
         starts[:, -1, :2], starts[:, -1, 3] = self.places[places], self.table.radius**2
@@ -101,7 +102,8 @@ class DiscFitter:
 
     def expected(self, effects: Floats) -> tuple[Floats, Floats]:
         """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2) before any data."""
-        return kernels.expected(np.ascontiguousarray(effects, float), self.table.radius, *self.table.sheet[:2])
+        low, high, *_, period = self.table.sheet
+        return kernels.expected(np.ascontiguousarray(effects, float), self.table.radius, low, high, period)
 
     def refine(
         self,
@@ -135,7 +137,7 @@ class DiscFitter:
 
     def contact(self, params: Floats, covariance: Floats) -> Contact:
         """A contact to report, from its parameters (4,) and their covariance (4, 4)."""
-        x, y, effect, square = (float(value) for value in params)
+        (x, y), (effect, square) = self.onto(params[None, :2])[0].tolist(), params[2:].tolist()
         # the model's own error moves a contact by about its share of two radii, however little noise there is
         floor = (_BLUR * self.model_error * self.table.radius) ** 2
         (xx, xy), (_, yy) = covariance[:2, :2] + floor * np.eye(2)

@@ -1,13 +1,14 @@
 """Contacts: what an image says about who presses where."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import erf, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.contacts.regions import find_regions
-from ohmskin.geometry import Cells
+from ohmskin.contacts.regions import find_regions, middle
+from ohmskin.geometry import Cells, Chart
 from ohmskin.inverse import Image
 
 
@@ -16,7 +17,7 @@ class Contact:
     """One place where the skin is touched.
 
     Args:
-        position: (x, y) in metres.
+        position: (x, y) in metres, on the skin's map (`Chart`); velocity and covariance are on the map, too.
         extent: Area where the image exceeds half its peak (m2).
         strength: Integral of the relative conductivity change over that area (m2); negative where conductivity fell.
         confidence: Probability that the peak exceeds the detection threshold, given the noise (0 to 1).
@@ -77,7 +78,7 @@ class ContactFinder:
                 std = max(float(image.contrast_std(region.peak_element)[0]), 1e-300)
                 contacts.append(
                     Contact(
-                        position=tuple((mass @ cells.centroids[core] / mass.sum())[:2].tolist()),
+                        position=tuple(middle(cells, core, mass)[:2].tolist()),
                         extent=float(cells.measures[core].sum()),
                         strength=sign * float(mass.sum()),
                         confidence=0.5 * (1 + erf((region.peak - self.threshold) / (sqrt(2) * std))),
@@ -93,6 +94,22 @@ class ContactFinder:
     def highest(self, image: Image) -> float:
         """The highest contrast that could be a contact's."""
         return float(np.abs(image.contrast).max() if self.bipolar else image.contrast.max())
+
+
+def on_skin(contacts: Sequence[Contact], chart: Chart) -> tuple[Contact, ...]:
+    """Contacts of a map as they are on the skin: areas and radii are larger where the map's scale is."""
+    if chart.flat or not contacts:
+        return tuple(contacts)
+    scales = chart.scale([contact.position for contact in contacts]).tolist()
+    return tuple(
+        replace(
+            contact,
+            extent=scale**2 * contact.extent,
+            strength=scale**2 * contact.strength,
+            radius=None if contact.radius is None else scale * contact.radius,
+        )
+        for contact, scale in zip(contacts, scales, strict=True)
+    )
 
 
 def learn_threshold(peaks: ArrayLike, margin: float = 6.0) -> float:

@@ -122,7 +122,7 @@ class ContactFitter(DiscFitter):
             sure = height >= self.bar + self.model_error * told.size(found.caused)
             if sure or height > max(self.bar, sqrt(_HALF * left.told.constant)):
                 one = self.added(data, score, power, found.params)
-                away = ((one.params[:-1, :2] - one.params[-1, :2]) ** 2).sum(axis=1)
+                away = (self.table.offsets(one.params[:-1, :2], one.params[-1, :2]) ** 2).sum(axis=1)
                 apart = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
                 more += [one] if apart and (sure or self._clear(found, one, self.bar**2)) else []
             better = [self._cleared(data, one) for one in more if one is not None]
@@ -142,7 +142,7 @@ class ContactFitter(DiscFitter):
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""
-        away = ((self.table.electrodes[:, None] - params[:, :2]) ** 2).sum(axis=2)
+        away = (self.table.offsets(self.table.electrodes[:, None], params[:, :2]) ** 2).sum(axis=2)
         return [int(number) for number in np.flatnonzero((away < params[:, 3]).any(axis=1))]
 
     def poor(self, told: Information, cost: float) -> bool:
@@ -166,7 +166,8 @@ class ContactFitter(DiscFitter):
         if len(covered) >= max(len(found.params), 1):
             return None
         tried = []
-        near = ((self.table.electrodes[:, None] - found.params[:, :2]) ** 2).sum(axis=2) < self.squares[1]
+        away = self.table.offsets(self.table.electrodes[:, None], found.params[:, :2])
+        near = (away**2).sum(axis=2) < self.squares[1]
         near[list(covered)] = False
         # in place of one contact, and of all: the others may be there only because of the electrode
         looks = [(number, [np.delete(found.params, k, axis=0), found.params[:0]]) for number, k in np.argwhere(near)]
@@ -259,7 +260,7 @@ class ContactFitter(DiscFitter):
         best = self.refine(data, starts, mean, information, _FEW)
         two = self.refine(data, best.params, mean, information)
         least = _OVERLAP if own < _WIDEST * usual else _APART
-        return two if _distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
+        return two if self._distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
 
     def several(self, told: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.
@@ -278,17 +279,15 @@ class ContactFitter(DiscFitter):
             return True
         return self._clear(one, two, bar, share)
 
-    @staticmethod
-    def _clear(few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
+    def _clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether one contact more, the last one, explains most of what is left, and is apart from all others."""
-        gaps = [_distance(many.params[[k, -1]]) for k in range(len(many.params) - 1)]
+        gaps = [self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1)]
         return few.cost > max(share * _CLEAR, 1) * max(many.cost, bar) and min(gaps, default=np.inf) > _APART
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
         return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
 
-
-def _distance(pair: Floats) -> float:
-    """Distance of two contacts (2, 4) over the sum of their radii (1)."""
-    return float(np.linalg.norm(pair[0, :2] - pair[1, :2]) / np.sqrt(pair[:, 3]).sum())
+    def _distance(self, pair: Floats) -> float:
+        """Distance of two contacts (2, 4) over the sum of their radii (1)."""
+        return float(np.linalg.norm(self.table.offsets(*pair[:, :2])) / np.sqrt(pair[:, 3]).sum())

@@ -13,10 +13,14 @@ _ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a
 
 
 @njit(cache=True, nogil=True)
-def onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float) -> None:
-    """Moves a position (2,) onto the sheet, in place."""
-    for axis in range(2):
+def onto(
+    position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float, period: float
+) -> None:
+    """Moves a position (2,) onto the sheet, in place; of a closed band in y alone."""
+    for axis in range(1 if period > 0.0 else 0, 2):
         position[axis] = min(max(position[axis], low[axis]), high[axis])
+    if period > 0.0:  # which has no holes
+        return
     there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
     if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
         position[0], position[1] = there[0], there[1]
@@ -24,33 +28,36 @@ def onto(position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Fl
 
 @njit(cache=True, nogil=True)
 def all_onto(positions: Floats, sheet: Grid) -> None:
-    """Moves positions (n, 2) onto the sheet, in place."""
+    """Moves positions (n, 2) onto the sheet, in place; of a closed band to x from 0 to below its period."""
     for k in range(len(positions)):
-        onto(positions[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4])
+        onto(positions[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4], sheet[5])
+        if sheet[5] > 0.0:
+            positions[k, 0] -= sheet[5] * np.floor(positions[k, 0] / sheet[5])
 
 
 @njit(cache=True, nogil=True)
 def responses(
-    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats, fields: Floats
-) -> tuple[Floats, Floats]:
+    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: Ints, period: float, squares: Floats,
+    fields: Floats,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """What contacts (n, 4) cause (n_pairs,), and the slopes (4 n, n_pairs)."""
     n_pairs = knots.shape[-1]
     caused, slopes = np.zeros(n_pairs), np.empty((4 * len(params), n_pairs))
     for k in range(len(params)):
         x, y, effect, square = params[k]
         own = slopes[4 * k : 4 * k + 4]
-        respond(x, y, square, knots, low, pitch, steps, squares, own)
+        respond(x, y, square, knots, low, pitch, steps, period, squares, own)
         for p in range(n_pairs):
             caused[p] += effect * own[2, p]
             own[0, p] *= effect
             own[1, p] *= effect
             own[3, p] *= effect
-    scatter(params, fields, low, pitch, steps, np.sqrt(squares[0]), caused, slopes)
+    scatter(params, fields, low, pitch, steps, period, np.sqrt(squares[0]), caused, slopes)
     return caused, slopes
 
 
 @njit(cache=True, nogil=True)
-def peaks(height: Floats, places: Floats, most: int, promise: float, apart: float) -> Ints:
+def peaks(height: Floats, places: Floats, most: int, promise: float, apart: float, period: float) -> Ints:
     """The numbers of at most so many of the highest places (n, 2), each so far (m) from the others.
 
     Near an electrode, the truth may lie on its other side. Lower than a share, `promise`, of the highest is none.
@@ -65,13 +72,16 @@ def peaks(height: Floats, places: Floats, most: int, promise: float, apart: floa
             return found[:count]
         found[count] = best
         for k in range(len(height)):
-            if np.hypot(places[k, 0] - places[best, 0], places[k, 1] - places[best, 1]) < apart:
+            along = places[k, 0] - places[best, 0]
+            if period > 0.0:
+                along -= period * np.rint(along / period)
+            if np.hypot(along, places[k, 1] - places[best, 1]) < apart:
                 taken[k] = True
     return found
 
 
 @njit(cache=True, nogil=True)
-def expected(effects: Floats, usual: float, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+def expected(effects: Floats, usual: float, low: Floats, high: Floats, period: float) -> tuple[Floats, Floats]:
     """Mean (4 n,) and information (4 n, 4 n) of contacts of about these effects (n,) (m2) before any data.
 
     Little is known, except of sizes: they are about the `usual` radius (m); strong contacts are large.
@@ -83,7 +93,8 @@ def expected(effects: Floats, usual: float, low: Floats, high: Floats) -> tuple[
         for axis in range(2):
             at = 4 * k + axis
             mean[at] = (low[axis] + high[axis]) / 2
-            information[at, at] = (high[axis] - low[axis]) ** -2
+            if axis or period == 0.0:  # round a closed band no place is in the middle
+                information[at, at] = (high[axis] - low[axis]) ** -2
         mean[4 * k + 3] = square * larger
         information[4 * k + 2, 4 * k + 2] = (10 * np.pi * square) ** -2
         information[4 * k + 3, 4 * k + 3] = (SQUARE_STD * square * larger) ** -2
@@ -104,7 +115,9 @@ def refined(
     floor, ceiling, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(0, n, 4):
         for axis in range(2):
-            floor[i + axis], ceiling[i + axis] = sheet[0][axis], sheet[1][axis]
+            free = axis == 0 and sheet[5] > 0.0
+            floor[i + axis] = -np.inf if free else sheet[0][axis]
+            ceiling[i + axis] = np.inf if free else sheet[1][axis]
         floor[i + 2], ceiling[i + 2], floor[i + 3], ceiling[i + 3] = least, np.inf, smallest, largest
     moved = np.empty_like(params)
     cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
@@ -125,7 +138,7 @@ def refined(
             moved[k, 1] = params[k, 1] + shrunk * step[4 * k + 1]
             moved[k, 2] = max(params[k, 2] + step[4 * k + 2], least)
             moved[k, 3] = min(max(params[k, 3] + step[4 * k + 3], smallest), largest)
-            onto(moved[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4])
+            onto(moved[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4], sheet[5])
         trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
         gain = cost - trial[0]
         if gain > 0:
@@ -192,7 +205,7 @@ def _linearised(
     params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, spline: Spline
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
-    caused, slopes = responses(params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5])
+    caused, slopes = responses(params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], spline[6])
     n, many = len(slopes), len(caused)
     rows, seen = np.empty((n + 1, many)), np.zeros((n + 1, many))  # the slopes, and last what is caused
     for k in range(n + 1):
@@ -202,13 +215,17 @@ def _linearised(
     products = np.empty((n + 1, n + 2))
     _dotted(rows, seen, vector, products)
     cost, normal, gradient = constant - 2 * products[n, n + 1] + products[n, n], prior.copy(), np.zeros(n)
+    off, period = np.empty(n), spline[4]
+    for i in range(n):
+        off[i] = mean[i] - params[i // 4, i % 4]
+        if period > 0.0 and i % 4 == 0:
+            off[i] -= period * np.rint(off[i] / period)
     for i in range(n):
         gradient[i] = products[i, n + 1] - products[i, n]
         for k in range(n):
             normal[i, k] += products[i, k]
-            off = mean[k] - params[k // 4, k % 4]
-            gradient[i] += prior[i, k] * off
-            cost += (mean[i] - params[i // 4, i % 4]) * prior[i, k] * off
+            gradient[i] += prior[i, k] * off[k]
+            cost += off[i] * prior[i, k] * off[k]
     return cost, normal, gradient, caused, slopes
 
 

@@ -7,6 +7,7 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Shorts, Singles
 from ohmskin.geometry import Cells
+from ohmskin.geometry.mesh import folded, shortest
 
 
 @dataclass(frozen=True)
@@ -43,11 +44,20 @@ def find_regions(values: Floats, cells: Cells, threshold: float, dip: float = 1.
     for number in range(int(labels.max(initial=-1)) + 1):
         elements = np.flatnonzero(labels == number)
         mass = values[elements] * cells.measures[elements]
-        centroid = mass @ cells.centroids[elements] / mass.sum()
+        centroid = middle(cells, elements, mass)
         anchors = cells.centroids[cells.closest_elements(centroid[None], 3)[0]]
         peak_element = int(elements[np.argmax(values[elements])])
         regions.append(Region(elements, centroid, anchors, float(values[peak_element]), peak_element))
     return regions
+
+
+def middle(cells: Cells, chosen: Ints, mass: Floats) -> Floats:
+    """The centroid (2 or 3,) of some cells weighted by mass (n,), in metres; of a closed band, of the shorter arc."""
+    places = cells.centroids[chosen]
+    if not cells.period:
+        return np.asarray(mass @ places / mass.sum())
+    first = places[np.abs(mass).argmax()]
+    return folded(first + mass @ shortest(places - first, cells.period) / mass.sum(), cells.period)
 
 
 def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) -> Shorts:

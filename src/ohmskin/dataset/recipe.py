@@ -153,7 +153,9 @@ class _Simulator:
     def pressure(self, presses: tuple[Press, ...]) -> Floats:
         """Pressure (ny, nx) at pixel centres in pascals, spread by the foam as the twin spreads it."""
         spread = self.skin.contact_layer.foam_spread
-        total = sum((press.pressure_at(self._centres, spread) for press in presses), np.zeros(self.raster.inside.shape))
+        total = np.zeros(self.raster.inside.shape)
+        for press in presses:
+            total += press.pressure_at(self.twin.sheet.distances(self._centres, press), spread)
         return np.where(self.raster.inside, total, 0.0)
 
 

@@ -104,6 +104,7 @@ class SecondScan:
     Args:
         electrodes: Electrode layout.
         pairs: Number of injections in a pattern (K).
+        period: Of a closed band, 0 of others (m).
 
     Raises:
         PatternError: If `pairs` is not between 1 and the number of electrode pairs.
@@ -111,8 +112,9 @@ class SecondScan:
 
     repeats = False  # whether an injection may be chosen again
 
-    def __init__(self, electrodes: Electrodes, pairs: int = 16) -> None:
+    def __init__(self, electrodes: Electrodes, pairs: int = 16, period: float = 0.0) -> None:
         self.electrodes, self.pairs, self.complete = electrodes, pairs, complete_pattern(electrodes)
+        self.period = period
         if not 1 <= pairs <= (np.inf if self.repeats else self.complete.n_inj):
             raise PatternError(f"{pairs} injections in the second scan; there are 1..{self.complete.n_inj} pairs")
 

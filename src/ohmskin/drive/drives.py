@@ -6,6 +6,7 @@ number of injections (0: as many as usual) that returns a `Drive`, its documenta
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from ohmskin.drive.bound import best_fixed
 from ohmskin.drive.design import Candidates
@@ -35,11 +36,13 @@ class DriveSettings:
         design: Gives the responses of contacts, and all pairs of electrodes with their currents and noise, such as
             `Skin.design`; only called by drives that need it.
         pairs: Injections of a second scan, unless a drive is told otherwise (K).
+        period: Of a closed band, 0 of others (m).
     """
 
     electrodes: Electrodes
     design: Callable[[], tuple[ContactTable, Candidates]] = _undesigned
     pairs: int = 16
+    period: float = 0.0
 
 
 def rim(s: DriveSettings, injections: int) -> Drive:
@@ -67,12 +70,12 @@ def best(s: DriveSettings, injections: int) -> Drive:
 
 def eq7(s: DriveSettings, injections: int) -> Drive:
     """Adjacent base scan of the rim, then the pairs closest to the contacts (paper, eq. 7)."""
-    return _two_scans(s, injections, adjacent([s.electrodes.rings[0]]), OptimalDrive)
+    return _two_scans(s, injections, adjacent([s.electrodes.rings[0]]), partial(OptimalDrive, period=s.period))
 
 
 def local(s: DriveSettings, injections: int) -> Drive:
     """Adjacent base scan of the rim, then short pairs near the contacts (the paper's reference [14])."""
-    return _two_scans(s, injections, adjacent([s.electrodes.rings[0]]), LocalDrive)
+    return _two_scans(s, injections, adjacent([s.electrodes.rings[0]]), partial(LocalDrive, period=s.period))
 
 
 def position(s: DriveSettings, injections: int) -> Drive:

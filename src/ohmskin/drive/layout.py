@@ -40,8 +40,12 @@ def arranged(domain: Domain, positions: Floats) -> Electrodes:
     rim, inside = points[on_rim], points[~on_rim]
     if len(rim) < _LEAST_ON_RIM:
         raise GeometryError(f"{len(rim)} of {len(points)} electrodes are on the rim; a base scan needs {_LEAST_ON_RIM}")
-    arc = np.mod(domain.arc(rim) + 1e-9, domain.perimeter)  # rounding may put the rim's start at its end
-    rim = domain.rim(np.sort(arc) - 1e-9)
+    if domain.period:  # along its lower rim, and back along the upper one
+        upper = rim[:, 1] > sum(domain.bounds[1::2]) / 2
+        rim = np.vstack([rim[np.lexsort((rim[:, 0], upper))][: (~upper).sum()], rim[upper][np.argsort(-rim[upper, 0])]])
+    else:
+        arc = np.mod(domain.arc(rim) + 1e-9, domain.perimeter)  # rounding may put the rim's start at its end
+        rim = domain.rim(np.sort(arc) - 1e-9)
     middle = points.mean(axis=0)
     away = inside - middle
     turn = np.round(np.mod(np.arctan2(away[:, 1], away[:, 0]) + 3 * np.pi / 4, 2 * np.pi), 9)

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.drive import SecondScan
 from ohmskin.geometry import Electrodes
+from ohmskin.geometry.mesh import folded, shortest, tree
 from ohmskin.scan import all_pairs
 
 
-def pair_weights(positions: ArrayLike, anchors: ArrayLike) -> Floats:
+def pair_weights(positions: ArrayLike, anchors: ArrayLike, period: float = 0.0) -> Floats:
     """Weights (n_pairs,) of all electrode pairs, eq. (7): w_i = sum_k S_k / S_i.
 
     S_i is the summed area of the triangles that pair i forms with each anchor. A pair on a line with all anchors has no
@@ -21,11 +21,13 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike) -> Floats:
     Args:
         positions: Electrode positions (n_elec, 2) in metres.
         anchors: Centroids (n_anchors, 2) of the elements closest to the contact's middle (m); the paper takes three.
+        period: Of a closed band, on which lines go the short way round; 0 of others (m).
     """
     positions, anchors = np.asarray(positions, float), np.asarray(anchors, float)
     i, j = all_pairs(len(positions)).T
-    along = positions[j] - positions[i]
-    to_anchor = anchors[None] - positions[i][:, None]
+    along = shortest(positions[j] - positions[i], period)
+    middle = positions[i] + along / 2
+    to_anchor = shortest(anchors[None] - middle[:, None], period) + along[:, None] / 2
     area = 0.5 * np.abs(along[:, None, 0] * to_anchor[..., 1] - along[:, None, 1] * to_anchor[..., 0]).sum(axis=1)
     area = np.maximum(area, 1e-9 * area.max())
     return np.asarray(area.sum() / area)
@@ -43,7 +45,7 @@ class OptimalDrive(SecondScan):
     """The paper's adaptive drive (section III-B): the pairs whose connecting lines pass closest to a contact."""
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
-        weights = [pair_weights(self.electrodes.positions, anchors) for anchors in regions]
+        weights = [pair_weights(self.electrodes.positions, anchors, self.period) for anchors in regions]
         return take_turns(np.array(weights), self.pairs)
 
 
@@ -57,15 +59,16 @@ class LocalDrive(SecondScan):
     comparison.
     """
 
-    def __init__(self, electrodes: Electrodes, pairs: int = 16) -> None:
-        super().__init__(electrodes, pairs)
-        ends = electrodes.positions[all_pairs(len(electrodes))]
-        length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-        spacing = float(cKDTree(electrodes.positions).query(electrodes.positions, k=2)[0][:, 1].max())
+    def __init__(self, electrodes: Electrodes, pairs: int = 16, period: float = 0.0) -> None:
+        super().__init__(electrodes, pairs, period)
+        starts, ends = np.moveaxis(electrodes.positions[all_pairs(len(electrodes))], 1, 0)
+        along = shortest(ends - starts, period)
+        length, around = np.linalg.norm(along, axis=1), folded(electrodes.positions, period)
+        spacing = float(tree(around, period).query(around, k=2)[0][:, 1].max())
         reach = np.maximum(1.5 * spacing, np.sort(length)[pairs - 1])  # a cell's diagonal is 1.41 times its side
-        self._middle, self._long = ends.mean(axis=1), length > reach
+        self._middle, self._long = starts + along / 2, length > reach
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
-        centres = np.array([anchors.mean(axis=0) for anchors in regions])
-        distance = np.linalg.norm(self._middle - centres[:, None], axis=2)
+        centres = np.array([anchors[0] + shortest(anchors - anchors[0], self.period).mean(axis=0) for anchors in regions])
+        distance = np.linalg.norm(shortest(self._middle - centres[:, None], self.period), axis=2)
         return take_turns(-np.where(self._long, np.inf, distance), self.pairs)

@@ -54,7 +54,7 @@ def believed(layout: str = "grid", flaw: Flaw = SOUND) -> tuple[Electrodes, Buil
 
     def build(electrodes: Electrodes, log_conductivity: Floats) -> TransferModel:
         mesh = skin.mesh_for(electrodes)
-        even = skin.sheet.conductivity * np.exp(cosines(mesh.centroids, skin.domain.bounds, log_conductivity))
+        even = skin.sheet.conductivity * np.exp(cosines(mesh.centroids, skin.domain, log_conductivity))
         return TransferModel(mesh, electrodes, even * (1 + flaw.uneven * uneven(mesh.centroids)))
 
     return placed, build

@@ -119,7 +119,7 @@ class Setup:
         if flaw.calibrated:
             measured = np.mean([scan(complete).voltages for scan in scans], axis=0) / CURRENT
             if world != "discs":  # which have point electrodes
-                electrodes = electrodes.with_discs(skin.electrode.radius, skin.electrode.contact_resistivity)
+                electrodes = electrodes.with_discs(skin.discs.extents, skin.discs.contact_impedances)
             noise = self.noise / CURRENT / np.sqrt(QUIET)
             fit = fit_sheet(skin.domain, electrodes, make, complete, measured, noise)
             electrodes, log_conductivity = fit.model.electrodes.with_points(), fit.log_conductivity
@@ -164,7 +164,7 @@ class Setup:
         Raises:
             PatternError: If there is none of that name, or not with so many injections.
         """
-        settings = DriveSettings(self.electrodes, lambda: self.design(mode.driven), self.skin.imaging.pairs)
+        settings = DriveSettings(self.electrodes, lambda: self.design(mode.driven), self.skin.imaging.pairs, self.skin.domain.period)
         drive = DRIVES[mode.drive](settings, 0 if mode.drive in ("rim", "rings") else mode.injections)
         if mode.drive in ("rim", "rings"):
             drive = drives.Fixed(repeated(drive.patterns[0], mode.injections or drive.injections))

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, real
 from ohmskin.errors import ModelError
-from ohmskin.geometry import Mesh
+from ohmskin.geometry import Domain, Mesh
 
 
 def conductivity_of(mesh: Mesh, given: ArrayLike) -> tuple[Floats, Floats | None]:
@@ -41,8 +41,7 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> tuple[Floats, Floats | None
     finite = np.isfinite(sigma).all(axis=(1, 2))
     scale = np.abs(np.where(finite[:, None, None], sigma, 0)).max(axis=(1, 2))
     symmetric = np.abs(sigma - sigma.transpose(0, 2, 1)).max(axis=(1, 2)) <= 1e-12 * scale
-    corners = mesh.nodes[mesh.elements]
-    edges = corners[:, 1:] - corners[:, :1]
+    edges = mesh.corners[:, 1:] - mesh.corners[:, :1]
     # orthonormal directions within each element, so that determinants there are those of the tangential part
     frames = np.linalg.qr(edges.transpose(0, 2, 1))[0]
     with np.errstate(invalid="ignore"):
@@ -59,12 +58,14 @@ def _unit(mesh: Mesh) -> str:
     return "siemens per square" if mesh.dim == 2 else "siemens per metre"
 
 
-def cosines(points: Floats, bounds: tuple[float, float, float, float], coefficients: ArrayLike) -> Floats:
+def cosines(points: Floats, domain: Domain, coefficients: ArrayLike) -> Floats:
     """A smooth field on a flat sheet: products of cosines with 0, 1, 2, ... half waves along x and along y.
+
+    Along x, round a closed band, the cosine and the sine of one wave, then those of two, and so on.
 
     Args:
         points: (n, 2) in metres.
-        bounds: (x_min, y_min, x_max, y_max) of the sheet (m).
+        domain: The sheet.
         coefficients: (n_waves^2,) or (n_waves^2, k), those of one number of half waves along x beside each other, the
             constant first.
 
@@ -72,6 +73,11 @@ def cosines(points: Floats, bounds: tuple[float, float, float, float], coefficie
         (n,) or (n, k) values of the fields.
     """
     given = np.asarray(coefficients, float)
-    at = (points - np.array(bounds[:2])) / (np.array(bounds[2:]) - np.array(bounds[:2]))
-    x, y = (np.cos(np.pi * np.outer(along, np.arange(round(len(given) ** 0.5)))) for along in at.T)
+    x0, y0, x1, y1 = domain.bounds
+    waves = np.pi * np.arange(round(len(given) ** 0.5))
+    at = (points - np.array([x0, y0])) / np.array([x1 - x0, y1 - y0])
+    x, y = (np.cos(np.outer(along, waves)) for along in at.T)
+    if domain.period:
+        turns = 2 * np.pi * np.outer(at[:, 0], (np.arange(len(waves)) + 1) // 2)
+        x = np.where(np.arange(len(waves)) % 2, np.cos(turns), np.where(waves > 0, np.sin(turns), 1.0))
     return np.asarray((x[:, :, None] * y[:, None, :]).reshape(len(points), -1) @ given)

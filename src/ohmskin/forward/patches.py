@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import ModelError
@@ -24,6 +23,7 @@ from ohmskin.forward.quadrature import Surface
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 from ohmskin.geometry import Mesh
+from ohmskin.geometry.mesh import folded, shortest, tree
 
 _NEAR = 2.5  # edges of the mesh from a contact within which it does not resolve what the contact causes
 _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contacts is looked at
@@ -170,7 +170,8 @@ class _NearField:
         self._middles = np.array([points[one].mean(axis=0) for one in own])
         self._half = max(float(np.linalg.norm(points[one] - points[one].mean(axis=0), axis=1).max()) for one in own)
         self._own, self._edge = own, float(np.sqrt(4 / np.sqrt(3) * mesh.measures[self._element].max()))
-        self._nodes, self._tree = cKDTree(mesh.nodes), cKDTree(self._middles)
+        self._middles = folded(self._middles, mesh.period)
+        self._nodes, self._tree = tree(mesh.nodes, mesh.period), tree(self._middles, mesh.period)
         self._made: dict[int, tuple[Ints, Floats]] = {}
 
     def add_to(self, green: Floats, touching: Ints, numbers: Ints) -> None:
@@ -191,6 +192,7 @@ class _NearField:
     def _missed(self, slot: int) -> tuple[Ints, Floats]:
         """Contacts (n_near,) near a patch, and what the mesh misses there (n_near, n_own) of the patch's contacts."""
         mesh, own, middle = self.model.mesh, self._own[slot], self._middles[slot]
+        places, points = (middle + shortest(some - middle, mesh.period) for some in (mesh.nodes, self.points))
         reach = 2 * self._half + _NEAR * self._edge
         near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, reach))])
         inside = np.zeros(mesh.n_nodes, bool)
@@ -205,15 +207,15 @@ class _NearField:
         row[nodes] = np.arange(len(nodes))
         near = near[(row[self.corners[near]] >= 0).all(axis=1)]
         rim = mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]
-        images = [self.points[own], *self._mirrored(self.points[own], middle, rim)]
+        images = [points[own], *self._mirrored(points[own], places[rim], middle)]
         load = np.zeros((len(nodes), len(own)))
         for corner, weight in zip(row[self.corners[own]].T, self.weights[own].T, strict=True):
             load[corner, np.arange(len(own))] += weight
         exact, there = np.zeros((len(near), len(own))), np.zeros((held.sum(), len(own)))
         for image in images:
-            exact -= log_means(self.points[near], image, self.sizes[own]) / (2 * np.pi)
-            there -= log_means(mesh.nodes[nodes[held]], image, 1e-9 * self.sizes[own]) / (2 * np.pi)
-            add_flux(load, row[rim], mesh.nodes[rim], image, middle)
+            exact -= log_means(points[near], image, self.sizes[own]) / (2 * np.pi)
+            there -= log_means(places[nodes[held]], image, 1e-9 * self.sizes[own]) / (2 * np.pi)
+            add_flux(load, row[rim], places[rim], image, middle)
         free = ~held
         values = np.empty((len(nodes), len(own)))
         values[held] = there
@@ -221,10 +223,9 @@ class _NearField:
         meshed = np.einsum("pk,pko->po", self.weights[near], values[row[self.corners[near]]])
         return near, (exact - meshed) / self.model.conductivity[self._element[own]]
 
-    def _mirrored(self, sources: Floats, middle: Floats, rim: Ints) -> list[Floats]:
+    def _mirrored(self, sources: Floats, ends: Floats, middle: Floats) -> list[Floats]:
         """Mirror images (n, 2) of contacts beyond the edges of the rim closest to a patch: of a corner, all three."""
-        nodes, mirrors = self.model.mesh.nodes, list[tuple[Floats, Floats]]()
-        ends = nodes[rim]
+        mirrors = list[tuple[Floats, Floats]]()
         order = np.argsort(np.linalg.norm(ends.mean(axis=1) - middle, axis=1))
         for start, end in ends[order]:
             normal = np.array([end[1] - start[1], start[0] - end[0]]) / np.linalg.norm(end - start)

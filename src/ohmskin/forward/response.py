@@ -18,10 +18,11 @@ from scipy.ndimage import distance_transform_edt, spline_filter1d
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
+from ohmskin.geometry.mesh import shortest
 from ohmskin.geometry.overlap import disc_overlap
 
-Spline = tuple[Floats, Floats, Floats, Ints, Floats, Floats]
-Grid = tuple[Floats, Floats, Floats, Floats, float]
+Spline = tuple[Floats, Floats, Floats, Ints, float, Floats, Floats]
+Grid = tuple[Floats, Floats, Floats, Floats, float, float]
 
 _SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0])  # radii kept, in usual ones
 _WHOLE = 0.995  # share of a disc on the sheet that counts as all of it; meshes cut round rims short
@@ -49,6 +50,8 @@ class ContactTable:
     Against the integrals they stand for they err by a quarter of a per cent in the middle, and by up to a tenth where
     the edge of a contact crosses the triangles at a point electrode, which are not exact either.
 
+    On a closed band any x is a place: whole turns do not count.
+
     Args:
         model: Of the untouched sheet; the finer its mesh (half the radius and less), the smoother the table.
         radius: Usual radius of a contact (m); responses are kept at 0.5 to 3 times it.
@@ -59,7 +62,9 @@ class ContactTable:
         places: (n_places, 2) in metres, at which responses are kept; all on the sheet.
         responses: (n_places, n_pairs) at the usual radius (ohm/m2).
         sheet: Which part of the table's rectangle is sheet: its lowest and highest corner (2,), the pitch (2,) of a
-            grid, the place closest to each of its points (n_x, n_y, 2), and how far off that a position may lie (m).
+            grid, the place closest to each of its points (n_x, n_y, 2), how far off that a position may lie (m), and
+            the period of a closed band, 0 of others (m).
+        period: That period (m).
         whole: (n_places,) whether a contact of the usual radius lies wholly on the sheet there.
 
     Raises:
@@ -71,15 +76,18 @@ class ContactTable:
         if mesh.nodes.shape[1] != 2:
             raise ModelError("a contact table needs a flat sheet; on surfaces in space find contacts in an image")
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
+        if mesh.period:
+            low[0], high[0] = 0.0, mesh.period
         if not (0 < pitch < (high - low).min() / 4 and 0 < radius < (high - low).min() / 2):
             allowed = "the radius must be below half of its shorter side and the pitch below a quarter"
             raise ModelError(f"radius {radius!r} m and pitch {pitch!r} m; on a sheet of {high - low} m {allowed}")
-        self.radius, self.n_elec = radius, len(model.electrodes)
+        self.radius, self.n_elec, self.period = radius, len(model.electrodes), mesh.period
         self.electrodes: Floats = model.electrodes.positions
         self._low = low
         self._steps = np.ceil((high - low) / pitch - 1e-9).astype(int)  # at least four
         self._pitch = (high - low) / self._steps
-        axes = [low[k] + self._pitch[k] * np.arange(self._steps[k] + 1) for k in range(2)]
+        counts = self._steps + [self.period == 0, 1]  # the last place round a closed band is the first
+        axes = [low[k] + self._pitch[k] * np.arange(counts[k]) for k in range(2)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         density = (model.pair_sensitivity * (model.conductivity / mesh.measures)).T
         layers, covered = [], []
@@ -94,18 +102,18 @@ class ContactTable:
             layers.append((cover @ density).reshape(*grid.shape[:2], -1)[closest[0], closest[1]])
             if share == 1.0:
                 field = (cover @ _fields(model)).reshape(*grid.shape[:2], -1)[closest[0], closest[1]]
-                self._fields = _knots(field)
+                self._fields = _knots(field, self.period > 0)
         usual = list(_SPREAD).index(1.0)
         # the smallest disc says best whether its centre is on the sheet
         inside = covered[0] >= _LEAST_COVER * (1 - 1e-9)
         self.places: Floats = grid.reshape(-1, 2)[inside]
         self.whole: NDArray[np.bool_] = covered[usual][inside] > _WHOLE
         self.responses: Floats = layers[usual].reshape(-1, layers[usual].shape[-1])[inside]
-        self._knots = _knots(np.stack(layers, axis=2))
+        self._knots = _knots(np.stack(layers, axis=2), self.period > 0)
         off = ~inside.reshape(grid.shape[:2])
         row, column = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
         reach = radius if off.any() else np.inf
-        self.sheet: Grid = low, high, self._pitch, np.ascontiguousarray(grid[row, column]), reach
+        self.sheet: Grid = low, high, self._pitch, np.ascontiguousarray(grid[row, column]), reach, self.period
 
     def scaled(self, factor: float) -> "ContactTable":
         """The table of the same sheet with all conductances multiplied by `factor`, as `TransferModel.scaled`."""
@@ -117,15 +125,23 @@ class ContactTable:
     def spaced(self, spacing: float) -> Ints:
         """Numbers of places, one in each square of a grid so wide (m): the one closest to the square's middle."""
         low, width = self.places.min(axis=0), np.ptp(self.places, axis=0)
-        cell = (self.places - low) / width * np.maximum(np.rint(width / spacing), 1)
+        width[0] = self.period or width[0]
+        many = np.maximum(np.rint(width / spacing), 1)
+        cell = (self.places - low) / width * many
         order = np.argsort(np.linalg.norm(cell - np.rint(cell), axis=1), kind="stable")
-        _, first = np.unique(np.rint(cell)[order], axis=0, return_index=True)
+        wrapped = np.rint(cell) % [many[0] if self.period else np.inf, np.inf]
+        _, first = np.unique(wrapped[order], axis=0, return_index=True)
         return np.sort(order[first])
 
     @property
     def spline(self) -> Spline:
         """What `respond` reads."""
-        return self._knots, self._low, self._pitch, self._steps, (_SPREAD * self.radius) ** 2, self._fields
+        squares = (_SPREAD * self.radius) ** 2
+        return self._knots, self._low, self._pitch, self._steps, self.period, squares, self._fields
+
+    def offsets(self, ends: ArrayLike, starts: ArrayLike) -> Floats:
+        """Vectors (..., 2) from places to others (m), round a closed band the short way."""
+        return shortest(np.asarray(ends, float) - np.asarray(starts, float), self.period)
 
     def __call__(self, positions: ArrayLike, radius: ArrayLike | None = None) -> ContactResponse:
         """Responses of contacts at positions (n, 2) (m) with radii, one or (n,) (m); the usual one unless given.
@@ -139,11 +155,15 @@ class ContactTable:
         return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
 
 
-def _knots(values: Floats) -> Floats:
+def _knots(values: Floats, closed: bool) -> Floats:
     """Coefficients of the cubic spline through values on a grid (n_x, n_y, ...), with those beyond its border."""
     for axis in (0, 1):
-        values = spline_filter1d(values, order=3, axis=axis, mode="mirror")
-    return np.pad(values, ((1, 2), (1, 2), *((0, 0),) * (values.ndim - 2)), mode="reflect")
+        round_it = closed and axis == 0
+        values = spline_filter1d(values, order=3, axis=axis, mode="grid-wrap" if round_it else "mirror")
+        pad = [(0, 0)] * values.ndim
+        pad[axis] = (1, 3 if round_it else 2)
+        values = np.pad(values, pad, mode="wrap" if round_it else "reflect")
+    return values
 
 
 def _fields(model: TransferModel) -> Floats:
@@ -153,9 +173,13 @@ def _fields(model: TransferModel) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def weigh(x: float, y: float, low: Floats, pitch: Floats, steps: Ints, first: Ints, weights: Floats) -> None:
+def weigh(
+    x: float, y: float, low: Floats, pitch: Floats, steps: Ints, period: float, first: Ints, weights: Floats
+) -> None:
     """The cubic B-splines that reach a place: the number of the first of four along each axis, `first` (2,), and
     `weights` (2, 2, 4), of each axis, their values and derivatives."""
+    if period > 0.0:
+        x -= period * np.floor(x / period)
     for axis in range(2):
         at = min(max(((y if axis else x) - low[axis]) / pitch[axis], 0.0), float(steps[axis]))
         first[axis] = min(int(at), steps[axis] - 1)
@@ -171,15 +195,15 @@ def weigh(x: float, y: float, low: Floats, pitch: Floats, steps: Ints, first: In
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def respond(
-    x: float, y: float, square: float, knots: Floats, low: Floats, pitch: Floats, steps: Ints, squares: Floats,
-    out: Floats,
+    x: float, y: float, square: float, knots: Floats, low: Floats, pitch: Floats, steps: Ints, period: float,
+    squares: Floats, out: Floats,
 ) -> None:  # fmt: skip
     """Response of one contact at (x, y) (m) of a squared radius (m2), per square metre of its effect.
 
     Into `out` (4, n_pairs): the derivatives by x and y (ohm/m3), the values (ohm/m2), and that by the squared radius.
     """
     first, weights = np.empty(2, np.int64), np.empty((2, 2, 4))
-    weigh(x, y, low, pitch, steps, first, weights)
+    weigh(x, y, low, pitch, steps, period, first, weights)
     layer = 0
     while layer < len(squares) - 2 and square >= squares[layer + 1]:
         layer += 1
@@ -204,13 +228,14 @@ def respond(
 def _respond_at(discs: Floats, spline: Spline, out: Floats) -> None:
     """Responses, into `out` (n, 4, n_pairs), of discs (n, 3): x, y (m) and squared radius (m2)."""
     for k in range(len(discs)):
-        respond(discs[k, 0], discs[k, 1], discs[k, 2], spline[0], spline[1], spline[2], spline[3], spline[4], out[k])
+        x, y, square = discs[k]
+        respond(x, y, square, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], out[k])
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def scatter(
-    params: Floats, fields: Floats, low: Floats, pitch: Floats, steps: Ints, least: float, caused: Floats,
-    slopes: Floats,
+    params: Floats, fields: Floats, low: Floats, pitch: Floats, steps: Ints, period: float, least: float,
+    caused: Floats, slopes: Floats,
 ) -> None:  # fmt: skip
     """Adds what contacts (n, 4) do to each other's fields to what they cause (n_pairs,) and the slopes (4 n, n_pairs).
 
@@ -223,7 +248,7 @@ def scatter(
     first, weights = np.empty(2, np.int64), np.empty((2, 2, 4))
     field, slope = np.zeros((n, n_elec), np.complex128), np.zeros((n, n_elec), np.complex128)
     for k in range(n):
-        weigh(params[k, 0], params[k, 1], low, pitch, steps, first, weights)
+        weigh(params[k, 0], params[k, 1], low, pitch, steps, period, first, weights)
         for i in range(4):
             for j in range(4):
                 both, along = weights[0, 0, i] * weights[1, 0, j], weights[0, 1, i] * weights[1, 0, j]
@@ -234,6 +259,8 @@ def scatter(
     for k in range(n):
         for other in range(k):
             x, y = params[other, 0] - params[k, 0], params[other, 1] - params[k, 1]
+            if period > 0.0:
+                x -= period * np.rint(x / period)
             square, back = x * x + y * y, complex(x, -y)
             below = square**2 + least**4
             near = back**2 / below

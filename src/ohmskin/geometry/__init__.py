@@ -1,6 +1,8 @@
 """Where things are: domains, meshes, cells of an image, electrode layouts, rasters."""
 
+from ohmskin.geometry.band import Band
 from ohmskin.geometry.cells import Cells
+from ohmskin.geometry.chart import Chart, FlatChart, RevolutionChart
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.files import read_groups, read_mesh, write_mesh
@@ -12,7 +14,9 @@ from ohmskin.geometry.raster import Raster
 from ohmskin.geometry.thick import thicken
 
 __all__ = [
+    "Band",
     "Cells",
+    "Chart",
     "Disc",
     "Domain",
     "ElectrodeKind",

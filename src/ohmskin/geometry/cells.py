@@ -22,5 +22,9 @@ class Cells(Protocol):
     def neighbours(self) -> Ints:
         """The cell (n_cells, n) beyond each side, -1 where there is none."""
 
+    @property
+    def period(self) -> float:
+        """Of a closed band, 0 of others (m)."""
+
     def closest_elements(self, points: ArrayLike, count: int = 3) -> Ints:
         """Numbers (n, count) of the cells whose centroids are closest to `points` (n, 2 or 3)."""

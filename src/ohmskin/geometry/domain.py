@@ -33,6 +33,10 @@ class Domain(Protocol):
     def holes(self) -> "tuple[Domain, ...]":
         """What is cut out of it."""
 
+    @property
+    def period(self) -> float:
+        """Length along x after which a closed band meets itself (m); 0 of all others."""
+
     def depth(self, points: ArrayLike) -> Floats:
         """Distance (n,) of points (n, 2) from the rim, positive inside (m)."""
 
@@ -60,6 +64,7 @@ class Rectangle:
     width: float
     height: float
     holes = ()
+    period = 0.0
 
     def __post_init__(self) -> None:
         _positive("rectangle width", self.width)
@@ -113,6 +118,7 @@ class Disc:
 
     radius: float
     holes = ()
+    period = 0.0
 
     def __post_init__(self) -> None:
         _positive("disc radius", self.radius)

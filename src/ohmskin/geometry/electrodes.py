@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.arrays import Floats, Ints, ReadOnly, real
 from ohmskin.errors import GeometryError
+from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Domain, Rectangle
 from ohmskin.geometry.mesh import Mesh, facet_measures
 
@@ -241,19 +242,28 @@ class Electrodes(ReadOnly):
         return cls.at(domain.rim(np.mod(shares, 1.0) * domain.perimeter))
 
     @classmethod
-    def grid(cls, sheet: Rectangle, columns: int = 4, rows: int = 4, inset: float = 0.0) -> Self:
+    def grid(cls, sheet: Rectangle | Band, columns: int = 4, rows: int = 4, inset: float = 0.0) -> Self:
         """A regular grid that spans the sheet, `inset` metres away from its rim (paper, section IV-A).
 
-        The default 4 x 4 grid has 12 electrodes on the outer ring (0-11) and 4 inside (12-15).
+        The default 4 x 4 grid has 12 electrodes on the outer ring (0-11) and 4 inside (12-15). Round a closed band the
+        columns are evenly spaced; a ring is a row of the lower half and, back again, one of the upper half.
         """
         if columns < 2 or rows < 2:
             raise GeometryError(f"a grid of {columns} x {rows} electrodes; need at least 2 x 2")
-        if not 0 <= inset < min(sheet.width, sheet.height) / 2:
+        x0, y0, x1, y1 = sheet.bounds
+        if not 0 <= inset < (y1 - y0 if sheet.period else min(x1 - x0, y1 - y0)) / 2:
             raise GeometryError(f"grid inset {inset} m; it must be from 0 to below half of the sheet's shorter side")
-        x = np.linspace(inset, sheet.width - inset, columns)
-        y = np.linspace(inset, sheet.height - inset, rows)
+        x = np.linspace(inset, x1 - inset, columns)
+        y = np.linspace(inset, y1 - inset, rows)
         positions: list[tuple[float, float]] = []
         rings: list[tuple[int, ...]] = []
+        if sheet.period:
+            x = x1 * np.arange(columns) / columns
+            for low, high in zip(y[: (rows + 1) // 2], y[::-1], strict=False):
+                ring = list(dict.fromkeys([(a, low) for a in x] + [(a, high) for a in x[::-1]]))
+                rings.append(tuple(range(len(positions), len(positions) + len(ring))))
+                positions += ring
+            return cls(np.array(positions), tuple(rings))
         while len(x) and len(y):
             there, back = [(a, y[0]) for a in x] + [(x[-1], b) for b in y], [(a, y[-1]) for a in x[::-1]]
             ring = list(dict.fromkeys(there + back + [(x[0], b) for b in y[::-1]]))

@@ -26,6 +26,7 @@ class Mesh(ReadOnly):
     Args:
         nodes: Node coordinates (n_nodes, 2), or (n_nodes, 3) in space, in metres.
         elements: Node numbers (n_elem, 3) of triangles or (n_elem, 4) of tetrahedra.
+        period: Of a closed band: x = 0 and x = `period` are the same place (m). 0 for all other meshes.
 
     Raises:
         GeometryError: If shapes, numbers or coordinates are invalid, an element has no area or volume, a node is
@@ -35,6 +36,7 @@ class Mesh(ReadOnly):
     nodes: Floats
     elements: Ints
     flipped: int = 0
+    period: float = 0.0
 
     def __post_init__(self) -> None:
         nodes, elements = real(self.nodes, "mesh nodes are", GeometryError).copy(), np.array(self.elements)
@@ -49,20 +51,22 @@ class Mesh(ReadOnly):
         noun, nouns, facet, measure = _NOUNS[corners - 1]
         if not np.isfinite(nodes).all():
             raise GeometryError(f"mesh node {int(np.argmin(np.isfinite(nodes).all(1)))} is not finite")
+        if self.period and not (nodes.shape[1] == 2 and 0 <= nodes[:, 0].min() and nodes[:, 0].max() < self.period):
+            raise GeometryError(f"a closed band of period {self.period!r} m needs flat nodes with x from 0 to below it")
         elements = elements.astype(np.int64)
         if elements.min() < 0 or elements.max() >= len(nodes):
             raise GeometryError(f"{nouns} name nodes {elements.min()}..{elements.max()}; there are {len(nodes)} nodes")
         if len(unused := np.flatnonzero(np.bincount(elements.ravel(), minlength=len(nodes)) == 0)):
             raise GeometryError(f"{len(unused)} mesh nodes belong to no {noun} (first: {unused[0]}); remove them")
         if nodes.shape[1] == corners - 1:
-            inverted = _determinants(_edges(nodes, elements)) < 0
+            inverted = _determinants(_edges(_unrolled(nodes[elements], self.period))) < 0
             elements[inverted, -2:] = elements[inverted, -2:][:, ::-1]
             object.__setattr__(self, "flipped", int(inverted.sum()))
         nodes.setflags(write=False)
         elements.setflags(write=False)
         object.__setattr__(self, "nodes", nodes)
         object.__setattr__(self, "elements", elements)
-        longest = np.linalg.norm(nodes[elements] - nodes[np.roll(elements, 1, axis=1)], axis=2).max(axis=1)
+        longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max(axis=1)
         if len(bad := np.flatnonzero(self.measures <= 1e-10 * longest**self.dim)):
             where = f"{noun} {bad[0]} has no {measure} (nodes {elements[bad[0]].tolist()})"
             raise GeometryError(f"{where}; remove degenerate {nouns}")
@@ -76,6 +80,7 @@ class Mesh(ReadOnly):
         element, side = np.nonzero(self.neighbours >= 0)
         other, facet = self.neighbours[element, side], self._facets[element, side]
         beyond = self.nodes[self.elements[other].sum(axis=1) - facet.sum(axis=1)] - self.nodes[facet[:, 0]]
+        beyond = shortest(beyond, self.period)
         inwards = self.gradients[element, side - 1]  # of the corner across from the facet
         if len(folded := np.flatnonzero(np.einsum("nd,nd->n", inwards, beyond) >= 0)):
             _, nouns, facet_name, _ = _NOUNS[self.dim]
@@ -104,9 +109,14 @@ class Mesh(ReadOnly):
         return _NOUNS[self.dim][0]
 
     @cached_property
+    def corners(self) -> Floats:
+        """Corners (n_elem, dim + 1, dim of space) of each element (m); of a closed band, all beside the first one."""
+        return _unrolled(self.nodes[self.elements], self.period)
+
+    @cached_property
     def gradients(self) -> Floats:
         """Gradients (n_elem, dim + 1, dim of space) of each element's linear shape functions, tangential (1/m)."""
-        edges = _edges(self.nodes, self.elements)
+        edges = _edges(self.corners)
         gram = np.einsum("eid,ejd->eij", edges, edges)
         if self.dim == 3:
             inner = np.linalg.solve(gram, edges)
@@ -120,7 +130,7 @@ class Mesh(ReadOnly):
     @cached_property
     def measures(self) -> Floats:
         """Areas (n_elem,) of triangles in m2, volumes of tetrahedra in m3."""
-        edges = _edges(self.nodes, self.elements)
+        edges = _edges(self.corners)
         if edges.shape[1] == edges.shape[2]:
             return np.asarray(np.abs(_determinants(edges)) / factorial(self.dim))
         return np.asarray(np.linalg.norm(normals(self.nodes, self.elements), axis=1) / 2)
@@ -128,7 +138,12 @@ class Mesh(ReadOnly):
     @cached_property
     def centroids(self) -> Floats:
         """Centroids (n_elem, dim of space) in metres."""
-        return np.asarray(self.nodes[self.elements].mean(axis=1))
+        return folded(self.corners.mean(axis=1), self.period)
+
+    @cached_property
+    def reach(self) -> float:
+        """Farthest that a corner is from the centroid of its element (m)."""
+        return float(np.linalg.norm(self.corners - self.corners.mean(axis=1, keepdims=True), axis=2).max())
 
     @cached_property
     def _facets(self) -> Ints:
@@ -180,11 +195,11 @@ class Mesh(ReadOnly):
 
     @cached_property
     def _node_tree(self) -> cKDTree:
-        return cKDTree(self.nodes)
+        return tree(self.nodes, self.period)
 
     @cached_property
     def _centroid_tree(self) -> cKDTree:
-        return cKDTree(self.centroids)
+        return tree(self.centroids, self.period)
 
     def mapped(self, move: Callable[[Floats], ArrayLike]) -> "Mesh":
         """The same elements with nodes (n_nodes, dim) moved by `move` to (n_nodes, 2 or 3): a sheet round a link."""
@@ -197,7 +212,7 @@ class Mesh(ReadOnly):
             GeometryError: If a point has no node within `tolerance` metres.
         """
         points = self._points(points)
-        distance, node = self._node_tree.query(points)
+        distance, node = self._node_tree.query(folded(points, self.period))
         if len(far := np.flatnonzero(distance > tolerance)):
             where = f"point {far[0]} at {points[far[0]]} is {distance[far[0]]:.3g} m away from the nearest mesh node"
             raise GeometryError(f"{where}; make the mesh with these points (mesh_domain(..., points=...))")
@@ -205,7 +220,7 @@ class Mesh(ReadOnly):
 
     def closest_elements(self, points: ArrayLike, count: int = 3) -> Ints:
         """Numbers (n, count) of the elements whose centroids are closest to `points` (n, dim)."""
-        return np.asarray(self._centroid_tree.query(self._points(points), k=count)[1], np.int64)
+        return np.asarray(self._centroid_tree.query(folded(self._points(points), self.period), k=count)[1], np.int64)
 
     def locate(self, points: ArrayLike) -> tuple[Ints, Floats]:
         """The element (n,) of each of `points` (n, dim), -1 outside, and its barycentric coordinates (n, dim + 1).
@@ -215,14 +230,14 @@ class Mesh(ReadOnly):
         """
         if self.nodes.shape[1] != self.dim:
             raise GeometryError("locate() needs a flat mesh; project the points of a curved one yourself")
-        points = self._points(points)
+        points = folded(self._points(points), self.period)
         element, barycentric = np.full(len(points), -1), np.zeros((len(points), self.dim + 1))
-        reach = np.linalg.norm(self.nodes[self.elements] - self.centroids[:, None], axis=2).max()
+        reach = self.reach
         left, count = np.arange(len(points)), min(16, self.n_elem)
         while len(left):
             distance, candidates = (a.reshape(len(left), -1) for a in self._centroid_tree.query(points[left], k=count))
-            corner = self.nodes[self.elements[candidates][:, :, 0]]
-            inner = np.einsum("nkvd,nkd->nkv", self.gradients[candidates][:, :, 1:], points[left][:, None] - corner)
+            offset = shortest(points[left][:, None] - self.nodes[self.elements[candidates][:, :, 0]], self.period)
+            inner = np.einsum("nkvd,nkd->nkv", self.gradients[candidates][:, :, 1:], offset)
             weights = np.concatenate([1 - inner.sum(2, keepdims=True), inner], axis=2)
             row, best = np.arange(len(left)), weights.min(axis=2).argmax(axis=1)
             barycentric[left] = weights[row, best]
@@ -262,21 +277,47 @@ def _determinants(edges: Floats) -> Floats:
     return np.asarray(np.linalg.det(edges))
 
 
-def _edges(nodes: Floats, elements: Ints) -> Floats:
+def _edges(corners: Floats) -> Floats:
     """Vectors (n_elem, dim, dim of space) from the first corner to the others."""
-    corners = nodes[elements]
     return np.asarray(corners[:, 1:] - corners[:, :1])
 
 
-def facet_measures(nodes: Floats, facets: Ints) -> Floats:
+def shortest(offsets: Floats, period: float) -> Floats:
+    """Vectors (..., 2) between places of a closed band, the short way round; as they are if it is none."""
+    if period:
+        offsets = offsets.copy()
+        offsets[..., 0] -= period * np.rint(offsets[..., 0] / period)
+    return offsets
+
+
+def folded(points: Floats, period: float) -> Floats:
+    """Places (..., 2) of a closed band with x from 0 to below `period` (m); as they are if it is none."""
+    if period:
+        points = points.copy()
+        points[..., 0] %= period
+        points[..., 0][points[..., 0] >= period] = 0.0  # a tiny negative number plus the period is the period
+    return points
+
+
+def tree(points: Floats, period: float = 0.0) -> cKDTree:
+    """What finds the closest of points (n, dim); of a closed band, the short way round."""
+    return cKDTree(points, boxsize=[period, 0.0] if period else None)
+
+
+def _unrolled(corners: Floats, period: float) -> Floats:
+    """Corners (n_elem, dim + 1, dim of space) with all beside the first one."""
+    return np.asarray(corners[:, :1] + shortest(corners - corners[:, :1], period)) if period else corners
+
+
+def facet_measures(nodes: Floats, facets: Ints, period: float = 0.0) -> Floats:
     """Lengths (n,) of edges (n, 2) in metres, areas of triangles (n, 3) in m2, in any space of their nodes."""
     corners = nodes[facets]
     if facets.shape[1] == 2:
-        return np.asarray(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
+        return np.asarray(np.linalg.norm(shortest(corners[:, 1] - corners[:, 0], period), axis=1))
     return np.asarray(np.linalg.norm(normals(nodes, facets), axis=1) / 2)
 
 
 def normals(nodes: Floats, triangles: Ints) -> Floats:
     """Normals (n, 3) of triangles in space by the right-hand rule, twice as long as their areas."""
-    edges = _edges(nodes, triangles)
+    edges = _edges(nodes[triangles])
     return np.asarray(np.cross(edges[:, 0], edges[:, 1]))

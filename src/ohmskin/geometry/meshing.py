@@ -8,9 +8,10 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
+from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
-from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.mesh import Mesh, folded, shortest, tree
 from ohmskin.geometry.polygon import Polygon
 
 _RINGS = (  # radii of a disc electrode, and nodes there
@@ -58,7 +59,9 @@ def mesh_domain(
     rim = np.vstack(rim_loops(domain, fixed, tolerance, evenly))
     inner = fixed[~on_rim]
     kept = np.vstack([rim, inner])
-    gap = cKDTree(kept).query(kept, k=2)[0][:, 1]
+    around = domain.period
+    kept = folded(kept, around)
+    gap = tree(kept, around).query(kept, k=2)[0][:, 1]
     if (to_rim := depth[~on_rim].min(initial=np.inf)) < closest * size:
         near = inner[depth[~on_rim].argmin()]
         raise GeometryError(f"point {near} is {to_rim:.2g} m away from the rim, too close for size {size:.2g}; refine")
@@ -66,18 +69,22 @@ def mesh_domain(
         near = kept[gap.argmin()]
         raise GeometryError(f"points at {near} are {gap.min():.2g} m apart, too close for size {size:.2g} m; refine it")
 
-    lattice = _hexagonal(domain.bounds, size)
+    lattice = _hexagonal(domain.bounds, size, around)
     lattice = lattice[domain.depth(lattice) > 0.5 * size]
     if len(inner):
-        lattice = lattice[cKDTree(inner).query(lattice)[0] > 0.6 * size]
+        lattice = lattice[tree(folded(inner, around), around).query(lattice)[0] > 0.6 * size]
     nodes = np.vstack([kept, lattice])
     triangles = _triangulate(nodes, size, domain)
     for _ in range(smoothing):
         start, end = triangles[:, [0, 1, 2, 1, 2, 0]].T.ravel(), triangles[:, [1, 2, 0, 0, 1, 2]].T.ravel()
-        sums = [np.bincount(start, weights, len(nodes)) for weights in (nodes[end, 0], nodes[end, 1], None)]
-        nodes[len(kept) :] = np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
+        away = shortest(nodes[end] - nodes[start], around)
+        sums = [np.bincount(start, weights, len(nodes)) for weights in (away[:, 0], away[:, 1], None)]
+        nodes[len(kept) :] += np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
+        nodes = folded(nodes, around)
         triangles = _triangulate(nodes, size, domain)
-    return _checked(nodes, triangles, domain, size) if isinstance(domain, Polygon) else Mesh(nodes, triangles)
+    if isinstance(domain, Polygon | Band):
+        return _checked(nodes, triangles, domain, size)
+    return Mesh(nodes, triangles)
 
 
 def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
@@ -125,10 +132,10 @@ def electrode_points(domain: Domain, electrodes: Electrodes, closest: float) -> 
         electrodes: Discs on it.
         closest: Distance below which two such points are one (m).
     """
-    loops, centres = (domain, *domain.holes), electrodes.positions
+    loops, centres = (domain, *domain.holes), folded(electrodes.positions, domain.period)
     corners = np.vstack([loop.rim(loop.corners) for loop in loops])  # a mesh has nodes there anyhow
     rings = [centres, corners]
-    nearest = cKDTree(centres)
+    nearest = tree(centres, domain.period)
     for number, (centre, radius) in enumerate(zip(centres, electrodes.extents, strict=True)):
         off = [float(np.linalg.norm(loop.rim(loop.arc(centre[None]))[0] - centre)) for loop in loops]
         loop, on_rim = loops[int(np.argmin(off))], min(off) < 1e-6 * domain.perimeter
@@ -138,20 +145,21 @@ def electrode_points(domain: Domain, electrodes: Electrodes, closest: float) -> 
             ring = ring[domain.depth(ring) > max(0.35 * 2 * np.pi * r / count, closest)]
             if on_rim:
                 ring = np.vstack([ring, loop.rim(loop.arc(centre[None])[0] + np.array([-r, r]))])
+            ring = folded(ring, domain.period)
             rings.append(ring[nearest.query(ring)[1] == number])
     points = np.vstack(rings)
     kept = np.ones(len(points), bool)
-    pairs = np.sort(cKDTree(points).query_pairs(closest, output_type="ndarray"), axis=1)
+    pairs = np.sort(tree(points, domain.period).query_pairs(closest, output_type="ndarray"), axis=1)
     for first, other in pairs[np.argsort(pairs[:, 1], kind="stable")]:  # first come, first served
         kept[other] &= not kept[first]
     kept[len(centres) : len(centres) + len(corners)] = False
     return points[kept]
 
 
-def _checked(nodes: Floats, triangles: Ints, domain: Polygon, size: float) -> Mesh:
-    """The mesh, if its area and rim are the polygon's: Delaunay keeps a rim edge only if no node is close."""
+def _checked(nodes: Floats, triangles: Ints, domain: Domain, size: float) -> Mesh:
+    """The mesh, if its area and rim are the domain's: Delaunay keeps a rim edge only if no node is close."""
     try:
-        mesh = Mesh(nodes, triangles)
+        mesh = Mesh(nodes, triangles, period=domain.period)
         off_rim = np.abs(domain.depth(nodes[mesh.boundary].mean(axis=1))).max()
         if abs(mesh.measures.sum() - domain.area) <= 1e-9 * domain.area and off_rim < 1e-9 * domain.perimeter:
             return mesh
@@ -187,21 +195,32 @@ def rim_loops(
     return loops
 
 
-def _hexagonal(bounds: tuple[float, float, float, float], size: float) -> Floats:
+def _hexagonal(bounds: tuple[float, float, float, float], size: float, period: float) -> Floats:
     x0, y0, x1, y1 = bounds
     rows = np.arange(y0, y1 + size, size * np.sqrt(3) / 2)
     columns = np.arange(x0 - size, x1 + size, size)
+    if period:
+        columns = period * np.arange(round(period / size)) / round(period / size)
     x, y = np.meshgrid(columns, rows)
     x[1::2] += size / 2
-    return np.column_stack([x.ravel(), y.ravel()])
+    return folded(np.column_stack([x.ravel(), y.ravel()]), period)
 
 
 def _triangulate(nodes: Floats, size: float, domain: Domain) -> Ints:
+    period, given = domain.period, len(nodes)
+    if period:  # copies of what is near the seam on its other side
+        low, high = nodes[:, 0] < 4 * size, nodes[:, 0] > period - 4 * size
+        nodes = np.vstack([nodes, nodes[low] + [period, 0], nodes[high] - [period, 0]])
+        original = np.concatenate([np.arange(given), np.flatnonzero(low), np.flatnonzero(high)])
     triangles: Ints = Delaunay(nodes).simplices.astype(np.int64)
     p = nodes[triangles]
     e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     areas = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
     triangles = triangles[areas > 1e-4 * size**2]  # collinear rim nodes leave empty triangles behind
+    if period:
+        middle = nodes[triangles, 0].mean(axis=1)
+        triangles = triangles[(middle > -0.01 * size) & (middle < period + 0.01 * size)]
+        return np.unique(np.sort(original[triangles], axis=1), axis=0)
     if isinstance(domain, Polygon):  # may be hollow; the others are convex
         triangles = triangles[domain.depth(nodes[triangles].mean(axis=1)) > 0]
     return triangles

@@ -6,10 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.mesh import Mesh, folded, shortest, tree
 
 _STEPS = 4  # subdivisions of a cell's edges, where it is sampled
 
@@ -27,10 +26,11 @@ def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:
     centres = np.asarray(centres, float).reshape(-1, mesh.nodes.shape[1])
     if mesh.nodes.shape[1] != 2:
         return _sampled(mesh, centres, radius)
-    corners = mesh.nodes[mesh.elements]
-    reach = np.linalg.norm(corners - mesh.centroids[:, None], axis=2).max()
-    row, element = _near(centres, mesh.centroids, radius + reach)
-    area = np.clip(_areas(corners, centres, row, element, float(radius)), 0.0, mesh.measures[element])
+    centres = folded(centres, mesh.period)
+    row, element = _near(centres, mesh.centroids, radius + mesh.reach, mesh.period)
+    offsets = shortest(mesh.nodes[mesh.elements[element, 0]] - centres[row], mesh.period)
+    offsets = offsets[:, None] + (mesh.corners - mesh.corners[:, :1])[element]
+    area = np.clip(_areas(offsets, float(radius)), 0.0, mesh.measures[element])
     return sp.csr_array((area, (row, element)), shape=(len(centres), mesh.n_elem))
 
 
@@ -45,23 +45,20 @@ def _sampled(mesh: Mesh, centres: Floats, radius: float) -> sp.csr_array:
     return sp.csr_array((share, (row, point // len(weights))), shape=(len(centres), mesh.n_elem))
 
 
-def _near(centres: Floats, points: Floats, radius: float) -> tuple[Ints, Ints]:
+def _near(centres: Floats, points: Floats, radius: float, period: float = 0.0) -> tuple[Ints, Ints]:
     """The centre and the point of each pair (n,) that is no further apart than `radius`."""
-    pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius, output_type="ndarray")
+    pairs = tree(centres, period).sparse_distance_matrix(tree(points, period), radius, output_type="ndarray")
     return pairs["i"], pairs["j"]
 
 
 @njit(cache=True, nogil=True)
-def _areas(corners: Floats, centres: Floats, row: Ints, element: Ints, radius: float) -> Floats:
-    """Area (n_pairs,) of triangle `element` (corners (n_elem, 3, 2)) inside the disc round centre `row`."""
-    areas = np.zeros(len(row))
-    for n in range(len(row)):
-        triangle, (x, y) = corners[element[n]], centres[row[n]]
+def _areas(corners: Floats, radius: float) -> Floats:
+    """Area (n,) of triangles, by their corners (n, 3, 2) seen from the middle of a disc, inside that disc."""
+    areas = np.zeros(len(corners))
+    for n in range(len(corners)):
         for k in range(3):
-            after = (k + 1) % 3
-            areas[n] += _edge(
-                triangle[k, 0] - x, triangle[k, 1] - y, triangle[after, 0] - x, triangle[after, 1] - y, radius
-            )
+            here, after = corners[n, k], corners[n, (k + 1) % 3]
+            areas[n] += _edge(here[0], here[1], after[0], after[1], radius)
     return areas
 
 

@@ -49,6 +49,8 @@ class Polygon:
             inside, crosses the outline or overlaps another hole.
     """
 
+    period = 0.0
+
     def __init__(self, outline: ArrayLike, holes: Sequence[ArrayLike] = ()) -> None:
         vertices = np.array(outline, float)
         if vertices.ndim != 2 or vertices.shape[1] != 2 or len(vertices) < 3:

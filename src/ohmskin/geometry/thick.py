@@ -24,6 +24,8 @@ def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) ->
     """
     if sheet.dim != 2:
         raise GeometryError("thicken() takes a sheet of triangles; this mesh is of tetrahedra already")
+    if sheet.period:
+        raise GeometryError("thicken() takes no closed band; bend it in space first, with Mesh.mapped()")
     if not (np.isfinite(thickness) and thickness > 0):
         raise GeometryError(f"thickness is {thickness!r} m; it must be positive")
     shares = np.full(layers, 1 / max(1, layers)) if isinstance(layers, int) else np.asarray(layers, float)

@@ -41,6 +41,7 @@ class Pixels:
     cells: Ints
     shares: sp.csc_array
     measures: Floats
+    period = 0.0
 
     @classmethod
     def over(cls, mesh: Mesh, count: int = 48) -> "Pixels":
@@ -53,8 +54,8 @@ class Pixels:
         Raises:
             GeometryError: If the mesh is a surface in space, or `count` is out of range.
         """
-        if mesh.nodes.shape[1] != 2:
-            raise GeometryError("pixels need a flat mesh; make the image on the mesh's own elements")
+        if mesh.nodes.shape[1] != 2 or mesh.period:
+            raise GeometryError("pixels need a flat mesh, not closed; make the image on the mesh's own elements")
         if not 2 <= count <= 1024:
             raise GeometryError(f"{count} pixels along the longer side; choose 2 to 1024")
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)

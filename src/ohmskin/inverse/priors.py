@@ -22,6 +22,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import stiffness
 from ohmskin.forward.cholesky import Elimination, Factor
 from ohmskin.geometry import Mesh
+from ohmskin.geometry.mesh import facet_measures
 from ohmskin.registry import Registry
 from ohmskin.scan import adjacent
 
@@ -230,16 +231,14 @@ def matern(length: float) -> Prior:
 
     def prior(mesh: Mesh) -> Penalty:
         cells, dim = mesh.elements, mesh.dim
-        edge = float(np.median(np.linalg.norm(mesh.nodes[cells[:, 0]] - mesh.nodes[cells[:, 1]], axis=1)))
+        edge = float(np.median(np.linalg.norm(mesh.corners[:, 0] - mesh.corners[:, 1], axis=1)))
         if length < edge:
             below = f"correlation length {length:.3g} m is below the mesh's edges of {edge:.3g} m"
             raise ModelError(f"{below}; refine the mesh")
         smoothness = 2 - dim / 2
         kappa = np.sqrt(8 * smoothness) / length
         mass = np.bincount(cells.ravel(), np.repeat(mesh.measures / (dim + 1), dim + 1), mesh.n_nodes)
-        rim = mesh.nodes[mesh.boundary]
-        side, other = rim[:, 1] - rim[:, 0], rim[:, -1] - rim[:, 0]
-        sizes = np.linalg.norm(side if dim == 2 else np.cross(side, other) / 2, axis=1)  # lengths, or areas in space
+        sizes = facet_measures(mesh.nodes, mesh.boundary, mesh.period)
         leak = np.bincount(mesh.boundary.ravel(), np.repeat(sizes / dim, dim), mesh.n_nodes) * kappa / 1.42
         operator = sp.csc_array(stiffness(mesh, np.ones(mesh.n_elem)) + sp.diags_array(kappa**2 * mass + leak))
         variance = 1 / (4 * np.pi * kappa**2) if dim == 2 else 1 / (8 * np.pi * kappa)  # far from the rim

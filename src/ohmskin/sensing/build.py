@@ -36,7 +36,7 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
         PatternError: If there is none of that name, or the skin does not allow it.
     """
     driven = driven and mode.driven
-    settings = DriveSettings(skin.electrodes, partial(skin.design, driven), skin.imaging.pairs)
+    settings = DriveSettings(skin.electrodes, partial(skin.design, driven), skin.imaging.pairs, skin.domain.period)
     drive = DRIVES[mode.drive](settings, mode.injections)
     return WithDriven(drive) if driven else drive
 

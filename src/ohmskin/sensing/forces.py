@@ -134,11 +134,11 @@ class PressFollower:
                 state = self._improved(self._informed(state))
         return state, tuple(_with_force(contact, state.told.get(contact.id)) for contact in contacts)
 
-    @staticmethod
-    def _lost(state: Presses, contacts: Sequence[Contact]) -> bool:
+    def _lost(self, state: Presses, contacts: Sequence[Contact]) -> bool:
         """Whether a press is far from its contact."""
         places = [fit.params.reshape(-1, len(_LINEAR))[:, :2] for fit in state.fits[:1]]
-        away = [np.subtract(own, [contact.position for contact in contacts]) for own in places]
+        now = np.array([contact.position for contact in contacts])
+        away = [self.fitter.known.fitter.table.offsets(own, now) for own in places]
         return any(bool((np.hypot(*one.T) > _LOST).any()) for one in away)
 
     def _begun(self, before: Presses, ids: tuple[int, ...], contacts: Sequence[Contact]) -> Presses:

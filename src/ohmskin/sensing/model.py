@@ -221,7 +221,7 @@ class SkinModel:
         if self._impedances is not None:
             return self._impedances
         model = self._perfect
-        described, quiet = self.skin.electrode.contact_resistivity / model.electrode_extents, self.quiet.driven
+        described, quiet = self.skin.discs.contact_impedances / model.electrode_extents, self.quiet.driven
         if calibrated := self.skin.calibration.contact_impedances:
             return np.fmax(calibrated, described)
         if quiet is None:

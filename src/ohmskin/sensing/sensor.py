@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions, on_skin
 from ohmskin.drive import Drive, Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
@@ -251,16 +251,15 @@ class Sensor:
         belief, recent = found
         if diagnosis.lately:
             belief = belief.with_drift_of(state.belief)
-        presses = state.presses
+        presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)
         if self.forces is not None and _any_known(scans):
-            presses, contacts = self.forces.update(presses, belief.contacts, belief.without_drift(scans), elapsed)
-            belief = replace(belief, contacts=contacts)
+            presses, contacts = self.forces.update(presses, contacts, belief.without_drift(scans), elapsed)
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
             known = {contact.id for contact in state.belief.contacts}
-            belief = replace(belief, contacts=tuple(contact for contact in belief.contacts if contact.id in known))
-        return after, Percept(measured.frames, belief, measured.look, diagnosis)
+            contacts = tuple(contact for contact in contacts if contact.id in known)
+        return after, Percept(measured.frames, replace(belief, contacts=contacts), measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""

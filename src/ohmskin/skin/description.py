@@ -18,12 +18,13 @@ from ohmskin.drive import Candidates, complete_pattern, pair_currents
 from ohmskin.errors import SkinError, shown
 from ohmskin.forward import ContactTable, TransferModel, VoltageSource
 from ohmskin.forward.conductivity import cosines
-from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Rectangle, electrode_points, mesh_domain
+from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, mesh_domain
 from ohmskin.scan import Cost, n_pairs
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.checks import check_expense, check_names, check_table, choice, is_file, number, read_text, read_toml
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.mode import Mode, modes_of
+from ohmskin.skin.sheet import Sheet
 
 _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
 _UNCALIBRATED, _LAYOUT = Calibration(), ElectrodeLayout()
@@ -31,17 +32,6 @@ _LARGEST_FILE = 2**20
 _CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
 _CLOSEST = 0.02  # share of the edges of a mesh that its nodes are apart at an electrode
 _FORMER = {"bipolar": "falls"}  # entries by the names that files written before 0.2 have, and digests keep
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """The conductive sheet. A rectangle has its lower left corner at the origin, a disc is centred there."""
-
-    shape: str = choice("rectangle", "rectangle", "disc")
-    width: float = number(0.2, 1e-3, 10, "m")
-    height: float = number(0.2, 1e-3, 10, "m")
-    radius: float = number(0.1, 1e-3, 10, "m")
-    conductivity: float = number(1.83e-3, 1e-9, 1e6, "S per square")
 
 
 @dataclass(frozen=True)
@@ -205,9 +195,14 @@ class Skin:
         return f"{zlib.crc32(chr(10).join(changed).encode()):08x}"
 
     @property
+    def chart(self) -> Chart:
+        """The sheet's map, and how it lies in space."""
+        return self.sheet.chart
+
+    @property
     def domain(self) -> Domain:
-        """The shape of the sheet."""
-        return Disc(self.sheet.radius) if self.sheet.shape == "disc" else Rectangle(self.sheet.width, self.sheet.height)
+        """The outline of the map: of a flat sheet, its shape."""
+        return self.chart.domain
 
     @cached_property
     def electrodes(self) -> Electrodes:
@@ -217,8 +212,9 @@ class Skin:
 
     @property
     def discs(self) -> Electrodes:
-        """The electrodes of their real size."""
-        return self.electrodes.with_discs(self.electrode.radius, self.electrode.contact_resistivity)
+        """The electrodes of their real size, on the map."""
+        scale = self.chart.scale(self.electrodes.positions)
+        return self.electrodes.with_discs(self.electrode.radius / scale, self.electrode.contact_resistivity / scale**2)
 
     @property
     def cost(self) -> Cost:
@@ -285,7 +281,7 @@ class Skin:
     def conductivity_on(self, mesh: Mesh) -> Floats:
         """The conductivity (n_elem,) of the untouched sheet on a mesh, as calibrated, if it is (S per square)."""
         level, uneven = self.calibration.conductivity or self.sheet.conductivity, self.calibration.log_conductivity
-        return level * np.exp(cosines(mesh.centroids, self.domain.bounds, uneven or (0.0,)))
+        return level * np.exp(cosines(mesh.centroids, self.domain, uneven or (0.0,)))
 
     def transfer_model(self) -> TransferModel:
         """The estimator's forward model of the untouched sheet, factorised; made once."""

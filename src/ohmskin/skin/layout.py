@@ -7,7 +7,7 @@ import numpy as np
 
 from ohmskin.drive import arranged
 from ohmskin.errors import GeometryError, SkinError
-from ohmskin.geometry import Domain, Electrodes, Rectangle
+from ohmskin.geometry import Band, Domain, Electrodes, Rectangle
 from ohmskin.skin.checks import choice, number, places
 
 
@@ -44,14 +44,14 @@ class ElectrodeLayout:
         """The electrodes on a sheet that `check` has passed."""
         if self.layout == "listed":
             return arranged(domain, np.array(self.positions, float))
-        if isinstance(domain, Rectangle) and self.layout == "grid":
+        if isinstance(domain, Rectangle | Band) and self.layout == "grid":
             return Electrodes.grid(domain, self.columns, self.rows, self.inset)
         return Electrodes.rim(domain, self.count, self.start, self.clockwise)
 
     def check(self, domain: Domain) -> None:
         """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
-        if self.layout == "grid" and not isinstance(domain, Rectangle):
-            raise SkinError('electrode.layout is "grid" on a disc; use "rim", "listed", or a rectangular sheet')
+        if self.layout == "grid" and not isinstance(domain, Rectangle | Band):
+            raise SkinError('electrode.layout is "grid" on a disc; use "rim", "even", "listed", or a rectangular sheet')
         if self.layout != "listed":
             if self.positions:
                 told = f'electrode.positions are given but the layout is "{self.layout}"'

@@ -7,17 +7,18 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
+from ohmskin.geometry.mesh import folded, shortest, tree
 from ohmskin.scan import all_pairs, two_terminal
 from ohmskin.skin.checks import check_patches
 from ohmskin.skin.description import ContactLayer, Skin
 
 _PLACES, _GRADED = 3, 0.8  # places along each side of a contact where the pressure is looked at; 0 is even, 1 a cosine
 _PREPARED = 1000  # patches
+_MARGIN = 1.3  # by which the scale of a map may change within the reach of a press
 _LEAST_SPREAD = 0.5e-3  # m, of the foam where slopes are asked for: the edge of a press must not be a step
 
 
@@ -29,8 +30,8 @@ class Press:
     """Something round that presses on the skin.
 
     Args:
-        position: Centre (x, y) in metres.
-        radius: Radius in metres.
+        position: Centre (x, y) in metres, on the skin's map.
+        radius: Radius in metres, on the skin.
         pressure: Pressure in pascals.
 
     Raises:
@@ -59,9 +60,8 @@ class Press:
         inner, outer = self.radius, self.radius + foam_spread
         return self.pressure * float(np.pi) * (inner**2 + inner * outer + outer**2) / 3  # a frustum of a cone
 
-    def pressure_at(self, points: Floats, spread: float) -> Floats:
-        """Pressure (...) at points (..., 2) in metres; foam lets it fall to 0 over `spread` beyond the edge (m, Pa)."""
-        distance = np.linalg.norm(points - np.array(self.position), axis=-1)
+    def pressure_at(self, distance: Floats, spread: float) -> Floats:
+        """Pressure (...) so far from its centre (...) (m); foam lets it fall to 0 over `spread` beyond the edge (m, Pa)."""
         return np.asarray(self.pressure * np.clip((self.radius + spread - distance) / max(spread, 1e-12), 0.0, 1.0))
 
 
@@ -90,15 +90,16 @@ class PressedSheet:
         if model is None:
             mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
             factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
-            electrodes = skin.discs.with_contact_impedances(skin.electrode.contact_resistivity * factors)
+            electrodes = skin.discs.with_contact_impedances(skin.discs.contact_impedances * factors)
             model = TransferModel(mesh, electrodes, skin.conductivity_on(mesh))
         self.skin, self.mesh = skin, model.mesh
         self._patches = FloatingPatches(model, *self._contacts(contacts))
-        self._areas = self._patches.sizes.prod(axis=1)
+        scale = skin.chart.scale(self._patches.points)
+        self._areas: Floats = self._patches.sizes.prod(axis=1) * scale**2
         places = ((np.arange(_PLACES) + 0.5) / _PLACES - 0.5)[:, None] * np.ones(_PLACES)
         offsets = np.stack([places.T.ravel(), places.ravel()], axis=1)
         self._places: Floats = self._patches.points[:, None] + offsets * self._patches.sizes[:, None]
-        self._tree = cKDTree(self._patches.points)
+        self._tree = tree(self._patches.points, skin.domain.period)
         self._unprepared = iter(np.unique(self._patches.patches)[:_PREPARED].tolist())
         self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
@@ -122,16 +123,19 @@ class PressedSheet:
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
         spread = self.skin.contact_layer.foam_spread
-        return self.under(
-            (press.position, press.radius + spread, partial(press.pressure_at, spread=spread)) for press in presses
-        )
+
+        def pressure_at(points: Floats, press: Press) -> Floats:
+            return press.pressure_at(self.distances(points, press), spread)
+
+        loads = ((press.position, press.radius + spread, partial(pressure_at, press=press)) for press in presses)
+        return self.under(loads)
 
     def under(self, loads: Iterable[Load]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under loads of any shape, whose pressures add up.
 
         Args:
             loads: Of each its place (2,), how far it reaches from there (m), and its pressure (...) (Pa) at points
-                (..., 2) (m).
+                (..., 2) (m) of the skin's map.
         """
         pressure = np.zeros(self._places.shape[:2])
         for position, reach, pressure_at in loads:
@@ -161,13 +165,14 @@ class PressedSheet:
         pressure = np.zeros((len(near), self._places.shape[1]))
         slopes = np.zeros((4 * len(presses), *pressure.shape))
         for k, press in enumerate(presses):
-            away = self._places[near] - press.position
+            away = self._away(self._places[near], press)
             distance = np.linalg.norm(away, axis=-1)
-            own = press.pressure_at(self._places[near], spread)
+            own = press.pressure_at(distance, spread)
             rising = np.where((own > 0) & (own < press.pressure), press.pressure / spread, 0.0)
             pressure += own
+            here = float(self.skin.chart.scale([press.position])[0])  # metres on the skin for one on the map
             for axis in range(2):
-                slopes[4 * k + axis] = rising * away[..., axis] / np.maximum(distance, 1e-12)
+                slopes[4 * k + axis] = here * rising * away[..., axis] / np.maximum(distance, 1e-12)
             slopes[4 * k + 2], slopes[4 * k + 3] = rising * press.radius, own
         touched = pressure.any(axis=1)
         at, slopes, touching = pressure[touched], slopes[:, touched], near[touched]
@@ -199,6 +204,19 @@ class PressedSheet:
         if (patch := next(self._unprepared, None)) is not None:
             self._patches.transfer_resistance(np.where(self._patches.patches == patch, 1e-6, 0.0))
 
+    def distances(self, places: Floats, press: Press) -> Floats:
+        """How far (...) places (..., 2) of the map are from the middle of a press, on the skin (m)."""
+        return np.asarray(np.linalg.norm(self._away(places, press), axis=-1))
+
+    def _away(self, places: Floats, press: Press) -> Floats:
+        """Vectors (..., 2) from the middle of a press to places (..., 2) of the map, as long as on the skin (m)."""
+        chart = self.skin.chart
+        away = shortest(places - np.array(press.position), chart.domain.period)
+        if chart.flat:
+            return away
+        middle = (np.array(press.position) + away / 2).reshape(-1, 2)
+        return np.asarray(chart.scale(middle).reshape(*away.shape[:-1], 1) * away)
+
     def _near_any(self, circles: Iterable[tuple[ArrayLike, float]]) -> Ints:
         """Contacts that something round may touch, each once."""
         found = [self._near(position, reach) for position, reach in circles]
@@ -206,7 +224,11 @@ class PressedSheet:
 
     def _near(self, position: ArrayLike, reach: float) -> list[int]:
         """Contacts that something round may touch."""
-        return list(self._tree.query_ball_point(position, reach + self._reach))
+        chart = self.skin.chart
+        place = folded(np.asarray(position, float), chart.domain.period)
+        if not chart.flat:  # a map's scale changes little over a press
+            reach *= _MARGIN / float(chart.scale([place])[0])
+        return list(self._tree.query_ball_point(place, reach + self._reach))
 
     def _conductance(self, pressure: Floats) -> Floats:
         """Conductance per area (S/m2) under a pressure (Pa)."""

@@ -55,7 +55,7 @@ def _without_double(state: TrackState, fitter: ContactFitter) -> TrackState:
     """The state without a faint contact beside another one, which takes over its effect: two were seen where one is."""
     if len(state.tracks) < 2:
         return state
-    apart = np.linalg.norm(state.mean[:, None, :2] - state.mean[:, :2], axis=2)
+    apart = np.linalg.norm(fitter.table.offsets(state.mean[:, None, :2], state.mean[:, :2]), axis=2)
     for k, one in enumerate(state.tracks):
         beside = [j for j in state.pressing if j != k]
         near = beside and apart[k, beside].min() < NEAR * fitter.table.radius

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ohmskin.contacts.finder import Contact
+from ohmskin.geometry.mesh import shortest
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,13 @@ class Tracker:
         reach: Farthest that a contact may move between two frames (m).
         confirm: Frames in a row in which a contact must be seen before it is reported; noise does not come twice.
         patience: Frames for which a contact may go unseen before its id is given up. It is not reported meanwhile.
+        period: Of a closed band, 0 of others (m).
     """
 
     reach: float = 0.025
     confirm: int = 3
     patience: int = 3
+    period: float = 0.0
 
     def update(self, state: Tracks, found: Sequence[Contact]) -> tuple[Tracks, tuple[Contact, ...]]:
         """The next state, and the contacts to report, with ids, in the order found."""
@@ -46,7 +49,7 @@ class Tracker:
         track_of: dict[int, int] = {}
         if old and found:
             last, now = (np.array([c.position for c in some]) for some in ([t.contact for t in old], found))
-            distance = np.linalg.norm(last[:, None] - now[None], axis=2)
+            distance = np.linalg.norm(shortest(last[:, None] - now[None], self.period), axis=2)
             paired = zip(*linear_sum_assignment(np.minimum(distance, 2 * self.reach)), strict=True)
             track_of = {int(c): int(t) for t, c in paired if distance[t, c] <= self.reach}
         next_id = state.next_id

@@ -49,7 +49,7 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
             return placed
     for place, k in enumerate(pressing):
         for other in pressing[place + 1 :]:
-            apart = float(np.linalg.norm(state.mean[k, :2] - state.mean[other, :2]))
+            apart = float(np.linalg.norm(fitter.table.offsets(state.mean[k, :2], state.mean[other, :2])))
             near = apart < NEAR * fitter.table.radius
             if near and (merged := _merged(state, fitter, bar, speed, (k, other))) is not None:
                 return merged
@@ -73,7 +73,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     more = max(len(there.params) - len(here.params), 0)
     if fitter.poor(told, there.cost) or here.cost - there.cost < _ELSEWHERE + more * fitter.bar**2:
         return None  # nothing gained, or something else than contacts disturbs
-    away = np.linalg.norm(there.params[:, None, :2] - state.mean[pressing, :2], axis=2)
+    away = np.linalg.norm(fitter.table.offsets(there.params[:, None, :2], state.mean[pressing, :2]), axis=2)
     named = dict(zip(*linear_sum_assignment(away), strict=True))
     after = state.without(pressing)
     for n, (params, covariance) in enumerate(zip(there.params, there.covariances, strict=True)):
@@ -102,7 +102,7 @@ def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k
     two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar + error)
     if two is None:
         return state
-    closer, farther = np.argsort(np.linalg.norm(two.params[:, :2] - state.mean[k, :2], axis=1))
+    closer, farther = np.argsort(np.linalg.norm(fitter.table.offsets(two.params[:, :2], state.mean[k, :2]), axis=1))
     rest, covariances = state.without([k]), two.covariances
     kept = rest.with_contact(two.params[closer], covariances[closer], speed, state.tracks[k].id)
     return replace(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
@@ -113,7 +113,8 @@ def _merged(
 ) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
     _, told, data, error = _resting(state, fitter, both)
-    pair = state.params[list(both)]
+    pair = state.params[list(both)].copy()
+    pair[1, :2] = pair[0, :2] + fitter.table.offsets(pair[1, :2], pair[0, :2])
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
     start = weight @ pair
     start[2] = pair[:, 2].sum()
