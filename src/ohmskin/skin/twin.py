@@ -86,7 +86,7 @@ class PressedSheet:
     def __init__(
         self, skin: Skin, contact_factors: ArrayLike = 1.0, model: TransferModel | None = None, contacts: int = 8
     ) -> None:
-        check_patches(skin.contact_layer.columns * skin.contact_layer.rows)
+        check_patches(int(np.prod(skin.contact_layer.counts(skin.domain))))
         if model is None:
             mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
             factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
@@ -110,8 +110,9 @@ class PressedSheet:
     def _contacts(self, count: int) -> tuple[Floats, Ints, Floats]:
         """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
         layer, (x0, y0, x1, y1) = self.skin.contact_layer, self.skin.domain.bounds
-        x = x0 + (np.arange(layer.columns) + 0.5) * (x1 - x0) / layer.columns
-        y = y0 + (np.arange(layer.rows) + 0.5) * (y1 - y0) / layer.rows
+        columns, rows = layer.counts(self.skin.domain)
+        x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
+        y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
         centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         even = np.arange(count + 1) / count
         ends = layer.patch * ((1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even))
