@@ -94,7 +94,7 @@ def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, Sheet
     Raises:
         DataError: If no such skin explains the scan.
     """
-    calibration, described = skin.calibration, skin.electrode.on(skin.domain)
+    calibration, described = skin.calibration, skin.electrode.on(skin.chart)
 
     def with_sheet(electrodes: Electrodes, log_conductivity: Floats) -> Skin:
         places = tuple((float(x), float(y)) for x, y in electrodes.positions)

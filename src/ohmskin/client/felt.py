@@ -3,7 +3,7 @@
 import struct
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, nan, sqrt
 from typing import Any
 
@@ -29,8 +29,8 @@ class Patch:
     Args:
         name: What it is called.
         frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
-        position: Origin of the sheet in that frame (m).
-        axes: Directions of the sheet's x, y and outward normal in that frame, one after the other.
+        position: Origin of the sheet, or of the frame that a curved skin is described in, in that frame (m).
+        axes: Directions of its x, y and z in that frame, one after the other; z is the outward normal of a flat sheet.
         newtons: Whether its contacts tell their force: only if the skin was calibrated for that.
     """
 
@@ -40,15 +40,20 @@ class Patch:
     axes: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     newtons: bool = False
 
-    def place(self, x: float, y: float) -> tuple[float, float, float]:
-        """A place on the sheet (m) in the frame."""
-        (px, py, pz), (tx, ty, tz) = self.position, self.turn(x, y)
+    def place(self, x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
+        """A place (m) of the sheet in the frame."""
+        (px, py, pz), (tx, ty, tz) = self.position, self.turn(x, y, z)
         return px + tx, py + ty, pz + tz
 
-    def turn(self, x: float, y: float) -> tuple[float, float, float]:
-        """A vector along the sheet in the frame."""
-        (ax, ay, az), (bx, by, bz), _ = self.axes
-        return x * ax + y * bx, x * ay + y * by, x * az + y * bz
+    def turn(self, x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
+        """A vector of the sheet in the frame."""
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = self.axes
+        return x * ax + y * bx + z * cx, x * ay + y * by + z * cy, x * az + y * bz + z * cz
+
+    def at(self, point: Sequence[float], axes: Sequence[Sequence[float]]) -> "Patch":
+        """The flat sheet that touches a curved one at a point (3,) (m), with axes (3, 3), both as in `place`."""
+        x, y, normal = (self.turn(*axis) for axis in axes)
+        return replace(self, position=self.place(*point), axes=(x, y, normal))
 
     def contact(self, contact: Any) -> "Contact":
         """A contact on the sheet (`ohmskin.contacts.Contact`) in the frame."""
@@ -76,12 +81,6 @@ class Patch:
             pressure=contact.pressure,
             area=contact.area,
         )
-
-    def flat(self, place: Sequence[float]) -> tuple[float, float]:
-        """Where on the sheet a place in the frame is; the inverse of `place`."""
-        offset = [p - q for p, q in zip(place, self.position, strict=True)]
-        x, y = (sum(o * a for o, a in zip(offset, axis, strict=True)) for axis in self.axes[:2])
-        return x, y
 
     @property
     def normal(self) -> tuple[float, float, float]:

@@ -1,9 +1,10 @@
 """Contacts: found in images (regions, eq. 6), or fitted to the data themselves."""
 
-from ohmskin.contacts.finder import Contact, ContactFinder, learn_threshold, on_skin
+from ohmskin.contacts.finder import Contact, ContactFinder, learn_threshold
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.regions import Region, find_regions, label_peaks
 from ohmskin.contacts.solution import Solution
+from ohmskin.contacts.space import in_frame, on_skin
 
 __all__ = [
     "Contact",
@@ -12,6 +13,7 @@ __all__ = [
     "Region",
     "Solution",
     "find_regions",
+    "in_frame",
     "label_peaks",
     "learn_threshold",
     "on_skin",

@@ -1,14 +1,13 @@
 """Contacts: what an image says about who presses where."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import erf, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.contacts.regions import find_regions, middle
-from ohmskin.geometry import Cells, Chart
+from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 
 
@@ -94,22 +93,6 @@ class ContactFinder:
     def highest(self, image: Image) -> float:
         """The highest contrast that could be a contact's."""
         return float(np.abs(image.contrast).max() if self.bipolar else image.contrast.max())
-
-
-def on_skin(contacts: Sequence[Contact], chart: Chart) -> tuple[Contact, ...]:
-    """Contacts of a map as they are on the skin: areas and radii are larger where the map's scale is."""
-    if chart.flat or not contacts:
-        return tuple(contacts)
-    scales = chart.scale([contact.position for contact in contacts]).tolist()
-    return tuple(
-        replace(
-            contact,
-            extent=scale**2 * contact.extent,
-            strength=scale**2 * contact.strength,
-            radius=None if contact.radius is None else scale * contact.radius,
-        )
-        for contact, scale in zip(contacts, scales, strict=True)
-    )
 
 
 def learn_threshold(peaks: ArrayLike, margin: float = 6.0) -> float:

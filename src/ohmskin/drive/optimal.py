@@ -69,6 +69,8 @@ class LocalDrive(SecondScan):
         self._middle, self._long = starts + along / 2, length > reach
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
-        centres = np.array([anchors[0] + shortest(anchors - anchors[0], self.period).mean(axis=0) for anchors in regions])
+        centres = np.array(
+            [anchors[0] + shortest(anchors - anchors[0], self.period).mean(axis=0) for anchors in regions]
+        )
         distance = np.linalg.norm(shortest(self._middle - centres[:, None], self.period), axis=2)
         return take_turns(-np.where(self._long, np.inf, distance), self.pairs)

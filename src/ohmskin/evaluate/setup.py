@@ -164,7 +164,9 @@ class Setup:
         Raises:
             PatternError: If there is none of that name, or not with so many injections.
         """
-        settings = DriveSettings(self.electrodes, lambda: self.design(mode.driven), self.skin.imaging.pairs, self.skin.domain.period)
+        settings = DriveSettings(
+            self.electrodes, lambda: self.design(mode.driven), self.skin.imaging.pairs, self.skin.domain.period
+        )
         drive = DRIVES[mode.drive](settings, 0 if mode.drive in ("rim", "rings") else mode.injections)
         if mode.drive in ("rim", "rings"):
             drive = drives.Fixed(repeated(drive.patterns[0], mode.injections or drive.injections))

@@ -86,7 +86,7 @@ class ContactTable:
         self._low = low
         self._steps = np.ceil((high - low) / pitch - 1e-9).astype(int)  # at least four
         self._pitch = (high - low) / self._steps
-        counts = self._steps + [self.period == 0, 1]  # the last place round a closed band is the first
+        counts = self._steps + np.array([self.period == 0, 1])  # the last place round a closed band is the first
         axes = [low[k] + self._pitch[k] * np.arange(counts[k]) for k in range(2)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         density = (model.pair_sensitivity * (model.conductivity / mesh.measures)).T

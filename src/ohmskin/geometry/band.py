@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats
-from ohmskin.errors import GeometryError
 from ohmskin.geometry.domain import Domain, Rectangle
 
 

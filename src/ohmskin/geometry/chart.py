@@ -93,14 +93,15 @@ class RevolutionChart:
         angle: Part of a turn (rad), up to 2 pi; of a cap all of it.
 
     Raises:
-        GeometryError: If the profile has less than two points, goes through the axis, or turns sharply, or the map would
-            be too uneven.
+        GeometryError: If the profile has less than two points or meets the axis, or the map would be too uneven.
     """
 
     def __init__(self, profile: ArrayLike, angle: float = 2 * np.pi) -> None:
         given = np.asarray(profile, float)
         if given.ndim != 2 or given.shape[1] != 2 or len(given) < 2 or not np.isfinite(given).all():
-            raise GeometryError(f"a profile has shape {given.shape}; give [distance from the axis, z] of 2 points or more")
+            raise GeometryError(
+                f"a profile has shape {given.shape}; give [distance from the axis, z] of 2 points or more"
+            )
         steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
         if steps.min() <= 1e-6 or given[1:, 0].min() <= 0 or given[0, 0] < 0:
             raise GeometryError("points of a profile coincide or lie on the axis; only a cap's pole may, the first one")
@@ -112,7 +113,7 @@ class RevolutionChart:
         curve = CubicSpline(np.append(0.0, np.cumsum(steps)), given) if len(given) > 2 else None
         t = np.linspace(0, steps.sum(), _FINE)
         fine = given[0] + np.outer(t / t[-1], given[1] - given[0]) if curve is None else curve(t)
-        r, z = fine.T
+        r = fine[:, 0]
         if r[1:].min() <= 0:
             raise GeometryError("the profile meets the axis; give more points of it")
         s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1)))

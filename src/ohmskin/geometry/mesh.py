@@ -51,7 +51,7 @@ class Mesh(ReadOnly):
         noun, nouns, facet, measure = _NOUNS[corners - 1]
         if not np.isfinite(nodes).all():
             raise GeometryError(f"mesh node {int(np.argmin(np.isfinite(nodes).all(1)))} is not finite")
-        if self.period and not (nodes.shape[1] == 2 and 0 <= nodes[:, 0].min() and nodes[:, 0].max() < self.period):
+        if self.period and not (nodes.shape[1] == 2 and nodes[:, 0].min() >= 0 and nodes[:, 0].max() < self.period):
             raise GeometryError(f"a closed band of period {self.period!r} m needs flat nodes with x from 0 to below it")
         elements = elements.astype(np.int64)
         if elements.min() < 0 or elements.max() >= len(nodes):

@@ -6,7 +6,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.client.cdr import Encoder
-from ohmskin.client.felt import Contact, Felt, Patch
+from ohmskin.client.felt import Contact, Felt
 from ohmskin.client.fields import components, numbers
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
@@ -43,20 +43,18 @@ def encode_wrench(contacts: Sequence[Contact], frame: str, stamp: int) -> bytes:
     return Encoder().stamp(stamp).text(frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
 
 
-def encode_cloud(pixels: Floats, x: Floats, y: Floats, patch: Patch, stamp: int) -> bytes:
+def encode_cloud(pixels: Floats, places: Floats, frame: str, stamp: int) -> bytes:
     """`sensor_msgs/msg/PointCloud2`: x, y, z and relative conductivity change of every pixel on the skin.
 
     Args:
         pixels: (ny, nx), NaN off the skin.
-        x, y: Pixel centres on the sheet (m).
-        patch: Where the sheet is.
+        places: Their centres (ny, nx, 3) in the frame (m).
+        frame: The link.
         stamp: ns since 1970.
     """
-    row, column = np.nonzero(np.isfinite(pixels))
-    axes = np.array(patch.axes)
-    places = np.array(patch.position) + x[column, None] * axes[0] + y[row, None] * axes[1]
-    points = np.column_stack([places, pixels[row, column]]).astype("<f4")
-    encoder = Encoder().stamp(stamp).text(patch.frame).put("II", 1, len(points)).put("I", 4)
+    inside = np.isfinite(pixels)
+    points = np.column_stack([places[inside], pixels[inside]]).astype("<f4")
+    encoder = Encoder().stamp(stamp).text(frame).put("II", 1, len(points)).put("I", 4)
     for number, name in enumerate(("x", "y", "z", "change")):
         encoder.text(name).put("IBI", 4 * number, _FLOAT32, 1)
     encoder.put("?II", False, 16, 16 * len(points)).array(points.view("u1").ravel())

@@ -1,15 +1,16 @@
 """An image on a board: pixels of the relative conductivity change, and when they were measured."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ohmskin.arrays import Floats
+from ohmskin.client.felt import Patch
 from ohmskin.errors import PublishError
-from ohmskin.geometry import Raster
+from ohmskin.geometry import Chart, Raster
 
 _HEAD = struct.Struct("<Qq")
 
@@ -20,22 +21,40 @@ class Picture:
 
     Args:
         pixels: Relative conductivity change (ny, nx), row 0 at the bottom, NaN off the skin.
-        x, y: Pixel centres (nx,), (ny,) on the sheet (m).
+        points: Pixel centres (ny, nx, 3) in the patch's frame (m).
         sequence: Number of its cycle.
         stamp: Its last sample (ns since 1970).
     """
 
     pixels: Floats
-    x: Floats
-    y: Floats
+    points: Floats
     sequence: int
     stamp: int
 
+    def place(self, point: Sequence[float], raster: Mapping[str, Any]) -> tuple[float, float]:
+        """Where on the skin's map (m) a point (3,) in the frame is: from the closest pixel on along the skin."""
+        away = np.asarray(point, float) - self.points
+        row, column = np.unravel_index(np.argmin((away**2).sum(axis=2)), self.pixels.shape)
+        found = []
+        for axis, at in ((1, column), (0, row)):
+            ahead = min(at + 1, self.pixels.shape[axis] - 1)
+            line = self.points[row] if axis else self.points[:, column]
+            step = line[ahead] - line[ahead - 1]
+            found.append(float(at + away[row, column] @ step / max(step @ step, 1e-300)))
+        return raster["x0"] + raster["pitch"] * found[0], raster["y0"] + raster["pitch"] * found[1]
+
     @staticmethod
     def setup(raster: Raster) -> dict[str, Any]:
-        """What the setup of its board tells."""
+        """What a page is told of its pixels on the skin's map."""
         first = {"x0": float(raster.x[0]), "y0": float(raster.y[0])}
         return {"raster": {**first, "pitch": raster.pitch, "nx": len(raster.x), "ny": len(raster.y)}}
+
+    @staticmethod
+    def in_space(raster: Raster, chart: Chart, patch: Patch) -> dict[str, Any]:
+        """What the setup of its board tells beside that: where the pixels are in the patch's frame (m)."""
+        centres = np.stack(np.meshgrid(raster.x, raster.y), axis=-1).reshape(-1, 2)
+        points = np.array(patch.position) + chart.points(centres) @ np.array(patch.axes)
+        return {"points": points.round(6).ravel().tolist()}
 
     @staticmethod
     def pack(pixels: Floats, sequence: int, stamp: int) -> bytes:
@@ -57,9 +76,9 @@ class Picture:
         try:
             r = setup["raster"]
             nx, ny = int(r["nx"]), int(r["ny"])
-            x, y = r["x0"] + r["pitch"] * np.arange(nx), r["y0"] + r["pitch"] * np.arange(ny)
+            points = np.array(setup["points"], float).reshape(ny, nx, 3)
             sequence, stamp = _HEAD.unpack_from(content)
             pixels = np.frombuffer(content, "<f4", offset=_HEAD.size).reshape(ny, nx).astype(float)
         except (KeyError, TypeError, ValueError, struct.error) as error:
             raise PublishError(f"a board's image of {len(content)} bytes does not fit its setup: {error}") from error
-        return cls(pixels, x, y, sequence, stamp)
+        return cls(pixels, points, sequence, stamp)

@@ -78,7 +78,7 @@ class Relay:
                 picture = Picture.unpack(content, board.setup)
                 pixels, stamp = picture.pixels, picture.stamp
                 self._send(image, stamp, encode_image(pixels, stamp, patch.frame))
-                self._send(points, stamp, encode_cloud(pixels, picture.x, picture.y, patch, stamp))
+                self._send(points, stamp, encode_cloud(pixels, picture.points, patch.frame, stamp))
 
     def close(self) -> None:
         """Close outlets and boards."""

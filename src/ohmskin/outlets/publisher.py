@@ -10,6 +10,7 @@ from typing import Any
 from ohmskin.client.board import Board
 from ohmskin.client.felt import LARGEST, Felt, Patch, Sighting, felt, pack
 from ohmskin.closing import Closing
+from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
 from ohmskin.errors import PublishError
 from ohmskin.geometry import Disc, Raster
@@ -51,8 +52,10 @@ class Publisher(Closing):
         self.patch = patch = replace(patch, newtons=skin.calibration.tells_force)
         self._raster = Raster(skin.mesh(), _PIXELS)
         self._every, self._due = 1 / images, 0.0
+        self._chart = skin.chart
         setup = {"skin": skin.name, "domain": describe_domain(skin), "patches": [asdict(patch)]}
-        about, size = setup | Picture.setup(self._raster), Picture.size(self._raster)
+        about = setup | Picture.setup(self._raster) | Picture.in_space(self._raster, self._chart, patch)
+        size = Picture.size(self._raster)
         with ExitStack() as stack:
             self._board = stack.enter_context(Board(name, setup, LARGEST))
             self._picture = stack.enter_context(Board(f"{name}.image", about, size))
@@ -74,7 +77,7 @@ class Publisher(Closing):
     def felt(self, touch: Touch, stamp: int) -> Felt:
         """What a cycle felt, in the patch's frame."""
         seen = Sighting(self.patch.name, self.patch.frame, touch.sequence, touch.time, stamp, touch.mode.name)
-        contacts = [self.patch.contact(contact) for contact in touch.contacts]
+        contacts = in_frame(touch.contacts, self._chart, self.patch)
         return felt(touch.sequence, [seen], contacts, self._board.boot)
 
     def close(self) -> None:
@@ -96,6 +99,8 @@ def check_settings(token: str | None, images: float) -> None:
 
 def describe_domain(skin: Skin) -> dict[str, Any]:
     """The sheet's outline as boards and pages tell it (m)."""
-    if isinstance(skin.domain, Disc):
-        return {"kind": "disc", "radius": skin.sheet.radius}
-    return {"kind": "rectangle", "width": skin.sheet.width, "height": skin.sheet.height}
+    domain = skin.domain
+    if isinstance(domain, Disc):
+        return {"kind": "disc", "radius": domain.radius}
+    x0, y0, x1, y1 = domain.bounds
+    return {"kind": "band" if domain.period else "rectangle", "width": x1 - x0, "height": y1 - y0}

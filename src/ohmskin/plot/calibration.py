@@ -45,7 +45,7 @@ def _draw_sheet(axes: Axes, skin: Skin) -> None:
     label = "conductivity against its mean / %"
     axes.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.04, 1.0)), label=label)
     axes.plot(*outline(skin.domain).T, color="0.4", linewidth=0.8)
-    described = 1e3 * skin.electrode.on(skin.domain).positions
+    described = 1e3 * skin.electrode.on(skin.chart).positions
     moved = 1e3 * skin.electrodes.positions - described
     axes.plot(*described.T, "o", color="0.3", markersize=4, clip_on=False)
     there = described + _LONGER * moved

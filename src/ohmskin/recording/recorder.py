@@ -12,6 +12,7 @@ import scipy
 import ohmskin
 from ohmskin.client.felt import Patch
 from ohmskin.closing import Closing
+from ohmskin.contacts import in_frame
 from ohmskin.device import Device
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.errors import DataError
@@ -56,6 +57,7 @@ class Recorder(Closing):
     def __init__(self, path: str | Path, skin: Skin, images: float = 30.0, modes: Iterable[Mode] = ()) -> None:
         if not images >= 0:
             raise DataError(f"images is {images} per second; it must be 0 or more")
+        self._chart = skin.chart
         used = tuple(modes) or tuple(modes_of(skin).values())
         told = {mode.name: {**mode.entries, "adjustable": drive_of(mode, skin).adjustable} for mode in used}
         self.skin, self._modes = skin, encode_modes(told)
@@ -112,7 +114,7 @@ class Recorder(Closing):
             self._image_at = clock + self._image_every
             pixels = self._raster(touch.percept.image.values)
             self._pipe.send(IMAGE, number, stamp, messages.encode_image(pixels, stamp))
-            contacts = [_SHEET.contact(contact) for contact in touch.contacts]
+            contacts = in_frame(touch.contacts, self._chart, _SHEET)
             self._pipe.send(MARKERS, number, stamp, messages.encode_markers(contacts, (_SHEET,), stamp))
         if clock >= self._health_at:
             self._health_at = clock + _HEALTH_EVERY

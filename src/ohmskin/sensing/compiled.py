@@ -69,7 +69,9 @@ class CompiledCycle:
     ) -> None:
         cells = estimator.cells
         if cells.centroids.shape[1] != 2 or cells.period or estimator.positive:
-            raise ModelError("a fast cycle needs a flat sheet that is not closed and a linear estimator; use GaussNewton.reconstruct")
+            raise ModelError(
+                "a fast cycle needs a flat sheet that is not closed and a linear estimator; use GaussNewton.reconstruct"
+            )
         if not isinstance(drive.second, OptimalDrive):
             raise PatternError("the second scan is not chosen by eq. (7); a compiled cycle needs that")
         self.estimator, self.drive, self.thresholds, self.fuse = estimator, drive, thresholds, fuse

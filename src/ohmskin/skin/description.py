@@ -1,7 +1,8 @@
 """The description of one skin: what it is made of, how it is driven and measured, how its images are made.
 
 It is a short TOML file with one table per dataclass below; every key may be left out where it has a default. Skins that
-ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``tank``, ``uef2017``, ``ktc2023``.
+ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``sleeve``, ``dome``, ``tank``, ``uef2017`` and
+``ktc2023``.
 """
 
 import zlib
@@ -27,7 +28,7 @@ from ohmskin.skin.mode import Mode, modes_of
 from ohmskin.skin.sheet import Sheet
 
 _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
-_UNCALIBRATED, _LAYOUT = Calibration(), ElectrodeLayout()
+_UNCALIBRATED, _LAYOUT, _SHEET = Calibration(), ElectrodeLayout(), Sheet()
 _LARGEST_FILE = 2**20
 _CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
 _COVERED = 0.9  # share of a layer's length that patches cover, unless described otherwise
@@ -39,7 +40,8 @@ _FORMER = {"bipolar": "falls"}  # entries by the names that files written before
 class ContactLayer:
     """Floating conductive patches on foam that short the sheet where they are pressed on it.
 
-    There are `columns` x `rows` of them, or, where these are 0, as many as leave a gap of a tenth between them. The conductance per area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``.
+    There are `columns` x `rows` of them or, where these are 0, as many as leave gaps of a tenth. The conductance per
+    area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``.
     """
 
     columns: int = number(0, 0, 256)
@@ -113,7 +115,7 @@ class Skin:
     """One skin. Every table has the defaults of the paper's sensor."""
 
     name: str = "paper"
-    sheet: Sheet = Sheet()
+    sheet: Sheet = _SHEET
     electrode: ElectrodeLayout = _LAYOUT
     contact_layer: ContactLayer = ContactLayer()
     excitation: Excitation = Excitation()
@@ -126,10 +128,10 @@ class Skin:
         for table in fields(self):
             if table.name not in ("name", "modes"):
                 check_table(table.name, getattr(self, table.name))
-        self.electrode.check(self.domain)
+        self.electrode.check(self.chart)
         self.contact_layer.counts(self.domain)
         if self.calibration.positions or self.calibration.contact_impedances:
-            self.calibration.check(self.domain, len(self.electrode.on(self.domain)))
+            self.calibration.check(self.domain, len(self.electrode.on(self.chart)))
         if self.calibration.date and self.calibration.made_for != self.digest:
             raise SkinError(
                 f"the calibration of {self.calibration.date} was made for another skin (sheet, electrodes, imaging "
@@ -223,7 +225,7 @@ class Skin:
     @cached_property
     def electrodes(self) -> Electrodes:
         """The electrodes, where they are described, or where a calibration found them."""
-        described, found = self.electrode.on(self.domain), self.calibration.positions
+        described, found = self.electrode.on(self.chart), self.calibration.positions
         return described.mapped(lambda _: found) if found else described
 
     @property

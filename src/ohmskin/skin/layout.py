@@ -7,7 +7,8 @@ import numpy as np
 
 from ohmskin.drive import arranged
 from ohmskin.errors import GeometryError, SkinError
-from ohmskin.geometry import Band, Domain, Electrodes, Rectangle
+from ohmskin.geometry import Band, Chart, Electrodes, Rectangle
+from ohmskin.geometry.spread import spread
 from ohmskin.skin.checks import choice, number, places
 
 
@@ -16,12 +17,13 @@ class ElectrodeLayout:
     """Where the electrodes are and of what kind.
 
     ``grid``: columns x rows with an inset; ``rim``: `count` round the rim; ``listed``: at `positions` [x, y] in
-    metres, which are then numbered counterclockwise, those on the rim first.
+    metres, which are then numbered counterclockwise, those on the rim first; ``even``: `count` as far from each other
+    as can be, on a sheet of any shape.
     On the rim the first is at the share `start` of its length, counterclockwise from where it starts: 0.25 is 12
     o'clock of a disc.
     """
 
-    layout: str = choice("grid", "grid", "rim", "listed")
+    layout: str = choice("grid", "grid", "rim", "even", "listed")
     columns: int = number(4, 2, 32)
     rows: int = number(4, 2, 32)
     inset: float = number(0.0, 0, 10, "m")
@@ -40,16 +42,20 @@ class ElectrodeLayout:
         """Of each electrode (ohm)."""
         return self.contact_resistivity / (math.pi * self.radius**2)
 
-    def on(self, domain: Domain) -> Electrodes:
-        """The electrodes on a sheet that `check` has passed."""
+    def on(self, chart: Chart) -> Electrodes:
+        """The electrodes on the map of a sheet that `check` has passed."""
+        domain = chart.domain
+        if self.layout == "even":
+            return arranged(domain, spread(domain, self.count, chart.scale))
         if self.layout == "listed":
             return arranged(domain, np.array(self.positions, float))
         if isinstance(domain, Rectangle | Band) and self.layout == "grid":
             return Electrodes.grid(domain, self.columns, self.rows, self.inset)
         return Electrodes.rim(domain, self.count, self.start, self.clockwise)
 
-    def check(self, domain: Domain) -> None:
+    def check(self, chart: Chart) -> None:
         """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
+        domain = chart.domain
         if self.layout == "grid" and not isinstance(domain, Rectangle | Band):
             raise SkinError('electrode.layout is "grid" on a disc; use "rim", "even", "listed", or a rectangular sheet')
         if self.layout != "listed":
@@ -65,6 +71,6 @@ class ElectrodeLayout:
             off = f"electrode.positions[{k}] is {list(self.positions[k])}, {-depth[k]:.3g} m off the sheet"
             raise SkinError(f"{off}; move it onto it")
         try:
-            self.on(domain)
+            self.on(chart)
         except GeometryError as error:
             raise SkinError(f"electrode.positions: {error}") from None

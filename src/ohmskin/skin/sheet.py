@@ -18,9 +18,9 @@ class Sheet:
     """The conductive sheet.
 
     Flat: a ``rectangle`` has its lower left corner at the origin, a ``disc`` is centred there. In space, about the z
-    axis: a ``cylinder`` of `radius` from z = 0 to `height`, and a ``cone`` from `radius` to `top_radius`, of which there
-    is the part `angle` of a turn about the direction of x, or all of it, a sleeve; a ``sphere``, the cap of a ball of
-    `radius` about the origin down to `angle` from the positive z axis; and ``revolution``, whatever `profile`
+    axis: a ``cylinder`` of `radius` from z = 0 to `height`, and a ``cone`` from `radius` to `top_radius`, of which
+    there is the part `angle` of a turn about the direction of x, or all of it, a sleeve; a ``sphere``, the cap of a
+    ball of `radius` about the origin down to `angle` from the positive z axis; and ``revolution``, whatever `profile`
     [distance from the axis, z] says. Its map, on which electrodes are placed and contacts told, is `RevolutionChart`.
     """
 

@@ -61,7 +61,7 @@ class Press:
         return self.pressure * float(np.pi) * (inner**2 + inner * outer + outer**2) / 3  # a frustum of a cone
 
     def pressure_at(self, distance: Floats, spread: float) -> Floats:
-        """Pressure (...) so far from its centre (...) (m); foam lets it fall to 0 over `spread` beyond the edge (m, Pa)."""
+        """Pressure (...) (Pa) so far from its centre (...) (m); foam lets it fall to 0 within `spread` of its edge."""
         return np.asarray(self.pressure * np.clip((self.radius + spread - distance) / max(spread, 1e-12), 0.0, 1.0))
 
 

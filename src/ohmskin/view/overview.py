@@ -15,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ohmskin.child import when_input_ends
 from ohmskin.client.board import BoardReader
-from ohmskin.client.felt import Contact, Felt, Patch, SharedMemory
+from ohmskin.client.felt import Contact, Felt, SharedMemory
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.picture import Picture
@@ -61,6 +61,7 @@ class BoardsPage:
         self._merged = SharedMemory(name)
         self._pictures = [BoardReader(f"{board}.image") for board in boards]
         self._images: list[tuple[dict[str, Any], NDArray]] = [({}, np.zeros(0))] * len(self._names)
+        self._pictures_of: list[Picture | None] = [None] * len(self._names)
         self._felt: Felt | None = None
 
     def frame(self) -> bytes:
@@ -75,7 +76,9 @@ class BoardsPage:
                 patch, seen = self._merged.patches[number], self._felt.patches[number]
                 shown |= {"name": patch.name, "link": patch.frame, "mode": seen.mode}
                 shown["age"] = seen.age if seen.sequence else None
-                shown["contacts"] = [_shown(c, patch) for c in self._felt.contacts if c.patch == patch.name]
+                own = [contact for contact in self._felt.contacts if contact.patch == patch.name]
+                if (picture := self._pictures_of[number]) is not None:
+                    shown["contacts"] = [_shown(one, *picture.place(one.position, about["raster"])) for one in own]
             patches.append(shown | about)
             pixels.append(image)
         return pack_frame({"name": self._name, "patches": patches}, *pixels, dtype="i1")
@@ -85,7 +88,8 @@ class BoardsPage:
         reader = self._pictures[number]
         if (content := reader.newest()) is not None:
             with contextlib.suppress(PublishError):  # it does not fit its setup: the one before stays
-                values = np.nan_to_num(Picture.unpack(content, reader.setup).pixels)
+                self._pictures_of[number] = picture = Picture.unpack(content, reader.setup)
+                values = np.nan_to_num(picture.pixels)
                 peak = float(np.abs(values).max(initial=0.0))
                 about = {"domain": reader.setup["domain"], "raster": reader.setup["raster"], "peak": peak}
                 about["size"] = values.size
@@ -103,9 +107,8 @@ class BoardsPage:
                 await asyncio.sleep(max(0.0, began + 1 / _FRAMES_PER_SECOND - time.monotonic()))
 
 
-def _shown(contact: Contact, patch: Patch) -> dict[str, Any]:
-    """A contact on its sheet and in its link's frame."""
-    x, y = patch.flat(contact.position)
+def _shown(contact: Contact, x: float, y: float) -> dict[str, Any]:
+    """A contact on its skin's map and in its link's frame."""
     told = {name: getattr(contact, name) for name in ("id", "extent", "strength", "confidence")}
     return {**told, "x": x, "y": y, "in": contact.position}
 

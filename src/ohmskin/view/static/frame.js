@@ -16,7 +16,18 @@ export function clampTo(domain, x, y) {
     const shrink = Math.min(1, domain.radius / Math.max(1e-12, Math.hypot(x, y)));
     return [x * shrink, y * shrink];
   }
-  return [Math.min(domain.width, Math.max(0, x)), Math.min(domain.height, Math.max(0, y))];
+  const turn = domain.kind === "band" ? x - domain.width * Math.floor(x / domain.width) : x;
+  return [Math.min(domain.width, Math.max(0, turn)), Math.min(domain.height, Math.max(0, y))];
+}
+
+/** Lines [x, y, x, y] from one place to another, round a closed band the short way: across its seam, two. */
+export function linesBetween(domain, from, to) {
+  const way = domain.kind === "band" ? -Math.sign(to.x - from.x) * domain.width : 0;
+  if (Math.abs(to.x - from.x) * 2 <= Math.abs(way) || !way) return [[from.x, from.y, to.x, to.y]];
+  return [
+    [from.x, from.y, to.x + way, to.y],
+    [from.x - way, from.y, to.x, to.y],
+  ];
 }
 
 export function contains(domain, x, y) {

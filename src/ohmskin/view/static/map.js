@@ -2,7 +2,7 @@
 
 import { colourOf, number, ticks } from "./colour.js";
 import { drawContacts } from "./contacts.js";
-import { FOOT, Frame, MARGIN, bounds } from "./frame.js";
+import { FOOT, Frame, MARGIN, bounds, linesBetween } from "./frame.js";
 import { FONT, INK } from "./ink.js";
 
 /**
@@ -27,6 +27,7 @@ export function drawMap(c, width, height, scene) {
   c.setLineDash(scene.doubtful ? [8, 5] : []);
   c.stroke();
   c.setLineDash([]);
+  drawSeam(c, f, scene.skin.domain, ink);
   drawPairs(c, f, scene, ink);
   drawElectrodes(c, f, scene, ink);
   drawScaleBar(c, f, height, scene, ink);
@@ -39,6 +40,21 @@ function outline(c, f, domain) {
   c.beginPath();
   if (domain.kind === "disc") c.arc(f.x(0), f.y(0), f.scale * domain.radius, 0, 2 * Math.PI);
   else c.rect(f.x(0), f.y(domain.height), f.scale * domain.width, f.scale * domain.height);
+}
+
+// Where a closed band meets itself its sides are no rim.
+function drawSeam(c, f, domain, ink) {
+  if (domain.kind !== "band") return;
+  c.setLineDash([3, 5]);
+  c.strokeStyle = ink.halo;
+  c.lineWidth = 3;
+  for (const x of [0, domain.width]) {
+    c.beginPath();
+    c.moveTo(f.x(x), f.y(0));
+    c.lineTo(f.x(x), f.y(domain.height));
+    c.stroke();
+  }
+  c.setLineDash([]);
 }
 
 function drawImage(c, f, scene) {
@@ -76,8 +92,10 @@ function drawPairs(c, f, scene, ink) {
   c.beginPath();
   for (const [a, b] of scene.pairs) {
     if (!at[a] || !at[b]) continue;
-    c.moveTo(f.x(at[a].x), f.y(at[a].y));
-    c.lineTo(f.x(at[b].x), f.y(at[b].y));
+    for (const [x, y, u, v] of linesBetween(scene.skin.domain, at[a], at[b])) {
+      c.moveTo(f.x(x), f.y(y));
+      c.lineTo(f.x(u), f.y(v));
+    }
   }
   c.stroke();
 }
