@@ -21,8 +21,9 @@ def electrode_map(skin: ohm.Skin, path: Path) -> None:
     layer = skin.contact_layer
     width, height, patch = 1e3 * skin.sheet.width, 1e3 * skin.sheet.height, 1e3 * layer.patch
     axes.add_patch(Rectangle((0, 0), width, height, facecolor="0.93", edgecolor="0.2", linewidth=1.5))
-    for x in (np.arange(layer.columns) + 0.5) * width / layer.columns:
-        for y in (np.arange(layer.rows) + 0.5) * height / layer.rows:
+    columns, rows = layer.counts(skin.domain)
+    for x in (np.arange(columns) + 0.5) * width / columns:
+        for y in (np.arange(rows) + 0.5) * height / rows:
             axes.add_patch(
                 Rectangle((x - patch / 2, y - patch / 2), patch, patch, facecolor="#cfe0ee", edgecolor="none")
             )

@@ -87,7 +87,7 @@ def test_what_is_written_is_read_back(skin: Skin) -> None:
 def test_nothing_given_is_the_sensor_of_the_paper() -> None:
     assert Skin.parse("") == PAPER == Skin.load("paper")
     assert (PAPER.sheet.width, PAPER.sheet.height, PAPER.sheet.conductivity) == (0.2, 0.2, 1.83e-3)
-    assert (PAPER.contact_layer.columns, PAPER.contact_layer.rows, PAPER.contact_layer.patch) == (24, 24, 7.5e-3)
+    assert (PAPER.contact_layer.counts(PAPER.domain), PAPER.contact_layer.patch) == ((24, 24), 7.5e-3)
 
 
 @pytest.mark.parametrize("name", shipped_skins())
@@ -116,7 +116,10 @@ def test_the_skins_of_the_paper_have_its_modes() -> None:
             "sheets = 1",
             "unknown entry 'sheets'; choose from name, sheet, electrode, contact_layer, excitation, converter, imaging",
         ),
-        ("[sheet]\nwidht = 0.2", "unknown entry sheet.widht; choose from shape, width, height, radius, conductivity"),
+        (
+            "[sheet]\nwidht = 0.2",
+            "unknown entry sheet.widht; choose from shape, width, height, radius, top_radius, angle, profile, conductivity",
+        ),
         ("sheet = 3", "sheet is 3; it must be a table \\[sheet\\]"),
         ("name = 3", "name is 3; it must be text"),
         ('[sheet]\nshape = "oval"', "sheet.shape is 'oval'; choose from rectangle, disc"),

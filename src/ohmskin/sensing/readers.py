@@ -117,7 +117,7 @@ class DetectionReader:
 
     estimator: Estimator
     detect: Callable[[Estimate, Sequence[Difference]], Sequence[Contact]]
-    tracker: Tracker = field(default_factory=Tracker)
+    tracker: Tracker
 
     def start(self, before: Belief | None = None) -> Belief:
         """Nothing touches the skin."""
@@ -147,7 +147,7 @@ class FitReader:
 
     estimator: Estimator
     fitter: ContactFitter
-    tracker: Tracker = field(default_factory=Tracker)
+    tracker: Tracker
 
     def start(self, before: Belief | None = None) -> Belief:
         """Nothing touches the skin."""
@@ -247,12 +247,13 @@ def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader
     """Centroids of the image's regions, as in the paper."""
     imaging = known.skin.imaging
     finder = ContactFinder(threshold, imaging.fraction, imaging.dip, imaging.bipolar)
-    return DetectionReader(estimator, lambda estimate, _: finder.find(estimate.image, estimator.cells))
+    cells = estimator.cells
+    return DetectionReader(estimator, lambda estimate, _: finder.find(estimate.image, cells), Tracker(cells.period))
 
 
 def fit(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     """Contacts fitted to the data of each frame."""
-    return FitReader(estimator, known.fitter)
+    return FitReader(estimator, known.fitter, Tracker(known.model.mesh.period))
 
 
 def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

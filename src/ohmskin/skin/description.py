@@ -129,7 +129,6 @@ class Skin:
             if table.name not in ("name", "modes"):
                 check_table(table.name, getattr(self, table.name))
         self.electrode.check(self.chart)
-        self.contact_layer.counts(self.domain)
         if self.calibration.positions or self.calibration.contact_impedances:
             self.calibration.check(self.domain, len(self.electrode.on(self.chart)))
         if self.calibration.date and self.calibration.made_for != self.digest:

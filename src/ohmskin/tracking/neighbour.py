@@ -32,16 +32,16 @@ class Tracker:
     """Follows contacts by nearest neighbour.
 
     Args:
+        period: Of a closed band, 0 of others (m).
         reach: Farthest that a contact may move between two frames (m).
         confirm: Frames in a row in which a contact must be seen before it is reported; noise does not come twice.
         patience: Frames for which a contact may go unseen before its id is given up. It is not reported meanwhile.
-        period: Of a closed band, 0 of others (m).
     """
 
+    period: float = 0.0
     reach: float = 0.025
     confirm: int = 3
     patience: int = 3
-    period: float = 0.0
 
     def update(self, state: Tracks, found: Sequence[Contact]) -> tuple[Tracks, tuple[Contact, ...]]:
         """The next state, and the contacts to report, with ids, in the order found."""

@@ -77,8 +77,8 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError) as wrong:
         what = f"the setup of the live page is incomplete or malformed ({wrong!r})"
         raise ViewError(f"{what}; docs/live-page.md lists it") from wrong
-    if kind not in ("rectangle", "disc"):
-        raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle' and 'disc'")
+    if kind not in ("rectangle", "disc", "band"):
+        raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle', 'disc' and 'band'")
     return dict(plain)
 
 

@@ -22,11 +22,13 @@ export function clampTo(domain, x, y) {
 
 /** Lines [x, y, x, y] from one place to another, round a closed band the short way: across its seam, two. */
 export function linesBetween(domain, from, to) {
-  const way = domain.kind === "band" ? -Math.sign(to.x - from.x) * domain.width : 0;
-  if (Math.abs(to.x - from.x) * 2 <= Math.abs(way) || !way) return [[from.x, from.y, to.x, to.y]];
+  if (domain.kind !== "band" || Math.abs(to.x - from.x) * 2 <= domain.width) return [[from.x, from.y, to.x, to.y]];
+  const [near, far] = to.x > from.x ? [0, domain.width] : [domain.width, 0];
+  const share = (near - from.x) / (to.x - from.x + near - far);
+  const y = from.y + share * (to.y - from.y);
   return [
-    [from.x, from.y, to.x + way, to.y],
-    [from.x - way, from.y, to.x, to.y],
+    [from.x, from.y, near, y],
+    [far, y, to.x, to.y],
   ];
 }
 
