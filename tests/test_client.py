@@ -296,9 +296,11 @@ def test_the_strongest_contacts_are_kept_when_there_are_too_many() -> None:
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1))
-def test_a_place_on_a_patch_and_back(x: float, y: float) -> None:
+def test_a_place_on_a_patch_is_as_far_from_its_origin_as_on_the_sheet(x: float, y: float) -> None:
     for patch in PATCHES:
-        assert patch.flat(patch.place(x, y)) == pytest.approx((x, y), abs=1e-12)
+        offset = [p - q for p, q in zip(patch.place(x, y), patch.position, strict=True)]
+        along = [sum(o * a for o, a in zip(offset, axis, strict=True)) for axis in patch.axes]
+        assert along == pytest.approx([x, y, 0.0], abs=1e-12)
     assert PATCHES[0].place(0.02, 0.01) == pytest.approx((0.09, 0.02, 0.05))
 
 

@@ -123,7 +123,7 @@ def test_the_numbers_of_a_band_do_not_depend_on_where_its_seam_is() -> None:
     places = np.array([[0.01 + 0.07 * k, y] for y in (0.0, 0.14) for k in range(4)])
     resistances = []
     for shift in (0.0, 0.1):
-        electrodes = Electrodes.at((places + [shift, 0.0]) % [0.28, 1.0])
+        electrodes = Electrodes.at((places + np.array([shift, 0.0])) % [0.28, 1.0])
         mesh = mesh_domain(band, 4e-3, electrodes.positions)
         volts = TransferModel(mesh, electrodes, 1e-3).voltages(skip([range(8)], 2))
         resistances.append(volts)

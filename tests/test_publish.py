@@ -277,8 +277,8 @@ def test_an_image_is_read_in_its_own_frame(store: Any) -> None:
 
 def test_points_lie_where_the_pixels_are(store: Any) -> None:
     pixels = np.array([[1.0, np.nan, 2.0], [3.0, 4.0, np.nan]])
-    x, y = np.array([0.0, 0.1, 0.2]), np.array([0.0, 0.1])
-    message = store.deserialize_cdr(encode_cloud(pixels, x, y, PATCH, STAMP), "sensor_msgs/msg/PointCloud2")
+    centres = np.array([[PATCH.place(x, y) for x in (0.0, 0.1, 0.2)] for y in (0.0, 0.1)])
+    message = store.deserialize_cdr(encode_cloud(pixels, centres, PATCH.frame, STAMP), "sensor_msgs/msg/PointCloud2")
     assert message.header.frame_id == "forearm_link"
     assert [(f.name, f.offset, f.datatype, f.count) for f in message.fields] == [
         ("x", 0, 7, 1),
