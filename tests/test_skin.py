@@ -118,7 +118,8 @@ def test_the_skins_of_the_paper_have_its_modes() -> None:
         ),
         (
             "[sheet]\nwidht = 0.2",
-            "unknown entry sheet.widht; choose from shape, width, height, radius, top_radius, angle, profile, conductivity",
+            "unknown entry sheet.widht; choose from shape, width, height, radius, top_radius, angle, profile, "
+            "conductivity",
         ),
         ("sheet = 3", "sheet is 3; it must be a table \\[sheet\\]"),
         ("name = 3", "name is 3; it must be text"),
@@ -156,7 +157,7 @@ def test_skins_are_found_by_name_or_path(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.chdir(tmp_path)
     assert Skin.load("tank").sheet.shape == "disc"
     with pytest.raises(
-        SkinError, match=r"no skin named 'tnak'; give a .toml file or one of ktc2023, paper, paper-rim16, tank, uef2017"
+        SkinError, match=r"no skin named 'tnak'; give a .toml file or one of dome, ktc2023, paper, paper-rim16, sleeve"
     ):
         Skin.load("tnak")
     with pytest.raises(
