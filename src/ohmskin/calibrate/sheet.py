@@ -6,7 +6,7 @@ Gauss-Newton from the description, with priors of what may well be, on the estim
 wrong of the untouched sheet is made good, too.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,8 @@ from ohmskin.errors import DataError, ModelError, OhmskinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Domain, Electrodes
-from ohmskin.scan import DrivePattern, all_pairs
+from ohmskin.geometry.mesh import folded, shortest
+from ohmskin.scan import DrivePattern
 
 WAVES = 6  # half waves of the logarithm of the conductivity along each side, 0 to 5
 _PLACE = 0.01  # standard deviation of an electrode's place, as a share of the sheet's shorter side: 2 mm of 20 cm
@@ -25,7 +26,6 @@ _LEVEL = 1.0  # of the logarithm of its mean
 _ERROR = 2e-3  # error of the model, as a share of a resistance
 _FLOOR = 0.3  # the same of one that is nearly zero, as a share of that of a typical one
 _CORNER = 4e-3  # share of the shorter side within which an electrode is at a corner, where a mesh has a node
-_REACH = 2.5  # radii of an electrode within which the field that it stands in is told
 _ROUNDS = 8
 _CONVERGED = 1e-2  # share of the cost by which a round must lower it
 _EXPLAINED = 2.0  # root mean square of what is left, in standard deviations, above which the sheet is not like this
@@ -136,7 +136,11 @@ class _Unknowns:
         x0, y0, x1, y1 = domain.bounds
         shorter = min(x1 - x0, y1 - y0)
         self.on_rim = domain.depth(described.positions) < 1e-6 * shorter
-        self.arcs, self._at_corner = domain.arc(described.positions), _CORNER * shorter
+        loops = np.array([domain, *domain.holes], object)
+        away = [loop.rim(loop.arc(described.positions)) - described.positions for loop in loops]
+        self._loops = loops[np.linalg.norm(shortest(np.array(away), domain.period), axis=2).argmin(axis=0)]
+        self.arcs = np.array([float(loop.arc(at[None])[0]) for loop, at in self._each(described.positions)])
+        self._at_corner = _CORNER * shorter
         waves = np.full(WAVES**2, _UNEVEN / np.sqrt((WAVES**2 - 1) / 4))
         waves[0] = _LEVEL
         places = np.full(2 * n_elec, _PLACE * shorter)
@@ -148,13 +152,21 @@ class _Unknowns:
         n_elec = len(self.described)
         places = self.described.positions + np.column_stack([u[:n_elec], u[n_elec : 2 * n_elec]])
         if self.on_rim.any():
-            arcs, corners = (self.arcs + u[:n_elec])[self.on_rim], np.asarray(self.domain.corners)
-            for corner in corners:
+            arcs = self.arcs + u[:n_elec]
+            for corner in np.asarray(self.domain.corners):
                 half = self.domain.perimeter / 2
                 beside = np.abs((arcs - corner + half) % (2 * half) - half) < self._at_corner
-                arcs = np.where(beside, corner, arcs)
-            places[self.on_rim] = self.domain.rim(arcs)
-        return self.described.mapped(lambda _: places)
+                arcs = np.where(beside & (self._loops == self.domain), corner, arcs)
+            places[self.on_rim] = self._rim(arcs)[self.on_rim]
+        return self.described.mapped(lambda _: folded(places, self.domain.period))
+
+    def _each(self, values: Floats) -> Iterator[tuple[Domain, Floats]]:
+        """The rim closest to each electrode, with its value."""
+        return zip(self._loops, values, strict=True)
+
+    def _rim(self, arcs: Floats) -> Floats:
+        """Places (n_elec, 2) at arc lengths (n_elec,) of each electrode's rim (m)."""
+        return np.vstack([loop.rim(arc) for loop, arc in self._each(arcs[:, None])])
 
     def log_conductivity(self, u: Floats) -> Floats:
         """Coefficients of `cosines`."""
@@ -171,34 +183,12 @@ class _Unknowns:
         return u
 
     def slopes(self, u: Floats, model: TransferModel) -> Floats:
-        """(n_pairs, n_unknowns) of the two-terminal resistances, up to what contact resistances do to them.
-
-        An electrode that moves feels the field of the current of others; by reciprocity so do they.
-        """
+        """(n_pairs, n_unknowns) of the two-terminal resistances, up to what contact resistances do to them."""
         n_elec = len(self.described)
         along = np.tile(np.eye(2), (n_elec, 1, 1))  # (n_elec, 2 ways, 2)
         arcs, step = self.arcs + u[:n_elec], 1e-6 * self.domain.perimeter
-        tangent = (self.domain.rim(arcs + step) - self.domain.rim(arcs)) / step
+        tangent = shortest(self._rim(arcs + step) - self._rim(arcs), self.domain.period) / step
         along[self.on_rim, 0] = tangent[self.on_rim]
-        field = np.einsum("kwd,kdj->wkj", along, _fields(model))  # slope of the potential of each drive at each one
-        pairs = all_pairs(n_elec)
-        i, j = pairs.T
-        which = np.arange(len(pairs))
-        ways = np.zeros((len(pairs), 2, n_elec))
-        ways[which, :, i] = 2 * (field[:, i, i] - field[:, i, j]).T
-        ways[which, :, j] = -2 * (field[:, j, i] - field[:, j, j]).T
+        ways = np.einsum("kwd,pkd->pwk", along, model.pair_movement(slide=True)).reshape(-1, 2 * n_elec)
         waves = cosines(model.mesh.centroids, self.domain, np.eye(WAVES**2))
-        return np.hstack([ways.reshape(len(pairs), -1), model.pair_sensitivity @ (model.conductivity[:, None] * waves)])
-
-
-def _fields(model: TransferModel) -> Floats:
-    """Gradients (n_elec, 2, n_elec) of the potential that the current of each electrode makes at each (V/m/A)."""
-    mesh = model.mesh
-    gradients = np.einsum("ekd,ekj->edj", mesh.gradients, model.potentials[mesh.elements])
-    found = np.empty((len(model.electrodes), 2, len(model.electrodes)))
-    for k, (place, extent) in enumerate(zip(model.electrodes.positions, model.electrodes.extents, strict=True)):
-        distance = np.linalg.norm(mesh.nodes - place, axis=1)
-        near = (mesh.elements == distance.argmin()).any(axis=1)
-        near |= np.linalg.norm(mesh.centroids - place, axis=1) < _REACH * extent
-        found[k] = np.tensordot(mesh.measures[near], gradients[near], 1) / mesh.measures[near].sum()
-    return found
+        return np.hstack([ways, model.pair_sensitivity @ (model.conductivity[:, None] * waves)])

@@ -12,6 +12,7 @@ from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import assemble
 from ohmskin.forward.cholesky import Elimination
 from ohmskin.forward.conductivity import conductivity_of
+from ohmskin.forward.movement import pair_movement
 from ohmskin.forward.quadrature import quadratures
 from ohmskin.forward.sensitivity import fill_groups, fill_pairs
 from ohmskin.geometry import Electrodes, Mesh
@@ -193,6 +194,23 @@ class TransferModel(ReadOnly):
             sensitivity[:, k] = two_terminal(density.T @ (quadrature.weights[:, None] * density))
         return sensitivity
 
+    def pair_movement(self, layers: int = 2, slide: bool = False) -> Floats:
+        """dR_ij/dx_k (n_pairs, n_elec, dim of space): two-terminal resistance of pairs against places (ohm/m).
+
+        Exact for this mesh. Of points good for four-terminal combinations only.
+
+        Args:
+            layers: How many layers of elements about an electrode its nodes take along. With 0 its own nodes move
+                alone, as in EIDORS' `jacobian_movement`, and coarse meshes err more.
+            slide: Whether the skin keeps its shape, so that an electrode on the rim moves along it only, and one at a
+                corner not at all. Else it takes the rim, or the surface of a body, with it.
+
+        Raises:
+            ModelError: If `layers` is negative, two electrodes share nodes of the mesh, or are to slide on a surface in
+                space.
+        """
+        return pair_movement(self.mesh, self.electrodes, self.quadratures, self.tensors, self.potentials, layers, slide)
+
     def sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """J of eq. (4): dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A)."""
         rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_sensitivity
@@ -202,6 +220,14 @@ class TransferModel(ReadOnly):
         """dV/dz (n_meas, n_elec) of a pattern at given injected currents (A), in V per ohm m2 (disc) or ohm m (rim)."""
         rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_contact_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
+
+    def movement_sensitivity(
+        self, pattern: DrivePattern, currents: ArrayLike = 1.0, layers: int = 2, slide: bool = False
+    ) -> Floats:
+        """dV/dx (n_meas, n_elec, dim of space) of a pattern against electrodes' places (V/m), see `pair_movement`."""
+        pairs = self.pair_movement(layers, slide)
+        rows = pattern.combination(len(self.electrodes)) @ pairs.reshape(len(pairs), -1)
+        return np.asarray(rows * self._driven(pattern, currents)[:, None]).reshape(-1, *pairs.shape[1:])
 
     def tensor_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """dV/dsigma_ab (n_meas, n_elem, dim, dim) against the entries of the tensor (V/siemens), symmetric.
