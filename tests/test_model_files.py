@@ -160,6 +160,26 @@ def test_a_model_of_eidors_is_read_whole(mesh: Mesh, tmp_path: Path) -> None:
     assert found.drive.currents.tolist() == [0.01, 0.01]
 
 
+def test_models_of_eidors_with_values_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    mesh = square()
+    groups = groups_of(mesh)
+    for part, value, words in (
+        ("nodes", np.full((4, 2), 1e300), "mesh node 0 is not finite, or beyond 1e.100 m"),
+        ("elems", np.full((1, 3), 1e300), "elems holds other numbers than 1, 2, 3"),
+        ("z_contact", np.zeros((0, 0)), "electrode 1: z_contact has 0 values; need one"),
+    ):
+        path = stored(tmp_path / "img.mat", mesh, groups)
+        variables = scipy.io.loadmat(path)
+        model = variables["img"]["fwd_model"][0, 0]
+        if part in model.dtype.names:
+            model[part][0, 0] = value
+        else:
+            model["electrode"][0, 0][part][0, 0] = value
+        scipy.io.savemat(path, {"img": variables["img"]})
+        with pytest.raises((DataError, GeometryError), match=words):
+            ohm.read_model(path)
+
+
 def test_units_of_length_change_no_resistance(mesh: Mesh, tmp_path: Path) -> None:
     path = stored(tmp_path / "img.mat", mesh, groups_of(mesh), elem_data=np.full((mesh.n_elem, 1), 2.0))
     one, other = (ohm.read_model(path, scale=scale).transfer_model() for scale in (1.0, 1e-3))

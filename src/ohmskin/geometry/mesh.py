@@ -16,6 +16,8 @@ from ohmskin.errors import GeometryError
 
 _NOUNS = {2: ("triangle", "triangles", "edge", "area"), 3: ("tetrahedron", "tetrahedra", "face", "volume")}
 
+_FARTHEST = 1e100  # m
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh(ReadOnly):
@@ -49,8 +51,8 @@ class Mesh(ReadOnly):
         if corners == 4 and nodes.shape[1] == 2:
             raise GeometryError("four nodes make tetrahedra and need nodes (n, 3); split quadrilaterals into triangles")
         noun, nouns, facet, measure = _NOUNS[corners - 1]
-        if not np.isfinite(nodes).all():
-            raise GeometryError(f"mesh node {int(np.argmin(np.isfinite(nodes).all(1)))} is not finite")
+        if not (within := (np.abs(nodes) < _FARTHEST).all(axis=1)).all():  # false for nan
+            raise GeometryError(f"mesh node {int(np.argmin(within))} is not finite, or beyond {_FARTHEST:g} m")
         if self.period and not (nodes.shape[1] == 2 and nodes[:, 0].min() >= 0 and nodes[:, 0].max() < self.period):
             raise GeometryError(f"a closed band of period {self.period!r} m needs flat nodes with x from 0 to below it")
         elements = elements.astype(np.int64)

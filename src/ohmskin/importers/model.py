@@ -104,7 +104,7 @@ def _eidors(path: Path, scale: float, contact_impedance: float | None) -> Import
             own = numbers(electrode.get("nodes"), f"{where}: nodes").ravel() if faces is None else faces
             groups.append(_counted(own, where))
             given = electrode.get("z_contact")
-            impedances.append(0.0 if given is None else float(numbers(given, f"{where}: z_contact").ravel()[0]))
+            impedances.append(0.0 if given is None else _single(numbers(given, f"{where}: z_contact"), where))
         z = np.array(impedances) * scale ** (mesh.dim - 1) if contact_impedance is None else contact_impedance
         electrodes = Electrodes.on_mesh(mesh, groups, z)
         drive = None
@@ -120,8 +120,15 @@ def _eidors(path: Path, scale: float, contact_impedance: float | None) -> Import
     return ImportedModel(mesh, electrodes, drive, conductivity, tuple(notes))
 
 
+def _single(given: Floats, where: str) -> float:
+    """The value of an array of one."""
+    if given.size != 1:
+        raise DataError(f"{where}: z_contact has {given.size} values; need one")
+    return float(given.ravel()[0])
+
+
 def _counted(given: Floats, what: str) -> Any:
     """Numbers from 1 as numbers from 0."""
-    if not (np.isfinite(given).all() and (given == np.rint(given)).all() and given.min(initial=1) >= 1):
+    if not ((given >= 1) & (given < 2**31) & (given == np.rint(given))).all():  # false for nan
         raise DataError(f"{what} holds other numbers than 1, 2, 3, ...")
     return given.astype(np.int64) - 1
