@@ -360,3 +360,25 @@ def test_perception_sees_with_electrodes_missing_since_calibration(
     assert np.linalg.norm(found[0][:2] - [0.06, 0.13]) < 8e-3
     with pytest.raises(DataError, match="cannot be told"):
         contacts(paper, paper_model, [replace(f, voltages=np.full(len(gone), np.nan)) for f in quiet], quiet[0], None)
+
+
+def test_a_few_measurements_of_electrodes_with_high_numbers_take_no_memory() -> None:
+    quads = np.array([[0, 1000, 500, 700], [500, 700, 0, 1000], [0, 700, 500, 1000], [500, 1000, 0, 700]])
+    pattern = DrivePattern(quads[:, :2], np.column_stack([np.arange(4), quads[:, 2:]]))
+    volts = np.array([1.0, 1.0, 2.0, 2.0])
+    quiet = [Frame(pattern, volts * (1 + 1e-6 * k), np.ones(4)) for k in range(3)]  # 500,500 pairs squared are 2 TB
+    assert assess(quiet).n_elec == 1001
+
+
+def test_data_too_large_to_judge_are_refused_with_the_figure() -> None:
+    pattern = measure_others([(k, (k + 1) % 160) for k in range(0, 160, 2)], range(160))
+    frame = Frame(pattern, np.ones(pattern.n_meas), np.ones(pattern.n_inj))
+    with pytest.raises(DataError, match=r"take 1\.\d GiB to judge; allowed are 0.5: measure with fewer"):
+        assess([frame])
+
+
+@pytest.mark.parametrize("volts", [1e300, -1.7e308])
+def test_voltages_that_no_instrument_measures_count_as_clipped(volts: float) -> None:
+    frame = Frame(PATTERN, np.full(PATTERN.n_meas, volts), np.ones(PATTERN.n_inj))
+    np.testing.assert_array_equal(frame.voltages, np.copysign(np.inf, volts))
+    assert assess([frame] * 3).clipped == 3 * PATTERN.n_meas

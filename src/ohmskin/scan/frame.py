@@ -3,9 +3,13 @@
 from dataclasses import dataclass
 from enum import IntFlag
 
+import numpy as np
+
 from ohmskin.arrays import Floats, real
 from ohmskin.errors import DataError
 from ohmskin.scan.pattern import DrivePattern
+
+_LARGEST = 1e100  # V or A, which may be squared
 
 
 class FrameFlag(IntFlag):
@@ -23,7 +27,8 @@ class Frame:
 
     Args:
         pattern: The pattern that was really driven.
-        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where clipped.
+        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where clipped or beyond
+            what any instrument measures (1e100).
         currents: (n_inj,) measured injected currents in amperes.
         time: Time of the last sample on the device's clock (s); 0 where there is no clock, as in simulations.
         sequence: Number of the frame, counted by the device.
@@ -47,6 +52,8 @@ class Frame:
             given = real(getattr(self, name), f"frame {name} are", DataError)
             if given.shape != (count,):
                 raise DataError(f"frame {name} have shape {given.shape}; the pattern driven needs ({count},)")
+            if (beyond := np.abs(given) > _LARGEST).any():
+                given = np.where(beyond, np.copysign(np.inf, given), given)
             object.__setattr__(self, name, given)
 
     @property

@@ -12,7 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ohmskin.arrays import Floats
+from ohmskin.errors import DataError
 from ohmskin.scan.pattern import DrivePattern
+
+_MOST_ENTRIES = 2**26  # of a matrix: all pairs of 128 electrodes
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,14 @@ class NetworkFit:
         self.n_elec = int(pattern.quadruples.max()) + 1
         volts = volts.reshape(pattern.n_meas, -1)
         self.known = np.isfinite(volts).all(axis=1) & np.isfinite(currents)
-        self._rows = pattern.combination(self.n_elec).toarray() * np.where(self.known, currents, 0.0)[:, None]
+        rows = pattern.combination(self.n_elec)
+        used = np.unique(rows.indices)  # pairs that nothing measures only take memory
+        if (entries := len(used) * max(pattern.n_meas, len(used))) > _MOST_ENTRIES:
+            size = (
+                f"{pattern.n_meas} measurements of {len(used)} electrode pairs take {entries / 2**27:.1f} GiB to judge"
+            )
+            raise DataError(f"{size}; allowed are {_MOST_ENTRIES / 2**27}: measure with fewer electrodes")
+        self._rows = rows[:, used].toarray() * np.where(self.known, currents, 0.0)[:, None]
         self._rows /= max(float(np.abs(self._rows).max(initial=0.0)), 1e-300)  # currents of microamperes square badly
         self._volts = np.where(self.known[:, None], volts, 0.0)
         self._known_misfits: dict[bytes, Misfit] = {}
