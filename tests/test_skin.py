@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.sparse import block_array, csc_array, diags_array, kron
 from scipy.sparse.linalg import splu
 
-from ohmskin.errors import PatternError, SkinError
+from ohmskin.errors import ModelError, PatternError, SkinError
 from ohmskin.geometry import Disc
 from ohmskin.scan import DrivePattern, FrameFlag, adjacent
 from ohmskin.sensing import default_mode, modes
@@ -514,6 +514,31 @@ def test_a_press_off_the_sheet_is_refused_and_changes_nothing() -> None:
     assert skin.presses == {}
     skin.press(1, 0.056, 0.056, 0.01, 1e4)
     assert len(skin.presses) == 1
+
+
+def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing() -> None:
+    skin = VirtualSkin(Skin.load("paper"), seed=0)
+    skin.press(1, 0.1, 0.1, 8e-3, 2e4)
+    before, resistance = skin.presses, skin._resistance
+    with pytest.raises(SkinError, match=r"36\d+ contacts of patches take about \d+ s to model; allowed are 5000"):
+        skin.press(2, 0.1, 0.1, 1.0, 2e4)
+    assert skin.presses == before
+    assert skin._resistance is resistance
+    skin.press(1, 0.1, 0.1, 8e-3, 0.0)
+
+
+def test_a_press_that_the_mesh_cannot_carry_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin = VirtualSkin(Skin.load("paper"), seed=0)
+
+    def fail(*_: object) -> None:
+        raise ModelError("too coarse")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PressedSheet, "transfer_resistance", fail)
+        with pytest.raises(ModelError, match="too coarse"):
+            skin.press(1, 0.1, 0.1, 8e-3, 1e7)
+    assert skin.presses == {}
+    skin.press(1, 0.1, 0.1, 8e-3, 2e4)
 
 
 def test_a_pattern_for_more_electrodes_is_refused() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from ohmskin.child import Child
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.wire import WireDevice
-from ohmskin.errors import DeviceLost, DeviceRefused, SkinError
+from ohmskin.errors import DeviceLost, DeviceRefused, ModelError, SkinError
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Fault, Skin, VirtualSkin
 
@@ -46,7 +46,7 @@ class VirtualInstrument:
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
         try:
             self._skin.press(number, x, y, radius, pressure)
-        except SkinError as error:
+        except (SkinError, ModelError) as error:
             raise DeviceRefused(str(error)) from error
 
 

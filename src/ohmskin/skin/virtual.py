@@ -17,6 +17,8 @@ from ohmskin.skin.description import Skin
 from ohmskin.skin.faults import PICKUP, Fault, Wiring
 from ohmskin.skin.twin import Press, PressedSheet
 
+_MOST_CONTACTS = 5000  # of patches under all presses: memory goes with the square, time with the cube
+
 
 @lru_cache(maxsize=8)
 def _sheet(skin: Skin, contact_factors: tuple[float, ...], contacts: int) -> PressedSheet:
@@ -52,7 +54,7 @@ class VirtualSkin:
             self._check_on_sheet(press)
         self._random = np.random.default_rng(seed)
         self._presses: dict[int, Press] = pressing
-        self._resistance = self._pressed_resistance()
+        self._resistance = self._pressed_resistance(pressing)
         self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._time = 0.0
         self._sequence = 0
@@ -64,7 +66,7 @@ class VirtualSkin:
             SkinError: If a fault names an electrode that is not there, or two faults name the same one.
         """
         self._wire(faults)
-        self._resistance = self._pressed_resistance()
+        self._resistance = self._pressed_resistance(self._presses)
 
     def _wire(self, faults: Sequence[Fault]) -> None:
         self.wiring = Wiring(faults, len(self.skin.electrodes))
@@ -84,15 +86,17 @@ class VirtualSkin:
         """Press at (x, y), or move press `number` there (metres, pascals). No pressure lifts it.
 
         Raises:
-            SkinError: If the place is off the sheet, or radius or pressure are out of range.
+            SkinError: If the place is off the sheet, radius or pressure are out of range, or all presses together take
+                the model too long.
         """
-        press = Press((x, y), radius, pressure)
+        press, presses = Press((x, y), radius, pressure), self.presses
         if pressure > 0:
             self._check_on_sheet(press)
-            self._presses[number] = press
+            presses[number] = press
         else:
-            self._presses.pop(number, None)
-        self._resistance = self._pressed_resistance()
+            presses.pop(number, None)
+        self._resistance = self._pressed_resistance(presses)  # may refuse: then nothing has changed
+        self._presses = presses
 
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
@@ -111,8 +115,11 @@ class VirtualSkin:
         flags = FrameFlag(FrameFlag.CLIPPED * (clipped or too_much) | FrameFlag.CURRENT_LIMIT * limited)
         return Frame(pattern, volts, over_shunt / shunt, self._time, self._sequence, flags)
 
-    def _pressed_resistance(self) -> Floats:
-        return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(self._presses.values()))
+    def _pressed_resistance(self, presses: dict[int, Press]) -> Floats:
+        if presses and (contacts := self.sheet.contacts_under(presses.values())) > _MOST_CONTACTS:
+            slow = f"presses on {contacts} contacts of patches take about {1.4e-11 * contacts**3:.0f} s to model"
+            raise SkinError(f"{slow}; allowed are {_MOST_CONTACTS}, some two palms: lift one, or make it smaller")
+        return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(presses.values()))
 
     def _check_on_sheet(self, press: Press) -> None:
         if self.skin.domain.depth([press.position])[0] < 0:
