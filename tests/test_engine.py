@@ -13,7 +13,7 @@ from ohmskin.contacts import find_regions
 from ohmskin.drive import TwoScans, part_of
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import HealthMonitor
-from ohmskin.errors import DataError, DeviceError, DeviceLost, DeviceRefused, PatternError
+from ohmskin.errors import DataError, DeviceError, DeviceLost, DeviceRefused, PatternError, ProtocolError
 from ohmskin.scan import DrivePattern, Frame, adjacent
 from ohmskin.skin import Skin, VirtualSkin
 
@@ -252,6 +252,69 @@ def test_a_lost_device_is_found_again_and_felt_again(skin: Skin, monkeypatch: py
     assert len(opened) == 2
     assert any("plug was pulled" in line for line in told)
     assert told[-1] == "device is back"
+
+
+@pytest.mark.parametrize("error", [ProtocolError("another digest"), DeviceRefused("on fire"), DeviceError("odd")])
+def test_a_reply_that_makes_no_sense_ends_a_connection_and_no_loop(
+    skin: Skin, monkeypatch: pytest.MonkeyPatch, error: DeviceError
+) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    told: list[str] = []
+    devices = [DirectDevice(VirtualSkin(skin, seed=1)) for _ in range(3)]
+    pending = iter(devices)
+
+    def odd(*_: object) -> Frame:
+        raise error
+
+    def open_device() -> DirectDevice:
+        if len(told) and (device := next(pending)) is devices[1]:
+            raise error
+        return device if len(told) else devices[0]
+
+    with Engine(open_device, skin, "12B", told.append) as engine:
+        engine.calibrate()
+        told.append("calibrated")
+        next(pending)
+        monkeypatch.setattr(devices[0], "_scan", odd)
+        assert engine.step() is None
+        assert engine.state is State.LOST
+        assert told[-1] == f"device lost: {error}; reconnecting"
+        assert engine.step() is None
+        assert engine.message == f"device lost: {error}; reconnecting"
+        assert engine.step() is None
+        assert told[-1] == "device is back"
+        run(engine, 1)
+
+
+def test_a_device_that_takes_less_than_before_is_not_used_and_one_that_takes_for_ever_neither(
+    skin: Skin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
+    first, small, slow, sound = (DirectDevice(VirtualSkin(skin, seed=1)) for _ in range(4))
+    small.capabilities = replace(small.capabilities, max_injections=1)
+    slow.capabilities = replace(slow.capabilities, settle_time=60.0)
+    pending, told = iter([first, small, slow, sound]), []
+    with Engine(lambda: next(pending), skin, "12B", told.append) as engine:
+        engine.calibrate()
+        first.gone = True
+        engine.step()
+        for words in ("takes smaller patterns than the one before", "takes 720 s to scan the rim; allowed are 10 s"):
+            assert engine.step() is None
+            assert words in told[-1]
+        engine.step()
+        assert told[-1] == "device is back"
+        run(engine, 1)
+
+
+def test_quiet_frames_of_another_pattern_are_refused(skin: Skin) -> None:
+    device = DirectDevice(VirtualSkin(skin, seed=1))
+    scan = device._scan
+    device._scan = lambda pattern, timeout: scan(adjacent([range(12)]), timeout)  # type: ignore[method-assign]
+    with (
+        Engine(lambda: device, skin, "16O") as engine,
+        pytest.raises(DataError, match="another pattern than was asked"),
+    ):
+        engine.calibrate()
 
 
 def test_another_device_in_its_place_is_calibrated(skin: Skin, monkeypatch: pytest.MonkeyPatch) -> None:

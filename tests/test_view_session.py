@@ -16,7 +16,7 @@ from ohmskin.engine.notices import Notices
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimator, FrameWise, Settings, gauss_newton
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.skin import Fault, Mode, Skin, VirtualSkin
 from ohmskin.view.session import Session
 from ohmskin.view.wire import check_setup, read_command
@@ -118,6 +118,19 @@ def test_modes_come_with_plain_names_in_the_skins_order_and_those_of_the_paper_l
     ]
     assert all(mode["summary"].endswith(".") for mode in looker.page.setup["modes"])
     assert looker.page.setup["modes"][-1]["why_not"] == "needs other electrodes: ohmskin live --skin paper-rim16"
+
+
+def test_a_calibration_that_cannot_be_is_told_on_the_page_and_ends_nothing(
+    looker: Looker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def noisy(self: DirectDevice, pattern: DrivePattern, timeout: float) -> Frame:
+        return Frame(pattern, np.full(pattern.n_meas, np.nan), np.full(pattern.n_inj, 1e-3))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(DirectDevice, "_scan", noisy)
+        told = looker.send("calibrate")
+    assert any("every voltage of a frame is missing" in header["message"] for header in told)
+    assert looker.send("pause", paused=False)[-1]["state"] == "running"
 
 
 def test_an_estimator_is_prepared_and_then_used_in_every_mode(looker: Looker) -> None:

@@ -9,7 +9,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.calibrate.wiring import potentials
 from ohmskin.device import Device, Link
 from ohmskin.errors import DeviceError
-from ohmskin.scan import DrivePattern, Frame, FrameFlag, pair_index
+from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent, pair_index
 from ohmskin.scan.repeats import known_mean, rms
 from ohmskin.sensing import drive_of, mode_named, modes
 from ohmskin.skin import Skin
@@ -17,6 +17,7 @@ from ohmskin.skin import Skin
 _SWITCHES = 6  # injections between which settling is measured
 _STEADY = 3  # scans of an injection without switching, after which it counts as settled
 _ROUND_TRIPS = 20
+_LONGEST = 10.0  # s, for which a scan of the rim may be waited
 
 
 @dataclass(frozen=True)
@@ -132,10 +133,13 @@ class Rates:
 
 
 def check_fit(device: Device, skin: Skin) -> None:
-    """Raise DeviceError unless a device has as many electrodes as a skin."""
+    """Raise DeviceError unless a device has as many electrodes as a skin, and scans its rim within seconds."""
     found, wanted = device.capabilities.n_electrodes, len(skin.electrodes)
     if found != wanted:
         raise DeviceError(f"the device has {found} electrodes, skin {skin.name!r} has {wanted}; choose one that fits")
+    if (takes := device.capabilities.scan_time(adjacent(skin.electrodes.rings[:1]))) > _LONGEST:
+        told = f"by its settle_time and conversion_time the device takes {takes:.3g} s to scan the rim"
+        raise DeviceError(f"{told}; allowed are {_LONGEST:g} s: are they in seconds?")
 
 
 def scan_whole(device: Device, pattern: DrivePattern) -> Frame:

@@ -191,7 +191,7 @@ class WireDevice(Device):
             case ErrorCode.UNKNOWN_SLOT | ErrorCode.DIGEST_MISMATCH:  # the upload that went before was lost
                 return True
             case _:
-                raise DeviceRefused(f"{self._peer} refused: {text} (code {code})")
+                raise DeviceRefused(f"{self._peer} refused: {text or 'it does not say why'} (code {code})")
 
     def _complaint(self, unreadable: Unreadable) -> str:
         if unreadable.version != VERSION:

@@ -8,19 +8,20 @@ from threadpoolctl import threadpool_limits
 
 from ohmskin.calibrate.measures import check_fit
 from ohmskin.closing import Closing
-from ohmskin.device import Device
+from ohmskin.device import Capabilities, Device
 from ohmskin.drive import Drive, Fixed
 from ohmskin.engine.compiling import compiling
 from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices
 from ohmskin.engine.quiet import QuietFrames, check_usable
 from ohmskin.engine.touch import State, Touch
-from ohmskin.errors import DataError, DeviceError, DeviceLost, ModelError, PatternError
+from ohmskin.errors import DataError, DeviceError, DeviceLost, ModelError, OhmskinError, PatternError
 from ohmskin.scan import DrivePattern, Frame, assess, needed
 from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
+_ROOM = ("max_injections", "max_measurements")  # what sensors rely on
 
 
 class Engine(Closing):
@@ -137,7 +138,7 @@ class Engine(Closing):
         self.scans_made = 0
         try:
             self._sensed, percept = self.sensor.step(self._sensed, self._scan)
-        except DeviceLost as error:
+        except DeviceError as error:  # lost, or no reply that makes sense: a new connection may help
             self._lose(error)
             return None
         except (DataError, ModelError) as error:  # of these data; the next ones may be better
@@ -257,10 +258,13 @@ class Engine(Closing):
             raise PatternError(f"mode {name!r} is not possible with this skin; choose from {', '.join(self.modes)}")
         return self.modes[name]
 
-    def _opened(self) -> Device:
+    def _opened(self, before: Capabilities | None = None) -> Device:
         device = self._open_device()
+        able = device.capabilities
         try:
             check_fit(device, self.skin)
+            if before and any(getattr(able, name) < getattr(before, name) for name in _ROOM):
+                raise DeviceError("the device takes smaller patterns than the one before; start anew with this one")
         except DeviceError:
             device.close()
             raise
@@ -303,7 +307,7 @@ class Engine(Closing):
         self.scans_made += 1
         return frame
 
-    def _lose(self, error: DeviceLost) -> None:
+    def _lose(self, error: OhmskinError) -> None:
         self.state, self._retry_at = State.LOST, time.monotonic() + _RETRY_AFTER
         self._dropped_before += self.device.dropped
         self.device.close()
@@ -314,17 +318,20 @@ class Engine(Closing):
             time.sleep(min(wait, 0.02))
             return
         self._retry_at = time.monotonic() + _RETRY_AFTER
-        serial = self.device.capabilities.serial
+        before = self.device.capabilities
         try:
-            self.device = self._opened()
-        except DeviceError as error:
+            self.device = self._opened(before)
+        except DeviceLost as error:  # still away
             self._notices.message = _lost(error)
+            return
+        except DeviceError as error:
+            self._notices.say(_lost(error))
             return
         self._monitor.reconnected()
         self.state = State.RUNNING if self.known else State.CALIBRATING
         self._notices.say("device is back")
         self._notices.message = ""
-        if self.device.capabilities.serial != serial or self.known is None:
+        if self.device.capabilities.serial != before.serial or self.known is None:
             self._notices.say(
                 "calibrating, because this is another device than before" if self.known else "calibrating"
             )
@@ -332,11 +339,11 @@ class Engine(Closing):
                 self.calibrate()
             except DeviceLost:  # gone again: sought again
                 pass
-            except DataError as error:  # what is known is of another device
+            except OhmskinError as error:  # what is known is of another device
                 self.known = self.sensor = None
-                self._lose(DeviceLost(str(error)))
+                self._lose(error)
 
 
-def _lost(error: DeviceError) -> str:
+def _lost(error: OhmskinError) -> str:
     """What a user is told of a lost device, which the loop connects to again by itself."""
     return f"device lost: {str(error).removesuffix('; connect again')}; reconnecting"

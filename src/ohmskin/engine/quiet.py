@@ -71,7 +71,13 @@ class QuietFrames:
 
     def _round(self, number: int) -> list[Frame]:
         self._progress(number / _REPEATS)
-        return [self._scan(piece) for piece in self._pieces]
+        return [self._frame(piece) for piece in self._pieces]
+
+    def _frame(self, piece: DrivePattern) -> Frame:
+        frame = self._scan(piece)
+        if frame.pattern != piece:  # such as of a damaged recording
+            raise DataError("a quiet frame has another pattern than was asked for; calibrate again, or record anew")
+        return frame
 
     def _repaired(self, frames: list[Frame], bad: Sequence[int]) -> int:
         """Measures disturbed frames again, in place; what stays disturbed is left out. How many were."""
@@ -82,7 +88,7 @@ class QuietFrames:
             count = count or len(disturbed)
             for k in disturbed:
                 if turn < _AGAIN:
-                    frames[k] = self._scan(frames[k].pattern)
+                    frames[k] = self._frame(frames[k].pattern)
                 else:
                     frames[k] = replace(frames[k], voltages=np.where(outliers[k], np.nan, frames[k].voltages))
             if not disturbed:

@@ -13,7 +13,7 @@ from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.engine.health import Health
-from ohmskin.errors import DataError, DeviceError, ModelError, PatternError
+from ohmskin.errors import DataError, ModelError, OhmskinError
 from ohmskin.geometry import Raster
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Mode
@@ -68,7 +68,7 @@ class Session(Closing):
         for command in commands:
             try:
                 self._obey(command)
-            except (DeviceError, PatternError, ModelError) as error:
+            except OhmskinError as error:
                 self._tell(str(error))
         if self._sought and any(command["type"] in ("seek", "step") for command in commands):
             return None
