@@ -43,9 +43,10 @@ from ohmskin.mcap.messages import (
     encode_touch,
 )
 from ohmskin.mcap.modes import decode_modes
-from ohmskin.mcap.schemas import FRAME, PATTERN, TOPICS
+from ohmskin.mcap.schemas import FRAME, IMAGE, PATTERN, TOPICS
 from ohmskin.mcap.writer import RecordingWriter
 from ohmskin.recording import Recorder
+from ohmskin.recording.export import write_npz
 from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent
 
 
@@ -448,6 +449,17 @@ def test_a_new_field_of_a_contact_reaches_every_encoding() -> None:
     assert len(columns()) == len(components(2)) == len(numbers(KNOWN, 2)) == 17
     assert as_json(KNOWN)["covariance"] == [2e-6, 1e-7, 1e-6]
     assert as_json(replace(KNOWN, velocity=None))["velocity"] is None
+
+
+def test_infinite_pixels_are_exported_without_a_warning(tmp_path: Path) -> None:
+    metadata = {"ohmskin": {"format": "1"}, "raster": {"x0": "0", "y0": "0", "pitch": "inf"}}
+    writer, (frame,) = RecordingWriter(str(tmp_path / "a.mcap"), metadata, {}), some_frames(1)
+    writer.add(PATTERN, 0, 0, encode_pattern(frame.pattern))
+    writer.add(FRAME, 0, 0, encode_frame(frame, 0, 0.0, Role.BASE, ""))
+    writer.add(IMAGE, 0, 0, encode_image(np.zeros((2, 3)), 0))
+    writer.close()
+    with Tape(tmp_path / "a.mcap") as tape:
+        assert write_npz(tmp_path / "a.npz", tape)["images"] == (1, 2, 3)
 
 
 def test_recordings_of_the_first_version_are_read() -> None:

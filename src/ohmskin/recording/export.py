@@ -145,7 +145,7 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
         "skin_toml": np.array(tape.skin),
         **{f"contact_{name}": np.array(own) for name, own in zip(CONTACT_COLUMNS, table, strict=True)},
     }
-    with suppress(KeyError, ValueError):
+    with suppress(KeyError, ValueError), np.errstate(all="ignore"):  # a damaged file may tell of infinite pixels
         raster = tape.metadata["raster"]
         arrays["image_x_m"] = float(raster["x0"]) + float(raster["pitch"]) * np.arange(shape[1])
         arrays["image_y_m"] = float(raster["y0"]) + float(raster["pitch"]) * np.arange(shape[0])
