@@ -254,7 +254,8 @@ def test_numbers_and_names_of_thousands_of_characters_are_not_shown_whole(text: 
 def test_what_errors_and_devices_say_cannot_steer_a_terminal() -> None:
     assert str(DeviceLost("a\x1b[31mred\x9b\nnext\ttab")) == "a\\x1b[31mred\\x9b\nnext\ttab"
     assert isinstance(DeviceLost("gone"), ConnectionError)
-    assert Capabilities("a\x1b]0;b\x07", 16, 100, 1000).name == "a?]0;b?"
+    assert Capabilities("a\x1b]0;b\x07\u202e", 16, 100, 1000).name == "a?]0;b??"
+    assert str(DeviceLost("\u202eback")) == "\\u202eback"
     with pytest.raises(ProtocolError, match=r"settle_time is 1e.09 s; it must be at most 1e.06 s"):
         Capabilities("a", 16, 100, 1000, settle_time=1e9)
 

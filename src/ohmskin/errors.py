@@ -11,9 +11,11 @@ class OhmskinError(Exception):
 
 
 def harmless(text: str) -> str:
-    """A text fit for a terminal: control characters written out, words of more than 500 characters shortened."""
+    """A text fit for a terminal: control and reordering characters written out, long words shortened."""
     text = re.sub(r"\S{501,}", lambda word: f"{word[0][:60]}... ({len(word[0])} characters)", text)
-    return re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", lambda character: repr(character[0])[1:-1], text)
+    return re.sub(
+        r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", lambda character: repr(character[0])[1:-1], text
+    )
 
 
 def shown(value: object) -> str:

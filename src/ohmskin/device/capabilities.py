@@ -71,7 +71,9 @@ class Capabilities:
     boot: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", re.sub(r"[\x00-\x1f\x7f-\x9f]", "?", self.name))  # it goes to terminals
+        object.__setattr__(
+            self, "name", re.sub(r"[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]", "?", self.name)
+        )  # it goes to terminals
         if len(self.name.encode()) > 32:
             raise ProtocolError(f"device name {self.name!r} has {len(self.name.encode())} bytes; at most 32")
         most = {"n_electrodes": 65535, "max_injections": 65535, "max_measurements": 65535, "pattern_slots": 255}
