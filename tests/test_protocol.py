@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ohmskin.device import protocol
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.instrument import SharedInstrument
-from ohmskin.device.layout import HEADER, LAYOUTS, MAX_PACKET, Kind
+from ohmskin.device.layout import LAYOUTS, MAX_PACKET, Kind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
 from ohmskin.device.press import Press
 from ohmskin.device.protocol import Decoder, Packet, Unreadable, encode
@@ -163,6 +163,17 @@ def test_a_flipped_bit_drops_the_packet_because_of_the_checksum(monkeypatch: pyt
     assert sum(bool(Decoder().feed(one)) for one in damaged) > len(damaged) // 2
 
 
+def test_a_signalling_nan_is_a_nan_like_others() -> None:
+    """Converted to doubles it would warn; a device may well send one."""
+    signalling = np.array([0x7FA00000] * 5, np.uint32).view(np.float32)
+    sent = FrameData(PATTERN.digest, 1, 1, 0, signalling[:2], signalling[:3])
+    (got,) = Decoder().feed(encode(sent))
+    assert isinstance(got.message, FrameData)
+    frame = got.message.frame(PATTERN)
+    assert np.isnan(frame.voltages * 2).all()
+    assert np.isnan(frame.currents + 1).all()
+
+
 def test_counters_tell_the_kinds_of_damage() -> None:
     decoder = Decoder()
     good = encode(Ack(5), 1)
@@ -184,10 +195,7 @@ def test_an_endless_packet_takes_no_memory() -> None:
 
 def intact(version: int, kind: int, payload: bytes, sequence: int = 7) -> bytes:
     """A packet with valid framing and checksum around anything."""
-    from cobs import cobs
-
-    body = HEADER.pack(version, kind, sequence) + payload
-    return bytes(cobs.encode(body + zlib.crc32(body).to_bytes(4, "little"))) + b"\0"
+    return protocol.sealed(version, kind, sequence, payload)
 
 
 def test_another_protocol_version_is_reported_as_such() -> None:

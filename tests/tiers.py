@@ -108,6 +108,7 @@ LONG = {
     "test_guides.py::test_example_runs*[[]priors": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]regularisation": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]tracking": "another example, and the text of all",
+    "test_hostile.py::test_live_stands": "the loop against a dozen of the same tricks",
     "test_import.py::test_the_example_of": "what these examples call",
     "test_layout.py::test_a_better_layout": "the search itself",
     "test_live_browser.py::test_a_finger": "presses on the same page",

@@ -18,7 +18,7 @@ import ohmskin
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
-    **dict.fromkeys(("scan", "check-device"), "device"),
+    **dict.fromkeys(("scan", "check-device", "check-host"), "device"),
     **dict.fromkeys(("serve-skin", "serve-firmware"), "serve"),
     **dict.fromkeys(("reproduce", "policies"), "studies"),
     "record": "loop",
@@ -46,6 +46,7 @@ _COMMANDS = {
         "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --output my-skin.toml"),
         "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155"),
         "check-device": ("Check a device and its driver.", "ohmskin check-device tcp://127.0.0.1:7155"),
+        "check-host": ("Check a host: serve a device that misbehaves.", "ohmskin check-host --port 7155"),
     },
     "Virtual skin": {
         "serve-skin": ("Serve a virtual skin over TCP and a pseudo-terminal.", "ohmskin serve-skin --pty"),

@@ -1,18 +1,24 @@
-"""``ohmskin scan`` and ``check-device``: one frame as it comes from a device, and whether it does what each must."""
+"""``ohmskin scan``, ``check-device``, ``check-host``: one frame, and whether device or host do as they must."""
 
 import json as json_module
 import sys
 from dataclasses import asdict
+from typing import Self
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from ohmskin.arrays import as_plain
-from ohmskin.cli.options import DeviceUrl, Flag, ModeName, SkinName, open_skin
+from ohmskin.cli.options import DeviceUrl, Flag, ModeName, Names, Seed, SkinName, Stop, open_skin
 from ohmskin.device import connect
+from ohmskin.device.conformance import Check
 from ohmskin.device.conformance import check_device as run_checks
+from ohmskin.device.hostile import TRICKS, HostileDevice
+from ohmskin.device.virtual import VirtualInstrument
+from ohmskin.errors import OhmskinError
 from ohmskin.sensing import drive_of, mode_named
+from ohmskin.skin import Skin
 
 
 def scan(*, device: DeviceUrl = "virtual:", skin: SkinName = "", mode: ModeName = "", json: Flag = False) -> None:
@@ -44,8 +50,62 @@ def check_device(url: str, *, json: Flag = False) -> None:
         url: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of a driver that is installed.
         json: Print JSON instead of lines.
     """
-    checks = run_checks(connect(url), lambda check: None if json else print(check, flush=True))
-    failed = sum(check.outcome == "failed" for check in checks)
-    print(json_module.dumps([asdict(check) for check in checks]) if json else f"{len(checks)} checks, {failed} failed")
-    if failed:
-        sys.exit(1)
+    with _Report(json) as report:
+        run_checks(connect(url), report)
+
+
+def check_host(
+    *,
+    skin: SkinName = "paper",
+    host: str = "127.0.0.1",
+    port: int = 7155,
+    seed: Seed = 0,
+    calm: int = 200,
+    patience: float = 30.0,
+    only: Names = (),
+    json: Flag = False,
+) -> None:
+    """Serve a virtual skin that misbehaves in every way there is, and tell what the host that connects makes of it.
+
+    The host must scan again after each trick by itself, over a new connection if need be; one that ends may be
+    started again. The exit status is 1 if it did not.
+
+    Args:
+        host: Address to listen at.
+        port: TCP port; 0 takes a free one.
+        calm: Frames that the host gets before the first trick, such as those that it calibrates itself with.
+        patience: How long after a trick the host may take to ask for frames again (s).
+        only: Names of the tricks to play; all unless given.
+        json: Print JSON instead of lines.
+    """
+    if unknown := sorted(set(only) - set(TRICKS)):
+        raise OhmskinError(f"no trick {unknown[0]!r}; choose from {', '.join(TRICKS)}")
+    stop, instrument = Stop(), VirtualInstrument(Skin.load(skin), seed)
+    with HostileDevice(instrument, host, port, seed or 0, calm) as device, _Report(json) as report:
+        print(f"hostile device at {device.url}: connect a host to it", file=sys.stderr, flush=True)
+        stop.listen()
+        device.check_host({name: TRICKS[name] for name in only or TRICKS}, patience, report, lambda: bool(stop))
+
+
+class _Report(list[Check]):
+    """Prints checks as they come, or all as JSON at the end; the exit status is 1 if one failed."""
+
+    def __init__(self, json: bool) -> None:
+        super().__init__()
+        self._json = json
+
+    def __call__(self, check: Check) -> None:
+        self.append(check)
+        if not self._json:
+            print(check, flush=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        failed = sum(check.outcome == "failed" for check in self)
+        if kind is None:
+            plain = json_module.dumps([asdict(check) for check in self])
+            print(plain if self._json else f"{len(self)} checks, {failed} failed")
+            if failed:
+                sys.exit(1)

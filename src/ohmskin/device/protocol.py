@@ -45,11 +45,16 @@ def encode(message: Message, sequence: int = 0) -> bytes:
         ProtocolError: If a value does not fit the wire.
     """
     kind = kind_of(message)
-    body = HEADER.pack(VERSION, kind, sequence & 0xFFFF) + LAYOUTS[kind].pack(to_fields(message))
-    packet: bytes = cobs.encode(body + CHECKSUM.pack(zlib.crc32(body)))
-    if len(packet) > MAX_PACKET:
-        raise ProtocolError(f"a {kind.name} packet of {len(packet)} bytes; at most {MAX_PACKET}; split the pattern")
-    return packet + DELIMITER
+    packet = sealed(VERSION, kind, sequence & 0xFFFF, LAYOUTS[kind].pack(to_fields(message)))
+    if len(packet) > MAX_PACKET + len(DELIMITER):
+        raise ProtocolError(f"a {kind.name} packet of {len(packet) - 1} bytes; at most {MAX_PACKET}; split the pattern")
+    return packet
+
+
+def sealed(version: int, kind: int, sequence: int, payload: bytes) -> bytes:
+    """The packet, delimiter included, around a payload, whatever it is."""
+    body = HEADER.pack(version, kind, sequence) + payload
+    return bytes(cobs.encode(body + CHECKSUM.pack(zlib.crc32(body)))) + DELIMITER
 
 
 @dataclass
