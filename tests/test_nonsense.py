@@ -290,6 +290,11 @@ def test_a_layer_of_too_many_patches_is_refused_with_the_time_it_would_take() ->
         ohm.VirtualSkin(ohm.Skin.parse("[contact_layer]\ncolumns = 256\nrows = 256\npatch = 0.0007"))
 
 
+def test_patches_that_cover_most_of_the_mesh_are_refused() -> None:
+    with pytest.raises(SkinError, match=r"a patch of the contact layer covers 101\d\d nodes .*; allowed are 2000"):
+        ohm.VirtualSkin(ohm.Skin.parse("[contact_layer]\npatch = 0.15\n[imaging]\nmesh_size = 2.425e-3"))
+
+
 def test_a_title_is_text_and_no_formula(tmp_path: Path) -> None:
     image = ohm.GaussNewton(model(), 1e-5).reconstruct(touch())
     save_picture(tmp_path / "a.png", model().mesh, image.values, GRID, [], "$x^{$ \\frac")

@@ -527,6 +527,14 @@ def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing
     skin.press(1, 0.1, 0.1, 8e-3, 0.0)
 
 
+def test_a_press_that_is_told_again_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin = VirtualSkin(Skin.load("paper"), seed=0)
+    skin.press(1, 0.1, 0.1, 8e-3, 2e4)
+    monkeypatch.setattr(PressedSheet, "transfer_resistance", lambda *_: pytest.fail("it was modelled again"))
+    skin.press(1, 0.1, 0.1, 8e-3, 2e4)
+    skin.press(2, 0.1, 0.1, 8e-3, 0.0)  # lifts what is not there
+
+
 def test_a_press_that_the_mesh_cannot_carry_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = VirtualSkin(Skin.load("paper"), seed=0)
 

@@ -11,7 +11,7 @@ from ohmskin.errors import SkinError, shown
 from ohmskin.geometry import Domain
 from ohmskin.scan import n_pairs
 
-_MOST_ON_RIM, _MOST_GIBIBYTES, _MOST_PATCHES = 3000, 4, 2**14
+_MOST_ON_RIM, _MOST_GIBIBYTES, _MOST_PATCHES, _MOST_UNDER = 3000, 4, 2**14, 2000
 _TYPES = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 _PLACES = "[x, y] in metres"
 
@@ -117,8 +117,11 @@ def check_expense(domain: Domain, n_elec: int, size: float) -> None:
         raise SkinError(f"{many} take about {gibibytes:.1f} GiB; allowed are {_MOST_GIBIBYTES}: {advice}")
 
 
-def check_patches(patches: int) -> None:
-    """Raise SkinError if a virtual skin with so many patches would take too long to set up; it tells how long."""
+def check_patches(patches: int, nodes: float) -> None:
+    """Raise SkinError if so many patches, or the `nodes` of the mesh under each, take a virtual skin too long."""
+    if nodes > _MOST_UNDER:
+        wide = f"a patch of the contact layer covers {nodes:.0f} nodes of the virtual skin's mesh"
+        raise SkinError(f"{wide}; allowed are {_MOST_UNDER}: lower contact_layer.patch, or raise imaging.mesh_size")
     if patches > _MOST_PATCHES:
         long = f"a contact layer of {patches} patches takes the virtual skin about {1e-3 * patches:.0f} s to set up"
         raise SkinError(f"{long}; allowed are {_MOST_PATCHES}: lower contact_layer.columns and rows")

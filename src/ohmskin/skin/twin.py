@@ -86,9 +86,11 @@ class PressedSheet:
     def __init__(
         self, skin: Skin, contact_factors: ArrayLike = 1.0, model: TransferModel | None = None, contacts: int = 8
     ) -> None:
-        check_patches(int(np.prod(skin.contact_layer.counts(skin.domain))))
+        layer, size = skin.contact_layer, 0.66 * skin.imaging.mesh_size
+        patches = int(np.prod(layer.counts(skin.domain)))
+        check_patches(patches, 1.15 * min(layer.patch**2, skin.domain.area) / size**2)
         if model is None:
-            mesh = skin.mesh_for(skin.discs, 0.66 * skin.imaging.mesh_size)
+            mesh = skin.mesh_for(skin.discs, size)
             factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
             electrodes = skin.discs.with_contact_impedances(skin.discs.contact_impedances * factors)
             model = TransferModel(mesh, electrodes, skin.conductivity_on(mesh))

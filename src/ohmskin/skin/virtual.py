@@ -95,6 +95,8 @@ class VirtualSkin:
             presses[number] = press
         else:
             presses.pop(number, None)
+        if presses == self._presses:  # told again, as hosts do when a reply is lost
+            return
         self._resistance = self._pressed_resistance(presses)  # may refuse: then nothing has changed
         self._presses = presses
 
