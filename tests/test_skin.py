@@ -162,7 +162,7 @@ def test_skins_are_found_by_name_or_path(tmp_path: Path, monkeypatch: pytest.Mon
         Skin.load("tnak")
     with pytest.raises(
         SkinError,
-        match=r"cannot read skin file .*absent.toml.*shipped skins are ktc2023, paper, paper-rim16, tank, uef2017",
+        match=r"cannot read skin file .*absent.toml.*shipped skins are dome, ktc2023, paper, paper-rim16, sleeve",
     ):
         Skin.load("absent.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")

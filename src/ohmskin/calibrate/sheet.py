@@ -111,7 +111,7 @@ def fit_sheet(
         if last - cost < _CONVERGED * last:
             break
     after = float(np.sqrt(np.mean((left * std) ** 2))) / typical
-    moved = np.linalg.norm(model.electrodes.positions - described.positions, axis=1)
+    moved = np.linalg.norm(shortest(model.electrodes.positions - described.positions, domain.period), axis=1)
     farthest, most = int(np.argmax(moved)), _FARTHEST * float(unknowns.std[0])
     if not np.sqrt(np.mean(left**2)) < _EXPLAINED or moved[farthest] > most:
         raise DataError(
