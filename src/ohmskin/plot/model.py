@@ -49,7 +49,7 @@ def draw_mesh(
         "linewidths": 0.3 if edges else 0.0,
         "edgecolors": "0.35" if edges else "none" if in_space else "face",
     }
-    corners = 1e3 * mesh.nodes[shown]
+    corners = 1e3 * (mesh.corners if mesh.period else mesh.nodes[shown])
     made: PolyCollection = (Poly3DCollection if in_space else PolyCollection)(corners, cmap=_SHADES, **style)
     if colours is None:
         made.set_facecolor("white" if edges else "0.9")
@@ -75,10 +75,10 @@ def draw_current(axes: Axes, model: TransferModel, source: int, sink: int, curre
         What a colour bar of the potential (V) can be made of.
 
     Raises:
-        DataError: If the model is not flat.
+        DataError: If the model is not flat, or closed.
     """
     mesh = model.mesh
-    if mesh.nodes.shape[1] != 2:
+    if mesh.nodes.shape[1] != 2 or mesh.period:
         raise DataError("lines of current are drawn on flat sheets; draw_mesh draws potentials in space")
     density = model.current_density(source, sink, current)
     potential = current * (model.potentials[:, source] - model.potentials[:, sink])
