@@ -131,6 +131,23 @@ def test_eidors_by_hand() -> None:
     assert found.shape_deformation == 0.0
 
 
+def test_eidors_measures_from_the_origin_of_the_mesh_and_has_a_sixth_figure() -> None:
+    """A sheet of 0.2 by 0.1 m with its origin at a corner: the centroid is 0.1118 m from there, not in the middle."""
+    image = np.zeros((65, 65))
+    image[31:34, 31:34] = 2.0
+    image[5, 32] = -0.5
+    found = eidors_figures(image, (0.15, 0.2), (0.0, 0.0, 0.2, 0.1))
+    assert found.position_error == pytest.approx(0.25 - np.hypot(0.1, 0.05), abs=EXACT)
+    assert found.region_amplitude_response == pytest.approx(18.0, abs=EXACT)
+    assert found.amplitude_response == pytest.approx(17.5, abs=EXACT)
+    # pixels lie 3.1 and 1.6 mm apart, the corners of q 3.5 mm from its centre; the circle of nine has 3.7 mm
+    assert found.shape_deformation == 0.0
+    at_centre = eidors_figures(image, (0.3, 0.0))
+    assert at_centre.position_error == pytest.approx(0.3, abs=EXACT)
+    with pytest.raises(DataError, match="give least x and y"):
+        eidors_figures(image, (0.0, 0.0), (0.0, 0.0, -1.0, 1.0))
+
+
 def test_the_search_of_eidors_hides_17_3_per_cent_of_a_square() -> None:
     assert eidors_figures(np.ones((64, 64)), (0.0, 0.0)).resolution ** 2 == pytest.approx(1 - 0.1728515625, abs=EXACT)
 

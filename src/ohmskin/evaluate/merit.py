@@ -108,33 +108,42 @@ def _merit(values: Floats, x: Floats, y: Floats, target: Target, pixel: float, i
 
 @dataclass(frozen=True)
 class EidorsMerit:
-    """What EIDORS' ``eval_GREIT_fig_merit`` returns: AR, PE, RES, SD, RNG, in its own coordinates and units."""
+    """What EIDORS' ``eval_GREIT_fig_merit`` returns: AR, PE, RES, SD, RNG, AR in q, in its own units."""
 
     amplitude_response: float
     position_error: float
     resolution: float
     shape_deformation: float
     ringing: float
+    region_amplitude_response: float
 
 
-def eidors_figures(pixels: ArrayLike, target: tuple[float, float]) -> EidorsMerit:
+def eidors_figures(
+    pixels: ArrayLike, target: tuple[float, float], bounds: tuple[float, float, float, float] = (-1.0, -1.0, 1.0, 1.0)
+) -> EidorsMerit:
     """The figures of merit as EIDORS 3.11 computes them, warts and all, for comparison with published tables.
 
-    AR is the plain sum of all pixels. PE is a difference of two distances from the origin, so that it has a sign and is
-    blind to errors along the tangent. Pixels are taken to lie on a lattice that spans the domain from edge to edge. The
-    search for q leaves out what is beyond a circle of squared radius 1.1, 17.3 % of a square of 64 x 64 pixels. RNG
-    counts the negative pixels outside q, against the sum over q.
+    AR is the plain sum of all pixels, and of those of q. PE is a difference of two distances from the mesh's origin,
+    wherever in the mesh that is, so that it has a sign and is blind to errors along the tangent. Pixels are taken to
+    lie on a lattice that spans the domain from edge to edge. The search for q leaves out what is beyond a circle of
+    squared radius 1.1, 17.3 % of a square of 64 x 64 pixels. RNG counts the negative pixels outside q, against the sum
+    over q.
 
     Args:
         pixels: (n, n) image; NaN off the domain.
-        target: Position in normalised coordinates, -1 to 1 from edge to edge of the sheet.
+        target: Position in the coordinates of the mesh.
+        bounds: Least x and y, then largest x and y, of the mesh; unless given, -1 to 1 from edge to edge of the sheet.
 
     Raises:
-        DataError: If the image is not square (EIDORS confuses x and y of oblong ones) or has nothing positive.
+        DataError: If the image is not square (EIDORS confuses x and y of oblong ones) or has nothing positive, or the
+            bounds are none.
     """
     image = np.asarray(pixels, float)
     if image.ndim != 2 or image.shape[0] != image.shape[1] or len(image) < 2:
         raise DataError(f"the image has shape {image.shape}; the figures of EIDORS are defined for square ones only")
+    x0, y0, x1, y1 = bounds
+    if not (np.isfinite(bounds).all() and x0 < x1 and y0 < y1):
+        raise DataError(f"bounds {tuple(bounds)} of the mesh; give least x and y, then largest x and y")
     domain = np.isfinite(image)
     image = np.where(domain, image, 0.0)
     x, y = np.meshgrid(*[np.linspace(-1, 1, len(image))] * 2)
@@ -144,12 +153,14 @@ def eidors_figures(pixels: ArrayLike, target: tuple[float, float]) -> EidorsMeri
         raise DataError("nothing positive in the image; there is no figure of merit")
     q = search & (image >= _QUARTER * largest) & domain
     count = int(q.sum())
+    x, y = x0 + (x1 - x0) * (x + 1) / 2, y0 + (y1 - y0) * (y + 1) / 2
     cx, cy = x[q].mean(), y[q].mean()
-    circle = (x - cx) ** 2 + (y - cy) ** 2 < (4 / image.size) * count / np.pi
+    circle = (x - cx) ** 2 + (y - cy) ** 2 < (x1 - x0) * (y1 - y0) / image.size * count / np.pi
     return EidorsMerit(
         amplitude_response=float(image.sum()),
         position_error=float(np.hypot(*target) - np.hypot(cx, cy)),
         resolution=float(np.sqrt(count / domain.sum())),
         shape_deformation=float((q & ~circle).sum() / count),
         ringing=float(-image[(image < 0) & ~q].sum() / image[q].sum()),
+        region_amplitude_response=float(image[q].sum()),
     )

@@ -124,7 +124,7 @@ class Merits(Bench):
             x, y = 2 * (np.array(self.contact.position) - low) / (high - low) - 1
             try:
                 (found,) = figures_of_merit(seen.pixels, seen.raster.x, seen.raster.y, [target])
-                theirs = astuple(eidors_figures(seen.pixels, (x, y)))
+                theirs = astuple(eidors_figures(seen.pixels, (x, y)))[: len(EIDORS_COLUMNS)]
             except DataError:
                 sizes = {"modern": len(COLUMNS), "vector": 2, "eidors": len(EIDORS_COLUMNS)}
                 return {name: np.full(n, np.nan) for name, n in sizes.items()}
