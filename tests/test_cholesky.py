@@ -33,7 +33,7 @@ def test_tile_is_a_product_of_small_matrices(less: bool, depth: int) -> None:
 
 
 def graph(n: int, density: float, seed: int) -> sp.csc_array:
-    half = sp.random_array((n, n), density=density, rng=np.random.default_rng(seed))
+    half = sp.random_array((n, n), density=density, random_state=np.random.default_rng(seed))
     return sp.csc_array(half @ half.T + sp.eye_array(n))
 
 

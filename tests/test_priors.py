@@ -97,7 +97,7 @@ def textbook(name: str, units: float, noise: float) -> tuple[np.ndarray, np.ndar
     white = right.T @ (singular / (singular**2 + noise**2) * (left.T @ (volts - basis @ (basis.T @ volts))))
     found = np.linalg.solve(root.T, white)
     if penalty.free_mean:
-        return image, np.append(0.0, found) + np.linalg.lstsq(level, volts - rest @ white)[0]
+        return image, np.append(0.0, found) + np.linalg.lstsq(level, volts - rest @ white, rcond=None)[0]
     return image, found if penalty.image is None else penalty.image @ found
 
 

@@ -148,6 +148,29 @@ LONG = {
     "test_view_session.py::test_a_slow_estimator_says": "that one is told of once",
 }
 
+# What every version of Python and of what we depend on must pass (`make test-versions`): one test of each package that
+# is used, and the shortest way through sensing, recording, pictures and exports.
+SMOKE = (
+    "test_cli.py::test_every_command_has_help*",
+    "test_cli.py::test_headless_json*",
+    "test_cli.py::test_help_and_suggestions*",
+    "test_cli.py::test_image_shows*",
+    "test_dataset.py::test_another_recipe*",
+    "test_domains.py::test_surfaces_come_back*",
+    "test_domains.py::test_gmsh_refines*",
+    "test_mcap.py::test_independent*",
+    "test_model_files.py::test_meshes_fields*",
+    "test_package.py::test_every*",
+    "test_package.py::test_help_imports*",
+    "test_priors.py::test_the_image_under*",
+    "test_publish.py::test_every_topic*",
+    "test_publish.py::test_foxglove_lists*",
+    "test_replay.py::test_a_replay_sees*",
+    "test_replay.py::test_tables_hold*",
+    "test_robot.py::test_place_and_force*",
+    "test_view_transport.py::test_speed_and_loop*",
+)
+
 TABLE = (
     Row("test_view_browser.py", "browser", (CHROMIUM,)),
     Row("test_view_states.py", "browser", (CHROMIUM,)),
@@ -178,6 +201,7 @@ TABLE = (
     Row("test_robot.py::test_command_line_draws*", "gl", (GL, FFMPEG)),
     *(Row(f"test_domains.py::{name}", "gmsh", GMSH) for name in ("*gmsh*", "test_refined*", "test_a_broken*")),
     *(Row(f"{tests}*", "long", reason=reason) for tests, reason in LONG.items()),
+    *(Row(tests, "smoke") for tests in SMOKE),
 )
 
 SLOWEST = (  # files that take longest, so that workers begin with them

@@ -81,7 +81,8 @@ class Cache:
         part = target.with_suffix(f".{os.getpid()}.part")
         try:
             with part.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, _task=np.array(json.dumps(describe(task))), **result)
+                kept: dict[str, Any] = {"_task": np.array(json.dumps(describe(task))), **result}
+                np.savez_compressed(stream, **kept)
             os.replace(part, target)
         except OSError as error:
             text = f"cannot write {target}: {error}; free some space or give another folder with --cache"
