@@ -2,6 +2,7 @@
 # make test       set up and run the everyday tests: all that a change can break, in some ten minutes on two cores
 # make test-long  the tests that take long and are seldom broken
 # make test-all   both
+# make test-versions  the shortest tests with the lowest versions that pyproject.toml allows, and with the newest
 # make check      lint, types, import layers and all tests: what CI runs
 
 PYTHON ?= python3
@@ -12,7 +13,7 @@ SOURCES := src tests benchmarks examples docs firmware tools hatch_build.py
 WORKERS ?= 2
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: live test test-long test-all check lint bench clean
+.PHONY: live test test-long test-all test-versions check lint bench clean
 .DEFAULT_GOAL := live
 
 live: $(VENV)/.ready
@@ -26,6 +27,9 @@ test-long: $(VENV)/.ready-dev
 
 test-all: $(VENV)/.ready-dev
 	$(PYTEST) $(ARGS)
+
+test-versions: $(VENV)/.ready-dev
+	$(BIN)/python tools/versions.py
 
 check: lint test-all
 
