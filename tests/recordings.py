@@ -34,12 +34,14 @@ class Bench(Device):
         pass
 
 
-def record_press(path: Path, mode: str = "16O", cycles: int = 30, images: float = np.inf) -> list[ohm.Touch]:
+def record_press(
+    path: Path, mode: str = "16O", cycles: int = 30, images: float = np.inf, skin: Skin = SKIN
+) -> list[ohm.Touch]:
     """Record a press that comes, moves and goes; what the loop felt meanwhile."""
-    device, touches = Bench(), []
+    device, touches = Bench(skin), []
     with (
-        Recorder(path, SKIN, images) as recorder,
-        ohm.Engine(lambda: recorder.tee(device), SKIN, mode, recorder.note) as engine,
+        Recorder(path, skin, images) as recorder,
+        ohm.Engine(lambda: recorder.tee(device), skin, mode, recorder.note) as engine,
     ):
         recorder.watch(engine)
         engine.calibrate()

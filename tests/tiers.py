@@ -100,6 +100,7 @@ LONG = {
     "test_firmware.py::test_ten_seconds_of_fuzzing": "requests by hypothesis",
     "test_firmware_loop.py::test_a_late_sample": "a bad line in the same emulator",
     "test_firmware_loop.py::test_a_session_finds": "frames of the same board in the same emulator",
+    "test_fuzzing.py::test_a_minute": "some mutations of each kind",
     "test_guides.py::test_a_drive_an_estimator": "modes of a skin's own, and what others register, in test_sensing.py",
     "test_guides.py::test_example_runs*[[]drive_design": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]estimators": "another example, and the text of all",
