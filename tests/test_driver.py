@@ -22,6 +22,7 @@ from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, R
 from ohmskin.device.protocol import Decoder, encode
 from ohmskin.device.session import Session
 from ohmskin.device.transport import SerialTransport, open_transport
+from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError, ProtocolError
 from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent, measure_others
@@ -494,6 +495,36 @@ def test_two_hosts_do_not_clash(server: DeviceServer, skin: FakeSkin) -> None:
         assert len(skin.down) == 1
         one.press(0, (0.25, 0.5), 0.0078125, 0.0)  # lifting twice is no error
     assert eventually(lambda: not skin.down)
+
+
+def test_a_connection_is_a_session_also_without_a_greeting(server: DeviceServer, skin: FakeSkin) -> None:
+    """Slots are those of the connection, and go with it, as presses do."""
+    greeting, asked = [Hello(), SetPattern(0, RIM), Press(0, 0.1, 0.1, 0.01, 1e4)], Scan(0, RIM.digest)
+    for requests, kind in (
+        ([*greeting, asked], FrameData),
+        ([asked], Refusal),
+        ([SetPattern(0, RIM), asked], FrameData),
+    ):
+        with socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))) as line:
+            line.settimeout(60)
+            line.sendall(b"".join(encode(request, k) for k, request in enumerate(requests)))
+            decoder, packets = Decoder(), []
+            while len(packets) < len(requests):
+                packets += decoder.feed(line.recv(65536))
+        assert isinstance(packets[-1].message, kind)
+        assert kind is FrameData or packets[-1].message.code == ErrorCode.UNKNOWN_SLOT
+        assert eventually(lambda: not skin.down)
+
+
+def test_the_virtual_device_flags_the_first_frame_since_its_start_and_no_other() -> None:
+    instrument = VirtualInstrument(Skin.load("paper"), 1, realtime=False)
+    with DeviceServer(instrument, port=0) as server:
+        flags = []
+        for _ in range(2):  # a new session is no new start
+            with connect(server.url) as device:
+                frames = [device.scan(SMALL) for _ in range(2)]
+                flags += [(frame.sequence, FrameFlag.FIRST in frame.flags) for frame in frames]
+    assert flags == [(1, True), (2, False), (3, False), (4, False)]
 
 
 def test_presses_pass_between_the_scans_of_another_host() -> None:

@@ -18,7 +18,7 @@ from tiers import needs
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.instrument import SharedInstrument
 from ohmskin.device.layout import LAYOUTS, Kind
-from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
+from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern, to_fields
 from ohmskin.device.protocol import Decoder, Unreadable, encode
 from ohmskin.device.session import Session
 from ohmskin.scan import DrivePattern, Frame, measure_others
@@ -177,6 +177,28 @@ def test_the_core_answers_as_the_python_device_does(core: Bridge, asked: list[by
         if known and isinstance(told, Refusal) and told.code in (ErrorCode.BAD_REQUEST, ErrorCode.TOO_LARGE):
             continue  # both are true of it, and docs/protocol.md gives no order
         assert same(packet.message, told), f"{request.hex()}: {packet.message} but {told}"
+
+
+def test_both_devices_give_the_documented_answer_where_a_request_does_not_fit(core: Bridge) -> None:
+    rim = DrivePattern(np.array([[0, 1]]), np.array([[0, 2, 3]]))
+    session, decoder = Session(SharedInstrument(CodedInstrument())), Decoder()
+    for request, codes in (
+        (encode(Scan(65535, 1)), {ErrorCode.UNKNOWN_SLOT}),
+        (encode(SetPattern(SIZES.pattern_slots, rim)), {ErrorCode.TOO_LARGE}),
+        (intact(1, Kind.HELLO, b"\0"), {ErrorCode.BAD_REQUEST}),
+        (intact(1, Kind.SCAN, bytes(7)), {ErrorCode.BAD_REQUEST}),
+        (intact(1, Kind.PRESS, bytes(19)), {ErrorCode.BAD_REQUEST}),
+        (intact(1, Kind.PATTERN, bytes(6)), {ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN}),
+        (intact(1, Kind.PATTERN, encode_payload(rim) + b"\0\0"), {ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN}),
+    ):
+        (packet,) = decoder.feed(session.feed(request))
+        for told in (packet.message, core.ask(request)):
+            assert isinstance(told, Refusal)
+            assert told.code in codes
+
+
+def encode_payload(pattern: DrivePattern) -> bytes:
+    return LAYOUTS[Kind.PATTERN].pack(to_fields(SetPattern(0, pattern)))
 
 
 @settings(max_examples=40)

@@ -2,6 +2,7 @@
 
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -284,11 +285,14 @@ def test_a_session_says_why_it_refuses() -> None:
     twice = np.array([1, 1, 2, 2, 0, 1, 2], "<u2").tobytes()
     cases = {
         encode(Scan(0, rim.digest)): ErrorCode.UNKNOWN_SLOT,
+        encode(Scan(65535, rim.digest)): ErrorCode.UNKNOWN_SLOT,
         encode(SetPattern(4, rim)): ErrorCode.TOO_LARGE,
         encode(SetPattern(0, big)): ErrorCode.TOO_LARGE,
         encode(SetPattern(0, beyond)): ErrorCode.BAD_PATTERN,
         intact(1, Kind.PATTERN, b"\0\0" + twice): ErrorCode.BAD_PATTERN,
         intact(1, Kind.SCAN, b""): ErrorCode.BAD_REQUEST,
+        intact(1, Kind.SCAN, bytes(7)): ErrorCode.BAD_REQUEST,
+        intact(1, Kind.HELLO, b"\0"): ErrorCode.BAD_REQUEST,
         intact(1, 0x42, b""): ErrorCode.UNKNOWN_KIND,
         intact(2, Kind.SCAN, b""): ErrorCode.WRONG_VERSION,
         encode(Ack()): ErrorCode.UNKNOWN_KIND,
@@ -370,3 +374,35 @@ def test_the_documented_vectors_are_what_travels() -> None:
         assert again(got) == packet
     assert f"0x{PATTERN.digest:08X}" in DOC
     assert zlib.crc32(b"123456789") == 0xCBF43926
+
+
+def test_documented_text_that_is_not_utf8_is_shown_as_far_as_it_can_be() -> None:
+    found = re.search(r"is not UTF-8, as an error of code 10: `([0-9a-f]+)`", DOC)
+    assert found
+    assert Decoder().feed(bytes.fromhex(found[1])) == [Packet(3, Refusal(10, "??skin"))]
+    (packet,) = Decoder().feed(intact(1, Kind.CAPABILITIES, LAYOUTS[Kind.CAPABILITIES].pack(NAMELESS) + b"\xff" * 32))
+    assert isinstance(packet.message, Capabilities)
+    assert packet.message.name == "?" * 32
+
+
+NAMELESS = protocol.to_fields(replace(VECTORS["CAPABILITIES"], name=""))  # type: ignore[type-var]
+
+
+def test_the_documented_blocks_without_a_zero_are_what_travels() -> None:
+    from cobs import cobs
+
+    stuffed = re.findall(r"^\| \d+ bytes `(\w\w) \.\. (\w\w)` \| `(.*)` \|$", DOC, re.M)
+    assert len(stuffed) == 4
+    for first, last, expected in stuffed:
+        data = bytes(range(int(first, 16), int(last, 16) + 1))
+        runs = re.sub(
+            r"(\w\w) \.\. (\w\w)", lambda run: bytes(range(int(run[1], 16), int(run[2], 16) + 1)).hex(), expected
+        )
+        assert cobs.encode(data) == bytes.fromhex(runs)
+    full = b"\xff" + bytes(range(1, 255))
+    assert cobs.decode(full + b"\x01") == cobs.decode(full) == full[1:]
+
+
+def test_frames_are_numbered_modulo_two_to_the_32() -> None:
+    frame = Frame(PATTERN, np.zeros(3), np.ones(2), 0.0, 2**32 + 5)
+    assert FrameData.of(frame).number == 5

@@ -122,10 +122,11 @@ static void scan_slot(session_t *session, uint16_t sequence, const uint8_t *payl
         .digest = pattern->digest,
         .number = ++session->frames,
         .time = outcome.time,
-        .flags = outcome.flags | (session->frames == 1 ? FLAG_FIRST : 0),
+        .flags = outcome.flags | (session->scanned ? 0 : FLAG_FIRST),
         .n_inj = pattern->n_inj,
         .n_meas = pattern->n_meas,
     };
+    session->scanned = true;
     memcpy(session->packet.bytes + HEADER_BYTES, &frame, sizeof frame);
     reply(session, KIND_FRAME, sequence, sizeof frame + sizeof(reading_t) * (size_t)(frame.n_inj + frame.n_meas));
 }

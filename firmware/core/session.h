@@ -2,6 +2,7 @@
 #ifndef SESSION_H
 #define SESSION_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #include "cobs.h"
@@ -33,7 +34,8 @@ typedef struct {
     cobs_decoder_t decoder;
     packet_t packet;
     pattern_t patterns[PATTERN_SLOTS];
-    uint32_t frames;  /* since the start */
+    uint32_t frames;  /* since the start, modulo 2^32 */
+    bool scanned;     /* whether a frame was sent since the start */
 } session_t;
 
 void session_start(session_t *session);

@@ -174,6 +174,35 @@ static void every_length_and_zero_survives_stuffing(void)
     }
 }
 
+/* The vectors of docs/protocol.md: runs of 253, 254 and 255 bytes without a zero, and 254 behind one. */
+static void full_blocks_are_stuffed_as_documented(void)
+{
+    uint8_t data[256], expected[260];
+    for (size_t i = 0; i < 256; i++)
+        data[i] = (uint8_t)i;
+    const struct { size_t from, size; } cases[] = {{1, 253}, {1, 254}, {1, 255}, {0, 255}};
+    for (size_t k = 0; k < 4; k++) {
+        size_t n = 0, at = cases[k].from;
+        const size_t end = at + cases[k].size;
+        if (at == 0) {
+            expected[n++] = 1;
+            at++;
+        }
+        const size_t run = end - at < 254 ? end - at : 254;
+        expected[n++] = (uint8_t)(run + 1);
+        memcpy(expected + n, data + at, run);
+        n += run;
+        if (end - at > run) {
+            expected[n++] = 2;
+            expected[n++] = 0xFF;
+        }
+        expected[n++] = 0;
+        fake_start();
+        cobs_send(data + cases[k].from, cases[k].size, board_send);
+        CHECK(sent_is(expected, n));
+    }
+}
+
 static void the_vectors_are_answered_by_vectors(void)
 {
     start();
@@ -191,6 +220,7 @@ static void the_vectors_are_answered_by_vectors(void)
     CHECK(sent_is(VECTOR_ACK, sizeof VECTOR_ACK));
     fake.n_sent = 0;
 
+    session.scanned = true;
     session.frames = 6; /* the frame of the document: number 7 at 1.5 s, 2 mA each, 0.25 V, something, clipped */
     feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
     const message_frame_t told = frame();
@@ -383,6 +413,12 @@ static void a_request_may_be_repeated(void)
         const message_frame_t told = frame();
         CHECK(told.number == again && got.header.sequence == 3);
         CHECK(told.flags == (again == 1 ? FLAG_FIRST : 0));
+    }
+    session.frames = UINT32_MAX;
+    for (unsigned again = 0; again < 2; again++) { /* the number wraps, and no frame is the first again */
+        feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
+        const message_frame_t told = frame();
+        CHECK(told.number == again && told.flags == 0);
     }
     feed(VECTOR_PATTERN, sizeof VECTOR_PATTERN); /* one after the other without waiting */
     feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
@@ -595,6 +631,7 @@ int main(void)
 #define TEST(name) {#name, name}
         TEST(checksum_and_stuffing_are_those_of_the_document),
         TEST(every_length_and_zero_survives_stuffing),
+        TEST(full_blocks_are_stuffed_as_documented),
         TEST(the_vectors_are_answered_by_vectors),
         TEST(every_refusal_has_its_code),
         TEST(presses_are_passed_on_or_refused),

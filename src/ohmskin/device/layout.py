@@ -115,7 +115,7 @@ class Layout:
         """The values that `payload` carries, without the counts.
 
         Raises:
-            ProtocolError: If its length does not fit the layout or its text is not UTF-8.
+            ProtocolError: If its length does not fit the layout.
         """
         offset = self._struct.size
         if len(payload) < offset:
@@ -126,10 +126,8 @@ class Layout:
             if field.limit:
                 if len(payload) - offset > field.limit:
                     raise ProtocolError(f"text has {len(payload) - offset} bytes; at most {field.limit}")
-                try:
-                    return {**values, field.name: payload[offset:].decode()}
-                except UnicodeDecodeError as error:
-                    raise ProtocolError(f"text is not UTF-8: {error}") from error
+                text = payload[offset:].decode(errors="replace").replace("\ufffd", "?")  # never more bytes than came
+                return {**values, field.name: text}
             count = values.pop(field.count)
             end = offset + count * field.size
             if len(payload) < end:

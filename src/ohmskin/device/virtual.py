@@ -15,7 +15,7 @@ from ohmskin.child import Child
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceLost, DeviceRefused, ModelError, SkinError
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.scan import DrivePattern, Frame, FrameFlag
 from ohmskin.skin import Fault, Skin, VirtualSkin
 
 
@@ -41,7 +41,8 @@ class VirtualInstrument:
         frame = self._skin.scan(pattern)
         if self._realtime and (left := started + self._skin.duration(pattern) - time.monotonic()) > 0:
             time.sleep(left)
-        return replace(frame, time=time.monotonic())
+        first = FrameFlag.FIRST if frame.sequence == 1 else FrameFlag(0)
+        return replace(frame, time=time.monotonic(), flags=frame.flags | first)
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
         try:
