@@ -123,6 +123,7 @@ LONG = {
     "test_policies.py::test_the_report_has": "experiments in test_trouble.py",
     "test_recorder.py::test_at_most_ten*[[]302": "the same killed at two other moments",
     "test_recorder.py::test_at_most_ten*[[]353": "the same killed at two other moments",
+    "test_recorder.py::test_killed_at_other": "the same killed at two other moments",
     "test_recorder.py::test_live_records_too": "the recorder and the command that is made for it",
     "test_recorder.py::test_the_guides_example": "the recorder it calls",
     "test_replay.py::test_pictures_and_films": "the replay, and pictures of single images",
