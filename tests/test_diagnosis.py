@@ -277,6 +277,9 @@ def test_values_that_stop_at_one_size_are_taken_for_clipped(engine: Engine) -> N
     device_of(engine).spoil = lambda frame: replace(frame, voltages=np.clip(frame.voltages, -0.1, 0.1))
     assert sum(counts(run(engine, 40))) == 0
     assert "voltages of a frame clip; left out" in engine.message
+    device_of(engine).spoil = None
+    run(engine, 1)  # it still holds, but not of this frame
+    assert engine.message.startswith("some voltages of a frame clip")
 
 
 @pytest.mark.parametrize("volts", [np.nan, np.inf, 3e38, -3e38])

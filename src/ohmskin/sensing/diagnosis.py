@@ -120,9 +120,9 @@ class Diagnosis:
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":
-                return f"{self.lost.get('missing', 0)} voltages of a frame are missing; left out"
+                return f"{self.lost.get('missing') or 'some'} voltages of a frame are missing; left out"
             case "clipped":
-                return f"{self.lost.get('clipped', 0)} voltages of a frame clip; left out"
+                return f"{self.lost.get('clipped') or 'some'} voltages of a frame clip; left out"
             case "spikes":
                 return "single values contradict all others; left out"
             case "injection":
