@@ -12,13 +12,14 @@ from ohmskin.arrays import Floats
 from ohmskin.calibrate import fit_sheet
 from ohmskin.client.felt import Patch
 from ohmskin.contacts import Contact, in_frame
-from ohmskin.drive import complete_pattern
+from ohmskin.drive import complete_pattern, pair_weights
 from ohmskin.engine import Engine
-from ohmskin.errors import GeometryError, SkinError
+from ohmskin.errors import GeometryError, PatternError, SkinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Band, Chart, Disc, Electrodes, Mesh, Raster, Rectangle, RevolutionChart, mesh_domain
 from ohmskin.geometry.mesh import folded, shortest
+from ohmskin.inverse import Image
 from ohmskin.outlets.picture import Picture
 from ohmskin.scan import Difference, skip
 from ohmskin.skin import Skin, VirtualSkin
@@ -335,3 +336,18 @@ def test_a_chart_of_a_disc_is_the_disc() -> None:
     assert isinstance(chart.domain, Disc)
     assert chart.domain.radius == pytest.approx(0.1)
     np.testing.assert_allclose(chart.points([[0.03, 0.04]]), [[0.03, 0.04, 0.0]], atol=1e-9)
+
+
+def test_a_contact_in_an_image_on_a_surface_in_space_has_three_coordinates() -> None:
+    chart = SHEETS["sleeve"].chart
+    mesh = mesh_domain(chart.domain, 8e-3).mapped(chart.points)
+    place = chart.points([[0.1, 0.07]])[0]
+    values = np.exp(-np.sum((mesh.centroids - place) ** 2, axis=1) / 2e-4)
+    image = Image(values, lambda elements: np.zeros(np.size(elements)))
+    (contact,) = ohm.ContactFinder(0.3).find(image, mesh)
+    assert contact.position == pytest.approx(tuple(place), abs=2e-3)
+
+
+def test_eq_7_is_refused_in_space() -> None:
+    with pytest.raises(PatternError, match="flat map"):
+        pair_weights(np.zeros((4, 3)), np.zeros((1, 3)))

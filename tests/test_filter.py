@@ -172,6 +172,19 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
         np.testing.assert_allclose(scan.caused_by(change[:, 0]), expected, rtol=1e-9)
 
 
+def test_directions_that_depend_on_each_other_are_taken_off_once() -> None:
+    """Forty of which six differ, as of contacts at one place: what rounding leaves must not grow from one to the next."""
+    random = np.random.default_rng(0)
+    few = 1e6 * random.standard_normal((120, 6))
+    many = few @ random.standard_normal((6, 40))
+    whole = random.standard_normal((200, 121))
+    vector = random.standard_normal(121)
+    misfit = Misfit(whole.T @ whole, vector, 1e3, np.empty((0, 121)))
+    once, often = misfit.without(few), misfit.without(many)
+    np.testing.assert_allclose(often.matrix, once.matrix, atol=1e-6 * np.abs(misfit.whole).max())
+    assert often.constant == pytest.approx(once.constant, rel=1e-6)
+
+
 def test_data_of_driven_electrodes_count_as_much_less_as_their_larger_changes_err_more() -> None:
     scan = random_difference(base_pattern(SKIN.electrodes).with_driven, 2)
     driven = scan.pattern.driven

@@ -16,7 +16,8 @@ class Contact:
     """One place where the skin is touched.
 
     Args:
-        position: (x, y) in metres, on the skin's map (`Chart`); velocity and covariance are on the map, too.
+        position: (x, y) in metres, on the skin's map (`Chart`), as velocity and covariance are; (x, y, z) in an image
+            of a surface in space.
         extent: Area where the image exceeds half its peak (m2).
         strength: Integral of the relative conductivity change over that area (m2); negative where conductivity fell.
         confidence: Probability that the peak exceeds the detection threshold, given the noise (0 to 1).
@@ -77,7 +78,7 @@ class ContactFinder:
                 std = max(float(image.contrast_std(region.peak_element)[0]), 1e-300)
                 contacts.append(
                     Contact(
-                        position=tuple(middle(cells, core, mass)[:2].tolist()),
+                        position=tuple(middle(cells, core, mass).tolist()),
                         extent=float(cells.measures[core].sum()),
                         strength=sign * float(mass.sum()),
                         confidence=0.5 * (1 + erf((region.peak - self.threshold) / (sqrt(2) * std))),

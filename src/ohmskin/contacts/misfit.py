@@ -9,6 +9,8 @@ from scipy.linalg.blas import dtrmm
 
 from ohmskin.arrays import Floats
 
+_ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
+
 Parts = tuple[Floats, Floats, float]
 
 
@@ -84,6 +86,9 @@ def _taken_off(rows: Floats, directions: Floats, vector: Floats) -> float:
     constant = 0.0
     for i in range(len(rows)):
         row, direction = rows[i], directions[i]
+        whole = 0.0
+        for k in range(len(direction)):
+            whole += row[k] * direction[k]
         for before in rows[:i]:
             share = 0.0
             for k in range(len(direction)):
@@ -94,6 +99,9 @@ def _taken_off(rows: Floats, directions: Floats, vector: Floats) -> float:
         for k in range(len(direction)):
             power += row[k] * direction[k]
             told += vector[k] * direction[k]
+        if power < _ROUNDED * whole:  # those before are it already; what rounding leaves would grow from one to the next
+            row[:] = 0.0
+            continue
         root = np.sqrt(1 + max(power, 0.0))  # rounding may make it negative where it is not seen
         told /= root
         for k in range(len(row)):

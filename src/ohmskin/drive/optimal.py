@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.drive import SecondScan
+from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
 from ohmskin.geometry.mesh import folded, shortest, tree
 from ohmskin.scan import all_pairs
@@ -24,6 +25,8 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike, period: float = 0.0) 
         period: Of a closed band, on which lines go the short way round; 0 of others (m).
     """
     positions, anchors = np.asarray(positions, float), np.asarray(anchors, float)
+    if positions.shape[1] != 2:
+        raise PatternError("eq. (7) chooses pairs on the flat map of a skin, not in space; see Chart")
     i, j = all_pairs(len(positions)).T
     along = shortest(positions[j] - positions[i], period)
     middle = positions[i] + along / 2

@@ -49,7 +49,11 @@ def draw_mesh(
         "linewidths": 0.3 if edges else 0.0,
         "edgecolors": "0.35" if edges else "none" if in_space else "face",
     }
-    corners = 1e3 * (mesh.corners if mesh.period else mesh.nodes[shown])
+    corners = 1e3 * mesh.nodes[shown]
+    if mesh.period:  # what lies across the seam is seen at both sides
+        shifts = 1e3 * np.array([[-mesh.period, 0], [0, 0], [mesh.period, 0]])
+        corners = (1e3 * mesh.corners + shifts[:, None, None]).reshape(-1, 3, 2)
+        colours = None if colours is None else np.tile(colours, 3)
     made: PolyCollection = (Poly3DCollection if in_space else PolyCollection)(corners, cmap=_SHADES, **style)
     if colours is None:
         made.set_facecolor("white" if edges else "0.9")
@@ -57,6 +61,7 @@ def draw_mesh(
         made.set_array(colours)
     axes.add_collection(made)
     low, high = 1e3 * mesh.nodes.min(axis=0), 1e3 * mesh.nodes.max(axis=0)
+    high[0] = 1e3 * mesh.period or high[0]
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x / mm", ylabel="y / mm")
     if isinstance(axes, Axes3D):
         axes.set(zlim=(low[2], high[2]), zlabel="z / mm")
