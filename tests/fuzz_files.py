@@ -36,7 +36,7 @@ RIM8 = Skin.parse(
     "[imaging]\nmesh_size = 20e-3\n[electrode]\nlayout = 'rim'\ncount = 8\n[contact_layer]\ncolumns = 8\nrows = 8\n"
     "patch = 0.02"
 )
-COARSE = Skin.parse("[imaging]\nmesh_size = 12e-3\n[contact_layer]\ncolumns = 8\nrows = 8\npatch = 0.02")
+COARSE = Skin.parse("[imaging]\nmesh_size = 12e-3\n[contact_layer]\ncolumns = 6\nrows = 6\npatch = 0.02")
 WORDS = (
     "",
     " ",

@@ -84,7 +84,7 @@ def mixed(packets: list[bytes], rng: random.Random) -> bytes:
         case 0:
             rng.shuffle(made)
         case 1:
-            made *= rng.choice((2, 20))
+            made *= rng.choice((2, 3))
         case 2:
             made.insert(rng.randrange(len(made) + 1), rng.randbytes(rng.choice((1, 100, 70000))))
         case 3:
