@@ -254,7 +254,7 @@ def test_a_lost_device_is_found_again_and_felt_again(skin: Skin, monkeypatch: py
     assert told[-1] == "device is back"
 
 
-@pytest.mark.parametrize("error", [ProtocolError("another digest"), DeviceRefused("on fire"), DeviceError("odd")])
+@pytest.mark.parametrize("error", [ProtocolError("another digest"), DeviceRefused("on fire")])
 def test_a_reply_that_makes_no_sense_ends_a_connection_and_no_loop(
     skin: Skin, monkeypatch: pytest.MonkeyPatch, error: DeviceError
 ) -> None:
