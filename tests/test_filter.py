@@ -173,7 +173,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
 
 
 def test_directions_that_depend_on_each_other_are_taken_off_once() -> None:
-    """Forty of which six differ, as of contacts at one place: what rounding leaves must not grow from one to the next."""
+    """Forty of which six differ, as of contacts at one place: what rounding leaves must not grow."""
     random = np.random.default_rng(0)
     few = 1e6 * random.standard_normal((120, 6))
     many = few @ random.standard_normal((6, 40))

@@ -69,3 +69,7 @@ class DeviceRefused(DeviceError):
 
 class ProtocolError(DeviceError, ValueError):
     """Bytes that are not a valid message of this protocol version."""
+
+
+LINK_ERRORS = DeviceLost, DeviceRefused, ProtocolError
+"""What a new connection may mend."""

@@ -99,7 +99,7 @@ def _taken_off(rows: Floats, directions: Floats, vector: Floats) -> float:
         for k in range(len(direction)):
             power += row[k] * direction[k]
             told += vector[k] * direction[k]
-        if power < _ROUNDED * whole:  # those before are it already; what rounding leaves would grow from one to the next
+        if power < _ROUNDED * whole:  # those before are it already, and what rounding leaves would grow
             row[:] = 0.0
             continue
         root = np.sqrt(1 + max(power, 0.0))  # rounding may make it negative where it is not seen

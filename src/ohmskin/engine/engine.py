@@ -15,16 +15,7 @@ from ohmskin.engine.health import HealthMonitor
 from ohmskin.engine.notices import Notices
 from ohmskin.engine.quiet import QuietFrames, check_usable
 from ohmskin.engine.touch import State, Touch
-from ohmskin.errors import (
-    DataError,
-    DeviceError,
-    DeviceLost,
-    DeviceRefused,
-    ModelError,
-    OhmskinError,
-    PatternError,
-    ProtocolError,
-)
+from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, DeviceLost, ModelError, OhmskinError, PatternError
 from ohmskin.scan import DrivePattern, Frame, assess, needed
 from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
 from ohmskin.skin import Mode, Skin
@@ -147,7 +138,7 @@ class Engine(Closing):
         self.scans_made = 0
         try:
             self._sensed, percept = self.sensor.step(self._sensed, self._scan)
-        except (DeviceLost, DeviceRefused, ProtocolError) as error:  # a new connection may help
+        except LINK_ERRORS as error:  # a new connection may help
             self._lose(error)
             return None
         except (DataError, ModelError) as error:  # of these data; the next ones may be better
