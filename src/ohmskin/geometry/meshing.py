@@ -46,6 +46,8 @@ def mesh_domain(
     if domain.area / size**2 > 4e6:
         raise GeometryError(f"mesh size {size!r} m makes over four million nodes; choose a coarser one")
     fixed = np.empty((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)
+    seam = _seam(domain, fixed)
+    fixed = folded(fixed - seam, domain.period)
     depth = domain.depth(fixed)
     tolerance = 1e-9 * domain.perimeter
     if len(outside := np.flatnonzero(~(depth >= -tolerance))):
@@ -82,9 +84,20 @@ def mesh_domain(
         nodes[len(kept) :] += np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
         nodes = folded(nodes, around)
         triangles = _triangulate(nodes, size, domain)
+    nodes = folded(nodes + seam, around)
     if isinstance(domain, Polygon | Band):
         return _checked(nodes, triangles, domain, size)
     return Mesh(nodes, triangles)
+
+
+def _seam(domain: Domain, points: Floats) -> Floats:
+    """Where a closed band is cut to mesh it (2,): farthest from its points (n, 2), of which those on a circle may be
+    joined in several ways, as their copies across the cut must not be."""
+    if not domain.period or not len(points):
+        return np.zeros(2)
+    x = np.sort(points[:, 0] % domain.period)
+    gaps = np.diff(x, append=x[0] + domain.period)
+    return np.array([x[gaps.argmax()] + gaps.max() / 2, 0.0])
 
 
 def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
