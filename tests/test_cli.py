@@ -31,7 +31,7 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["live", "--skin", "nosuch"], "no skin named 'nosuch'; give a .toml file or one of ktc2023, paper"),
+        (["live", "--skin", "nosuch"], "no skin named 'nosuch'; give a .toml file or one of dome, ktc2023, paper"),
         (["live", "--device", "tcp://127.0.0.1:1"], "serve-skin"),
         (["live", "--device", "nosuch:1"], "no driver for 'nosuch:1'"),
         (["live", "--mode", "99Z", "--headless"], "'99Z' is not possible"),

@@ -239,6 +239,7 @@ RASTER = {"x0": 0.05, "y0": 0.05, "pitch": 0.1, "nx": 2, "ny": 2}
 def shown() -> Iterator[Any]:
     """Boards of two patches; the left one is touched and has an image."""
     setup = {"patches": [asdict(LEFT)], "domain": {"kind": "rectangle", "width": 0.2, "height": 0.2}, "raster": RASTER}
+    setup["points"] = [number for y in (0.05, 0.15) for x in (0.05, 0.15) for number in LEFT.place(x, y)]
     left, picture = Board("torso.left", setup, LARGEST), Board("torso.left.image", setup, 100)
     merger = Merger("torso", [LEFT, RIGHT], ["torso.left", "torso.right"])
     speak(left, LEFT, 5, 1)

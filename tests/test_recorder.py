@@ -76,16 +76,14 @@ def found_when_killed_at_500_frames_a_second(path: Path, count: int) -> int:
 
 
 @pytest.mark.parametrize("count", [251, 302, 353, 404])
-def test_at_most_ten_frames_are_lost_when_everything_is_killed_at_500_frames_a_second(
-    tmp_path: Path, count: int
-) -> None:
-    assert 0 <= count - found_when_killed_at_500_frames_a_second(tmp_path / "a.mcap", count) <= 10
+def test_at_most_50_ms_are_lost_when_everything_is_killed_at_500_frames_a_second(tmp_path: Path, count: int) -> None:
+    assert 0 <= count - found_when_killed_at_500_frames_a_second(tmp_path / "a.mcap", count) <= 25
 
 
 @pytest.mark.parametrize("count", range(37, 500, 29))
 def test_killed_at_other_moments_it_loses_no_more(tmp_path: Path, count: int) -> None:
     """With the four above, twenty kills."""
-    assert 0 <= count - found_when_killed_at_500_frames_a_second(tmp_path / "a.mcap", count) <= 10
+    assert 0 <= count - found_when_killed_at_500_frames_a_second(tmp_path / "a.mcap", count) <= 25
 
 
 def test_when_only_the_loop_is_killed_the_file_is_finished(tmp_path: Path) -> None:
