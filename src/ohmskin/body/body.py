@@ -12,7 +12,7 @@ from ohmskin.client.felt import MOST_PATCHES, Patch
 from ohmskin.errors import OhmskinError, SkinError
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin, shipped_skins
-from ohmskin.skin.checks import check_names, is_number, read_text, read_toml
+from ohmskin.skin.checks import beside, check_names, is_number, read_text, read_toml
 
 _LARGEST_FILE, _LARGEST_URDF = 2**20, 16 * 2**20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
@@ -100,7 +100,7 @@ def _body(data: Mapping[str, Any], folder: Path) -> Body:
     tables = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
     if not tables or not 1 <= len(entries) <= MOST_PATCHES:
         raise SkinError(f"there must be 1 to {MOST_PATCHES} tables [[patch]]")
-    links = read_links(_inside(folder, data["urdf"], "urdf")) if "urdf" in data else None
+    links = read_links(beside(folder, data["urdf"], "urdf", "body file")) if "urdf" in data else None
     skins: dict[str, Skin] = {}
     patches = tuple(_placed(entry, number, folder, links, skins) for number, entry in enumerate(entries, start=1))
     names = [placed.patch.name for placed in patches]
@@ -134,7 +134,7 @@ def _placed(
 
 def _skin(folder: Path, source: str) -> Skin:
     if source.endswith(".toml"):
-        return Skin.load(_inside(folder, source, "skin"))
+        return Skin.load(beside(folder, source, "skin", "body file"))
     if source not in shipped_skins():  # not even if there is such a file somewhere
         raise SkinError(f"no skin named {source!r}; give a .toml file beside it or one of {', '.join(shipped_skins())}")
     return Skin.load(source)
@@ -149,18 +149,8 @@ def _device(folder: Path, address: str) -> str:
         return "virtual:"
     if kind == "replay":
         name, mark, settings = rest.partition("?")
-        return f"replay:{_inside(folder, name, 'device')}{mark}{settings}"
+        return f"replay:{beside(folder, name, 'device', 'body file')}{mark}{settings}"
     return address
-
-
-def _inside(folder: Path, name: Any, what: str) -> Path:
-    """A file that another file names: it must lie in that one's folder."""
-    if not isinstance(name, str):
-        raise SkinError(f"{what} is {name!r}; it must be the name of a file")
-    path = (folder / name).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise SkinError(f"{what} {name!r} lies outside the folder of the body file; put it beside that")
-    return path
 
 
 def _text(data: Mapping[str, Any], name: str, default: str | None, allowed: re.Pattern[str]) -> str:

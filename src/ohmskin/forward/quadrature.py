@@ -5,13 +5,13 @@ from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry import ElectrodeKind, Electrodes, Mesh
 from ohmskin.geometry.mesh import facet_measures, normals
 from ohmskin.geometry.polygon import ClosedLine
+from ohmskin.geometry.surface import Triangles, closed_walks, closest_on_triangles
 
 _EXACT = {  # barycentric coordinates of points of equal weight, exact to the second degree
     2: np.array([[1 + 3**-0.5, 1 - 3**-0.5], [1 - 3**-0.5, 1 + 3**-0.5]]) / 2,
@@ -98,23 +98,19 @@ def flat_disc(mesh: Mesh, centre: Floats, radius: float) -> ElectrodeQuadrature:
     return ElectrodeQuadrature(at, areas[inside])
 
 
-class Surface:
+class Surface(Triangles):
     """The triangles of a mesh in space that can be touched: those of a surface, or the faces of a thick skin."""
 
     def __init__(self, mesh: Mesh) -> None:
+        super().__init__(mesh.nodes, mesh.elements if mesh.dim == 2 else mesh.boundary)
         self.mesh = mesh
-        self.triangles: Ints = mesh.elements if mesh.dim == 2 else mesh.boundary
-        corners = mesh.nodes[self.triangles]
-        self._centroids: Floats = corners.mean(axis=1)
-        self._reach = float(np.linalg.norm(corners - self._centroids[:, None], axis=2).max())
-        self._tree = cKDTree(self._centroids)
 
     def disc(self, centre: Floats, radius: float) -> ElectrodeQuadrature:
         """A disc in the tangent plane at the point of the surface closest to `centre`, pressed on the surface.
 
         What reaches beyond an edge of the surface is cut off.
         """
-        near = np.array(self._tree.query_ball_point(centre, 2 * self._reach + 2 * radius), np.int64)
+        near = np.array(self.centroids.query_ball_point(centre, 2 * self.reach + 2 * radius), np.int64)
         if not len(near):
             return ElectrodeQuadrature(sp.csr_array((0, self.mesh.n_nodes)), np.empty(0))
         corners = self.mesh.nodes[self.triangles[near]]
@@ -150,48 +146,6 @@ class Surface:
         inside = sideways <= np.abs(offset @ normal) + 1e-9 * radius
         return ElectrodeQuadrature(self.mesh.weighted(nodes[inside], weights[inside]), areas[inside])
 
-    def project(self, points: Floats, among: Ints | None = None) -> tuple[Ints, Floats, Floats]:
-        """The closest surface point of each point (n, 3): nodes (n, 3), barycentric coordinates (n, 3), distance (n,).
-
-        Looks at the triangles `among` (m,), or at the 24 with the closest centroids, which serves without slivers.
-        """
-        chosen, weights, distance = np.empty(len(points), np.int64), np.empty((len(points), 3)), np.empty(len(points))
-        size = 4096 if among is None else 64
-        for start in range(0, len(points), size):  # in blocks, to save memory
-            block = slice(start, start + size)
-            count = min(24, len(self.triangles))
-            near = among if among is not None else self._tree.query(points[block], k=range(1, count + 1))[1]
-            away, barycentric = closest_on_triangles(points[block], self.mesh.nodes[self.triangles[near]])
-            row, best = np.arange(len(away)), away.argmin(axis=1)
-            chosen[block] = np.broadcast_to(near, away.shape)[row, best]
-            weights[block], distance[block] = barycentric[row, best], away[row, best]
-        return self.triangles[chosen], weights, distance
-
-
-def closest_on_triangles(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
-    """Distances (n, m) of points (n, 3) from triangles, and barycentric coordinates (n, m, 3) of the closest points.
-
-    The corners are (m, 3, 3) of the same triangles for all, or (n, m, 3, 3).
-    """
-    corners = corners if corners.ndim == 4 else corners[None]
-    edges = corners[:, :, 1:] - corners[:, :, :1]
-    inner = np.linalg.solve(np.einsum("nmid,nmjd->nmij", edges, edges), edges)
-    offset = points[:, None] - corners[:, :, 0]
-    local = np.matmul(inner, offset[..., None])[..., 0]
-    best = np.concatenate([1 - local.sum(axis=2, keepdims=True), local], axis=2)
-    plane = np.linalg.norm(offset - np.matmul(local[..., None, :], edges)[..., 0, :], axis=2)
-    distance = np.where((best >= 0).all(axis=2), plane, np.inf)
-    for k in range(3):
-        start, step = corners[:, :, k], corners[:, :, (k + 1) % 3] - corners[:, :, k]
-        along = np.sum((points[:, None] - start) * step, axis=2) / np.sum(step**2, axis=2)
-        share = np.clip(along, 0.0, 1.0)
-        length = np.linalg.norm(points[:, None] - start - share[..., None] * step, axis=2)
-        on_edge = np.zeros_like(best)
-        on_edge[:, :, k], on_edge[:, :, (k + 1) % 3] = 1 - share, share
-        best = np.where((length < distance)[..., None], on_edge, best)
-        distance = np.minimum(distance, length)
-    return distance, best
-
 
 class Rim:
     """The rim of a sheet, flat or in space, as closed walks along its edges.
@@ -206,7 +160,7 @@ class Rim:
         if not len(mesh.boundary):
             raise GeometryError("the surface is closed and has no rim; use Electrodes.with_discs()")
         self.mesh = mesh
-        self._walks = _walks(mesh.boundary)
+        self._walks = closed_walks(mesh.boundary)
         self._lines = [ClosedLine(mesh.nodes[walk]) for walk in self._walks]
         self._taken: list[tuple[int, float, float, int]] = []
         self._stretches: dict[int, ClosedLine] = {}
@@ -258,24 +212,3 @@ class Rim:
         nodes = np.column_stack([walk[side], walk[side + 1]])
         at = self.mesh.weighted(np.tile(nodes, (2, 1)), np.column_stack([1 - share, share]))
         return ElectrodeQuadrature(at, np.concatenate([half, half]))
-
-
-def _walks(edges: Ints) -> list[Ints]:
-    """Closed walks along edges (n, 2), each as node numbers with the first repeated at its end.
-
-    They begin in the direction of their first edge, which is counterclockwise round a flat sheet.
-    """
-    beside: dict[int, list[int]] = {}
-    for a, b in edges.tolist():
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
-    if pinched := [node for node, others in beside.items() if len(others) != 2]:
-        raise GeometryError(f"the rim touches itself at node {pinched[0]}; part the mesh there")
-    walks = []
-    while beside:
-        walk = [next(iter(beside))]
-        while walk[-1] in beside:
-            ahead = [node for node in beside.pop(walk[-1]) if node in beside]
-            walk.append(ahead[0] if ahead else walk[0])
-        walks.append(np.array(walk, np.int64))
-    return walks

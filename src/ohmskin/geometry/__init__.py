@@ -5,7 +5,8 @@ from ohmskin.geometry.cells import Cells
 from ohmskin.geometry.chart import Chart, FlatChart, RevolutionChart
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
-from ohmskin.geometry.files import read_groups, read_mesh, write_mesh
+from ohmskin.geometry.files import read_groups, read_mesh, read_surface, write_mesh
+from ohmskin.geometry.flatten import MeshChart, flat_patch
 from ohmskin.geometry.graded import mesh_graded, mesh_surface
 from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.meshing import electrode_points, mesh_domain
@@ -23,16 +24,19 @@ __all__ = [
     "Electrodes",
     "FlatChart",
     "Mesh",
+    "MeshChart",
     "Polygon",
     "Raster",
     "Rectangle",
     "RevolutionChart",
     "electrode_points",
+    "flat_patch",
     "mesh_domain",
     "mesh_graded",
     "mesh_surface",
     "read_groups",
     "read_mesh",
+    "read_surface",
     "thicken",
     "write_mesh",
 ]

@@ -53,6 +53,13 @@ def _places(places: ArrayLike) -> Floats:
     return np.asarray(places, float).reshape(-1, 2)
 
 
+def check_even(scale: Floats) -> None:
+    """Raise GeometryError if the scale of a map (n,) is far larger in one place than in another."""
+    if scale.max() > _MOST_UNEVEN * scale.min():
+        uneven = f"the map of this skin is {scale.max() / scale.min():.2g} times as fine in one place as in another"
+        raise GeometryError(f"{uneven}, {_MOST_UNEVEN:g} are allowed; cut it into two skins")
+
+
 @dataclass(frozen=True)
 class FlatChart:
     """A flat skin in the plane z = 0, its own map.
@@ -132,9 +139,7 @@ class RevolutionChart:
             along, scale = self._unit * across, r / self._unit
             width, height = turn * self._unit, float(along[-1])
             self.domain = Band(width, height) if whole else Rectangle(width, height)
-        if scale.max() > _MOST_UNEVEN * scale.min():
-            uneven = f"the map of this skin is {scale.max() / scale.min():.2g} times as fine in one place as in another"
-            raise GeometryError(f"{uneven}, {_MOST_UNEVEN:g} are allowed; cut it into two skins")
+        check_even(scale)
         self.flat = bool(np.ptp(scale) < 1e-9)
         self._scale, self._profile = CubicSpline(along, scale), CubicSpline(along, fine)
         self._along, self._fine, self._tree = along, fine, cKDTree(fine)

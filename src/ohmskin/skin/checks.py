@@ -13,7 +13,7 @@ from ohmskin.scan import n_pairs
 
 _MOST_ON_RIM, _MOST_GIBIBYTES, _MOST_PATCHES, _MOST_UNDER = 3000, 4, 2**14, 2000
 _TYPES = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
-_PLACES = "[x, y] in metres"
+_PLACE = "[x, y] in metres"
 
 
 def read_text(path: Path, most: int, what: str) -> str:
@@ -76,6 +76,25 @@ def choice(default: str, *choices: str) -> Any:
     return field(default=default, metadata={"choices": choices})
 
 
+def rows(row: str) -> Any:
+    """A list of such rows of numbers, [x, y] unless given; empty unless given."""
+    return field(default=(), metadata={"row": row})
+
+
+def beside(folder: Path, name: Any, what: str, other: str) -> Path:
+    """A file that another file names: it must lie in that one's folder.
+
+    Raises:
+        SkinError: If it is no name or does not lie there.
+    """
+    if not isinstance(name, str):
+        raise SkinError(f"{what} is {name!r}; it must be the name of a file")
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise SkinError(f"{what} {name!r} lies outside the folder of the {other}; put it beside that")
+    return path
+
+
 def check_table(table: str, values: Any) -> None:
     """Hold each value of a dataclass against its type and the range or the choices in its metadata.
 
@@ -86,7 +105,10 @@ def check_table(table: str, values: Any) -> None:
         value, name, told = getattr(values, entry.name), f"{table}.{entry.name}", entry.metadata
         expected: Any = get_origin(entry.type) or entry.type
         if expected is tuple:
-            fits, what = (partial(_within, told), f"numbers, each {_range(told)}") if told else (_is_place, _PLACES)
+            row = told.get("row", _PLACE)
+            fits, what = partial(_is_row, row.count(",", 0, row.index("]")) + 1), row
+            if "low" in told:
+                fits, what = partial(_within, told), f"numbers, each {_range(told)}"
             if not (isinstance(value, tuple) and all(map(fits, value))):
                 raise SkinError(f"{name} must be a list of {what}")
         elif not (is_number(value) if expected is float else type(value) is expected):
@@ -139,5 +161,5 @@ def places(given: Any) -> Any:
     return tuple(tuple(place) if isinstance(place, list) else place for place in given)
 
 
-def _is_place(place: Any) -> bool:
-    return isinstance(place, tuple) and len(place) == 2 and all(is_number(x) and -1e3 < x < 1e3 for x in place)
+def _is_row(count: int, row: Any) -> bool:
+    return isinstance(row, tuple) and len(row) == count and all(is_number(x) and -1e3 < x < 1e3 for x in row)

@@ -151,14 +151,14 @@ class Skin:
                 text = read_text(path, _LARGEST_FILE, "skin file")
             except SkinError as error:
                 raise SkinError(f"{error}; shipped skins are {', '.join(shipped_skins())}") from error
-            return cls.parse(text, str(path))
+            return cls.parse(text, str(path), path.parent)
         if str(source) not in shipped_skins():
             raise SkinError(f"no skin named {str(source)!r}; give a .toml file or one of {', '.join(shipped_skins())}")
         return cls.parse((_LIBRARY / f"{source}{_EXTENSION}").read_text(encoding="utf-8"), str(source))
 
     @classmethod
-    def parse(cls, text: str, origin: str = "skin description") -> "Skin":
-        """Read a skin from TOML text; `origin` names it in errors.
+    def parse(cls, text: str, origin: str = "skin description", folder: Path | None = None) -> "Skin":
+        """Read a skin from TOML text; `origin` names it in errors, `folder` is where a mesh file that it names lies.
 
         Raises:
             SkinError: If the text is not valid TOML, a key is unknown, or a value is of the wrong type or out of range.
@@ -184,6 +184,8 @@ class Skin:
                     tables[key] = kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in value.items()})
                 else:
                     raise SkinError(f"{key} is {shown(value)}; it must be a table [{key}]")
+            if folder is not None and tables.get("sheet", _SHEET).file:
+                tables["sheet"] = tables["sheet"].read(folder)
             return cls(**tables)
         except SkinError as error:
             raise SkinError(f"{origin}: {error}") from None

@@ -1,13 +1,15 @@
 """The conductive sheet of a skin: its shape, flat or in space, and how it conducts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from ohmskin.errors import GeometryError, SkinError
-from ohmskin.geometry import Chart, Disc, FlatChart, Rectangle, RevolutionChart
-from ohmskin.skin.checks import choice, number, places
+from ohmskin.geometry import Chart, Disc, FlatChart, MeshChart, Rectangle, RevolutionChart, read_surface
+from ohmskin.skin.checks import beside, check_table, choice, number, places, rows
+from ohmskin.skin.surface import surface_of, surface_text
 
 _TURN = 2 * np.pi
 _PROFILE = 60  # points of the profile of a cap
@@ -22,19 +24,42 @@ class Sheet:
     there is the part `angle` of a turn about the direction of x, or all of it, a sleeve; a ``sphere``, the cap of a
     ball of `radius` about the origin down to `angle` from the positive z axis; and ``revolution``, whatever `profile`
     [distance from the axis, z] says. Its map, on which electrodes are placed and contacts told, is `RevolutionChart`.
+
+    A ``mesh`` is cut from the triangles of a `file` (STL, OBJ, ...; `scale` metres per unit of it) that lies beside the
+    skin file: what is left of them where nx x + ny y + nz z >= d (m) for each [nx, ny, nz, d] of `cut`. It is kept as
+    `surface`, the same in text, so that a skin does not depend on the file; see `MeshChart`.
     """
 
-    shape: str = choice("rectangle", "rectangle", "disc", "cylinder", "cone", "sphere", "revolution")
+    shape: str = choice("rectangle", "rectangle", "disc", "cylinder", "cone", "sphere", "revolution", "mesh")
     width: float = number(0.2, 1e-3, 10, "m")
     height: float = number(0.2, 1e-3, 10, "m")
     radius: float = number(0.1, 1e-3, 10, "m")
     top_radius: float = number(0.05, 1e-3, 10, "m")
     angle: float = number(_TURN, 0.1, _TURN, "rad")
     profile: tuple[tuple[float, float], ...] = ()
+    file: str = ""
+    scale: float = number(1.0, 1e-6, 1e3, "m per unit")
+    cut: tuple[tuple[float, ...], ...] = rows("[nx, ny, nz, d], a plane")
+    surface: str = ""
     conductivity: float = number(1.83e-3, 1e-9, 1e6, "S per square")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "profile", places(self.profile))
+        object.__setattr__(self, "cut", places(self.cut))
+
+    def read(self, folder: Path) -> "Sheet":
+        """The sheet with what is cut from its file, which lies in a folder, as its `surface`.
+
+        Raises:
+            SkinError: If the file cannot be read or lies elsewhere, or there is nothing left of it.
+        """
+        check_table("sheet", self)
+        path = beside(folder, self.file, "sheet.file", "skin file")
+        try:
+            surface = surface_text(read_surface(path, self.scale, self.cut))
+        except GeometryError as error:
+            raise SkinError(f"sheet: {error}") from None
+        return replace(self, file="", scale=1.0, cut=(), surface=surface)
 
     @property
     def chart(self) -> Chart:
@@ -53,6 +78,12 @@ class Sheet:
 def _chart(sheet: Sheet) -> Chart:
     if (sheet.shape == "revolution") != bool(sheet.profile):
         raise GeometryError('a profile and shape = "revolution" go together')
+    if sheet.file or sheet.cut:
+        raise GeometryError("a mesh file is read by Skin.load() or Sheet.read(), which keep it as surface")
+    if (sheet.shape == "mesh") != bool(sheet.surface):
+        raise GeometryError('a mesh file, or its surface, and shape = "mesh" go together')
+    if sheet.shape == "mesh":
+        return MeshChart(surface_of(sheet.surface))
     if sheet.shape == "rectangle":
         return FlatChart(Rectangle(sheet.width, sheet.height))
     if sheet.shape == "disc":
