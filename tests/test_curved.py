@@ -17,7 +17,18 @@ from ohmskin.engine import Engine
 from ohmskin.errors import GeometryError, PatternError, SkinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
-from ohmskin.geometry import Band, Chart, Disc, Electrodes, Mesh, Raster, Rectangle, RevolutionChart, mesh_domain
+from ohmskin.geometry import (
+    Band,
+    Chart,
+    Disc,
+    Electrodes,
+    Mesh,
+    Raster,
+    Rectangle,
+    RevolutionChart,
+    electrode_points,
+    mesh_domain,
+)
 from ohmskin.geometry.mesh import folded, shortest
 from ohmskin.inverse import Image
 from ohmskin.outlets.picture import Picture
@@ -120,6 +131,15 @@ def test_the_mesh_of_a_band_has_no_seam() -> None:
     assert abs(across[[0]] - across[[1]]).max() < 1e-9
     with pytest.raises(GeometryError, match="closed band"):
         Mesh(mesh.nodes, mesh.elements, period=0.2)
+
+
+@pytest.mark.parametrize("x", [0.001, 0.0045, 0.0087, 0.2514, 0.2545, 0.2602])
+def test_a_disc_beside_the_seam_of_a_band_is_meshed_alike_on_both_sides(x: float) -> None:
+    """The rings of nodes about it are circles, on which Delaunay's triangles are a matter of rounding."""
+    band = Band(0.263, 0.1615)
+    discs = Electrodes.at([[x, 0.0], [x, 0.08], [0.1, 0.0], [0.15, 0.1]]).with_discs(3.5e-3, 1e-4)
+    mesh = mesh_domain(band, 3.6e-3, electrode_points(band, discs, 8e-5), closest=0.02)
+    assert mesh.measures.sum() == pytest.approx(band.area)
 
 
 def test_the_numbers_of_a_band_do_not_depend_on_where_its_seam_is() -> None:
