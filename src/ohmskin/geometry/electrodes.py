@@ -13,6 +13,9 @@ from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Domain, Rectangle
 from ohmskin.geometry.mesh import Mesh, facet_measures
+from ohmskin.geometry.polygon import Polygon
+
+_AT_CORNER = 0.025  # of the distance of electrodes on a rim
 
 
 class ElectrodeKind(StrEnum):
@@ -225,7 +228,7 @@ class Electrodes(ReadOnly):
 
     @classmethod
     def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> Self:
-        """`count` electrodes evenly spaced along the rim of `domain`.
+        """`count` electrodes evenly spaced along the rim of `domain`; on a corner of a polygon instead of beside it.
 
         Args:
             domain: The sheet.
@@ -239,7 +242,10 @@ class Electrodes(ReadOnly):
         if not 0 <= start < 1:
             raise GeometryError(f"start {start} of the rim; it must be from 0 to below 1, a share of the rim's length")
         shares = start + (-1 if clockwise else 1) * np.arange(count) / count
-        return cls.at(domain.rim(np.mod(shares, 1.0) * domain.perimeter))
+        arcs = np.mod(shares, 1.0) * domain.perimeter
+        if isinstance(domain, Polygon):
+            arcs = to_corners(domain, arcs)
+        return cls.at(domain.rim(arcs))
 
     @classmethod
     def grid(cls, sheet: Rectangle | Band, columns: int = 4, rows: int = 4, inset: float = 0.0) -> Self:
@@ -271,3 +277,13 @@ class Electrodes(ReadOnly):
             positions += ring
             x, y = x[1:-1], y[1:-1]
         return cls(np.array(positions), tuple(rings))
+
+
+def to_corners(domain: Domain, arcs: Floats) -> Floats:
+    """Arc lengths (n,) of places spread along a rim, those beside a corner moved onto it: a mesh cannot have both."""
+    if not len(domain.corners):
+        return arcs
+    away = domain.corners - arcs[:, None]
+    away -= domain.perimeter * np.rint(away / domain.perimeter)
+    close = np.abs(away).min(axis=1) < _AT_CORNER * domain.perimeter / len(arcs)
+    return np.where(close, domain.corners[np.abs(away).argmin(axis=1)], arcs)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.geometry.domain import Domain
+from ohmskin.geometry.electrodes import to_corners
 from ohmskin.geometry.mesh import folded, shortest
 
 _APART = 1.2  # distance along the rim over that of places on a square grid: beyond the rim nothing is to be felt
@@ -62,5 +63,5 @@ def _along_rims(domain: Domain, count: int, apart: float, scale: Callable[[Float
     found = []
     for loop, (arcs, along), many in zip(loops, lengths, counts, strict=True):
         at = along[-1] * np.arange(min(int(many), count)) / min(int(many), count)
-        found.append(loop.rim(np.interp(at, along, arcs)))
+        found.append(loop.rim(to_corners(loop, np.interp(at, along, arcs))))
     return np.vstack(found)

@@ -7,13 +7,15 @@ from contextlib import ExitStack
 from dataclasses import asdict, replace
 from typing import Any
 
+import numpy as np
+
 from ohmskin.client.board import Board
 from ohmskin.client.felt import LARGEST, Felt, Patch, Sighting, felt, pack
 from ohmskin.closing import Closing
 from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
 from ohmskin.errors import PublishError
-from ohmskin.geometry import Disc, Raster
+from ohmskin.geometry import Disc, Polygon, Raster
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.relay import RelayProcess
 from ohmskin.skin import Skin
@@ -102,5 +104,8 @@ def describe_domain(skin: Skin) -> dict[str, Any]:
     domain = skin.domain
     if isinstance(domain, Disc):
         return {"kind": "disc", "radius": domain.radius}
+    if isinstance(domain, Polygon):
+        outlines = [np.round(polygon.vertices, 6).tolist() for polygon in (domain, *domain.holes)]
+        return {"kind": "polygon", "outline": outlines[0], "holes": outlines[1:]}
     x0, y0, x1, y1 = domain.bounds
     return {"kind": "band" if domain.period else "rectangle", "width": x1 - x0, "height": y1 - y0}

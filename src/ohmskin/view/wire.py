@@ -77,8 +77,8 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError) as wrong:
         what = f"the setup of the live page is incomplete or malformed ({wrong!r})"
         raise ViewError(f"{what}; docs/live-page.md lists it") from wrong
-    if kind not in ("rectangle", "disc", "band"):
-        raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle', 'disc' and 'band'")
+    if kind not in ("rectangle", "disc", "band", "polygon"):
+        raise ViewError(f"domain kind {kind!r}; the live page draws 'rectangle', 'disc', 'band' and 'polygon'")
     return dict(plain)
 
 
@@ -202,4 +202,6 @@ def _box(setup: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     domain = setup["skin"]["domain"]
     if domain["kind"] == "disc":
         return dict.fromkeys("xy", (-domain["radius"], domain["radius"]))
+    if outline := domain.get("outline"):
+        return {axis: (min(along), max(along)) for axis, along in zip("xy", zip(*outline, strict=True), strict=True)}
     return {"x": (0.0, domain["width"]), "y": (0.0, domain["height"])}

@@ -5,13 +5,44 @@ export const FOOT = 16; // px more below, room for the scale bar
 
 /** Smallest box around a domain, [x_min, y_min, x_max, y_max] in metres. */
 export function bounds(domain) {
+  if (domain.kind === "polygon") {
+    const [xs, ys] = [0, 1].map((axis) => domain.outline.map((corner) => corner[axis]));
+    return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  }
   return domain.kind === "disc"
     ? [-domain.radius, -domain.radius, domain.radius, domain.radius]
     : [0, 0, domain.width, domain.height];
 }
 
+// The point of a closed line closest to (x, y).
+function closestOn(corners, x, y) {
+  let [best, least] = [corners[0], Infinity];
+  corners.forEach(([x0, y0], i) => {
+    const [x1, y1] = corners[(i + 1) % corners.length];
+    const along = ((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / ((x1 - x0) ** 2 + (y1 - y0) ** 2);
+    const share = Math.min(1, Math.max(0, along));
+    const at = [x0 + share * (x1 - x0), y0 + share * (y1 - y0)];
+    const away = Math.hypot(at[0] - x, at[1] - y);
+    if (away < least) [best, least] = [at, away];
+  });
+  return best;
+}
+
+function within(corners, x, y) {
+  return corners.reduce((inside, [x0, y0], i) => {
+    const [x1, y1] = corners[(i + 1) % corners.length];
+    const crossed = y0 <= y !== y1 <= y && x < x0 + ((y - y0) * (x1 - x0)) / (y1 - y0);
+    return crossed ? !inside : inside;
+  }, false);
+}
+
 /** The point of the domain closest to (x, y). */
 export function clampTo(domain, x, y) {
+  if (domain.kind === "polygon") {
+    const hole = domain.holes.find((corners) => within(corners, x, y));
+    if (hole) return closestOn(hole, x, y);
+    return within(domain.outline, x, y) ? [x, y] : closestOn(domain.outline, x, y);
+  }
   if (domain.kind === "disc") {
     const shrink = Math.min(1, domain.radius / Math.max(1e-12, Math.hypot(x, y)));
     return [x * shrink, y * shrink];

@@ -17,7 +17,7 @@ export function drawMap(c, width, height, scene) {
   c.font = `11px ${FONT}`;
   c.save();
   outline(c, f, scene.skin.domain);
-  c.clip();
+  c.clip("evenodd"); // not in holes
   if (scene.field?.values) drawImage(c, f, scene);
   if (scene.section) drawHairs(c, f, scene, ink);
   c.restore();
@@ -39,7 +39,12 @@ export function drawMap(c, width, height, scene) {
 function outline(c, f, domain) {
   c.beginPath();
   if (domain.kind === "disc") c.arc(f.x(0), f.y(0), f.scale * domain.radius, 0, 2 * Math.PI);
-  else c.rect(f.x(0), f.y(domain.height), f.scale * domain.width, f.scale * domain.height);
+  else if (domain.kind === "polygon") {
+    for (const corners of [domain.outline, ...domain.holes]) {
+      corners.forEach(([x, y], i) => (i ? c.lineTo(f.x(x), f.y(y)) : c.moveTo(f.x(x), f.y(y))));
+      c.closePath();
+    }
+  } else c.rect(f.x(0), f.y(domain.height), f.scale * domain.width, f.scale * domain.height);
 }
 
 // Where a closed band meets itself its sides are no rim.
@@ -60,7 +65,7 @@ function drawSeam(c, f, domain, ink) {
 function drawImage(c, f, scene) {
   const { x0, y0, pitch, nx, ny } = scene.field.raster;
   c.fillStyle = colourOf(0, scene.theme, 1, 0);
-  c.fill();
+  c.fill("evenodd");
   c.imageSmoothingEnabled = true;
   c.imageSmoothingQuality = "high";
   c.drawImage(
@@ -173,7 +178,7 @@ function labelSide(domain, electrode) {
     return length > 0.8 * domain.radius ? [away[0] / length, away[1] / length] : [0.7, 0.7];
   }
   const side = (v, size) => (Math.abs(v) > 0.4 * size ? Math.sign(v) : 0);
-  const [dx, dy] = [side(away[0], domain.width), side(away[1], domain.height)];
+  const [dx, dy] = [side(away[0], right - left), side(away[1], top - bottom)];
   if (!dx && !dy) return [0.7, 0.7];
   return dx && dy ? [0.85 * dx, 0.85 * dy] : [dx, dy];
 }

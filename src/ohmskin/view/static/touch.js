@@ -1,6 +1,6 @@
 // Fingers on the maps: mouse, touch and keyboard become presses. Owns the presses of this page and says what to send.
 
-import { clampTo, contains } from "./frame.js";
+import { bounds, clampTo, contains } from "./frame.js";
 
 const REACH = 16; // px, how near a held press must be to be grabbed
 const DOUBLE = 350; // ms
@@ -164,7 +164,8 @@ export class Touch {
   _showCursor(canvas) {
     if (!this._page.skin() || !this._page.virtual() || this.cursors.has(canvas)) return;
     const domain = this._page.skin().domain;
-    this.cursors.set(canvas, domain.kind === "disc" ? [0, 0] : [domain.width / 2, domain.height / 2]);
+    const [left, bottom, right, top] = bounds(domain);
+    this.cursors.set(canvas, clampTo(domain, (left + right) / 2, (bottom + top) / 2));
     this._page.changed();
   }
 
