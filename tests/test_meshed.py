@@ -1,7 +1,9 @@
 """Skins cut from the mesh of a link: their maps against those of surfaces of revolution, and contacts on them."""
 
+import re
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from ohmskin.errors import GeometryError, SkinError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Band, Electrodes, Mesh, MeshChart, Polygon, mesh_domain, write_mesh
 from ohmskin.geometry.surface import cut_off
+from ohmskin.outlets.publisher import describe_domain
+from ohmskin.plot.pattern import Pattern, save_pattern
 from ohmskin.scan import skip
 from ohmskin.skin import Skin, VirtualSkin
 from ohmskin.skin.layout import ElectrodeLayout
@@ -202,6 +206,18 @@ def test_a_skin_keeps_the_surface_that_was_cut_from_its_file(tmp_path: Path) -> 
     np.testing.assert_allclose(z, 0.08, atol=1e-6)
 
 
+@pytest.mark.parametrize("layout", ["even", "rim"])
+def test_electrodes_on_the_rim_of_a_cut_patch_are_on_its_corners_or_away_from_them(layout: str, tmp_path: Path) -> None:
+    """A mesh has nodes at both."""
+    for d in (0.0, 0.01, 0.02, 0.03):
+        text = FOREARM.replace("-0.24]]", f"-0.24], [1, 0, 0, {d}]]").replace("even", layout)
+        skin = Skin.load(forearm_file(tmp_path, text))
+        assert isinstance(skin.domain, Polygon)
+        assert len(skin.electrodes) == 16
+        for mesh in (skin.mesh(), skin.mesh_for(skin.discs, 4e-3)):
+            assert mesh.measures.sum() == pytest.approx(skin.domain.area, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
@@ -261,3 +277,65 @@ def test_a_press_on_a_skin_cut_from_a_mesh_is_felt_where_it_is(kind: str) -> Non
         engine(kind).press(0, tuple(place.tolist()), 8e-3, 0.0)
         for _ in range(12):
             engine(kind).step()
+
+
+# --- the page and the cutting pattern ---------------------------------------------------------------------------------
+
+
+def test_the_page_is_told_the_outline_of_a_patch_and_its_holes() -> None:
+    skin = engine("patch").skin
+    told = describe_domain(skin)
+    assert told["kind"] == "polygon"
+    assert told["holes"] == []
+    assert Polygon(told["outline"]).area == pytest.approx(skin.domain.area, rel=1e-4)
+
+
+def drawn(skin: Skin, folder: Path) -> dict[str, list[Floats]]:
+    """The lines of a pattern (mm), by what they are, as a program that reads SVG files sees them."""
+    save_pattern(folder / "pattern.svg", Pattern.of(skin), skin.name)
+    found: dict[str, list[Floats]] = {}
+    for group in ElementTree.parse(folder / "pattern.svg").iter("{http://www.w3.org/2000/svg}g"):
+        for path in group.findall("{http://www.w3.org/2000/svg}path"):
+            points = np.array(re.findall(r"[ML] (\S+) (\S+)", path.get("d", "")), float)
+            found.setdefault(group.get("id", ""), []).append(points * 25.4 / 72)
+    return found
+
+
+def length(line: Floats) -> float:
+    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+
+
+def test_a_sleeve_is_drawn_to_scale(tmp_path: Path) -> None:
+    lines = drawn(Skin.load("sleeve"), tmp_path)
+    assert length(lines["scale-bar"][0]) == pytest.approx(100, abs=1e-3)
+    (outline,) = lines["outline"]
+    np.testing.assert_allclose(np.ptp(outline, axis=0), [2 * np.pi * 45, 142], atol=1e-2)
+    for edge in ("seam-0", "seam-1"):
+        assert length(lines[edge][0]) == pytest.approx(142, abs=1e-2)
+    assert len(lines["electrode-0"]) == 2  # on the seam: half on either side
+    assert np.ptp(lines["electrode-1"][0], axis=0) == pytest.approx([6, 6], abs=1e-2)
+
+
+def test_a_cone_unrolls_to_a_sector_of_a_ring(tmp_path: Path) -> None:
+    skin = Skin(sheet=ROUND["cone"], electrode=ElectrodeLayout(layout="even"))
+    assert Pattern.of(skin).developable
+    lines = drawn(skin, tmp_path)
+    slant = float(np.hypot(138, 30))
+    for edge in ("seam-0", "seam-1"):
+        (line,) = lines[edge]
+        assert length(line) == pytest.approx(slant, rel=1e-3)
+        assert np.linalg.norm(line[-1] - line[0]) == pytest.approx(length(line), rel=1e-5)  # straight
+    corners = np.array([lines[edge][0][end] for edge in ("seam-0", "seam-1") for end in (0, -1)])
+    for first, second, radius in ((0, 2, 60), (1, 3, 30)):
+        far = radius / 30 * slant  # from the tip
+        chord = 2 * far * np.sin(np.pi * radius / far)
+        assert np.linalg.norm(corners[first] - corners[second]) == pytest.approx(chord, rel=1e-3)
+
+
+def test_what_wrapping_a_dome_stretches_is_told() -> None:
+    """No flat disc lies on a cap: seen from its rim of 1.2 rad, its pole is too large or its rim too small."""
+    pattern = Pattern.of(Skin.load("dome"))
+    assert not pattern.developable
+    exact = Skin.load("dome").chart.scale(np.array([[0.0, 0.0], [Skin.load("dome").domain.bounds[2], 0.0]]))
+    assert sorted([pattern.stretch.min(), pattern.stretch.max()]) == pytest.approx(sorted(exact), rel=0.02)
+    assert "wrapping changes its lengths by -" in str(pattern)
