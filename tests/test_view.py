@@ -24,7 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 from ohmskin.errors import ViewError
 from ohmskin.view import LiveView
 from ohmskin.view.live import _enqueue
-from ohmskin.view.wire import CommandError, pack_frame, read_command, to_json
+from ohmskin.view.wire import CommandError, check_setup, pack_frame, read_command, to_json
 
 NX, NY = 5, 4
 SETUP: dict[str, Any] = {
@@ -341,6 +341,15 @@ def test_an_estimator_is_chosen_of_those_in_the_setup() -> None:
 def test_real_skin_cannot_be_pressed_from_the_page() -> None:
     with pytest.raises(CommandError, match="not virtual"):
         read_command(to_json(PRESS), SETUP | {"press": None})
+
+
+def test_a_press_on_a_skin_of_any_outline_must_be_within_its_box() -> None:
+    domain = {"kind": "polygon", "outline": [[-0.1, 0.0], [0.2, 0.1], [0.0, 0.3]], "holes": []}
+    setup = SETUP | {"skin": SETUP["skin"] | {"domain": domain}}
+    check_setup(setup)
+    assert read_command(to_json(PRESS | {"x": -0.05, "y": 0.25}), setup)["x"] == -0.05
+    with pytest.raises(CommandError, match="y must be from 0 to"):
+        read_command(to_json(PRESS | {"y": 0.31}), setup)
 
 
 def test_refused_command_is_answered_and_the_browser_stays(fresh: LiveView) -> None:

@@ -165,6 +165,22 @@ def test_the_scale_reaches_down_to_negative_lobes_and_holds_still_above_noise(re
     assert run(reader.page, follow % "[[-0.03, 0.05, 5], [-0.02, 0.09, 5]]") == pytest.approx([-0.04, 0.2])
 
 
+def test_places_off_an_outline_or_in_its_hole_move_to_the_closest_rim(reader: Reader) -> None:
+    script = """
+        const { bounds, clampTo, contains } = await import("/static/frame.js");
+        const hole = [[0.08, 0.04], [0.12, 0.04], [0.12, 0.06], [0.08, 0.06]];
+        const outline = [[0, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0, 0.2]];
+        const ell = { kind: "polygon", outline, holes: [hole] };
+        const places = [[0.05, 0.1], [0.1, 0.055], [0.15, 0.12], [-0.1, 0.3]];
+        return [bounds(ell), ...places.map(([x, y]) => [...clampTo(ell, x, y), contains(ell, x, y)])];
+    """
+    box, *found = run(reader.page, script)
+    assert box == [0, 0, 0.2, 0.2]
+    expected = [[0.05, 0.1, True], [0.1, 0.06, False], [0.15, 0.1, False], [0, 0.2, False]]
+    for one, other in zip(found, expected, strict=True):
+        assert one == pytest.approx(other)
+
+
 def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None:
     script = """
         const { drawContacts } = await import("/static/contacts.js");
