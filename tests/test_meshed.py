@@ -131,6 +131,17 @@ def test_points_above_a_meshed_skin_are_found_on_its_map() -> None:
         assert np.isfinite(chart.points(outside)).all()
 
 
+@pytest.mark.parametrize("name", ["half-cylinder", "sleeve", "cone"])
+def test_upwards_on_the_map_is_upwards_in_space_however_nodes_are_numbered(name: str) -> None:
+    surface, random = meshed(name, 0.012), np.random.default_rng(3)
+    number = random.permutation(surface.n_nodes)
+    chart = MeshChart(Mesh(surface.nodes[np.argsort(number)], number[surface.elements]))
+    assert chart.frames(places_on(chart, 20, 0.02))[:, 1, 2].min() > 0.9
+    if chart.domain.period:  # it meets itself behind
+        (begin,) = chart.points([[0.0, 0.0]])
+        np.testing.assert_allclose(begin / np.linalg.norm(begin), [-1, 0, 0], atol=0.2)
+
+
 def test_a_hole_in_a_patch_is_a_hole_of_its_map() -> None:
     sheet = Polygon([(0, 0), (0.2, 0), (0.2, 0.15), (0, 0.15)], [[(0.09, 0.06), (0.12, 0.06), (0.12, 0.09)]])
     bent = mesh_domain(sheet, 5e-3).mapped(lambda p: np.column_stack([p, 2 * (p[:, 0] - 0.1) ** 2]))

@@ -19,6 +19,7 @@ from ohmskin.geometry.surface import Triangles, closed_walks, closest_on_triangl
 _FINE = 40  # edges along the root of the area: longer ones are split
 _MOST = 60_000  # triangles
 _OUTLINE, _APART = 5e-4, 5e-3  # of the root of the area: error of an outline's corners, and how far they are apart
+_LEVEL = 0.3  # correlation of heights with places on a map, below which a patch is level
 _MOST_SHEARED = 1.15  # ratio of singular values that 95 % of the area may have
 
 
@@ -27,7 +28,8 @@ class MeshChart:
 
     A patch is flattened by spectral conformal parameterisation (Mullen et al. 2008), its rim free; a developable one
     unrolls true to lengths. A ring's y is a harmonic function between its rims, its x the conjugate. With two rims, the
-    more even one of both maps is taken.
+    more even one of both maps is taken. Upwards on the map is upwards in space, along z; of a level patch along y. A
+    band begins where its lower rim has the least x.
 
     Args:
         surface: Triangles in space, counterclockwise seen from outside.
@@ -138,6 +140,13 @@ def flat_patch(surface: Mesh) -> Mesh:
     _, found = eigsh(energy, 2, sp.diags_array(weight).tocsc(), sigma=shift, v0=begin)
     along = weight @ found  # constants are maps to one point: what is at right angles to them is the map
     z = found @ np.array([along[1], -along[0]])
+    z -= z.mean()
+    for axis in (2, 1):  # what points to the axis z points up on the map; of a level patch, what points to y
+        height = surface.nodes[:, axis] - surface.nodes[:, axis].mean()
+        upwards = height @ z
+        if abs(upwards) > _LEVEL * np.linalg.norm(height) * np.linalg.norm(z):
+            z *= 1j * np.conj(upwards) / abs(upwards)
+            break
     flat = np.column_stack([z.real, z.imag])
     areas = np.imag(np.conj(z[corners[:, 1]] - z[corners[:, 0]]) * (z[corners[:, 2]] - z[corners[:, 0]])) / 2
     flat *= np.sqrt(surface.measures.sum() / abs(areas.sum()))
@@ -150,7 +159,8 @@ def flat_ring(surface: Mesh) -> Mesh:
     Raises:
         GeometryError: If it would fold over.
     """
-    low, high = (walk[:-1] for walk in closed_walks(surface.boundary))
+    rims = (walk[:-1] for walk in closed_walks(surface.boundary))
+    low, high = sorted(rims, key=lambda walk: float(surface.nodes[walk, 2].mean()))
     stiffness = _matrix(surface, _stiffness(surface))
     y = np.zeros(surface.n_nodes)
     y[high] = 1.0
@@ -165,7 +175,7 @@ def flat_ring(surface: Mesh) -> Mesh:
     x = np.zeros(surface.n_nodes)
     x[1:] = spsolve(stiffness[1:][:, 1:], right[1:])
     unit = float(np.sqrt(surface.measures.sum() / around))
-    places = folded(unit * np.column_stack([x - x[low[0]], y]), unit * around)
+    places = folded(unit * np.column_stack([x - x[low[surface.nodes[low, 0].argmin()]], y]), unit * around)
     return _unfolded(places, surface.elements, unit * around)
 
 
