@@ -12,6 +12,7 @@ from direct import DirectDevice
 from ohmskin.arrays import Floats, Ints
 from ohmskin.client.felt import Patch
 from ohmskin.contacts import in_frame
+from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine
 from ohmskin.errors import GeometryError, SkinError
 from ohmskin.forward import TransferModel
@@ -299,6 +300,14 @@ def test_the_page_is_told_the_outline_of_a_patch_and_its_holes() -> None:
     assert told["kind"] == "polygon"
     assert told["holes"] == []
     assert Polygon(told["outline"]).area == pytest.approx(skin.domain.area, rel=1e-4)
+
+
+def test_the_demonstration_finger_stays_on_a_sheet_of_any_outline() -> None:
+    """A press in a hole is refused, and that ended the live page."""
+    hole = [(0.08, 0.05), (0.12, 0.05), (0.12, 0.08), (0.09, 0.08)]
+    domain = Polygon([(0, 0), (0.2, 0), (0.2, 0.15), (0.1, 0.09), (0, 0.15)], [hole])
+    places = np.array([demo_finger(domain, 0.05 * k)[0] for k in range(4000)])
+    assert domain.depth(places).min() >= 0
 
 
 def drawn(skin: Skin, folder: Path) -> dict[str, list[Floats]]:
