@@ -150,6 +150,8 @@ def test_a_hole_in_a_patch_is_a_hole_of_its_map() -> None:
     assert isinstance(domain, Polygon)
     assert len(domain.holes) == 1
     assert domain.area == pytest.approx(bent.measures.sum(), rel=1e-3)
+    assert (len(domain.vertices), len(domain.holes[0].vertices)) == (4, 3)
+    mesh_domain(domain, 3.6e-3)
 
 
 def test_what_has_no_good_map_is_refused_in_words() -> None:

@@ -306,4 +306,11 @@ def _with_few_corners(line: Floats, unit: float) -> Floats:
             middle = first + int(off.argmax())
             kept.add(middle)
             parts += [(first, middle), (middle, last)]
+    for begin in (0, far):  # where the search began need not be a corner
+        order = sorted(kept)
+        k = order.index(begin)
+        before, after = line[order[k - 1]], line[order[(k + 1) % len(order)]]
+        step, between = after - before, line[begin] - before
+        if len(order) > 3 and abs(step[0] * between[1] - step[1] * between[0]) < _OUTLINE * unit * np.hypot(*step):
+            kept.remove(begin)
     return line[sorted(kept)]
