@@ -26,15 +26,19 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from ohmskin.body import Body
-from ohmskin.body.body import axes, read_links
+from ohmskin.body.body import axes
 from ohmskin.body.patches import Merger
+from ohmskin.body.robot import Robot
 from ohmskin.client import Board, Client, Contact, Patch, Sighting
 from ohmskin.client.felt import LARGEST, felt, pack
 from ohmskin.device import connect as connect_device
 from ohmskin.errors import SkinError, ViewError
 from ohmskin.view.overview import BoardsPage, Overview
 
-URDF = '<robot name="r"><link name="base"/><link name="forearm"/><joint name="j"/></robot>'
+URDF = """
+<robot name="r"><link name="base"/><link name="forearm"/>
+<joint name="j"><parent link="base"/><child link="forearm"/></joint></robot>
+"""
 BODY = """
 name = "torso"
 urdf = "robot.urdf"
@@ -168,7 +172,7 @@ def test_a_body_without_patches_and_one_that_is_too_large_are_refused(tmp_path: 
 def test_a_wrong_urdf_file_is_told(tmp_path: Path, urdf: str, says: str) -> None:
     (tmp_path / "r.urdf").write_text(urdf, encoding="utf-8")
     with pytest.raises(SkinError, match=re.escape(says)):
-        read_links(tmp_path / "r.urdf")
+        Robot.load(tmp_path / "r.urdf")
 
 
 # --- one stream of several --------------------------------------------------------------------------------------------

@@ -1,20 +1,20 @@
 """A body: several patches of skin on one robot, as a short TOML file says (docs/guide/several-skins.md)."""
 
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
 
+from ohmskin.body.robot import Robot
 from ohmskin.client.felt import MOST_PATCHES, Patch
 from ohmskin.errors import OhmskinError, SkinError
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin, shipped_skins
 from ohmskin.skin.checks import beside, check_names, is_number, read_text, read_toml
 
-_LARGEST_FILE, _LARGEST_URDF = 2**20, 16 * 2**20
+_LARGEST_FILE = 2**20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 _LINK = re.compile(r"[^\s\x00-\x1f]{1,128}")
 _FARTHEST = 100.0  # m
@@ -44,10 +44,12 @@ class Body:
     Args:
         name: What clients call it.
         patches: Its patches.
+        robot: What its URDF file says; None if it names none.
     """
 
     name: str
     patches: tuple[PlacedSkin, ...]
+    robot: Robot | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> "Body":
@@ -75,38 +77,23 @@ def axes(roll: float, pitch: float, yaw: float) -> tuple[tuple[float, float, flo
     )
 
 
-def read_links(path: Path) -> tuple[str, ...]:
-    """Names of the links of a URDF file.
-
-    Raises:
-        SkinError: If it cannot be read or is no URDF file.
-    """
-    text = read_text(path, _LARGEST_URDF, "URDF file")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can grow without bound and fetch other files
-        raise SkinError(f"{path} declares XML entities, which a URDF file does not need; remove them")
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise SkinError(f"{path} is not valid XML: {error}") from error
-    links = tuple(link.get("name", "") for link in root.findall("link"))
-    if root.tag != "robot" or not links:
-        raise SkinError(f"{path} is no URDF file: it must have a <robot> with <link>s (expand xacro first)")
-    return links
-
-
 def _body(data: Mapping[str, Any], folder: Path) -> Body:
-    check_names(data, ("name", "urdf", "patch"))
+    check_names(data, ("name", "urdf", "joints", "patch"))
     name, entries = _text(data, "name", "body", _NAME), data.get("patch", [])
     tables = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
     if not tables or not 1 <= len(entries) <= MOST_PATCHES:
         raise SkinError(f"there must be 1 to {MOST_PATCHES} tables [[patch]]")
-    links = read_links(beside(folder, data["urdf"], "urdf", "body file")) if "urdf" in data else None
+    joints = data.get("joints", {})
+    if not isinstance(joints, dict) or (joints and "urdf" not in data):
+        raise SkinError(f"joints is {joints!r}; it must be a table of positions of the joints of a URDF file")
+    robot = Robot.load(beside(folder, data["urdf"], "urdf", "body file"), joints) if "urdf" in data else None
+    links = None if robot is None else tuple(robot.links)
     skins: dict[str, Skin] = {}
     patches = tuple(_placed(entry, number, folder, links, skins) for number, entry in enumerate(entries, start=1))
     names = [placed.patch.name for placed in patches]
     if twice := next((n for n in names if names.count(n) > 1), None):
         raise SkinError(f"two patches are called {twice!r}; give each its own name")
-    return Body(name, patches)
+    return Body(name, patches, robot)
 
 
 def _placed(
