@@ -109,7 +109,7 @@ def _branch(name: str) -> str:
 
 def lengths(folder: Path, longest_file: int | None = LONGEST_FILE) -> Iterator[str]:
     """What is too long in a folder's sources, in words."""
-    for path in sorted(p for p in folder.rglob("*") if p.suffix in _KINDS):
+    for path in sorted(p for p in folder.rglob("*") if p.suffix in _KINDS and "vendor" not in p.parts):
         lines = path.read_text(encoding="utf-8").splitlines()
         if longest_file and len(lines) > longest_file:
             yield f"{path}: {len(lines)} lines; at most {longest_file}, one noun to a file"
