@@ -320,7 +320,7 @@ def test_the_page_is_guarded_as_the_live_page_is(shown: Any) -> None:
             for _ in range(3):
                 assert read(browser.recv(10))[0]["name"] == "torso"  # type: ignore[arg-type]
                 browser.send("drawn")
-            browser.send("x" * 17)  # more than a browser has to say
+            browser.send("x" * 97)  # more than a browser has to say
             with pytest.raises(ConnectionClosed):
                 list(browser)
 

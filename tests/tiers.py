@@ -80,6 +80,7 @@ class Row:
 
 # What takes long and is seldom broken alone; each line says what of the same feature runs every day.
 LONG = {
+    "test_body_page.py::test_clicking_the_skin": "the same page with skins that only note how they are pressed",
     "test_calibrate.py::test_drift_is_told": "noise, and that a quiet skin does not drift",
     "test_calibrate.py::test_the_virtual_skin_calibrates_itself": "the same calibration runs in its parts",
     "test_cli.py::test_a_killed_live": "a live loop that ends by itself, and a recorder that is killed",
@@ -178,6 +179,8 @@ TABLE = (
     Row("test_view_states.py", "browser", (CHROMIUM,)),
     Row("test_live_browser.py", "browser", (CHROMIUM,)),
     Row("test_screens.py::test_states*", "browser", (CHROMIUM,)),
+    Row("test_body_page.py::test_a_finger_on_the_page*", "browser", (CHROMIUM,)),
+    Row("test_body_page.py::test_clicking_the_skin*", "browser", (CHROMIUM,)),
     Row("test_patches.py::test_the_gallery_opens_one*", "browser", (CHROMIUM,)),
     Row("test_patches.py::test_a_robot_feels_where_it_is_touched*", "browser", (CHROMIUM,)),
     Row("test_firmware.py::test_the_core_*", "compiler", (MAKE, GCC)),

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ohmskin.child import begin, when_input_ends
+from ohmskin.client.board import Board
 from ohmskin.client.felt import patches_from
 from ohmskin.device import connect
 from ohmskin.device.demo import demo_finger
@@ -34,23 +35,31 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
     skin, device = Skin.parse(settings["skin"]), settings["device"]
     (patch,) = patches_from({"patches": [settings["patch"]]})
     options = {"skin": skin} if device == "virtual:" else {}
-    with Publisher(skin, (), settings["name"], patch, images=settings["images"]) as publisher:
+    with (
+        Publisher(skin, (), settings["name"], patch, images=settings["images"]) as publisher,
+        Board(f"{settings['name']}.device", {}, 256) as address,
+    ):
         while not stop.is_set():
             try:
                 with Engine(
                     lambda: connect(device, **options), skin, settings["mode"], lambda text: answer(message=text)
                 ) as engine:
-                    _run(engine, publisher, skin if settings["demo"] else None, answer, stop)
+                    _run(engine, publisher, address, skin if settings["demo"] else None, answer, stop)
             except DeviceError as error:
                 answer(state="lost", message=str(error))
                 stop.wait(_RETRY_AFTER)
 
 
 def _run(
-    engine: Engine, publisher: Publisher, pressed: Skin | None, answer: Callable[..., None], stop: threading.Event
+    engine: Engine,
+    publisher: Publisher,
+    address: Board,
+    pressed: Skin | None,
+    answer: Callable[..., None],
+    stop: threading.Event,
 ) -> None:
     """Calibrate and sense; a demonstration finger wanders over the skin that is `pressed`."""
-    answer(state="calibrating", message="", press=getattr(engine.device, "address", ""))
+    answer(state="calibrating", message="")
     engine.calibrate()
     gc.collect()
     gc.freeze()
@@ -63,6 +72,7 @@ def _run(
             publisher.publish(touch)
         if (now := time.monotonic()) >= due:
             due = now + _REPORT_EVERY
+            address.write(getattr(engine.device, "address", "").encode())  # where a page presses a virtual skin
             health = touch.health if touch is not None else None
             figures = health and {"rate": health.rate, "p50": health.latency_p50, "p99": health.latency_p99}
             answer(state=engine.state.value, **(figures or {}))

@@ -20,6 +20,7 @@ from ohmskin.outlets.relay import RelayProcess
 _RESTART_AFTER = 1.0
 _STOP_TIMEOUT = 5.0
 _NAP = 0.0005
+_IMAGES = 60.0  # on boards, per second
 
 
 class PatchProcess:
@@ -29,14 +30,13 @@ class PatchProcess:
         placed: The patch.
         name: Its boards.
         demo: Whether a demonstration finger presses a virtual one.
-        images: Most images per second.
         report: Called with every message for the user.
 
     Attributes:
-        status: What it told last: state, rate (1/s), p50 and p99 of the latency (s), message, address to press.
+        status: What it told last: state, rate (1/s), p50 and p99 of the latency (s), message.
     """
 
-    def __init__(self, placed: PlacedSkin, name: str, demo: bool, images: float, report: Callable[[str], None]) -> None:
+    def __init__(self, placed: PlacedSkin, name: str, demo: bool, report: Callable[[str], None]) -> None:
         self._settings = {
             "patch": asdict(placed.patch),
             "skin": placed.skin.dump(),
@@ -44,7 +44,7 @@ class PatchProcess:
             "mode": placed.mode,
             "name": name,
             "demo": demo and placed.device == "virtual:",
-            "images": images,
+            "images": _IMAGES,
         }
         self._patch, self._report = placed.patch.name, report
         self.status: dict[str, Any] = {}
@@ -102,7 +102,7 @@ class Patches(Closing):
         outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
         token: What listeners on other machines must give, where the protocol knows such a thing.
         demo: Whether a demonstration finger presses each virtual patch.
-        images: Most images per second of each patch.
+        images: Most images per second of each patch at outlets; on boards, where pages read them, there are more.
         report: Called with every message for the user.
 
     Attributes:
@@ -135,7 +135,7 @@ class Patches(Closing):
             stack.enter_context(self._relay)
             stack.callback(self._end_processes)
             for placed, board in zip(body.patches, self.boards, strict=True):
-                self._processes.append(PatchProcess(placed, board, demo, images, report))
+                self._processes.append(PatchProcess(placed, board, demo, report))
             self._stack = stack.pop_all()
         self.addresses = [f"shm:{body.name}", *self._relay.addresses]
 

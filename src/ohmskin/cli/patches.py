@@ -34,12 +34,15 @@ def patches(
     check_publishing(publish, page)
     if not headless:
         page.check()
+        if loaded.robot and loaded.robot.unseen:
+            say(f"the page does not show meshes, which are on {', '.join(loaded.robot.unseen)}; it shows simple shapes")
     stop = Stop()
     with ExitStack() as stack:
         all_patches = stack.enter_context(Patches(loaded, publish, page.token or None, demo, report=say))
         say(f"publishing at {', '.join(all_patches.addresses)}")
         if not headless:
-            page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address)).url)
+            robot = loaded.robot.told() if loaded.robot else None
+            page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address, robot)).url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
         stop.listen()
         due, count, newest = time.monotonic() + _TABLE_EVERY, 0, None

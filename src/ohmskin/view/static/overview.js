@@ -1,4 +1,5 @@
-// All patches of a robot: a small map of each, its contacts, and how fresh they are; or one of them, large (#NAME).
+// All patches of a robot: on the robot in space, where its shape is known, and a small map of each, with its contacts
+// and how fresh they are; or the map of one of them, large (#NAME).
 
 import { Range, number } from "./colour.js";
 import { Field } from "./field.js";
@@ -9,12 +10,14 @@ import { Surface } from "./surface.js";
 const STALE = 0.5; // seconds after which a patch counts as silent
 const THRESHOLD = 0.15; // relative change that noise stays below
 const LINES = 3; // contacts that a small card tells
+const MAPS_EVERY = 80; // ms, beside a robot in space, which is drawn with every frame
 
 const byId = (id) => document.getElementById(id);
 const cards = new Map();
 const range = new Range();
 const scale = new Surface(byId("scale"), () => {});
-window.ohmskin = { frame: null };
+window.ohmskin = { frame: null, frames: 0, body: null };
+let [mapsDue, lastHash] = [0, ""];
 
 /** A message as { name, patches }, each patch with its pixels. */
 function read(buffer) {
@@ -89,6 +92,20 @@ class Card {
   }
 }
 
+/** The robot in space, from the first frame on that tells its shape. */
+async function embody(robot) {
+  const { BodyView } = await import("./body.js"); // pages without a robot do without it
+  const open = (name) => (location.hash = encodeURIComponent(name));
+  byId("robot").hidden = false;
+  try {
+    window.ohmskin.body = new BodyView(byId("space"), byId("labels"), robot, open);
+    byId("body").dataset.robot = true;
+  } catch (error) {
+    byId("robot").hidden = true; // a browser without WebGL shows the maps
+    console.warn(error);
+  }
+}
+
 function show(frame, known) {
   window.ohmskin.frame = frame;
   const theme = document.documentElement.dataset.theme;
@@ -97,10 +114,20 @@ function show(frame, known) {
   const touched = frame.patches.reduce((sum, patch) => sum + patch.contacts.length, 0);
   const silent = frame.patches.filter((patch) => patch.age === null || patch.age > STALE).length;
   const contacts = known ? `${touched} contact${touched === 1 ? "" : "s"}` : "contacts unknown";
+  byId("note").textContent = frame.note ?? "";
+  byId("note").hidden = !frame.note;
   byId("summary").textContent =
     `${frame.patches.length} patches, ${contacts}` + (silent && known ? `, ${silent} silent` : "");
   const values = frame.patches.flatMap((patch) => [...patch.pixels].map((code) => (code * patch.peak) / 127));
   range.follow(Math.min(0, ...values), Math.max(0, ...values), THRESHOLD, performance.now());
+  window.ohmskin.body?.show(frame.patches, known, STALE, theme, range.limit, THRESHOLD);
+  const forces = frame.patches
+    .filter((patch) => known && patch.age !== null && patch.age <= STALE)
+    .flatMap((patch) => patch.contacts.map((contact) => contact.force ?? null));
+  byId("newtons").hidden = !forces.some((force) => force !== null);
+  byId("fixed").hidden = !forces.includes(null);
+  if (window.ohmskin.body && location.hash === lastHash && performance.now() < mapsDue) return;
+  [mapsDue, lastHash] = [performance.now() + MAPS_EVERY, location.hash];
   scale.fit();
   scale.draw((c, w, h) => drawScale(c, w, h, { theme, range, unit: "Δσ/σ", threshold: THRESHOLD, named: "noise" }));
   const wanted = decodeURIComponent(location.hash.slice(1));
@@ -123,12 +150,27 @@ function connect() {
   socket.onopen = () => {
     [state.dataset.state, state.textContent] = ["running", "connected"];
   };
-  socket.onmessage = (event) => {
+  let newest = null;
+  const shapes = new Map(); // told once, and perhaps with a frame that is not drawn
+  socket.onmessage = async (event) => {
     const frame = read(event.data);
-    requestAnimationFrame(() => {
-      show(frame, true);
-      if (socket.readyState === WebSocket.OPEN) socket.send("drawn");
-    });
+    if (frame.robot && !window.ohmskin.body) await embody(frame.robot);
+    window.ohmskin.frames += 1;
+    frame.patches.forEach(({ points }, number) => points && shapes.set(number, points));
+    if (!newest) {
+      requestAnimationFrame(() => {
+        for (const [number, points] of shapes) newest.patches[number].points = points;
+        shapes.clear();
+        show(newest, true);
+        newest = null;
+        if (!window.ohmskin.body) answer();
+      });
+    }
+    newest = frame;
+    if (window.ohmskin.body) answer(); // drawing in space takes longer than a frame where no GPU helps
+  };
+  const answer = () => {
+    if (socket.readyState === WebSocket.OPEN) socket.send(window.ohmskin.body?.pressed ?? "drawn");
   };
   socket.onclose = () => {
     [state.dataset.state, state.textContent] = ["lost", "no connection"];
