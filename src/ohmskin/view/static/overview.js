@@ -111,8 +111,9 @@ function show(frame, known) {
   const theme = document.documentElement.dataset.theme;
   byId("none").hidden = frame.patches.some((patch) => patch.age !== null);
   byId("name").textContent = frame.name;
-  const touched = frame.patches.reduce((sum, patch) => sum + patch.contacts.length, 0);
-  const silent = frame.patches.filter((patch) => patch.age === null || patch.age > STALE).length;
+  const heard = frame.patches.filter((patch) => known && patch.age !== null && patch.age <= STALE);
+  const touched = heard.reduce((sum, patch) => sum + patch.contacts.length, 0);
+  const silent = frame.patches.length - heard.length;
   const contacts = known ? `${touched} contact${touched === 1 ? "" : "s"}` : "contacts unknown";
   byId("note").textContent = frame.note ?? "";
   byId("note").hidden = !frame.note;
@@ -121,9 +122,7 @@ function show(frame, known) {
   const values = frame.patches.flatMap((patch) => [...patch.pixels].map((code) => (code * patch.peak) / 127));
   range.follow(Math.min(0, ...values), Math.max(0, ...values), THRESHOLD, performance.now());
   window.ohmskin.body?.show(frame.patches, known, STALE, theme, range.limit, THRESHOLD);
-  const forces = frame.patches
-    .filter((patch) => known && patch.age !== null && patch.age <= STALE)
-    .flatMap((patch) => patch.contacts.map((contact) => contact.force ?? null));
+  const forces = heard.flatMap((patch) => patch.contacts.map((contact) => contact.force ?? null));
   byId("newtons").hidden = !forces.some((force) => force !== null);
   byId("fixed").hidden = !forces.includes(null);
   if (window.ohmskin.body && location.hash === lastHash && performance.now() < mapsDue) return;
