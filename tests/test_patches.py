@@ -103,7 +103,8 @@ def test_a_body_is_what_its_file_says(tmp_path: Path) -> None:
 def test_the_body_of_the_guide_is_one(tmp_path: Path) -> None:
     guide = (Path(__file__).parents[1] / "docs" / "guide" / "several-skins.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)
-    body = Body.load(write(tmp_path, example, '<robot><link name="torso_link"/><link name="forearm_link"/></robot>'))
+    robot = URDF.replace("base", "torso_link").replace('"forearm"', '"forearm_link"').replace('"j"', '"elbow"')
+    body = Body.load(write(tmp_path, example, robot))
     assert [(placed.patch.name, placed.mode) for placed in body.patches] == [("chest", ""), ("forearm", "12B")]
 
 
