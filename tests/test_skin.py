@@ -135,7 +135,7 @@ def test_the_skins_of_the_paper_have_its_modes() -> None:
         ("[electrode]\ncolumns = 4.0", "electrode.columns is 4.0; it must be a whole number"),
         ("[electrode]\ncolumns = 1", "electrode.columns is 1; it must be 2 to 32"),
         ("[imaging]\nfuse = 1", "imaging.fuse is 1; it must be true or false"),
-        ('[sheet]\nshape = "disc"', 'electrode.layout is "grid" on a disc; use "rim"'),
+        ('[sheet]\nshape = "disc"', 'electrode.layout is "grid", which needs a rectangle or a sleeve; use "rim"'),
         ("[sheet", "not valid TOML"),
     ],
 )
