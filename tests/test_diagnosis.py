@@ -167,7 +167,7 @@ def test_an_electrode_that_opens_is_named_and_left_out_until_it_is_mended(engine
     device = device_of(engine)
     run(engine, 10)
     engine.press(0, AT, RADIUS, PRESSURE)
-    sound = np.median(misses(run(engine, 16)[4:]))
+    sound = np.median(misses(run(engine, 40)[4:]))
     engine.press(0, AT, RADIUS, 0.0)
     run(engine, 12)
     device.break_wire(electrode)
@@ -189,7 +189,7 @@ def test_an_electrode_that_opens_is_named_and_left_out_until_it_is_mended(engine
     while engine.step().percept.diagnosis.bad:  # type: ignore[union-attr]
         assert device.virtual.time - mended < 1.0
     engine.press(0, AT, RADIUS, PRESSURE)
-    assert np.median(misses(run(engine, 16)[4:])) < 1.2 * sound + 1e-4
+    assert np.median(misses(run(engine, 40)[4:])) < 1.2 * sound + 1e-4
 
 
 def hum(amplitude: float, mains: float) -> Spoil:

@@ -29,8 +29,10 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike, period: float = 0.0) 
         raise PatternError("eq. (7) chooses pairs on the flat map of a skin, not in space; see Chart")
     i, j = all_pairs(len(positions)).T
     along = shortest(positions[j] - positions[i], period)
-    middle = positions[i] + along / 2
-    to_anchor = shortest(anchors[None] - middle[:, None], period) + along[:, None] / 2
+    to_anchor = anchors[None] - positions[i][:, None]
+    if period:  # the anchors that are closest to the middle of the line
+        from_middle = to_anchor - along[:, None] / 2
+        to_anchor += shortest(from_middle, period) - from_middle
     area = 0.5 * np.abs(along[:, None, 0] * to_anchor[..., 1] - along[:, None, 1] * to_anchor[..., 0]).sum(axis=1)
     area = np.maximum(area, 1e-9 * area.max())
     return np.asarray(area.sum() / area)
