@@ -182,6 +182,20 @@ def test_frames_come_back_to_the_last_bit(
     )
 
 
+def test_signalling_nans_are_nans_like_others() -> None:
+    """Multiplied they would warn."""
+    pattern = ohm.adjacent([range(12)])
+    bits = 0x7FF4000000000000
+    volts = np.full(pattern.n_meas, bits, np.uint64).view(float)
+    frame = Frame(pattern, volts, volts[:12])
+    read = decode_frame(encode_frame(frame, 0, 0.0, Role.BASE, ""))
+    assert np.isnan(read.voltages * 2).all()
+    assert np.isnan(read.currents * 2).all()
+    image = encode_image(np.zeros((2, 2)), 5)
+    single = np.full(4, 0x7FA00000, np.uint32).tobytes()
+    assert np.isnan(decode_image(image[: -len(single)] + single)).all()
+
+
 def test_other_messages_come_back() -> None:
     pattern = ohm.adjacent([range(16)])
     assert decode_pattern(encode_pattern(pattern)) == pattern

@@ -32,6 +32,12 @@ def real(given: ArrayLike, what: str, error: type[Exception]) -> Floats:
         raise error(f"{what} of type {type(given).__name__}; give real numbers") from None
 
 
+def unsignalled(values: NDArray[Any]) -> Floats:
+    """Numbers from outside as floats of their own: a signalling NaN, which would warn wherever it goes, is quiet."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(values.astype(float) * 1.0)
+
+
 def fixed(compute: Callable[[Any], Floats]) -> "cached_property[Floats]":
     """A cached property that is a read-only array."""
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Self, get_args
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, unsignalled
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.layout import Kind
 from ohmskin.device.press import Press
@@ -102,7 +102,7 @@ class FrameData:
                 f"the device drove a pattern with digest, injections, measurements = {told}; asked for {asked}. "
                 "Its firmware must refuse such a scan; update it"
             )
-        voltages, currents = self.voltages.astype(float), self.currents.astype(float)
+        voltages, currents = unsignalled(self.voltages), unsignalled(self.currents)
         return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, FrameFlag(self.flags))
 
 

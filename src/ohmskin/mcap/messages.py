@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, unsignalled
 from ohmskin.client.cdr import Decoder, Encoder
 from ohmskin.client.felt import Contact as PlacedContact
 from ohmskin.client.felt import Patch
@@ -133,10 +133,10 @@ def decode_frame(data: bytes) -> FrameRecord:
     """The frame of a message, whose time is one. Read in one go, because an index reads them all."""
     try:
         seconds, nanoseconds, at, arrived, *numbers, role, n_meas = _FRAME_START.unpack_from(data)
-        voltages = np.frombuffer(data, "<f8", n_meas, _FRAME_START.size).copy()
+        voltages = unsignalled(np.frombuffer(data, "<f8", n_meas, _FRAME_START.size))
         start = _FRAME_START.size + voltages.nbytes
         (n_inj,) = _LENGTH.unpack_from(data, start)
-        currents = np.frombuffer(data, "<f8", n_inj, start + _COUNT.size).copy()
+        currents = unsignalled(np.frombuffer(data, "<f8", n_inj, start + _COUNT.size))
         start += _COUNT.size + currents.nbytes
         (length,) = _LENGTH.unpack_from(data, start)
     except (struct.error, ValueError) as error:
@@ -198,7 +198,7 @@ def decode_image(data: bytes) -> Floats:
     content = _array(decoder, "u1")
     if encoding != "32FC1" or step != 4 * width or content.size != 4 * width * height:
         raise DataError(f"an image of {height} x {width} pixels, {encoding!r}, {content.size} bytes; need 32FC1")
-    return content.view("<f4").reshape(height, width)[::-1].astype(float)
+    return unsignalled(content.view("<f4").reshape(height, width)[::-1])
 
 
 def encode_markers(contacts: Sequence[PlacedContact], patches: Sequence[Patch], stamp: int) -> bytes:
