@@ -3,8 +3,6 @@
 `python tests/fuzzing.py KIND --count 10000 --seed 1` tries more of them and shows what failed.
 """
 
-import random
-
 import pytest
 from fuzzing import MEMORY, Outcome, tried
 
@@ -19,7 +17,6 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def stands(outcome: Outcome, seed: int) -> None:
     assert outcome.counts == {}, f"seed {seed}: " + "\n\n".join(outcome.failures)
-    assert outcome.read > 0
     assert outcome.peak < MEMORY
 
 
@@ -28,12 +25,13 @@ def test_some_mutations_are_read_or_refused(kind: str) -> None:
     outcome = tried(kind, seed=0, count=40)
     stands(outcome, 0)
     assert outcome.cases > 20
+    assert outcome.read > 0
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_minute_of_mutations_is_read_or_refused(kind: str) -> None:
-    seed = random.randrange(10**9)
-    stands(tried(kind, seed, count=10**6, seconds=60), seed)
+    """Always the same ones, as far as a third of a minute goes: others are tried by hand (docs/contributing.md)."""
+    stands(tried(kind, 1, count=10**6, seconds=20), 1)
 
 
 def test_the_harness_finds_tracebacks_hangs_warnings_ends_and_gluttony(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -361,3 +361,9 @@ def test_what_wrapping_a_dome_stretches_is_told() -> None:
     exact = Skin.load("dome").chart.scale(np.array([[0.0, 0.0], [Skin.load("dome").domain.bounds[2], 0.0]]))
     assert sorted([pattern.stretch.min(), pattern.stretch.max()]) == pytest.approx(sorted(exact), rel=0.02)
     assert "wrapping changes its lengths by -" in str(pattern)
+
+
+def test_a_file_whose_name_cannot_be_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "skin.toml").write_text('[sheet]\nshape = "mesh"\nfile = "a\\u0000.stl"\n')
+    with pytest.raises(SkinError, match="no name of a file"):
+        Skin.load(tmp_path / "skin.toml")

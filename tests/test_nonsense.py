@@ -26,6 +26,7 @@ from ohmskin.errors import (
     SkinError,
 )
 from ohmskin.forward import drive_currents, drive_voltages
+from ohmskin.importers.pattern import from_list
 from ohmskin.inverse import Pixels
 from ohmskin.mcap import Tape, recover
 from ohmskin.plot import save_picture
@@ -299,3 +300,8 @@ def test_a_title_is_text_and_no_formula(tmp_path: Path) -> None:
     image = ohm.GaussNewton(model(), 1e-5).reconstruct(touch())
     save_picture(tmp_path / "a.png", model().mesh, image.values, GRID, [], "$x^{$ \\frac")
     assert (tmp_path / "a.png").stat().st_size > 1000
+
+
+def test_gains_that_are_nearly_nothing_make_clipped_voltages_without_a_warning() -> None:
+    imported = from_list(np.array([[0, 1, 2, 3]]), np.array([1e-3]), False, gains=np.array([1e-300]))
+    assert np.isinf(imported.frame(np.array([1e30]), "the test").voltages).all()

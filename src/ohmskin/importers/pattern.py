@@ -50,7 +50,8 @@ class ImportedPattern:
         """
         if values.shape != (self.count,):
             raise DataError(f"{what} has {values.size} values; the pattern in the file has {self.count} measurements")
-        volts = values[self.rows] / self.gains
+        with np.errstate(over="ignore"):  # infinite is clipped
+            volts = values[self.rows] / self.gains
         return Frame(self.pattern, volts, self.currents, time=float(number), sequence=number)
 
 

@@ -89,7 +89,10 @@ def beside(folder: Path, name: Any, what: str, other: str) -> Path:
     """
     if not isinstance(name, str):
         raise SkinError(f"{what} is {name!r}; it must be the name of a file")
-    path = (folder / name).resolve()
+    try:
+        path = (folder / name).resolve()
+    except (OSError, ValueError) as error:  # also a null byte
+        raise SkinError(f"{what} {shown(name)} is no name of a file: {error}") from None
     if not path.is_relative_to(folder.resolve()):
         raise SkinError(f"{what} {name!r} lies outside the folder of the {other}; put it beside that")
     return path

@@ -57,7 +57,9 @@ class ElectrodeLayout:
         """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
         domain = chart.domain
         if self.layout == "grid" and not isinstance(domain, Rectangle | Band):
-            raise SkinError('electrode.layout is "grid", which needs a rectangle or a sleeve; use "rim", "even" or "listed"')
+            raise SkinError(
+                'electrode.layout is "grid", which needs a rectangle or a sleeve; use "rim", "even" or "listed"'
+            )
         if self.layout != "listed":
             if self.positions:
                 told = f'electrode.positions are given but the layout is "{self.layout}"'
