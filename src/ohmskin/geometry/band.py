@@ -10,18 +10,10 @@ from ohmskin.geometry.domain import Domain, Rectangle
 
 
 @dataclass(frozen=True)
-class Edge:
-    """One of the two rims of a `Band`; the upper one is what the band calls its hole.
-
-    Args:
-        circumference: Its length (m).
-        y: Where it is (m).
-    """
+class _Closed:
+    """What meets itself after its circumference."""
 
     circumference: float
-    y: float
-    holes = ()
-    area = 0.0
 
     @property
     def corners(self) -> Floats:
@@ -34,6 +26,23 @@ class Edge:
     @property
     def period(self) -> float:
         return self.circumference
+
+    def arc(self, points: ArrayLike) -> Floats:
+        return np.asarray(np.mod(np.asarray(points, float)[..., 0], self.circumference))
+
+
+@dataclass(frozen=True)
+class Edge(_Closed):
+    """One of the two rims of a `Band`; the upper one is what the band calls its hole.
+
+    Args:
+        circumference: Its length (m).
+        y: Where it is (m).
+    """
+
+    y: float
+    holes = ()
+    area = 0.0
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -46,12 +55,9 @@ class Edge:
         s = np.mod(np.asarray(arc, float), self.circumference)
         return np.column_stack([s, np.full_like(s, self.y)])
 
-    def arc(self, points: ArrayLike) -> Floats:
-        return np.asarray(np.mod(np.asarray(points, float)[..., 0], self.circumference))
-
 
 @dataclass(frozen=True)
-class Band:
+class Band(_Closed):
     """A rectangle whose left and right sides are joined: x = 0 and x = `circumference` are the same place.
 
     Its rim is the lower one, y = 0, from x = 0 on; the upper one counts as a hole.
@@ -61,7 +67,6 @@ class Band:
         height: Extent along y (m).
     """
 
-    circumference: float
     height: float
 
     def __post_init__(self) -> None:
@@ -72,20 +77,8 @@ class Band:
         return self.circumference * self.height
 
     @property
-    def perimeter(self) -> float:
-        return self.circumference
-
-    @property
-    def period(self) -> float:
-        return self.circumference
-
-    @property
     def bounds(self) -> tuple[float, float, float, float]:
         return (0.0, 0.0, self.circumference, self.height)
-
-    @property
-    def corners(self) -> Floats:
-        return np.empty(0)
 
     @property
     def holes(self) -> tuple[Domain, ...]:
@@ -97,6 +90,3 @@ class Band:
 
     def rim(self, arc: ArrayLike) -> Floats:
         return Edge(self.circumference, 0.0).rim(arc)
-
-    def arc(self, points: ArrayLike) -> Floats:
-        return Edge(self.circumference, 0.0).arc(points)

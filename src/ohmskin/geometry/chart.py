@@ -7,7 +7,6 @@ know nothing of space; only lengths and areas are told by the scale. A flat skin
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -194,8 +193,3 @@ class RevolutionChart:
             if self.domain.period:
                 places[:, 0] %= self.domain.period
         return places, np.linalg.norm(self.points(places) - given, axis=1)
-
-    @cached_property
-    def pole(self) -> bool:
-        """Whether it is a cap."""
-        return self._cap
