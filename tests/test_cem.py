@@ -245,6 +245,12 @@ def test_rim_segments_bend_round_corners_and_keep_their_length(length: float) ->
         assert (np.ptp(points, axis=0).min() > 1e-9) == bends
 
 
+def test_no_piece_of_a_rim_segment_is_empty_where_it_ends_at_a_node_to_rounding() -> None:
+    electrodes = Electrodes.grid(SHEET).with_rim_segments(15e-3, 3.0, range(12))
+    model = TransferModel(mesh_domain(SHEET, 16e-3, electrodes), electrodes, S)  # its mesh puts nodes at their ends
+    assert min(contact.weights.min() for contact in model.quadratures.values()) > 1e-6
+
+
 # --- Jacobians against finite differences -----------------------------------------------------------------------------
 
 

@@ -663,6 +663,22 @@ def test_close_is_safe_twice_and_final(server: DeviceServer) -> None:
     server.close()
 
 
+def test_a_host_that_was_suspended_takes_the_reply_that_came_meanwhile(
+    url: str, skin: FakeSkin, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with connect(url) as device:
+        device.scan(RIM)
+        read, times = device._transport.read, iter([1.0])
+
+        def suspended(timeout: float) -> bytes:
+            time.sleep(pause := next(times, 0.0))
+            return b"" if pause else read(timeout)
+
+        monkeypatch.setattr(device._transport, "read", suspended)
+        np.testing.assert_array_equal(device.scan(RIM, timeout=0.5).voltages, voltages(RIM))
+    assert skin.scans == 2
+
+
 def test_a_timeout_must_be_positive(server: DeviceServer) -> None:
     with connect(server.url) as device, pytest.raises(DeviceError, match="must be positive"):
         device.scan(RIM, timeout=0)

@@ -259,6 +259,7 @@ def test_a_host_that_was_suspended_goes_on() -> None:
                 host.terminate()
                 rest = host.communicate(timeout=120)
             assert host.returncode == 0, rest[1]
+    assert not [line["messages"] for line in lines if line["state"] != "running"]
     assert lines[-1]["sequence"] == first + 1000
     assert not any(frame["contacts"] for frame in lines)
 

@@ -131,12 +131,16 @@ class WireDevice(Device):
         start = next_try = time.monotonic()
         attempts, last_word = 0, ""
         reply: Message | None = None
-        while (now := time.monotonic()) < deadline and attempts < _MOST_ATTEMPTS:
-            if now >= next_try:
+        late = False
+        deadline = max(deadline, start + wait)  # this host may have been suspended since it was set
+        while not late and attempts < _MOST_ATTEMPTS:
+            now = time.monotonic()
+            late = now >= deadline  # then look once more: if this host was suspended, the reply is here already
+            if now >= next_try and not late:
                 self._send(data, len(requests), again=attempts > 0)
                 attempts, next_try, wait = attempts + 1, now + wait, wait * _BACKOFF
             damaged = self.link.damaged
-            for packet in self._receive(min(next_try, deadline) - now):
+            for packet in self._receive(max(min(next_try, deadline) - now, 0.0)):
                 request = pending.get(packet.sequence)
                 match packet.message:
                     case _ if request is None:

@@ -183,7 +183,8 @@ class Rim:
         self._taken.append((k, arc, length, number))
         start, end = arc - length / 2, arc + length / 2
         breaks = np.concatenate([knots[:-1] - knots[-1], knots[:-1], knots[:-1] + knots[-1], [2 * knots[-1]]])
-        cuts = np.concatenate([[start], breaks[(breaks > start) & (breaks < end)], [end]])
+        least = 1e-9 * length  # a shorter piece comes from rounding
+        cuts = np.concatenate([[start], breaks[(breaks > start + least) & (breaks < end - least)], [end]])
         corners = [np.interp(np.mod(cuts, knots[-1]), knots, along) for along in self._lines[k].points.T]
         self._stretches[number] = ClosedLine(np.column_stack(corners))
         return self._stretch(walk, knots, cuts)
