@@ -1,5 +1,6 @@
 """Before a skin is used: the self-test of its wiring and instrument, and its calibration to newtons."""
 
+from ohmskin.calibrate.channels import ChannelJudgement, judge_channels
 from ohmskin.calibrate.force import ForceCurve, PressSample, fit_force
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
@@ -9,6 +10,7 @@ from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_patt
 
 __all__ = [
     "GRAVITY",
+    "ChannelJudgement",
     "Diagnosis",
     "Finding",
     "ForceCurve",
@@ -21,6 +23,7 @@ __all__ = [
     "diagnose",
     "fit_force",
     "fit_sheet",
+    "judge_channels",
     "press_plan",
     "self_test",
     "terminal_pattern",

@@ -2,6 +2,7 @@
 
 from ohmskin.scan.assessment import assess
 from ohmskin.scan.baseline import Baseline, Difference
+from ohmskin.scan.channels import Channels
 from ohmskin.scan.cost import Cost
 from ohmskin.scan.frame import Frame, FrameFlag
 from ohmskin.scan.network import NetworkFit, reciprocity_residuals
@@ -11,6 +12,7 @@ from ohmskin.scan.quality import Quality, Verdict, left_out
 
 __all__ = [
     "Baseline",
+    "Channels",
     "Cost",
     "Difference",
     "DrivePattern",

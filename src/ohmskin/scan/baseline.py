@@ -153,7 +153,7 @@ class Baseline:
         frames = list(frames)
         if not frames:
             raise DataError("no quiet frames to learn the baseline from; scan the untouched skin first")
-        signed = [(frame, *_codes(frame.pattern.quadruples)) for frame in frames]
+        signed = [(frame, *codes_of(frame.pattern.quadruples)) for frame in frames]
         keys, which = np.unique(np.concatenate([codes for _, codes, _ in signed]), return_inverse=True)
         volts = np.concatenate([signs * frame.voltages for frame, _, signs in signed])
         currents = np.concatenate([frame.measurement_currents for frame in frames])
@@ -193,7 +193,7 @@ class Baseline:
         """
         if (known := self._known.get(pattern)) is not None:
             return known
-        codes, signs = _codes(pattern.quadruples)
+        codes, signs = codes_of(pattern.quadruples)
         at = np.minimum(np.searchsorted(self.keys, codes), len(self.keys) - 1)
         if len(missing := np.flatnonzero(self.keys[at] != codes)):
             raise PatternError(
@@ -218,8 +218,8 @@ def _reciprocity_error(frame: Frame) -> float:
         DataError: If no measurement of the frame has its reciprocal in it.
     """
     quadruples, current = frame.pattern.quadruples, frame.measurement_currents
-    codes, signs = _codes(quadruples)
-    mirrored, mirrored_signs = _codes(quadruples[:, [2, 3, 0, 1]])
+    codes, signs = codes_of(quadruples)
+    mirrored, mirrored_signs = codes_of(quadruples[:, [2, 3, 0, 1]])
     order = np.argsort(codes)
     partner = order[np.minimum(np.searchsorted(codes, mirrored, sorter=order), len(codes) - 1)]
     paired = (codes[partner] == mirrored) & (codes != mirrored)  # a two-terminal measurement is its own mirror
@@ -233,7 +233,7 @@ def _reciprocity_error(frame: Frame) -> float:
     return float(np.sqrt(np.mean(finite**2) / 2))
 
 
-def _codes(quadruples: Ints) -> tuple[Ints, Ints]:
+def codes_of(quadruples: Ints) -> tuple[Ints, Ints]:
     """One number for each measurement whatever the direction of its two pairs, and the sign of the direction."""
     a, b, c, d = quadruples.T
     forward = np.column_stack([np.minimum(a, b), np.maximum(a, b), np.minimum(c, d), np.maximum(c, d)])

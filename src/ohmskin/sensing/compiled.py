@@ -249,7 +249,7 @@ def compiled(sensor: Sensor, mode: Mode) -> Compiled | None:
         return None
     if not isinstance(estimator, FrameWise) or estimator.estimator is not sensor.locator.estimator:
         return None
-    if not isinstance(drive.second, OptimalDrive) or known.quality is not None or imaging.bipolar:
+    if not isinstance(drive.second, OptimalDrive) or known.weighs or imaging.bipolar:
         return None
     gammas = sensor.thresholds.base, sensor.thresholds.final
     currents = known.usual_currents(drive.base)

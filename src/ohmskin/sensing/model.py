@@ -44,6 +44,7 @@ class SkinModel:
         noise: Standard deviation of a difference of voltages (V).
         white: The same without what voltages of one injection share.
         gain: Standard deviation of the relative error of a measured current (1).
+        channels: How channels follow the model, as the skin's calibration says; None if they were not judged.
         quiet: The quiet frames, to scan once more.
 
     Raises:
@@ -73,6 +74,7 @@ class SkinModel:
             self.noise / max(self.baseline.difference_noise, 1e-300), 1.0
         )  # without noise: floored
         n_elec = len(skin.electrodes)
+        self.channels = skin.calibration.judged
         self._usual = np.full((n_elec, n_elec), np.nan)  # currents (A) of the pairs driven
         for frame in quiet:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
@@ -96,8 +98,15 @@ class SkinModel:
             currents = np.where(flowing, frame.currents, np.nan)
             frame = replace(frame, voltages=np.where(sound, frame.voltages, np.nan), currents=currents)
         if self.quality is None:
-            return self.baseline.difference(frame)
-        return self.quality.weigh(self.baseline.difference(self.quality.clean(frame)))
+            difference = self.baseline.difference(frame)
+        else:
+            difference = self.quality.weigh(self.baseline.difference(self.quality.clean(frame)))
+        return difference if self.channels is None else self.channels.weigh(difference, self.noise)
+
+    @property
+    def weighs(self) -> bool:
+        """Whether some data count less than others."""
+        return self.quality is not None or self.channels is not None
 
     def soundness(self, frame: Frame) -> tuple[Bools, Bools]:
         """Whether the current of each injection (n_inj,) can be, and which voltages (n_meas,) can be.
@@ -134,7 +143,7 @@ class SkinModel:
         """A difference scaled to the currents of the quiet skin, so that one factorisation serves all frames of a base
         scan."""
         usual = self.usual_currents(difference.pattern)
-        if usual is None or self.quality is not None:  # which counts less what has less current
+        if usual is None or self.weighs:  # which counts less what has less current
             return difference
         wanted = usual[difference.pattern.measurements[:, 0]]
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.errors import SkinError
 from ohmskin.geometry import Domain
-from ohmskin.skin.checks import check_table, number, numbers, places
+from ohmskin.scan import Channels
+from ohmskin.skin.checks import check_table, number, numbers, places, rows
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class Calibration:
         layer_conductance: Of the contact layer, per area at its pressure scale (S/m2), and
         layer_exponent: of its growth with pressure (1), as presses of known force showed them; 0: as described.
         layer_stds: Standard deviations of that conductance's logarithm, and of that exponent.
+        channels: (n, 4) source, sink, plus, minus of the channels judged from presses, and
+        channel_gains, channel_errors: how each follows the model, see `ohmskin.scan.Channels`.
     """
 
     date: str = ""
@@ -62,8 +65,12 @@ class Calibration:
     layer_conductance: float = number(0.0, 0, 1e9, "S/m2")
     layer_exponent: float = number(0.0, 0, 3, "")
     layer_stds: tuple[float, ...] = numbers(1e3)
+    channels: tuple[tuple[int, int, int, int], ...] = rows("[source, sink, plus, minus]")
+    channel_gains: tuple[float, ...] = numbers(1e3, low=-1e3)
+    channel_errors: tuple[float, ...] = numbers(1e3, low=1e-6)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "channels", places(self.channels))
         object.__setattr__(self, "positions", places(self.positions))
         check_table("calibration", self)
         if len(self.log_conductivity) != round(len(self.log_conductivity) ** 0.5) ** 2:
@@ -73,6 +80,9 @@ class Calibration:
             raise SkinError(f"calibration has {counts}; as many of both, two or more")
         if len(self.layer_stds) not in (0, 2):
             raise SkinError(f"calibration.layer_stds has {len(self.layer_stds)} entries; it must have 2, or none")
+        if not len(self.channels) == len(self.channel_gains) == len(self.channel_errors):
+            counts = f"{len(self.channels)}, {len(self.channel_gains)} and {len(self.channel_errors)} entries"
+            raise SkinError(f"calibration.channels, channel_gains and channel_errors have {counts}; as many of each")
         for name, values in (("strengths", self.strengths), ("forces", self.forces)):
             if any(b <= a for a, b in pairwise(values)):
                 raise SkinError(f"calibration.{name} must rise from each to the next; they are {list(values)}")
@@ -82,11 +92,20 @@ class Calibration:
         """Whether forces were calibrated."""
         return bool(self.layer_conductance or self.forces)
 
+    @property
+    def judged(self) -> Channels | None:
+        """How its channels follow the model; None if that was never judged."""
+        if not self.channels:
+            return None
+        return Channels(np.array(self.channels), np.array(self.channel_gains), np.array(self.channel_errors))
+
     def check(self, domain: Domain, n_elec: int) -> None:
         """Raise SkinError unless what was found fits a sheet with so many electrodes."""
         for name, given in (("positions", self.positions), ("contact_impedances", self.contact_impedances)):
             if given and len(given) != n_elec:
                 raise SkinError(f"calibration.{name} has {len(given)} entries for {n_elec} electrodes; calibrate again")
+        if self.channels and not {e for channel in self.channels for e in channel} <= set(range(n_elec)):
+            raise SkinError(f"calibration.channels names an electrode that is not 0 to {n_elec - 1}; calibrate again")
         if self.positions and not (domain.depth(self.positions) > -1e-6).all():
             raise SkinError("calibration.positions has electrodes off the sheet; calibrate again")
 

@@ -1,0 +1,180 @@
+"""Which channels follow the model: told from many presses of unknown places, without labels.
+
+Each press is taken for one contact at the place of the model's that explains it best; what the channels then measure
+is held against what the model says they should. Gains and errors of the channels found so weigh the next search. A
+channel that tells nothing ends with a small gain or a large error, one the other way round with a negative gain.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ohmskin.arrays import Bools, Floats
+from ohmskin.errors import DataError
+from ohmskin.scan import Channels, DrivePattern, Frame
+from ohmskin.sensing import SkinModel
+from ohmskin.skin import Calibration, Skin
+
+_LEAST, _MOST = 30, 2000  # presses from which channels are judged; more tell little more
+_FELT = 5.0  # times its noise by which a frame has changed that shows a press
+_ROUNDS, _EVEN = 10, 2  # of the search, and of those the first with equal gains
+_SPACING = 0.75  # usual radii of a contact between the places that are searched
+_FLOOR = 0.02  # of the usual variance and power, added to each channel's: one alone must not decide
+_SHAPED = 2.0  # parameters of a press beside its strength
+_SILENT, _DOUBTFUL = (
+    0.1,
+    3.0,
+)  # gain below which a channel tells nothing; times the usual error from which it tells little
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelJudgement:
+    """What presses say of the channels.
+
+    Args:
+        pattern: Of the presses.
+        channels: Gains and errors.
+        places: (n, 2) where each press was taken to be (m).
+        unexplained: Share of what the presses changed that one contact each does not explain, channels weighed
+            (median), and
+        unexplained_before: the same with all channels alike.
+        skipped: Frames that show no press.
+    """
+
+    pattern: DrivePattern
+    channels: Channels
+    places: Floats
+    unexplained: float
+    unexplained_before: float
+    skipped: int
+
+    @property
+    def doubtful(self) -> Bools:
+        """(n_meas,) whether a channel tells nothing or little."""
+        gains, errors = self.channels.of(self.pattern)
+        return np.asarray((np.abs(gains) < _SILENT) | (errors > _DOUBTFUL * np.median(errors)))
+
+    @property
+    def reversed(self) -> Bools:
+        """(n_meas,) whether a channel is the other way round."""
+        return np.asarray((self.channels.of(self.pattern)[0] < -_SILENT) & ~self.doubtful)
+
+    def report(self) -> list[str]:
+        """The findings in plain words, a line each."""
+        doubtful, which = self.doubtful, self.pattern.measurements[:, 0]
+        share = np.bincount(which, doubtful) / np.bincount(which)
+        lines = [
+            f"{len(self.places)} presses, {self.skipped} frames without one left out",
+            f"{doubtful.sum()} of {len(doubtful)} channels tell little or nothing, "
+            f"{self.reversed.sum()} are the other way round",
+            f"one contact each leaves {100 * self.unexplained:.0f} % unexplained; "
+            f"{100 * self.unexplained_before:.0f} % with all channels alike",
+        ]
+        for injection in np.flatnonzero(share > 0.5):
+            source, sink = self.pattern.injections[injection]
+            lines.append(f"injection {source} to {sink}: {100 * share[injection]:.0f} % of its channels tell little")
+        return lines
+
+    def put_into(self, calibration: Calibration) -> Calibration:
+        """The same calibration with these channels."""
+        quadruples = tuple(tuple(row) for row in self.channels.quadruples.tolist())
+        gains, errors = (tuple(np.round(one, 5).tolist()) for one in (self.channels.gains, self.channels.errors))
+        return replace(calibration, channels=quadruples, channel_gains=gains, channel_errors=errors)
+
+
+def judge_channels(
+    skin: Skin, quiet: Sequence[Frame], frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
+) -> ChannelJudgement:
+    """Judge the channels of a pattern from frames of one press each, anywhere, the more evenly the better.
+
+    Args:
+        skin: Its description; a judgement that it already has does not count.
+        quiet: Frames of the untouched skin.
+        frames: Frames of presses, all of one pattern.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        DataError: If there are several patterns, or too few frames that show a press.
+        ModelError: If the sheet is not flat.
+    """
+    if len(patterns := {frame.pattern for frame in frames}) != 1:
+        raise DataError(f"the presses have {len(patterns)} drive patterns; channels are judged for one at a time")
+    (pattern,) = patterns
+    bare = replace(skin.calibration, channels=(), channel_gains=(), channel_errors=())
+    known = SkinModel(replace(skin, calibration=bare), skin.transfer_model(), quiet)
+    differences = [known.difference(frame) for frame in frames]
+    ohms = np.array([change.volts / change.currents for change in differences])
+    volts = np.nan_to_num([change.volts for change in differences])
+    size = np.sqrt((volts**2).sum(axis=1) / np.maximum(np.isfinite(ohms).sum(axis=1), 1))
+    felt = np.flatnonzero(size > _FELT * known.noise)
+    if len(felt) < _LEAST:
+        told = f"{len(felt)} of {len(frames)} frames change by more than {_FELT:g} times the noise"
+        raise DataError(f"{told}; to judge channels, press the skin at {_LEAST} places or more, spread over it")
+    skipped, felt = len(frames) - len(felt), felt[:: -(-len(felt) // _MOST)]
+    ohms = ohms[felt]
+    measured = np.isfinite(ohms)
+    ohms = np.where(measured, ohms, 0.0)
+    table = known.fitter.table
+    chosen = table.spaced(_SPACING * table.radius)
+    search = _Search(table.responses[chosen] @ pattern.combination(table.n_elec).T, ohms, measured)
+    before = search.unexplained
+    for number in range(_ROUNDS):
+        search.improve(gains=number >= _EVEN)
+        progress((number + 1) / _ROUNDS)
+    found = Channels(pattern.quadruples, search.gains, search.errors)
+    return ChannelJudgement(pattern, found, table.places[chosen][search.best], search.unexplained, before, skipped)
+
+
+class _Search:
+    """The place of each press, and the gains and errors of the channels, in turns.
+
+    Args:
+        templates: (n_places, n_meas) what a contact changes of each channel.
+        changes: (n_presses, n_meas) what was measured, and
+        measured: whether it was.
+    """
+
+    def __init__(self, templates: Floats, changes: Floats, measured: Bools) -> None:
+        self._templates, self._changes, self._measured = templates, changes, measured.astype(float)
+        n_meas = templates.shape[1]
+        self.gains, self.errors = np.ones(n_meas), np.ones(n_meas)
+        raised, lowered = (self._explained(sign)[0].sum() for sign in (1.0, -1.0))
+        self.gains *= 1.0 if raised >= lowered else -1.0  # all the other way round
+        self._explain()
+
+    def _explained(self, sign: float) -> tuple[Floats, Floats, Floats]:
+        """Of each press the best place's squared data explained (n,), its strength (n,) and number (n,)."""
+        templates, precision = sign * self.gains * self._templates, self.errors**-2.0
+        score = self._changes * precision @ templates.T
+        power = np.maximum(self._measured * precision @ (templates**2).T, 1e-300)
+        gain = np.maximum(score, 0.0) ** 2 / power
+        best = gain.argmax(axis=1)
+        rows = np.arange(len(best))
+        return gain[rows, best], np.maximum(score[rows, best], 0.0) / power[rows, best], best
+
+    def _explain(self) -> None:
+        explained, strength, self.best = self._explained(1.0)
+        whole = self._measured * self._changes**2 @ self.errors**-2.0
+        self.unexplained = float(np.median(1 - explained / np.maximum(whole, 1e-300)))
+        self._caused = strength[:, None] * self._templates[self.best] * self._measured
+        precision = self._measured * self.errors**-2.0
+        weighed = precision * (self.gains * self._caused) ** 2
+        power = weighed.sum(axis=1, keepdims=True)
+        self._size = np.sqrt(power[:, 0] / precision.sum(axis=1))
+        self._leverage = np.minimum(_SHAPED * np.mean(weighed / np.maximum(power, 1e-300), axis=0), 0.8)
+
+    def improve(self, gains: bool) -> None:
+        """Errors of the channels, and gains if asked for, as the presses are now explained; then those anew."""
+        scale = np.divide(1.0, self._size, out=np.zeros_like(self._size), where=self._size > 0)[:, None]
+        caused, changes = scale * self._caused, scale * self._changes
+        if gains:
+            power = (caused**2).sum(axis=0)
+            least = _FLOOR * power.mean()
+            usual = np.sign(self.gains.sum())
+            self.gains = ((caused * changes).sum(axis=0) + usual * least) / (power + least)
+            self.gains /= np.median(np.abs(self.gains))
+        left = self._measured * (changes - self.gains * caused) ** 2
+        variance = left.sum(axis=0) / np.maximum(self._measured.sum(axis=0), 1.0) / (1 - self._leverage)
+        self.errors = np.sqrt(variance + _FLOOR * np.median(variance))
+        self._explain()

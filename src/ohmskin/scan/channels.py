@@ -1,0 +1,68 @@
+"""Channels: how far each measurement follows the model of the skin, as many presses showed."""
+
+from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.errors import DataError
+from ohmskin.scan.baseline import Difference, codes_of
+from ohmskin.scan.pattern import DrivePattern
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Gains and errors of channels against the model of a skin; see `ohmskin.calibrate.judge_channels`.
+
+    Args:
+        quadruples: (n, 4) source, sink, plus, minus of each channel.
+        gains: (n,) change measured over change modelled (1); negative where a channel is the other way round.
+        errors: (n,) standard deviation of what is left, as a share of the usual modelled change of a channel (1).
+
+    Raises:
+        DataError: If shapes differ, or an error is not positive.
+    """
+
+    quadruples: Ints
+    gains: Floats
+    errors: Floats
+    _known: WeakKeyDictionary[DrivePattern, tuple[Floats, Floats]] = field(
+        default_factory=WeakKeyDictionary, init=False, repr=False
+    )
+
+    def __post_init__(self) -> None:
+        shapes = [np.shape(one) for one in (self.quadruples, self.gains, self.errors)]
+        if shapes != [(len(self.gains), 4), (len(self.gains),), (len(self.gains),)] or not len(self.gains):
+            raise DataError(f"channels have shapes {shapes}; need (n, 4), (n,) and (n,), at least one")
+        if not (np.isfinite(self.gains).all() and (self.errors > 0).all()):
+            raise DataError("channels need finite gains and errors above 0")
+
+    def of(self, pattern: DrivePattern) -> tuple[Floats, Floats]:
+        """Gains and errors (n_meas,) of a pattern's channels; those never judged have gain 1 and a usual error."""
+        if (known := self._known.get(pattern)) is None:
+            codes, order = codes_of(self.quadruples)[0], np.argsort(codes_of(self.quadruples)[0])
+            wanted = codes_of(pattern.quadruples)[0]
+            at = order[np.minimum(np.searchsorted(codes, wanted, sorter=order), len(codes) - 1)]
+            judged = codes[at] == wanted
+            known = self._known[pattern] = (
+                np.where(judged, self.gains[at], 1.0),
+                np.where(judged, self.errors[at], float(np.median(self.errors))),
+            )
+        return known
+
+    def weigh(self, difference: Difference, noise: float) -> Difference:
+        """The difference as if the model held: gains put into the currents, and all errors as large as the noise (V).
+
+        What a channel errs beyond its noise grows with what is measured: small changes count as they are, of large ones
+        the channels most that follow the model best. As in `Quality.weigh`, what counts less has less current.
+        """
+        gains, errors = self.of(difference.pattern)
+        known = np.isfinite(difference.volts) & np.isfinite(difference.currents)
+        if not known.any():
+            return difference
+        precision = errors[known] ** -2.0
+        size = precision @ difference.volts[known] ** 2 / precision.sum()
+        weights = noise / np.sqrt(noise**2 + errors**2 * max(float(size) - noise**2, 0.0))
+        weighed = difference.times(weights)
+        return replace(weighed, currents=weighed.currents * gains)
