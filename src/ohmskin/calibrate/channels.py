@@ -17,7 +17,7 @@ from ohmskin.sensing import SkinModel
 from ohmskin.skin import Calibration, Skin
 
 _LEAST, _MOST = 30, 2000  # presses from which channels are judged; more tell little more
-_FELT = 5.0  # times its noise by which a frame has changed that shows a press
+_FELT = 2.0  # times its noise by which a frame has changed that shows a press
 _ROUNDS, _EVEN = 10, 2  # of the search, and of those the first with equal gains
 _SPACING = 0.75  # usual radii of a contact between the places that are searched
 _FLOOR = 0.02  # of the usual variance and power, added to each channel's: one alone must not decide
