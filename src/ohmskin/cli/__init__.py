@@ -45,6 +45,10 @@ _COMMANDS = {
         "pattern": ("Draw the cutting pattern of a skin, 1:1.", "ohmskin pattern --skin sleeve --output sleeve.pdf"),
         "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --output out"),
         "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --output my-skin.toml"),
+        "learn": (
+            "Learn of a skin from presses: bad channels, a map of positions.",
+            "ohmskin learn presses.csv --skin my-skin.toml --output learned.toml",
+        ),
         "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155"),
         "check-device": ("Check a device and its driver.", "ohmskin check-device tcp://127.0.0.1:7155"),
         "check-host": ("Check a host: serve a device that misbehaves.", "ohmskin check-host --port 7155"),

@@ -14,7 +14,7 @@ from ohmskin.plot.picture import full_scale, noise_of
 from ohmskin.recording.export import save_comparison, strongest
 from ohmskin.recording.player import reimage
 from ohmskin.scan import assess, left_out
-from ohmskin.sensing import RECORDED, Percept, SkinModel, perceive
+from ohmskin.sensing import Percept, SkinModel, perceive, recorded_mode
 from ohmskin.skin import Skin, shipped_skins
 
 
@@ -75,7 +75,7 @@ def image(
     match = match_model(model, quality.clean(recording.quiet[0]))
     for line in [*recording.notes, *quality.report(), *([missing] if missing else []), *match.report()]:
         print(f"# {line}", file=sys.stderr)
-    percept = perceive(known, shown, RECORDED.using(estimator, prior, rule))
+    percept = perceive(known, shown, recorded_mode(description).using(estimator, prior, rule))
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
     limit = full_scale(percept)

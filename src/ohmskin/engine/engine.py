@@ -17,7 +17,7 @@ from ohmskin.engine.quiet import QuietFrames, check_usable
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, DeviceLost, ModelError, OhmskinError, PatternError
 from ohmskin.scan import DrivePattern, Frame, assess, needed
-from ohmskin.sensing import RECORDED, Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes
+from ohmskin.sensing import Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes, recorded_mode
 from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
@@ -64,7 +64,7 @@ class Engine(Closing):
         self.device = self._opened()
         recorded = self.device.reference
         self._recorded: Drive | None = Fixed(recorded[0].pattern) if recorded else None
-        found = {"recorded": RECORDED} if recorded else modes(skin)
+        found = {"recorded": recorded_mode(skin)} if recorded else modes(skin)
         self.modes = {name: one.using(estimator, prior, rule) for name, one in found.items()}
         try:
             begins = self.device.default_mode if self.device.default_mode in self.modes else default_mode(skin)

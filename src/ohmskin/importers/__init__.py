@@ -1,6 +1,8 @@
 """Recordings as they are read, ours and those of others (tables, EIDORS, Kuopio), and models of others."""
 
 from ohmskin.importers.model import ImportedModel, read_model
-from ohmskin.importers.recording import Recording, read_recording
+from ohmskin.importers.parts import Recording
+from ohmskin.importers.presses import resolved
+from ohmskin.importers.recording import read_recording
 
-__all__ = ["ImportedModel", "Recording", "read_model", "read_recording"]
+__all__ = ["ImportedModel", "Recording", "read_model", "read_recording", "resolved"]

@@ -1,36 +1,16 @@
 """Recordings: frames on disk, with the quiet ones that they are compared to."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from ohmskin.errors import DataError
-from ohmskin.importers import eidors, kuopio, table
+from ohmskin.importers import eidors, kuopio, presses, table
 from ohmskin.importers.matfile import is_mat, load_variables
+from ohmskin.importers.parts import Recording
 from ohmskin.mcap.messages import Role
 from ohmskin.mcap.tape import Tape, is_tape
-from ohmskin.scan import Frame
 
 _LARGEST_FILE = 64 * 2**20
-
-
-@dataclass(frozen=True)
-class Recording:
-    """What a recording holds.
-
-    Args:
-        quiet: Frames of the untouched skin.
-        frames: Frames to look at, in order.
-        skin: The shipped skin description that fits the format; empty if the file does not tell.
-        notes: What was left out or assumed on reading, in plain words.
-        tape: All that a recording of ours holds beside; None for others.
-    """
-
-    quiet: Sequence[Frame]
-    frames: Sequence[Frame]
-    skin: str
-    notes: tuple[str, ...] = ()
-    tape: Tape | None = None
 
 
 def read_recording(
@@ -44,7 +24,8 @@ def read_recording(
       (`ohmskin.importers.kuopio`);
     - MATLAB files made with EIDORS: a stimulation struct or plain matrices, and data (`ohmskin.importers.eidors`);
     - text tables with a pattern, beside them or in the same file (`ohmskin.importers.table`);
-    - the text tables of the PyEIDORS tank: four columns, adjacent measurements.
+    - the text tables of the PyEIDORS tank: four columns, adjacent measurements;
+    - press data, a row for each press of known place, in a text table or a MATLAB file (`ohmskin.importers.presses`).
 
     Args:
         path: The file.
@@ -67,6 +48,9 @@ def read_recording(
         if pattern is not None:
             raise DataError(f"{path} is a MATLAB file, which holds its own pattern; leave pattern={str(pattern)!r} out")
         variables, notes = load_variables(content, str(path))
+        if presses.is_press_file(variables):
+            found = presses.read_variables(variables, None, str(path), driven)
+            return replace(found, notes=(*found.notes, *notes))
         if kuopio.is_kuopio(variables):
             other = Path(reference) if reference is not None else kuopio.usual_reference(path, variables)
             at_rest, more = load_variables(content_of(other), str(other)) if other is not None else (None, ())
@@ -82,7 +66,7 @@ def read_recording(
     beside = path.with_name(path.stem + ".pattern.csv")
     other = Path(pattern) if pattern is not None else beside if beside.is_file() else None
     description = _text(content_of(other), other) if other is not None else None
-    return Recording(*table.read(_text(content, path), description, path, other, driven))
+    return table.read(_text(content, path), description, path, other, driven)
 
 
 def content_of(path: Path) -> bytes:

@@ -25,11 +25,13 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
+from ohmskin.importers import presses
+from ohmskin.importers.parts import Recording
 from ohmskin.importers.pattern import ImportedPattern, Parts, from_list
 from ohmskin.scan import DrivePattern, Frame, adjacent
 
 _ELECTRODES = ("source", "sink", "plus", "minus")
-_SETTINGS = ("first", "current", "skin")
+_SETTINGS = ("first", "current", "skin", "values")
 _MOST_COLUMNS = 2**14
 
 
@@ -46,8 +48,8 @@ class _Table:
         return self.cells[:, self.header.index(name)]
 
 
-def read(text: str, description: str | None, path: Path, pattern_path: Path | None, driven: bool) -> Parts:
-    """Quiet frames, frames, skin and notes.
+def read(text: str, description: str | None, path: Path, pattern_path: Path | None, driven: bool) -> Recording:
+    """The recording that a table holds.
 
     Args:
         text: The table.
@@ -60,11 +62,14 @@ def read(text: str, description: str | None, path: Path, pattern_path: Path | No
         DataError: If a cell is not a number, rows differ in length, or data and pattern do not fit each other.
     """
     data = _parse(text, str(path))
+    if presses.is_press_table(data.header):
+        described = None if description is None else _parse(description, str(pattern_path))
+        settings = {**(described.settings if described else {}), **data.settings}
+        found = None if described is None else _pattern(replace(described, settings=settings), driven)
+        return presses.read_table(data.header, data.cells, found, settings, str(path))
     if description is None and not set(_ELECTRODES) <= set(data.header):
-        return _pyeidors(data, path)
+        return Recording(*_pyeidors(data, path))
     pattern = _parse(description, str(pattern_path)) if description is not None else data
-    if missing := [name for name in _ELECTRODES if name not in pattern.header]:
-        raise DataError(f"{pattern.name} lacks the column {missing[0]}; its header must name {', '.join(_ELECTRODES)}")
     settings = {**pattern.settings, **data.settings}
     imported = _pattern(replace(pattern, settings=settings), driven)
     used = {*_ELECTRODES, "current"} if description is None else set()
@@ -79,7 +84,7 @@ def read(text: str, description: str | None, path: Path, pattern_path: Path | No
     skin = settings.get("skin", "")
     notes = imported.notes if skin else (*imported.notes, "the file does not say what the skin is: name one")
     quiet, touched = (tuple(frame for k, frame in frames.items() if is_quiet[k] is still) for still in (True, False))
-    return quiet, touched, skin, notes
+    return Recording(quiet, touched, skin, notes)
 
 
 def _parse(text: str, name: str) -> _Table:
@@ -126,6 +131,8 @@ def _is_number(cell: str) -> bool:
 
 
 def _pattern(pattern: _Table, driven: bool) -> ImportedPattern:
+    if missing := [name for name in _ELECTRODES if name not in pattern.header]:
+        raise DataError(f"{pattern.name} lacks the column {missing[0]}; its header must name {', '.join(_ELECTRODES)}")
     quads = np.column_stack([pattern.column(name) for name in _ELECTRODES])
     try:
         first = int(pattern.settings.get("first", "0"))

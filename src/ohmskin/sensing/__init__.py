@@ -4,7 +4,7 @@ from ohmskin.sensing.build import build, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.diagnosis import Cause, Diagnosis, Finding
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes
+from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes, recorded_mode
 from ohmskin.sensing.presses import FittedLayer, FittedPress, KnownPress, PressFitter
 from ohmskin.sensing.readers import READERS, Belief, DetectionReader, FilterReader, FitReader, Reader
 from ohmskin.sensing.sensor import Percept, Scan, Sensor, SensorState, Thresholds
@@ -39,4 +39,5 @@ __all__ = [
     "mode_named",
     "modes",
     "perceive",
+    "recorded_mode",
 ]

@@ -13,7 +13,7 @@ from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.modes import RECORDED
+from ohmskin.sensing.modes import recorded_mode
 from ohmskin.sensing.readers import READERS
 from ohmskin.sensing.sensor import Locator, Percept, Sensor, Thresholds
 from ohmskin.skin import Mode, Skin
@@ -78,19 +78,19 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
     return sensor
 
 
-def perceive(known: SkinModel, frame: Frame, mode: Mode = RECORDED) -> Percept:
+def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percept:
     """What one frame of any pattern shows by itself.
 
     Args:
         known: What is known of the quiet skin; its quiet frames cover the frame's pattern.
         frame: The frame.
-        mode: Names reader, estimator, prior and rule; its drive does not count.
+        mode: Names reader, estimator, prior and rule, `recorded_mode` unless given; its drive does not count.
 
     Raises:
         PatternError: If the quiet frames do not cover the pattern.
         ModelError: If there is no such reader, estimator, prior or rule, or it does not go with the skin.
     """
-    sensor = build(mode, known, Fixed(frame.pattern))
+    sensor = build(mode or recorded_mode(known.skin), known, Fixed(frame.pattern))
     return sensor.step(sensor.start(), lambda _: frame)[1]
 
 

@@ -44,7 +44,8 @@ class SkinModel:
         noise: Standard deviation of a difference of voltages (V).
         white: The same without what voltages of one injection share.
         gain: Standard deviation of the relative error of a measured current (1).
-        channels: How channels follow the model, as the skin's calibration says; None if they were not judged.
+        channels, positions: How channels follow the model, and where contacts really are, as the skin's calibration
+            says; None if it does not.
         quiet: The quiet frames, to scan once more.
 
     Raises:
@@ -74,7 +75,7 @@ class SkinModel:
             self.noise / max(self.baseline.difference_noise, 1e-300), 1.0
         )  # without noise: floored
         n_elec = len(skin.electrodes)
-        self.channels = skin.calibration.judged
+        self.channels, self.positions = skin.calibration.judged, skin.calibration.positions_learned
         self._usual = np.full((n_elec, n_elec), np.nan)  # currents (A) of the pairs driven
         for frame in quiet:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)

@@ -68,6 +68,11 @@ def default_mode(skin: Skin) -> str:
     return _filled(DEFAULT, skin)
 
 
+def recorded_mode(skin: Skin, fitted: bool = False) -> Mode:
+    """What reads recordings with a pattern of their own: contacts fitted if asked for, or if learned."""
+    return replace(RECORDED, reader="fit") if fitted or skin.calibration.position_map else RECORDED
+
+
 def mode_named(skin: Skin, name: str) -> Mode:
     """The mode of that name; the default one if it is empty.
 

@@ -19,6 +19,7 @@ from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.places import placed
 from ohmskin.sensing.readers import Belief, Reader, undriven
 
 Scan = Callable[[DrivePattern], Frame]
@@ -259,7 +260,8 @@ class Sensor:
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
             known = {contact.id for contact in state.belief.contacts}
             contacts = tuple(contact for contact in contacts if contact.id in known)
-        return after, Percept(measured.frames, replace(belief, contacts=contacts), measured.look, diagnosis)
+        reported = placed(self.known, replace(belief, contacts=contacts), scans)
+        return after, Percept(measured.frames, reported, measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""

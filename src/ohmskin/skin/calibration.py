@@ -10,6 +10,7 @@ from ohmskin.errors import SkinError
 from ohmskin.geometry import Domain
 from ohmskin.scan import Channels
 from ohmskin.skin.checks import check_table, number, numbers, places, rows
+from ohmskin.skin.positions import PositionMap
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Calibration:
         layer_stds: Standard deviations of that conductance's logarithm, and of that exponent.
         channels: (n, 4) source, sink, plus, minus of the channels judged from presses, and
         channel_gains, channel_errors: how each follows the model, see `ohmskin.scan.Channels`.
+        position_map: Where contacts really are, as presses of known places taught: a `PositionMap` as text.
     """
 
     date: str = ""
@@ -68,6 +70,7 @@ class Calibration:
     channels: tuple[tuple[int, int, int, int], ...] = rows("[source, sink, plus, minus]")
     channel_gains: tuple[float, ...] = numbers(1e3, low=-1e3)
     channel_errors: tuple[float, ...] = numbers(1e3, low=1e-6)
+    position_map: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", places(self.channels))
@@ -99,11 +102,18 @@ class Calibration:
             return None
         return Channels(np.array(self.channels), np.array(self.channel_gains), np.array(self.channel_errors))
 
+    @property
+    def positions_learned(self) -> PositionMap | None:
+        """Where contacts really are; None if that was never learned."""
+        return PositionMap.parse(self.position_map) if self.position_map else None
+
     def check(self, domain: Domain, n_elec: int) -> None:
         """Raise SkinError unless what was found fits a sheet with so many electrodes."""
         for name, given in (("positions", self.positions), ("contact_impedances", self.contact_impedances)):
             if given and len(given) != n_elec:
                 raise SkinError(f"calibration.{name} has {len(given)} entries for {n_elec} electrodes; calibrate again")
+        if (learned := self.positions_learned) is not None and learned.quadruples.max() >= n_elec:
+            raise SkinError(f"calibration.position_map has electrodes beyond {n_elec - 1}; learn it again")
         if self.channels and not {e for channel in self.channels for e in channel} <= set(range(n_elec)):
             raise SkinError(f"calibration.channels names an electrode that is not 0 to {n_elec - 1}; calibrate again")
         if self.positions and not (domain.depth(self.positions) > -1e-6).all():

@@ -129,7 +129,7 @@ class Skin:
             if table.name not in ("name", "modes"):
                 check_table(table.name, getattr(self, table.name))
         self.electrode.check(self.chart)
-        if self.calibration.positions or self.calibration.contact_impedances or self.calibration.channels:
+        if self.calibration != _UNCALIBRATED:
             self.calibration.check(self.domain, len(self.electrode.on(self.chart)))
         if self.calibration.date and self.calibration.made_for != self.digest:
             raise SkinError(

@@ -1,0 +1,238 @@
+"""A map of positions from presses of known places: a similarity, and a Gaussian process on what it leaves.
+
+What it is worth is told by cross-validation of the whole of it: presses are never judged by what was learned from them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+
+from ohmskin.arrays import Bools, Floats, Ints
+from ohmskin.drive import Fixed
+from ohmskin.errors import DataError
+from ohmskin.scan import DrivePattern, Frame
+from ohmskin.sensing import SkinModel, build, recorded_mode
+from ohmskin.skin.positions import PositionMap, Regression, Similarity, kernel
+
+_LEAST = 8  # presses
+_FEATURES, _TUNED = 24, 500  # features; presses that hyperparameters are tuned on
+_INDUCING = 200, 400  # inducing points of positions alone, and with features
+_FOLDS = 5
+_OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
+_NINETY = 4.605  # squared Mahalanobis distance within which are 90 % of a plane's normal distribution
+_JITTER = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PositionReport:
+    """A map of positions, and its errors at presses that it was not learned from, by cross-validation.
+
+    Args:
+        map: The map, learned from all presses.
+        physics, similarity, mapped: (n,) distances of the places told from those pressed (m): as physics tells them,
+            after the similarity, after all. NaN: not felt.
+        held: Share of the presses within their 90 % ellipses.
+    """
+
+    map: PositionMap
+    physics: Floats
+    similarity: Floats
+    mapped: Floats
+    held: float
+
+    def report(self) -> list[str]:
+        """The findings in plain words, a line each."""
+        known = np.isfinite(self.physics)
+        rows = [("physics", self.physics), ("similarity", self.similarity), ("map", self.mapped)]
+        first = rows[0 if self.map.own else 1 :]
+        told = ", ".join(f"{name} {1e3 * np.mean(one[known]):.2f} mm" for name, one in first)
+        lines = [
+            f"{known.sum()} of {len(known)} presses felt; mean error at presses not learned from: {told}",
+            f"{100 * self.held:.0f} % of them within their 90 % ellipses",
+        ]
+        if not self.map.own:
+            linear = self.map.registration.linear
+            turn = np.rad2deg(np.arctan2(linear[1, 0], linear[0, 0]))
+            mirrored = ", mirrored" if np.linalg.det(linear) < 0 else ""
+            scale = self.map.registration.scale
+            lines.append(
+                f"the presses' frame is not the sheet's: turned by {turn:.1f} degrees{mirrored}, scale {scale:.3f}"
+            )
+        return lines
+
+
+def read_places(
+    known: SkinModel, frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
+) -> tuple[Floats, Floats]:
+    """Where physics sees the strongest contact of each frame, and what `learn_positions` needs beside.
+
+    Args:
+        known: What is known of the skin.
+        frames: Of one press each, all of one pattern.
+        progress: Called with the share done, 0 to 1.
+
+    Returns:
+        Places (n, 2) (m), NaN where nothing was felt; changes (n, n_meas) of the voltages, in units of their error.
+    """
+    sensor = build(recorded_mode(known.skin, fitted=True), known, Fixed(frames[0].pattern))
+    found, changes = np.full((len(frames), 2), np.nan), np.zeros((len(frames), frames[0].pattern.n_meas))
+    for k, frame in enumerate(frames):
+        changes[k] = known.difference(frame).volts / known.noise
+        felt = sensor.step(sensor.start(), lambda _, frame=frame: frame)[1].detections  # type: ignore[misc]
+        if felt:
+            found[k] = max(felt, key=lambda contact: abs(contact.strength)).position
+        progress((k + 1) / len(frames))
+    return found, changes
+
+
+def learn_positions(
+    pattern: DrivePattern,
+    found: Floats,
+    changes: Floats,
+    places: Floats,
+    size: float,
+    progress: Callable[[float], None] = lambda _: None,
+) -> PositionReport:
+    """Learn where contacts are from presses of known places.
+
+    Args:
+        pattern: That was driven.
+        found: (n, 2) places that physics tells (m); NaN where a press was not felt.
+        changes: (n, n_meas) of the voltages, in units of their error.
+        places: (n, 2) where it was pressed (m), in any frame.
+        size: Of the sheet (m).
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        DataError: If fewer than eight presses were felt, or all at one place.
+    """
+    known: Bools = np.asarray(np.isfinite(found).all(axis=1) & np.isfinite(places).all(axis=1))
+    if known.sum() < _LEAST or min(np.ptp(places[known], axis=0)) == 0:
+        told = f"{known.sum()} of {len(found)} presses of known places were felt"
+        raise DataError(f"{told}; to learn positions press {_LEAST} places or more, spread over the sheet")
+    found, changes, places = found[known], np.nan_to_num(changes[known]), places[known]
+    own = _is_own(similarity(found, places), size)
+    order = np.random.default_rng(0).permutation(len(found))
+    after, whole, variances = np.empty_like(places), np.empty_like(places), np.empty((len(places), 2))
+    near_only = np.empty_like(places)
+    folds = min(_FOLDS, len(found))
+    for number in range(folds):
+        test = np.sort(order[number::folds])
+        train = np.setdiff1d(order, test)
+        one = _learn(pattern, found[train], changes[train], places[train], size, own)
+        after[test] = one.registration(found[test])
+        near_only[test], variances[test, 0] = one.registered(found[test])
+        whole[test], variances[test, 1] = one.registered(found[test], one.features(changes[test]))
+        progress((number + 1) / (folds + 1))
+    final = _learn(pattern, found, changes, places, size, own)
+    trust = [
+        max(float(np.quantile(((one - places) ** 2).sum(axis=1) / variance, 0.9)) / _NINETY, 0.1)
+        for one, variance in ((near_only, variances[:, 0]), (whole, variances[:, 1]))
+    ]
+    final.trust[:] = trust
+    progress(1.0)
+    # each fold by the trust that the others give, so that the share held is not of what it was set by
+    ratio = ((whole - places) ** 2).sum(axis=1) / variances[:, 1]
+    held = np.empty(len(places), bool)
+    for number in range(folds):
+        test = order[number::folds]
+        others = np.setdiff1d(order, test)
+        held[test] = ratio[test] < np.quantile(ratio[others], 0.9)
+    physics, registered, mapped = (_scattered(np.hypot(*(one - places).T), known) for one in (found, after, whole))
+    return PositionReport(final, physics, registered, mapped, float(held.mean()))
+
+
+def similarity(these: Floats, those: Floats) -> Similarity:
+    """The similarity, perhaps mirrored, that brings places (n, 2) closest to others (Umeyama, PAMI 13, 1991)."""
+    a, b = these - these.mean(axis=0), those - those.mean(axis=0)
+    u, singular, vt = np.linalg.svd(b.T @ a)
+    linear = (u @ vt) * singular.sum() / (a**2).sum()
+    return Similarity(linear, those.mean(axis=0) - linear @ these.mean(axis=0))
+
+
+def _is_own(one: Similarity, size: float) -> bool:
+    """Whether a frame is the sheet's own but for errors of the physics."""
+    linear, middle = one.linear / one.scale, one.shift
+    turned = abs(np.arctan2(linear[1, 0], linear[0, 0])) > _OWN_TURN or np.linalg.det(linear) < 0
+    alike = 1 / _OWN_SCALE < one.scale < _OWN_SCALE
+    return bool(alike and not turned and np.linalg.norm(middle) < _OWN_SHIFT * size * max(one.scale, 1.0) + size * 0.25)
+
+
+def _learn(
+    pattern: DrivePattern, found: Floats, changes: Floats, places: Floats, size: float, own: bool
+) -> PositionMap:
+    registration = similarity(found, places)
+    left = places - registration(found)
+    _, _, directions = np.linalg.svd(changes[:: -(-len(changes) // 1000)], full_matrices=False)
+    basis = directions[:_FEATURES]
+    features = changes @ basis.T
+    near = _regress(found, left, size)
+    full = _regress(np.hstack([found, features]), left, size)
+    return PositionMap(registration, own, basis, pattern.quadruples.astype(float), near, full, np.ones(2))
+
+
+def _regress(at: Floats, offsets: Floats, size: float) -> Regression:
+    """A Gaussian process of offsets (n, 2) at positions and features (n, 2 + n_features)."""
+    amplitudes, lengths, noise = _tuned(at, offsets, size)
+    chosen = _spread(at, amplitudes, lengths)
+    inducing = at[chosen]
+    variance = float((amplitudes[: 1 + (at.shape[1] > 2)] ** 2).sum())
+    own = kernel(inducing, inducing, amplitudes, lengths) + _JITTER * variance * np.eye(len(chosen))
+    cross = kernel(at, inducing, amplitudes, lengths)
+    data = own + cross.T @ cross / noise**2
+    weights = np.asarray(np.linalg.solve(data, cross.T @ offsets) / noise**2, float)
+    lowered = np.linalg.inv(own) - np.linalg.inv(data)
+    values, vectors = np.linalg.eigh((lowered + lowered.T) / 2)
+    root: Floats = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    factor = np.asarray(np.linalg.qr(root[:, ::-1]).R[::-1, ::-1], float)  # triangular, which is half to keep
+    return Regression(inducing, weights, factor, amplitudes, lengths, noise)
+
+
+def _tuned(at: Floats, offsets: Floats, size: float) -> tuple[Floats, Floats, float]:
+    """Amplitudes, length scales and noise of the largest posterior density, of some presses."""
+    some = slice(None, None, -(-len(at) // _TUNED))
+    at, offsets = at[some], offsets[some]
+    usual = max(float(offsets.std()), 1e-6 * size)
+    apart = at[:, 2:] - at[:, 2:].mean(axis=0)
+    spread = np.sqrt(2 * max(float((apart**2).sum(axis=1).mean()), 1e-12))
+    middle = np.log([usual, usual, 0.25 * size, spread, 0.5 * usual])
+    widths = np.array([1.0, 1.0, 0.7, 1.0, 1.0])
+
+    def unlikely(logs: Floats) -> float:
+        a, b, c, d, noise = np.exp(logs)
+        covariance = kernel(at, at, np.array([a, b]), np.array([c, d])) + (noise**2 + 1e-9 * a**2) * np.eye(len(at))
+        try:
+            lower = np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:
+            return 1e12
+        white = solve_triangular(lower, offsets, lower=True)
+        density = 0.5 * (white**2).sum() + offsets.shape[1] * np.log(np.diag(lower)).sum()
+        return float(density + 0.5 * (((logs - middle) / widths) ** 2).sum())
+
+    bounds = [(one - 4 * width, one + 4 * width) for one, width in zip(middle, widths, strict=True)]
+    best = np.exp(minimize(unlikely, middle, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25}).x)
+    return best[:2], best[2:4], float(best[4])
+
+
+def _spread(at: Floats, amplitudes: Floats, lengths: Floats) -> Ints:
+    """Numbers of inducing points: each where those before say least (pivoted Cholesky)."""
+    count = min(len(at), _INDUCING[at.shape[1] > 2])
+    variance = float((amplitudes[: 1 + (at.shape[1] > 2)] ** 2).sum())
+    left, rows, chosen = np.full(len(at), variance), np.empty((count, len(at))), np.empty(count, np.int64)
+    for k in range(count):
+        chosen[k] = left.argmax()
+        if left[chosen[k]] < _JITTER * variance:
+            return chosen[:k]
+        row = kernel(at[chosen[k]][None], at, amplitudes, lengths)[0] - rows[:k, chosen[k]] @ rows[:k]
+        rows[k] = row / np.sqrt(left[chosen[k]])
+        left = left - rows[k] ** 2
+    return chosen
+
+
+def _scattered(values: Floats, known: Bools) -> Floats:
+    found = np.full(len(known), np.nan)
+    found[known] = values
+    return found

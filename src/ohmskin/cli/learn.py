@@ -1,0 +1,95 @@
+"""``ohmskin learn``: what a recording of presses says of a skin."""
+
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+import ohmskin
+from ohmskin.calibrate.channels import judge_channels
+from ohmskin.calibrate.positions import learn_positions, read_places
+from ohmskin.cli.options import SkinName, check_picture, check_writable, write
+from ohmskin.errors import DataError
+from ohmskin.importers import read_recording, resolved
+from ohmskin.plot.learned import save_learned
+from ohmskin.sensing import SkinModel
+from ohmskin.skin import Skin, shipped_skins
+
+
+def learn(
+    file: Path,
+    *,
+    skin: SkinName = "",
+    output: Path | None = None,
+    picture: Path | None = None,
+    reference: Path | None = None,
+    pattern: Path | None = None,
+    channels: bool = True,
+    positions: bool = True,
+) -> None:
+    """Learn of a skin from a recording of presses: which channels follow its model and, where places are known, a map.
+
+    Args:
+        file: Frames of one press each: press data (.csv or .mat, see the guide), or any recording that `image` reads.
+        skin: A skin that ships with ohmskin or a .toml file; the one that fits the format unless given.
+        output: File for the skin with what was learned; NAME-learned.toml unless given.
+        picture: Also save the channels, and the errors of the map, as a picture, such as learned.png.
+        reference: File of the untouched skin, for formats that keep it apart; beside the recording unless given.
+        pattern: Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
+        channels: Whether to judge the channels; --no-channels keeps what the skin has.
+        positions: Whether to learn a map of positions, too, where places are known; --no-positions does not.
+    """
+    if picture is not None:
+        check_picture(picture)
+    recording = read_recording(file, reference=reference, pattern=pattern)
+    if not (skin or recording.skin):
+        choices = f"a .toml file or {', '.join(shipped_skins())}"
+        raise DataError(f"{file} does not say what was measured; name it with --skin, {choices}")
+    description = Skin.load(skin or recording.skin)
+    path = output or Path(f"{description.name}-learned.toml")
+    check_writable(path)
+    if not recording.frames:
+        raise DataError(f"{file} has no frame but those of the untouched skin")
+    recording.frames[0].pattern.check(len(description.electrodes))
+    recording = resolved(recording, description.transfer_model())
+    for line in recording.notes:
+        print(f"# {line}", file=sys.stderr)
+    when = datetime.now(UTC).isoformat(timespec="seconds")
+    found = replace(description.calibration, date=when, version=ohmskin.__version__, made_for=description.digest)
+    judged = report = None
+    with Progress(console=Console(stderr=True), transient=True) as shown:
+        if channels:
+            task = shown.add_task("judging channels", total=1.0)
+            judged = judge_channels(
+                description, recording.quiet, recording.frames, lambda share: shown.update(task, completed=share)
+            )
+            found = judged.put_into(found)
+        if positions and recording.positions is not None:
+            known = SkinModel(
+                replace(description, calibration=replace(found, position_map="")),
+                description.transfer_model(),
+                recording.quiet,
+            )
+            task = shown.add_task("reading presses", total=1.0)
+            at, changes = read_places(known, recording.frames, lambda share: shown.update(task, completed=share))
+            task = shown.add_task("learning positions", total=1.0)
+            x0, y0, x1, y1 = description.domain.bounds
+            report = learn_positions(
+                recording.frames[0].pattern,
+                at,
+                changes,
+                recording.positions,
+                max(x1 - x0, y1 - y0),
+                lambda share: shown.update(task, completed=share),
+            )
+            found = replace(found, position_map=report.map.dump())
+    for one in (judged, report):
+        print("\n".join(one.report() if one is not None else ()), end="\n" if one is not None else "")
+    write(path, replace(description, calibration=found).dump())
+    print(f"wrote {path}; use it with --skin {path}")
+    if picture is not None:
+        save_learned(picture, description, judged, report, recording.positions)
+        print(f"picture: {picture}")

@@ -1,0 +1,180 @@
+"""Press data: the values of many presses of known places, a row for each.
+
+A text table has a header: ``x`` and ``y`` (metres; or ``x_mm``, ``y_mm``), perhaps ``force`` (N), and a column for each
+value of a frame, in the order of the pattern. Rows whose x and y are empty are of the untouched skin. A MATLAB file has
+``voltages`` (n_presses, n_values) and ``positions`` (n_presses, 2) in metres, perhaps ``forces`` (n_presses,), and
+``reference`` of the untouched skin, (n_frames, n_values), or a row for each press, from before it.
+
+The pattern is in the MATLAB file, as EIDORS has it, or in a table beside the file (`ohmskin.importers.table`); without
+one it is adjacent drive, voltages between neighbours in the order of the electrodes' numbers, those of driven ones
+among them or not. Lines that begin with ``#``, or texts of those names in the MATLAB file, may hold ``first``,
+``current``, ``skin``, and ``values``: ``voltages``, ``magnitudes`` (of rectified voltages), or ``differences`` (against
+the untouched skin, which is not recorded).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.errors import DataError, shown
+from ohmskin.forward import TransferModel
+from ohmskin.importers.eidors import pattern_of
+from ohmskin.importers.matfile import numbers
+from ohmskin.importers.parts import Recording
+from ohmskin.importers.pattern import ImportedPattern, from_list
+from ohmskin.scan import Frame
+
+VALUES = ("voltages", "magnitudes", "differences")
+_PLACES = {"x": 1.0, "y": 1.0, "x_mm": 1e-3, "y_mm": 1e-3, "force": 1.0}
+_MOST_QUIET = 40
+_WEAK, _STRONG, _USUAL = 1e-3, 0.3, 0.02  # share of the quiet voltages that differences have: least, most, taken
+_MIXED = 0.1  # share of the quiet voltages that is negative on the model, from which all positive ones are rectified
+
+
+def is_press_table(header: tuple[str, ...]) -> bool:
+    """Whether a table with such a header holds presses."""
+    return any({f"x{unit}", f"y{unit}"} <= set(header) for unit in ("", "_mm"))
+
+
+def is_press_file(variables: Mapping[str, Any]) -> bool:
+    """Whether a MATLAB file with such variables holds presses."""
+    return {"voltages", "positions"} <= set(variables)
+
+
+def read_table(
+    header: tuple[str, ...], cells: Floats, pattern: ImportedPattern | None, settings: Mapping[str, str], name: str
+) -> Recording:
+    """The presses of a table: its header and cells (n_rows, n_columns), its pattern if there is one, its settings.
+
+    Raises:
+        DataError: If the values do not fit the pattern, or there is no press.
+    """
+    known = {column: k for k, column in enumerate(header) if column in _PLACES}
+    values = cells[:, [k for k in range(len(header)) if k not in known.values()]]
+    unit = "" if "x" in known else "_mm"
+    places = np.column_stack([_PLACES[axis + unit] * cells[:, known[axis + unit]] for axis in "xy"])
+    pressed = np.isfinite(places).all(axis=1)
+    forces = cells[pressed, known["force"]] if "force" in known else None
+    return _recording(values[pressed], places[pressed], forces, values[~pressed], pattern, settings, name)
+
+
+def read_variables(variables: Mapping[str, Any], pattern: ImportedPattern | None, name: str, driven: bool) -> Recording:
+    """The presses of a MATLAB file; `pattern` if a table beside it has one.
+
+    Raises:
+        DataError: If arrays do not fit each other or the pattern, or there is no press.
+    """
+    voltages, places = (numbers(variables[key], key) for key in ("voltages", "positions"))
+    places = places if places.shape[1:] in ((2,), (3,)) else places.T
+    if places.ndim != 2 or places.shape[1] not in (2, 3):
+        raise DataError(f"{name}: positions have shape {places.shape}; need (n_presses, 2), in metres")
+    voltages = voltages if len(voltages) == len(places) else voltages.T
+    if len(voltages) != len(places):
+        raise DataError(f"{name}: voltages have shape {voltages.shape} for {len(places)} positions; a row for each")
+    forces, quiet = None, np.empty((0, voltages.shape[1]))
+    if variables.get("forces") is not None:
+        forces = numbers(variables["forces"], "forces").ravel()
+        if len(forces) != len(places):
+            raise DataError(f"{name}: {len(forces)} forces for {len(places)} positions; one for each")
+    if variables.get("reference") is not None:
+        quiet = numbers(variables["reference"], "reference")
+        quiet = quiet.T if quiet.shape[1] != voltages.shape[1] else quiet
+        if quiet.shape[1] != voltages.shape[1]:
+            raise DataError(f"{name}: reference has shape {quiet.shape}; need (n, {voltages.shape[1]})")
+    if len(quiet) == len(voltages) > 1:  # from before each press: drift is taken off
+        steps = np.diff(quiet, axis=0)[:_MOST_QUIET] / np.sqrt(2)
+        voltages, quiet = voltages - quiet + quiet.mean(axis=0), quiet.mean(axis=0) + steps - steps.mean(axis=0)
+    if pattern is None and any(key in variables for key in ("stim_pattern", "stim_meas_list", "stimulation", "fmdl")):
+        pattern, _ = pattern_of(dict(variables), driven)
+    settings = {key: str(value) for key, value in variables.items() if key in ("skin", "values")}
+    return _recording(voltages, places[:, :2], forces, quiet, pattern, settings, name)
+
+
+def _recording(
+    values: Floats,
+    places: Floats,
+    forces: Floats | None,
+    quiet: Floats,
+    pattern: ImportedPattern | None,
+    settings: Mapping[str, str],
+    name: str,
+) -> Recording:
+    kind, skin = settings.get("values", VALUES[0]), settings.get("skin", "")
+    if kind not in VALUES:
+        raise DataError(f"{name}: values = {shown(kind)}; choose from {', '.join(VALUES)}")
+    if not len(values):
+        raise DataError(f"{name} has no press with a place; need rows with x and y")
+    pattern, notes = (pattern, ()) if pattern is not None else _adjacent(values.shape[1], settings, name)
+    if kind == "differences":
+        quiet = quiet[:0]
+    elif not len(quiet):
+        quiet = np.nanmedian(values, axis=0)[None]
+        notes = (*notes, "nothing of the untouched skin: the median over the presses is taken for it")
+    notes = notes if skin else (*notes, "the file does not say what the skin is: name one")
+    rest = tuple(pattern.frame(row, name, k) for k, row in enumerate(quiet[:_MOST_QUIET]))
+    frames = tuple(pattern.frame(row, name, k) for k, row in enumerate(values))
+    return Recording(rest, frames, skin, (*pattern.notes, *notes), None, places, forces, kind)
+
+
+def _adjacent(count: int, settings: Mapping[str, str], name: str) -> tuple[ImportedPattern, tuple[str, ...]]:
+    """Adjacent drive with n (n - 3) values, or with n^2."""
+    n_elec = round((3 + np.sqrt(9 + 4 * count)) / 2)
+    whole = n_elec * (n_elec - 3) != count
+    n_elec = round(np.sqrt(count)) if whole else n_elec
+    if n_elec < 4 or (whole and n_elec**2 != count):
+        told = f"{name} has {count} values a frame and no pattern; adjacent drive of n electrodes has n (n - 3) or n^2"
+        raise DataError(f"{told}. Put a table with the columns source, sink, plus, minus beside it")
+    listed = [
+        (k, (k + 1) % n_elec, j, (j + 1) % n_elec)
+        for k in range(n_elec)
+        for j in range(n_elec)
+        if whole or not {k, (k + 1) % n_elec} & {j, (j + 1) % n_elec}
+    ]
+    try:
+        current = float(settings.get("current", "1"))
+    except ValueError as error:
+        raise DataError(f"{name}: {error} in its settings (current = 5e-3)") from error
+    kept = from_list(np.array(listed), np.full(len(listed), current), False)
+    return kept, (f"no pattern in the file: adjacent drive of {n_elec} electrodes, in the order of their numbers",)
+
+
+def resolved(recording: Recording, model: TransferModel) -> Recording:
+    """A recording as voltages: what its file does not tell, signs or the untouched skin, is taken from the model.
+
+    Rectified voltages take the model's signs, and so do values that are all positive where the model's are not;
+    voltages all the other way round are turned; differences are put on the model's quiet voltages. Notes tell.
+    """
+    pattern = recording.frames[0].pattern
+    at_rest = model.voltages(pattern) * recording.frames[0].measurement_currents
+    kind, quiet, frames, notes = recording.values, recording.quiet, recording.frames, list(recording.notes)
+    if kind == "differences":
+        changes = np.array([frame.voltages for frame in frames])
+        finite = changes[np.isfinite(changes)]
+        share = float(np.sqrt(np.mean(finite**2)) / np.sqrt(np.mean(at_rest**2))) if len(finite) else 0.0
+        scale = 1.0 if _WEAK < share < _STRONG or not share else _USUAL / share
+        notes.append("differences alone: the untouched skin is the model's, signs and offsets are not checked")
+        if scale != 1:
+            notes.append(
+                f"the differences were scaled by {scale:.3g}, as their unit is not volts: strengths are relative"
+            )
+        rest = Frame(pattern, at_rest, frames[0].currents)
+        frames = [replace(frame, voltages=at_rest + scale * frame.voltages) for frame in frames]
+        return replace(recording, quiet=(rest,), frames=tuple(frames), values=VALUES[0], notes=tuple(notes))
+    measured = np.nanmean([frame.voltages for frame in quiet], axis=0)
+    known = np.isfinite(measured)
+    rectified = bool(
+        (measured[known] >= 0).all() and (at_rest[known] < 0).mean() > _MIXED < (at_rest[known] > 0).mean()
+    )
+    signs = np.ones(len(measured))
+    if kind == "magnitudes" or rectified:
+        signs = np.where(at_rest < 0, -1.0, 1.0)
+        notes.append("magnitudes: their signs are the model's")
+    elif measured[known] @ at_rest[known] < 0:
+        signs = -signs
+        notes.append("all voltages are the other way round than on the model: turned")
+    if (signs < 0).any():
+        quiet, frames = (tuple(replace(one, voltages=signs * one.voltages) for one in some) for some in (quiet, frames))
+    return replace(recording, quiet=quiet, frames=frames, values=VALUES[0], notes=tuple(notes))
