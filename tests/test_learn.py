@@ -34,7 +34,6 @@ def taught(given: Flawed, found: Floats, changes: Floats, count: int) -> Positio
     return learn_positions(given.pattern, found[:count], changes[:count], given.positions[:count], 0.2)
 
 
-@pytest.mark.long
 def test_known_presses_make_unseen_ones_better_the_more_the_better_and_few_no_worse() -> None:
     ratios: dict[int, list[float]] = {20: [], 100: [], 300: []}
     inside = []

@@ -113,6 +113,7 @@ LONG = {
     "test_hostile.py::test_live_stands": "the loop against a dozen of the same tricks",
     "test_import.py::test_the_example_of": "what these examples call",
     "test_layout.py::test_a_better_layout": "the search itself",
+    "test_learn.py::test_known_presses": "the same on one skin with fewer presses",
     "test_live_browser.py::test_a_finger": "presses on the same page",
     "test_package.py::test_the_client_can_be": "that the client imports the standard library only",
     "test_package.py::test_the_readme_of_an_index": "links made absolute, in a text of one line",

@@ -258,8 +258,7 @@ class Sensor:
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
-            known = {contact.id for contact in state.belief.contacts}
-            contacts = tuple(contact for contact in contacts if contact.id in known)
+            contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
         reported = placed(self.known, replace(belief, contacts=contacts), scans)
         return after, Percept(measured.frames, reported, measured.look, diagnosis)
 
