@@ -1,5 +1,6 @@
 """Nonsense is refused in words, values stay what they are, and what is read in is not changed without a note."""
 
+import json
 import os
 import pickle
 import subprocess
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
+from recordings import Bench
 
 import ohmskin as ohm
 from ohmskin.device import Capabilities
@@ -30,6 +32,7 @@ from ohmskin.importers.pattern import from_list
 from ohmskin.inverse import Pixels
 from ohmskin.mcap import Tape, recover
 from ohmskin.plot import save_picture
+from ohmskin.recording import Recorder
 from ohmskin.scan import measure_others
 
 SHEET = ohm.Rectangle(0.2, 0.2)
@@ -267,9 +270,28 @@ def test_names_that_no_file_has_and_pipes_are_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")  # whoever opens it waits for ever
-    for read in (ohm.Skin.load, lambda path: ohm.Skin.load(f"{path}.toml"), ohm.read_recording, Tape, recover):
+    for use in (
+        ohm.Skin.load,
+        lambda path: ohm.Skin.load(f"{path}.toml"),
+        lambda path: ohm.Skin.parse(f"[sheet]\nshape = 'mesh'\nfile = {json.dumps(path)}", folder=tmp_path),
+        ohm.read_recording,
+        ohm.read_mesh,
+        ohm.read_model,
+        Tape,
+        recover,
+        lambda path: Recorder(path, ohm.Skin()).tee(Bench()),
+    ):
         with pytest.raises(OhmskinError):
-            read(name)
+            use(name)
+
+
+def test_a_table_whose_name_leaves_no_room_for_that_of_a_pattern_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = "x" * 240 + "_55uA_.csv"
+    Path(name).write_text("\n".join("1,0,1.1,0" for _ in range(208)))
+    assert ohm.read_recording(name).frames[0].pattern.n_meas == 208
 
 
 @pytest.mark.parametrize(

@@ -526,6 +526,14 @@ def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing
     skin.press(1, 0.1, 0.1, 8e-3, 0.0)
 
 
+def test_foam_that_spreads_a_press_over_all_patches_makes_presses_costly_and_no_skin() -> None:
+    paper = Skin.load("paper")
+    skin = VirtualSkin(replace(paper, contact_layer=replace(paper.contact_layer, foam_spread=0.95)), seed=0)
+    assert np.count_nonzero(skin.sheet._patches.update._known) < 1000
+    with pytest.raises(SkinError, match=r"contacts of patches take about .* allowed are 5000"):
+        skin.press(1, 0.1, 0.1, 8e-3, 2e4)
+
+
 def test_a_press_that_is_told_again_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = VirtualSkin(Skin.load("paper"), seed=0)
     skin.press(1, 0.1, 0.1, 8e-3, 2e4)

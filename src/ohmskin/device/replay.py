@@ -1,5 +1,6 @@
 """A recording as a device: its frames come again, at any pace, from any place, round and round or once."""
 
+import os
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -268,7 +269,7 @@ def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
 def _address(url: str, **settings: float) -> tuple[str, Iterable[float]]:
     """The file an address names, and the settings, which may be given behind it, in their order."""
     path, mark, query = (rest := url.partition(":")[2]).rpartition("?")
-    if not mark or Path(rest).exists():
+    if not mark or os.path.exists(rest):
         return rest, settings.values()
     for part in query.split("&"):
         name, _, value = part.partition("=")

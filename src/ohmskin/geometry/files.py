@@ -1,5 +1,6 @@
 """Meshes from and to files of other programs, by meshio (extra ``mesh``): Gmsh, STL, VTK, Abaqus, ..."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -71,7 +72,7 @@ def _read(
     meshio = optional("meshio")
     if not (np.isfinite(scale) and scale > 0):
         raise GeometryError(f"scale is {scale!r} metres per unit; it must be positive")
-    if not Path(path).is_file():
+    if not os.path.isfile(path):  # false also of names that cannot be
         raise GeometryError(f"no mesh file {path}; check the path")
     try:
         with np.errstate(over="ignore"):  # its STL reader tells binary files by a product that may overflow

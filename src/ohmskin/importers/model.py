@@ -1,5 +1,6 @@
 """Forward models of EIDORS (``fmdl`` or ``img`` in a .mat file), and of Gmsh with electrodes as physical groups."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,7 @@ def read_model(path: str | Path, scale: float = 1.0, contact_impedance: float | 
     path = Path(path)
     if not (np.isfinite(scale) and scale > 0):
         raise GeometryError(f"scale is {scale!r} metres per unit; it must be positive")
-    if path.suffix == ".mat" or (path.is_file() and is_mat(content_of(path)[:8])):
+    if path.suffix == ".mat" or (os.path.isfile(path) and is_mat(content_of(path)[:8])):
         return _eidors(path, scale, contact_impedance)
     mesh, groups = read_groups(path, scale)
     named = {name: nodes for name, nodes in groups.items() if name.lower().startswith("electrode")}

@@ -1,5 +1,6 @@
 """Recordings: frames on disk, with the quiet ones that they are compared to."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def read_recording(
         out = f"leave reference={str(reference)!r} out"
         raise DataError(f"{path} is a text table, which holds its own reference column; {out}")
     beside = path.with_name(path.stem + ".pattern.csv")
-    other = Path(pattern) if pattern is not None else beside if beside.is_file() else None
+    other = Path(pattern) if pattern is not None else beside if os.path.isfile(beside) else None
     description = _text(content_of(other), other) if other is not None else None
     return table.read(_text(content, path), description, path, other, driven)
 

@@ -53,7 +53,7 @@ class WriterPipe:
 
     def __init__(self, path: str | Path, metadata: dict[str, dict[str, str]], attachments: dict[str, str]) -> None:
         self.path = Path(path)
-        if self.path.exists():
+        if os.path.exists(self.path):
             raise DataError(f"{self.path} exists, and a recording is never overwritten; choose another name")
         self._dropped = dict.fromkeys(TOPICS, 0)
         self._waiting: deque[tuple[int, bytes]] = deque()  # topic, and what is still to be written of a message

@@ -278,7 +278,7 @@ def _new(path: Path) -> Iterator[Path]:
     Raises:
         DataError: If the file exists or cannot be written.
     """
-    if path.exists():
+    if os.path.exists(path):
         raise DataError(f"{path} exists and is never overwritten; choose another name")
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:

@@ -1,5 +1,6 @@
 """The recorder: a sink that keeps everything the loop measured and felt, in a file that others can read."""
 
+import os
 import platform
 import time
 from collections.abc import Iterable
@@ -64,7 +65,7 @@ class Recorder(Closing):
         self.path = Path(path)
         self._pipe: WriterPipe | None = None
         self._engine: Engine | None = None
-        if self.path.exists():
+        if os.path.exists(self.path):
             raise DataError(f"{self.path} exists, and a recording is never overwritten; choose another name")
         self._named: dict[int, DrivePattern] = {}  # the newest stored pattern of each digest
         self._raster: Raster | None = None

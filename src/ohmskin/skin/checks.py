@@ -34,14 +34,6 @@ def read_text(path: Path, most: int, what: str) -> str:
         raise SkinError(f"cannot read {what} {path}: {error}") from error
 
 
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; names that cannot be, too long or with a null byte, name none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def read_toml(text: str, origin: str) -> dict[str, Any]:
     """The entries of a TOML text.
 

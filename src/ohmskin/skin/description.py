@@ -5,6 +5,7 @@ ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``sleeve
 ``ktc2023``.
 """
 
+import os
 import zlib
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -22,7 +23,7 @@ from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, mesh_domain
 from ohmskin.scan import Cost, n_pairs
 from ohmskin.skin.calibration import Calibration
-from ohmskin.skin.checks import check_expense, check_names, check_table, choice, is_file, number, read_text, read_toml
+from ohmskin.skin.checks import check_expense, check_names, check_table, choice, number, read_text, read_toml
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.mode import Mode, modes_of
 from ohmskin.skin.sheet import Sheet
@@ -146,7 +147,7 @@ class Skin:
             SkinError: If there is no such file or skin, or its contents are not a valid description.
         """
         path = Path(source)
-        if path.suffix == _EXTENSION or is_file(path):
+        if path.suffix == _EXTENSION or os.path.isfile(path):
             try:
                 text = read_text(path, _LARGEST_FILE, "skin file")
             except SkinError as error:

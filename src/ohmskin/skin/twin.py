@@ -106,8 +106,9 @@ class PressedSheet:
         self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
         # compile now: a device that compiles at its first touch is taken for one that is lost
-        x, y = self._patches.points[len(self._patches.points) // 2]
-        self.transfer_resistance([Press((float(x), float(y)), 1e-4, 1.0)])
+        # at one place and not by a press, which foam may spread over all patches
+        x, y = self._patches.points[len(self._patches.points) // 2].tolist()
+        self.under([((x, y), 0.0, lambda places: np.ones(places.shape[:-1]))])
 
     def _contacts(self, count: int) -> tuple[Floats, Ints, Floats]:
         """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
