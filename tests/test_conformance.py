@@ -237,6 +237,12 @@ BROKEN: dict[str, tuple[Callable[[Changed, Frame], Frame], str, str]] = {
     "no currents": (lambda d, f: replace(f, currents=0 * f.currents), "frames fit", "not positive"),
     "missing currents": (lambda d, f: replace(f, currents=np.nan * f.currents), "frames fit", "not finite"),
     "all missing": (lambda d, f: replace(f, voltages=np.nan * f.voltages), "frames fit", "no voltage is finite"),
+    "missing later": (
+        lambda d, f: replace(f, voltages=f.voltages * (np.nan if f.sequence > 4 else 1)),
+        "repeated",
+        "no voltage is finite",
+    ),
+    "nothing but 0": (lambda d, f: replace(f, voltages=np.zeros(f.pattern.n_meas)), "reciproc", "all are exactly 0"),
     "silent clipping": (
         lambda d, f: replace(f, voltages=np.where(f.voltages > 0.1, np.inf, f.voltages)),
         "frames fit",
@@ -273,6 +279,7 @@ def test_a_broken_driver_fails_by_name(name: str) -> None:
     found = failed(check_device(Changed(change)))
     assert any(any(part in title for part in check.split("|")) for title in found), found
     assert any(part in text for text in found.values() for part in words.split("|")), found
+    assert not any("Warning" in text for text in found.values()), found  # such as of a division by no current
 
 
 @pytest.mark.parametrize(

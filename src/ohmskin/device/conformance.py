@@ -167,7 +167,7 @@ def _reciprocity(device: Device) -> None:
     ohms = []
     for a, b, c, d in fours:
         frame = _scanned(device, DrivePattern(np.array([[a, b], [c, d]]), np.array([[0, c, d], [1, a, b]])))
-        ohms.append(frame.voltages / frame.currents)
+        ohms.append(_ohms(frame))
     there, back = np.array(ohms).T
     off = _off(back, there)
     words = f"R(ab, cd) and R(cd, ab) differ by {100 * off:.2g} %: mixed-up channels, unsettled, or a touched skin"
@@ -179,7 +179,7 @@ def _superposition(device: Device) -> None:
         raise _Skipped("needs five electrodes and three injections in a pattern")
     pattern = DrivePattern(np.array([[0, 1], [1, 2], [0, 2]]), np.array([[0, 3, 4], [1, 3, 4], [2, 3, 4]]))
     frame = _scanned(device, pattern)
-    ab, bc, ac = frame.voltages / frame.currents
+    ab, bc, ac = _ohms(frame)
     size = max(abs(ab), abs(bc), abs(ac))
     words = f"R(ab) + R(bc) is {ab + bc:.4g} ohm, R(ac) {ac:.4g} ohm: wrong currents, or not linear"
     _need(abs(ab + bc - ac) < 5 * _NOISY * size, words)
@@ -192,6 +192,7 @@ def _repeats(device: Device) -> None:
         return  # a recording may well be of a moving finger
     volts = np.stack([frame.voltages for frame in frames])
     volts = volts[:, np.isfinite(volts).all(axis=0)]
+    _need(volts.any(), "no voltage is finite in all of some scans, or all are exactly 0")
     scatter = float(np.sqrt(np.mean(np.var(volts, axis=0)) / np.mean(volts**2)))
     words = f"repeated scans scatter by {100 * scatter:.2g} % of the signal; is the skin connected and untouched?"
     _need(scatter < _NOISY, words)
@@ -292,11 +293,17 @@ def _same(frame: Frame, before: Frame, when: str) -> None:
     _need(off < 5 * _NOISY, words)
 
 
+def _ohms(frame: Frame) -> Floats:
+    """Voltages over currents, of one measurement for each injection; NaN where no current flows."""
+    flowing = np.where(frame.currents > 0, frame.currents, np.nan)
+    return np.asarray(frame.voltages / flowing)
+
+
 def _off(values: Floats, expected: Floats) -> float:
     """Root mean square error as a share of what was expected, where both are finite."""
     known = np.isfinite(values) & np.isfinite(expected)
-    _need(known.any(), "no voltage is finite")
-    return float(np.sqrt(np.mean((values - expected)[known] ** 2) / np.mean(expected[known] ** 2)))
+    _need(expected[known].any(), "no voltage is finite, or all are exactly 0")
+    return float(np.sqrt(np.mean((values[known] - expected[known]) ** 2) / np.mean(expected[known] ** 2)))
 
 
 def _closing(device: Device) -> None:
