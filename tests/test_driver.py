@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -677,6 +678,30 @@ def test_a_host_that_was_suspended_takes_the_reply_that_came_meanwhile(
         monkeypatch.setattr(device._transport, "read", suspended)
         np.testing.assert_array_equal(device.scan(RIM, timeout=0.5).voltages, voltages(RIM))
     assert skin.scans == 2
+
+
+@pytest.mark.parametrize("settle", [0.0, 1e-3, 0.1, 1.0, 60.0])
+def test_a_device_that_falls_silent_is_waited_for_ten_seconds_more_than_it_says_it_needs(
+    settle: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, replies = [0.0], list[bytes]()
+
+    def write(data: bytes) -> None:
+        """Answers greetings alone."""
+        asked = [packet for packet in Decoder().feed(data) if isinstance(packet.message, Hello)]
+        replies.extend(encode(replace(CAPABILITIES, settle_time=settle), packet.sequence) for packet in asked)
+
+    def read(timeout: float) -> bytes:
+        clock[0] += 0.0 if replies else max(timeout, 1e-4)
+        return replies.pop() if replies else b""
+
+    line = SimpleNamespace(byte_time=0.0, read=read, write=write, close=lambda: None)
+    monkeypatch.setattr("ohmskin.device.wire.open_transport", lambda _: line)
+    monkeypatch.setattr("ohmskin.device.wire.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    with WireDevice("tcp://x:1") as device:
+        with pytest.raises(DeviceLost, match="did not answer"):
+            device.scan(RIM)
+        assert 2.0 <= clock[0] - 16 * settle <= 10.1
 
 
 def test_a_timeout_must_be_positive(server: DeviceServer) -> None:

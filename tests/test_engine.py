@@ -286,19 +286,26 @@ def test_a_reply_that_makes_no_sense_ends_a_connection_and_no_loop(
         run(engine, 1)
 
 
-def test_a_device_that_takes_less_than_before_is_not_used_and_one_that_takes_for_ever_neither(
+def test_a_device_that_takes_less_than_before_is_not_used_and_one_that_takes_longer_neither(
     skin: Skin, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
-    first, small, slow, sound = (DirectDevice(VirtualSkin(skin, seed=1)) for _ in range(4))
+    first, small, slow, lame, sound = (DirectDevice(VirtualSkin(skin, seed=1)) for _ in range(5))
     small.capabilities = replace(small.capabilities, max_injections=1)
     slow.capabilities = replace(slow.capabilities, settle_time=60.0)
-    pending, told = iter([first, small, slow, sound]), []
+    lame.capabilities = replace(lame.capabilities, settle_time=0.5)
+    with Engine(lambda: lame, skin, "12B"):
+        pass  # slow, but as ever
+    pending, told = iter([first, small, slow, lame, sound]), []
     with Engine(lambda: next(pending), skin, "12B", told.append) as engine:
         engine.calibrate()
         first.gone = True
         engine.step()
-        for words in ("takes smaller patterns than the one before", "takes 720 s to scan the rim; allowed are 10 s"):
+        for words in (
+            "takes smaller patterns than the one before",
+            "takes 720 s to scan the rim; allowed are 0.5 s",
+            "takes 6 s to scan the rim; allowed are 0.5 s",
+        ):
             assert engine.step() is None
             assert words in told[-1]
         engine.step()

@@ -7,7 +7,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.calibrate.wiring import potentials
-from ohmskin.device import Device, Link
+from ohmskin.device import Capabilities, Device, Link
 from ohmskin.errors import DeviceError
 from ohmskin.scan import DrivePattern, Frame, FrameFlag, adjacent, pair_index
 from ohmskin.scan.repeats import known_mean, rms
@@ -17,7 +17,7 @@ from ohmskin.skin import Skin
 _SWITCHES = 6  # injections between which settling is measured
 _STEADY = 3  # scans of an injection without switching, after which it counts as settled
 _ROUND_TRIPS = 20
-_LONGEST = 10.0  # s, for which a scan of the rim may be waited
+_LONGEST, _SLOWER = 10.0, 0.5  # s that a scan of the rim may take; beside twice what it took, of another device
 
 
 @dataclass(frozen=True)
@@ -132,14 +132,19 @@ class Rates:
     proposed: dict[str, float]
 
 
-def check_fit(device: Device, skin: Skin) -> None:
-    """Raise DeviceError unless a device has as many electrodes as a skin, and scans its rim within seconds."""
+def check_fit(device: Device, skin: Skin, before: Capabilities | None = None) -> None:
+    """Raise DeviceError unless a device has as many electrodes as a skin, and scans its rim within seconds.
+
+    One that takes the place of another must be about as quick as that was, or the loop would wait for it.
+    """
     found, wanted = device.capabilities.n_electrodes, len(skin.electrodes)
     if found != wanted:
         raise DeviceError(f"the device has {found} electrodes, skin {skin.name!r} has {wanted}; choose one that fits")
-    if (takes := device.capabilities.scan_time(adjacent(skin.electrodes.rings[:1]))) > _LONGEST:
+    rim = adjacent(skin.electrodes.rings[:1])
+    most = _LONGEST if before is None else min(_LONGEST, 2 * before.scan_time(rim) + _SLOWER)
+    if (takes := device.capabilities.scan_time(rim)) > most:
         told = f"by its settle_time and conversion_time the device takes {takes:.3g} s to scan the rim"
-        raise DeviceError(f"{told}; allowed are {_LONGEST:g} s: are they in seconds?")
+        raise DeviceError(f"{told}; allowed are {most:.2g} s: are they in seconds?")
 
 
 def scan_whole(device: Device, pattern: DrivePattern) -> Frame:

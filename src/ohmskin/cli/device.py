@@ -61,7 +61,7 @@ def check_host(
     port: int = 7155,
     seed: Seed = 0,
     calm: int = 200,
-    patience: float = 30.0,
+    patience: float = 10.0,
     only: Names = (),
     json: Flag = False,
 ) -> None:

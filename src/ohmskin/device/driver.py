@@ -11,6 +11,8 @@ from ohmskin.device.press import Press
 from ohmskin.errors import DeviceError, DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
 
+_LONGEST = 10.0  # s that a device may be late, by what it says it needs
+
 
 class Device(Closing):
     """A skin that can be scanned. Safe to use from several threads; a context manager.
@@ -44,7 +46,8 @@ class Device(Closing):
 
         Args:
             pattern: Within the device's capabilities; larger ones are refused, see `DrivePattern.split`.
-            timeout: Longest time to wait (s); by default 2 s and four times what the device says it needs.
+            timeout: Longest time to wait (s); by default 2 s and four times what the device says it needs, but no more
+                than 10 s longer than that.
 
         Raises:
             PatternError: If the pattern names an electrode that is not there or is too large.
@@ -52,7 +55,8 @@ class Device(Closing):
             DeviceRefused: If the device refuses.
             DeviceError: If it was closed, or the timeout is not positive.
         """
-        limit = 2.0 + 4 * self.capabilities.scan_time(pattern) if timeout is None else timeout
+        needs = self.capabilities.scan_time(pattern)
+        limit = needs + min(2.0 + 3 * needs, _LONGEST) if timeout is None else timeout
         if not limit > 0:
             raise DeviceError(f"timeout is {timeout} s; it must be positive, or None")
         with self._lock:

@@ -249,7 +249,7 @@ class HostileDevice(Closing):
     def check_host(
         self,
         tricks: Mapping[str, Trick] = TRICKS,
-        patience: float = 30.0,
+        patience: float = 10.0,
         report: Callable[[Check], None] = lambda _: None,
         over: Callable[[], bool] = lambda: False,
     ) -> list[Check]:

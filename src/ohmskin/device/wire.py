@@ -21,6 +21,7 @@ from ohmskin.scan import DrivePattern, Frame
 _LOG = logging.getLogger(__name__)
 _GRACE = 0.05  # s beyond the device's own time before a request is sent again; USB adapters hold data back for 16 ms
 _BACKOFF = 1.5  # each further wait is longer, so that a slow device is not buried in requests
+_LATE = 5.0  # s beyond that at most, before which a device is given as long again as it says
 _MOST_ATTEMPTS = 40
 _PRESS_TIMEOUT = 2.0
 _REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameData, Press: Ack}
@@ -127,7 +128,7 @@ class WireDevice(Device):
         pending = {next(self._numbers) & 0xFFFF: request for request in requests}
         last = [*pending][-1]
         data = b"".join(encode(request, number) for number, request in pending.items())
-        wait = 2 * own_time + len(data) * self._transport.byte_time + _GRACE
+        wait = own_time + min(own_time, _LATE) + len(data) * self._transport.byte_time + _GRACE
         start = next_try = time.monotonic()
         attempts, last_word = 0, ""
         reply: Message | None = None

@@ -262,7 +262,7 @@ class Engine(Closing):
         device = self._open_device()
         able = device.capabilities
         try:
-            check_fit(device, self.skin)
+            check_fit(device, self.skin, before)
             if before and any(getattr(able, name) < getattr(before, name) for name in _ROOM):
                 raise DeviceError("the device takes smaller patterns than the one before; start anew with this one")
         except DeviceError:
