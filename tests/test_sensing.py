@@ -341,6 +341,16 @@ def test_a_missing_channel_is_no_reason_to_change_method(scan_with_a_hole: int) 
     np.testing.assert_allclose(found.position, whole.detections[0].position, atol=2e-3)
 
 
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_quiet_frames_are_learned_from_although_the_first_of_them_is_lost(lost: float) -> None:
+    twin, pattern = VirtualSkin(PAPER, seed=2), adjacent(PAPER.electrodes.rings)
+    sound = [twin.scan(pattern) for _ in range(5)]
+    spoilt = [replace(sound[0], voltages=np.full(pattern.n_meas, lost)), *sound]
+    found, expected = (SkinModel(PAPER, known().model, quiet) for quiet in (spoilt, sound))
+    assert found.noise == pytest.approx(expected.noise, rel=1e-9)
+    np.testing.assert_allclose(found.difference(sound[0]).volts, expected.difference(sound[0]).volts, atol=1e-12)
+
+
 def test_a_pattern_that_was_not_seen_quiet_is_refused() -> None:
     some = adjacent([PAPER.electrodes.rings[0]])
     twin = VirtualSkin(PAPER, seed=11)
