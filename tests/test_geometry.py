@@ -158,6 +158,7 @@ TWO = np.array([[0, 1, 2], [0, 2, 3]])
         (np.vstack([SQUARE, [[5, 5]]]), TWO, "1 mesh nodes belong to no triangle \\(first: 4\\)"),
         (SQUARE, np.array([[0, 1, 1], [0, 2, 3]]), "triangle 0 has no area"),
         (SQUARE * [1, 0], TWO, "has no area"),
+        (SQUARE * [1, 5e-9], TWO, "triangle 0 has no area"),
         (np.vstack([SQUARE, SQUARE + 3]), np.vstack([TWO, TWO + 4]), "2 parts"),
         (SQUARE, np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1]]), "more than two triangles"),
     ],

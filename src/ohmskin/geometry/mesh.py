@@ -17,6 +17,7 @@ from ohmskin.errors import GeometryError
 _NOUNS = {2: ("triangle", "triangles", "edge", "area"), 3: ("tetrahedron", "tetrahedra", "face", "volume")}
 
 _FARTHEST = 1e100  # m
+_THINNEST = 1e-7  # of an element's longest edge to the power of its dimension: its square must survive rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ class Mesh(ReadOnly):
         object.__setattr__(self, "nodes", nodes)
         object.__setattr__(self, "elements", elements)
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max(axis=1)
-        if len(bad := np.flatnonzero(self.measures <= 1e-10 * longest**self.dim)):
+        if len(bad := np.flatnonzero(self.measures <= _THINNEST * longest**self.dim)):
             where = f"{noun} {bad[0]} has no {measure} (nodes {elements[bad[0]].tolist()})"
             raise GeometryError(f"{where}; remove degenerate {nouns}")
         parts, _ = connected_components(self.adjacency, directed=False)
