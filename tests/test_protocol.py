@@ -4,6 +4,7 @@ import re
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -307,6 +308,34 @@ def test_a_session_says_why_it_refuses() -> None:
     reply = answer(session, encode(Scan(0, rim.digest ^ 1)))
     assert isinstance(reply, Refusal)
     assert reply.code == ErrorCode.DIGEST_MISMATCH
+
+
+def test_a_touch_that_takes_long_is_followed_by_a_rest_in_which_others_are_served(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, taken = [0.0], []
+
+    class Slow(Instrument):
+        capabilities = replace(VECTORS["CAPABILITIES"], features=Feature.VIRTUAL)  # type: ignore[type-var]
+
+        def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
+            taken.append(pressure)
+            clock[0] += 0.01 * pressure
+
+    monkeypatch.setattr("ohmskin.device.instrument.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    session = Session(SharedInstrument(Slow()))
+
+    def pressed(pressure: float) -> object:
+        reply = answer(session, encode(Press(0, 0.1, 0.1, 0.01, pressure)))
+        return reply.code if isinstance(reply, Refusal) else reply
+
+    assert [pressed(20.0), pressed(200.0), pressed(20.0)] == [Ack(), Ack(), ErrorCode.BUSY]
+    assert answer(session, encode(SetPattern(0, PATTERN))) == Ack(PATTERN.digest)
+    assert isinstance(answer(session, encode(Scan(0, PATTERN.digest))), FrameData)
+    assert pressed(0.0) == Ack()  # lifting is free
+    clock[0] += 2.0
+    assert pressed(20.0) == Ack()
+    assert taken == [20.0, 200.0, 0.0, 20.0]
 
 
 def rows(heading: str) -> list[list[str]]:

@@ -526,6 +526,25 @@ def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing
     skin.press(1, 0.1, 0.1, 8e-3, 0.0)
 
 
+def test_many_lifts_cost_one_model_and_only_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    skin, modelled = virtual(), []
+    quiet = skin.scan(BASE).voltages
+    for number in range(4):
+        skin.press(number, 0.05, 0.04 * (1 + number), 8e-3, 2e4)
+    kept, under = skin.scan(BASE).voltages, PressedSheet.transfer_resistance
+    monkeypatch.setattr(
+        PressedSheet, "transfer_resistance", lambda self, presses: modelled.append(1) or under(self, presses)
+    )
+    for number in (1, 2, 3, 3):
+        skin.press(number, 0.0, 0.0, 8e-3, 0.0)
+    assert modelled == []
+    left = [skin.scan(BASE).voltages for _ in range(2)]
+    assert modelled == [1]
+    np.testing.assert_array_equal(*left)
+    assert np.abs(left[0] - kept).max() > 1e-3
+    assert np.abs(left[0] - quiet).max() > 1e-3
+
+
 def test_foam_that_spreads_a_press_over_all_patches_makes_presses_costly_and_no_skin() -> None:
     paper = Skin.load("paper")
     skin = VirtualSkin(replace(paper, contact_layer=replace(paper.contact_layer, foam_spread=0.95)), seed=0)

@@ -1,6 +1,7 @@
 """What a server serves, and how several hosts share it."""
 
 import threading
+import time
 from typing import Protocol
 
 from ohmskin.device.capabilities import Capabilities
@@ -9,6 +10,7 @@ from ohmskin.errors import DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
 
 MOST_PRESSES = 64
+_COSTLY = 0.5  # s that a touch may take without a rest after it
 
 
 class Instrument(Protocol):
@@ -36,11 +38,17 @@ class SharedInstrument:
         self._instrument = instrument
         self._lock = threading.Lock()
         self._numbers: dict[tuple[object, int], int] = {}  # (host, its number) -> the instrument's number
+        self._rested = 0.0
 
     def scan(self, pattern: DrivePattern) -> Frame:
         """Drive `pattern` once, when no other host does."""
         with self._lock:
             return self._instrument.scan(pattern)
+
+    @property
+    def rest(self) -> float:
+        """For how long no touch is taken (s): after one that took long, as long again, which others get."""
+        return max(self._rested - time.monotonic(), 0.0)
 
     def press(self, host: object, press: Press) -> None:
         """Put, move or lift a touch of a host.
@@ -57,8 +65,11 @@ class SharedInstrument:
                 if len(self._numbers) >= MOST_PRESSES:
                     raise DeviceRefused(f"{MOST_PRESSES} presses are down, which is the most; lift one first")
                 number = min(set(range(MOST_PRESSES)).difference(self._numbers.values()))
+            started = time.monotonic()
             # may refuse: then nothing has changed
             self._instrument.press(number, press.x, press.y, press.radius, press.pressure)
+            if (took := time.monotonic() - started) > _COSTLY:
+                self._rested = started + 2 * took
             if press.pressure == 0:
                 del self._numbers[key]
             else:

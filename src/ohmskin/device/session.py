@@ -60,6 +60,8 @@ class Session:
             case Press():
                 if not self._instrument.capabilities.virtual:
                     return Refusal(ErrorCode.NOT_SUPPORTED, "this skin is real; press it with a finger")
+                if request.pressure > 0 and (rest := self._instrument.rest):
+                    return Refusal(ErrorCode.BUSY, f"touches took long to model; the next one is taken in {rest:.2g} s")
                 self._instrument.press(self, request)
                 return Ack()
             case _:

@@ -23,7 +23,7 @@ _GRACE = 0.05  # s beyond the device's own time before a request is sent again; 
 _BACKOFF = 1.5  # each further wait is longer, so that a slow device is not buried in requests
 _LATE = 5.0  # s beyond that at most, before which a device is given as long again as it says
 _MOST_ATTEMPTS = 40
-_PRESS_TIMEOUT = 2.0
+_PRESS_TIMEOUT = 10.0  # a press on all of a virtual skin takes seconds
 _REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameData, Press: Ack}
 
 

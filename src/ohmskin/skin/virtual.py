@@ -54,7 +54,7 @@ class VirtualSkin:
             self._check_on_sheet(press)
         self._random = np.random.default_rng(seed)
         self._presses: dict[int, Press] = pressing
-        self._resistance = self._pressed_resistance(pressing)
+        self._resistance, self._lifted = self._pressed_resistance(pressing), False
         self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._time = 0.0
         self._sequence = 0
@@ -66,7 +66,7 @@ class VirtualSkin:
             SkinError: If a fault names an electrode that is not there, or two faults name the same one.
         """
         self._wire(faults)
-        self._resistance = self._pressed_resistance(self._presses)
+        self._resistance, self._lifted = self._pressed_resistance(self._presses), False
 
     def _wire(self, faults: Sequence[Fault]) -> None:
         self.wiring = Wiring(faults, len(self.skin.electrodes))
@@ -90,15 +90,14 @@ class VirtualSkin:
                 the model too long.
         """
         press, presses = Press((x, y), radius, pressure), self.presses
-        if pressure > 0:
-            self._check_on_sheet(press)
-            presses[number] = press
-        else:
-            presses.pop(number, None)
-        if presses == self._presses:  # told again, as hosts do when a reply is lost
+        if pressure == 0:  # what is left is modelled at the next scan, of many lifts once
+            self._lifted |= self._presses.pop(number, None) is not None
             return
-        self._resistance = self._pressed_resistance(presses)  # may refuse: then nothing has changed
-        self._presses = presses
+        self._check_on_sheet(press)
+        presses[number] = press
+        if presses != self._presses:  # or told again, as hosts do when a reply is lost
+            resistance = self._pressed_resistance(presses)  # may refuse: then nothing has changed
+            self._presses, self._resistance, self._lifted = presses, resistance, False
 
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
@@ -107,6 +106,8 @@ class VirtualSkin:
     def scan(self, pattern: DrivePattern) -> Frame:
         """Scan the skin as it is now; returns at once, with the device time advanced by `duration`."""
         pattern.check(len(self.skin.electrodes))
+        if self._lifted:
+            self._resistance, self._lifted = self._pressed_resistance(self._presses), False
         currents, limited = self._drive(pattern)
         volts = self._settle(pattern, currents)
         noise, shunt = self.skin.converter.noise, self.skin.converter.shunt
