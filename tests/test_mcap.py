@@ -458,8 +458,8 @@ def test_a_new_field_of_a_contact_reaches_every_encoding() -> None:
     """Each encoding takes its fields from the table, and the table has all that a contact has."""
     named = {field.name for field in dataclass_fields(Contact)}
     assert {field.name for field in contact_fields(2)} == named == as_json(KNOWN).keys()
-    assert {field.name for field in contact_fields(3)} == named | {"normal"}
-    assert {f.name for f in dataclass_fields(ohm.client.Contact)} == named | {"normal", "patch", "frame"}
+    assert {field.name for field in contact_fields(3)} == named | {"normal", "self_touch"}
+    assert {f.name for f in dataclass_fields(ohm.client.Contact)} == named | {"normal", "patch", "frame", "self_touch"}
     assert len(columns()) == len(components(2)) == len(numbers(KNOWN, 2)) == 17
     assert as_json(KNOWN)["covariance"] == [2e-6, 1e-7, 1e-6]
     assert as_json(replace(KNOWN, velocity=None))["velocity"] is None

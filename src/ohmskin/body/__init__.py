@@ -2,5 +2,6 @@
 
 from ohmskin.body.body import Body, PlacedSkin
 from ohmskin.body.patches import Patches
+from ohmskin.body.self_touch import SelfTouch
 
-__all__ = ["Body", "Patches", "PlacedSkin"]
+__all__ = ["Body", "Patches", "PlacedSkin", "SelfTouch"]

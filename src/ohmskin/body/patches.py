@@ -10,6 +10,7 @@ from io import BufferedReader
 from typing import IO, Any
 
 from ohmskin.body.body import Body, PlacedSkin
+from ohmskin.body.posture import Posture
 from ohmskin.child import Child
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.felt import LARGEST, Contact, Felt, Patch, Sighting, felt, pack, patches_from, unpack
@@ -129,7 +130,8 @@ class Patches(Closing):
         pictures = [f"{board}.image" for board in self.boards]
         with ExitStack() as stack:
             patches = [placed.patch for placed in body.patches]
-            self._merger = Merger(body.name, patches, self.boards)
+            posture = None if body.robot is None else stack.enter_context(Posture(body, report))
+            self._merger = Merger(body.name, patches, self.boards, posture)
             stack.enter_context(self._merger)
             self._relay = RelayProcess(body.name, pictures, patches, outlets, token, images)
             stack.enter_context(self._relay)
@@ -173,12 +175,16 @@ class Merger(Closing):
         name: The board that is written.
         patches: All patches.
         boards: Their boards.
+        posture: How the robot stands, by which contacts with itself are told; None: that is not known.
 
     Raises:
         PublishError: If the name is taken.
     """
 
-    def __init__(self, name: str, patches: Sequence[Patch], boards: Sequence[str]) -> None:
+    def __init__(
+        self, name: str, patches: Sequence[Patch], boards: Sequence[str], posture: Posture | None = None
+    ) -> None:
+        self._posture = posture
         self._patches = tuple(patches)
         self._readers = [BoardReader(board) for board in boards]
         self._seen = [Sighting(patch.name, patch.frame) for patch in patches]
@@ -191,6 +197,8 @@ class Merger(Closing):
 
         The contacts of a patch that has fallen silent stay as they were; how long it has been silent is told with them.
         """
+        if self._posture is not None:
+            self._posture.step()
         news = False
         for number, reader in enumerate(self._readers):
             # the name may have been another program's, or have been left by one that had the patch elsewhere
@@ -202,7 +210,9 @@ class Merger(Closing):
         if not news:
             return None
         self._sequence += 1
-        contacts = [contact for own in self._contacts for contact in own]
+        contacts: Sequence[Contact] = [contact for own in self._contacts for contact in own]
+        if self._posture is not None:
+            contacts = self._posture.told(contacts)
         merged = felt(self._sequence, self._seen, contacts, self._board.boot)
         self._board.write(pack(merged, self._patches))
         return merged

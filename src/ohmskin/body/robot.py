@@ -2,8 +2,8 @@
 
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
+from ohmskin.client.felt import Contact
 from ohmskin.errors import SkinError
 from ohmskin.skin.checks import is_number, read_text
 
@@ -28,6 +29,40 @@ _GREY = "0.78 0.81 0.85 1"
 
 
 @dataclass(frozen=True)
+class Joint:
+    """What moves one link against another.
+
+    Args:
+        parent, child: The links.
+        kind: As URDF has it: revolute, continuous, prismatic; fixed, floating, planar, which stand still here.
+        origin: Pose (4, 4) of the child in the parent at position zero (m).
+        axis: Unit vector (3,) in the child.
+        limits: Least and greatest position (rad, m); infinite where the file tells none.
+    """
+
+    parent: str
+    child: str
+    kind: str
+    origin: Floats
+    axis: Floats
+    limits: tuple[float, float] = (-np.inf, np.inf)
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a position."""
+        return self.kind in _TURNS + _SLIDES
+
+    def pose(self, position: float) -> Floats:
+        """Pose (4, 4) of the child in the parent at a position (rad, m)."""
+        moved = np.eye(4)
+        if self.kind in _TURNS:
+            moved[:3, :3] = Rotation.from_rotvec(position * self.axis).as_matrix()
+        elif self.kind in _SLIDES:
+            moved[:3, 3] = position * self.axis
+        return np.asarray(self.origin @ moved)
+
+
+@dataclass(frozen=True)
 class Robot:
     """Where the links of a robot are while its joints stand still, and what they look like.
 
@@ -35,11 +70,15 @@ class Robot:
         links: Pose (4, 4) of each link in the frame of the root link (m).
         visuals: For each simple shape: link, pose (4, 4) in it, shape, size (m) in URDF's order, colour (RGB, 0 to 1).
         unseen: Links that have a mesh, which is not shown.
+        joints: Its joints by name, in the order of the file.
+        positions: Of joints that do not stand at zero (rad, m).
     """
 
     links: Mapping[str, Floats]
     visuals: tuple[dict[str, Any], ...] = ()
     unseen: tuple[str, ...] = ()
+    joints: Mapping[str, Joint] = field(default_factory=dict)
+    positions: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: Path, joints: Mapping[str, Any] | None = None) -> "Robot":
@@ -63,13 +102,42 @@ class Robot:
         if root.tag != "robot" or not names:
             raise SkinError(f"{path} is no URDF file: it must have a <robot> with <link>s (expand xacro first)")
         try:
-            links = _links(names, root.findall("joint"), joints or {})
+            table = _joints(names, root.findall("joint"))
+            links = _links(names, table, joints or {})
             visuals = [found for link in root.findall("link") for found in _visuals(link, root)]
         except SkinError as error:
             raise SkinError(f"{path}: {error}") from None
         shown = tuple(visual for visual in visuals if visual["shape"] != "mesh")
         unseen = dict.fromkeys(visual["link"] for visual in visuals if visual["shape"] == "mesh")
-        return cls(links, shown, tuple(unseen))
+        return cls(links, shown, tuple(unseen), table, dict(joints or {}))
+
+    @property
+    def root(self) -> str:
+        """The link that hangs on no other, in whose frame all poses are."""
+        children = {joint.child for joint in self.joints.values()}
+        return next(name for name in self.links if name not in children)
+
+    def posed(self, joints: Mapping[str, Any]) -> "Robot":
+        """The robot with its joints at these positions (rad, m); zero unless given.
+
+        Raises:
+            SkinError: If a joint is unknown or its position no number.
+        """
+        return replace(self, links=_links(list(self.links), self.joints, joints), positions=dict(joints))
+
+    def place(self, contacts: Sequence[Contact], frame: str = "") -> tuple[Contact, ...]:
+        """Contacts on its links in the frame of one link, that of the root unless given.
+
+        Raises:
+            SkinError: If there is no such link.
+        """
+        frame = frame or self.root
+        if unknown := {frame, *(contact.frame for contact in contacts)} - set(self.links):
+            raise SkinError(f"there is no link {min(unknown)!r}; the links are {', '.join(list(self.links)[:20])}")
+        return tuple(
+            contact.moved(np.linalg.solve(self.links[frame], self.links[contact.frame]).tolist(), frame)
+            for contact in contacts
+        )
 
     def told(self) -> dict[str, Any]:
         """What a page is told of it, as JSON has it; poses row by row."""
@@ -77,19 +145,40 @@ class Robot:
         return {"links": {name: pose.ravel().tolist() for name, pose in self.links.items()}, "visuals": visuals}
 
 
-def _links(names: list[str], joints: list[Element], positions: Mapping[str, Any]) -> dict[str, Floats]:
-    """The pose of each link: forward kinematics."""
-    above: dict[str, tuple[str, Floats]] = {}
-    known = {joint.get("name", ""): joint for joint in joints}
-    if unknown := next((name for name in positions if name not in known), None):
-        raise SkinError(f"there is no joint {unknown!r}; the joints are {', '.join(list(known)[:20]) or 'none'}")
-    for name, joint in known.items():
-        ends = [end.get("link", "") if (end := joint.find(tag)) is not None else "" for tag in ("parent", "child")]
-        if ends[0] not in names or ends[1] not in names or ends[1] in above:
+def _joints(names: list[str], found: list[Element]) -> dict[str, Joint]:
+    """All joints by name."""
+    children: set[str] = set()
+    joints: dict[str, Joint] = {}
+    for joint in found:
+        name, kind = joint.get("name", ""), joint.get("type", "fixed")
+        parent, child = (
+            end.get("link", "") if (end := joint.find(tag)) is not None else "" for tag in ("parent", "child")
+        )
+        if parent not in names or child not in names or child in children:
+            raise SkinError(f"joint {name!r} goes from link {parent!r} to {child!r}; each link has one parent at most")
+        children.add(child)
+        given, limit = joint.find("axis"), joint.find("limit")
+        axis = _numbers("1 0 0" if given is None else given.get("xyz", ""), 3, f"the axis of joint {name!r}")
+        if kind not in (*_TURNS, *_SLIDES, *_STILL) or not np.linalg.norm(axis) > 0:
             raise SkinError(
-                f"joint {name!r} goes from link {ends[0]!r} to {ends[1]!r}; each link has one parent at most"
+                f"joint {name!r} is of type {kind!r} about {axis}; choose from {', '.join(_TURNS + _SLIDES + _STILL)}"
             )
-        above[ends[1]] = ends[0], _pose(joint) @ _moved(name, joint, positions.get(name, 0.0))
+        limits = (-np.inf, np.inf)
+        if limit is not None and kind != "continuous":
+            words = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
+            limits = tuple(_numbers(words, 2, f"the limit of joint {name!r}").tolist())
+        joints[name] = Joint(parent, child, kind, _pose(joint), axis / np.linalg.norm(axis), limits)
+    return joints
+
+
+def _links(names: list[str], joints: Mapping[str, Joint], positions: Mapping[str, Any]) -> dict[str, Floats]:
+    """The pose of each link: forward kinematics."""
+    for name, position in positions.items():
+        if name not in joints:
+            raise SkinError(f"there is no joint {name!r}; the joints are {', '.join(list(joints)[:20]) or 'none'}")
+        if not is_number(position) or not abs(position) < 1e3:
+            raise SkinError(f"joint {name!r} is at {position!r}; it must be a number (rad or m)")
+    above = {joint.child: (joint.parent, joint.pose(positions.get(name, 0.0))) for name, joint in joints.items()}
     poses: dict[str, Floats] = {}
     for name in names:
         pose, at, steps = np.eye(4), name, 0
@@ -100,25 +189,6 @@ def _links(names: list[str], joints: list[Element], positions: Mapping[str, Any]
                 raise SkinError(f"the joints above link {name!r} go round in a circle")
         poses[name] = pose
     return poses
-
-
-def _moved(name: str, joint: Element, position: Any) -> Floats:
-    """What the position of a joint does."""
-    if not is_number(position) or not abs(position) < 1e3:
-        raise SkinError(f"joint {name!r} is at {position!r}; it must be a number (rad or m)")
-    kind, moved = joint.get("type", "fixed"), np.eye(4)
-    found = joint.find("axis")
-    axis = _numbers("1 0 0" if found is None else found.get("xyz", ""), 3, f"the axis of joint {name!r}")
-    if kind not in (*_TURNS, *_SLIDES, *_STILL) or not np.linalg.norm(axis) > 0:
-        raise SkinError(
-            f"joint {name!r} is of type {kind!r} about {axis}; choose from {', '.join(_TURNS + _SLIDES + _STILL)}"
-        )
-    axis /= np.linalg.norm(axis)
-    if kind in _TURNS:
-        moved[:3, :3] = Rotation.from_rotvec(position * axis).as_matrix()
-    elif kind in _SLIDES:
-        moved[:3, 3] = position * axis
-    return moved
 
 
 def _visuals(link: Element, root: Element) -> list[dict[str, Any]]:

@@ -72,7 +72,10 @@ class Patch:
             frame=self.frame,
             position=self.place(*contact.position),
             normal=self.normal,
-            **{name: float(getattr(contact, name)) for name in ("extent", "strength", "confidence", "peak")},
+            extent=float(contact.extent),
+            strength=float(contact.strength),
+            confidence=float(contact.confidence),
+            peak=float(contact.peak),
             radius=contact.radius,
             velocity=None if velocity is None else self.turn(*velocity),
             covariance=covariance,
@@ -109,6 +112,7 @@ class Contact:
         force_std: Standard deviation of the force (N); None likewise.
         pressure: The greatest (Pa); None likewise, or where the calibration does not tell it.
         area: Force over pressure (m2); None likewise.
+        self_touch: Whether another link of the robot touches here; None if that is not known.
     """
 
     id: int
@@ -127,6 +131,7 @@ class Contact:
     force_std: float | None = None
     pressure: float | None = None
     area: float | None = None
+    self_touch: bool | None = None
 
     @property
     def spread(self) -> float:
@@ -137,6 +142,20 @@ class Contact:
         trace = sum(self.covariance[i][i] for i in range(3))
         squares = sum(entry * entry for row in self.covariance for entry in row)
         return sqrt(trace / 2 + sqrt(max(0.0, 2 * squares - trace * trace)) / 2)
+
+    def moved(self, pose: Sequence[Sequence[float]], frame: str) -> "Contact":
+        """It in another frame, in which its own has this pose: rows of a matrix (4, 4) (m)."""
+
+        def turn(vector: Sequence[float]) -> tuple[float, ...]:
+            return tuple(sum(pose[i][j] * vector[j] for j in range(3)) for i in range(3))
+
+        covariance = self.covariance
+        if covariance is not None:
+            covariance = tuple(map(turn, zip(*map(turn, covariance), strict=True)))
+        position = tuple(turned + pose[i][3] for i, turned in enumerate(turn(self.position)))
+        velocity = None if self.velocity is None else turn(self.velocity)
+        changed = {"position": position, "normal": turn(self.normal), "velocity": velocity, "covariance": covariance}
+        return replace(self, frame=frame, **changed)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -195,6 +214,22 @@ def felt(sequence: int, patches: Sequence[Sighting], contacts: Sequence[Contact]
     """What patches felt together, as old as the oldest of them."""
     oldest = min(patches, key=lambda sighting: sighting.time)
     return Felt(sequence, oldest.time, oldest.stamp, tuple(patches), tuple(contacts), boot)
+
+
+def wrench(contacts: Sequence[Contact]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The force (N) that contacts push a link with, and its torque about the origin of their frame (N m).
+
+    Args:
+        contacts: All in one frame; one whose force is not known counts for nothing.
+    """
+    force, torque = [0.0] * 3, [0.0] * 3
+    for contact in contacts:
+        push = [-(contact.force or 0.0) * along for along in contact.normal]
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            force[i] += push[i]
+            torque[i] += contact.position[j] * push[k] - contact.position[k] * push[j]
+    return tuple(value + 0.0 for value in force), tuple(value + 0.0 for value in torque)  # no minus zeros
 
 
 def pack(felt: Felt, patches: Sequence[Patch]) -> bytes:

@@ -23,6 +23,8 @@ class Field:
         rank: 0 for a number, 1 for a vector, 2 for a symmetric matrix, of which the upper triangle is kept.
         ros: Type of a vector in ROS messages.
         optional: Whether it may be unknown.
+        space: Whether there is one in a frame of the robot only, not on the sheet.
+        flag: Whether it is true or false: 1 or 0 among numbers.
     """
 
     name: str
@@ -31,6 +33,8 @@ class Field:
     rank: int = 0
     ros: str = "geometry_msgs/Vector3"
     optional: bool = False
+    space: bool = False
+    flag: bool = False
 
     def components(self, dimensions: int) -> tuple[str, ...]:
         """Names of its numbers: ``extent``; ``velocity_x``, ...; ``covariance_xx``, ``covariance_xy``, ..."""
@@ -47,7 +51,7 @@ class Field:
             return [nan] * len(self.components(dimensions))
         if self.rank == 2:
             return [value[i][j] for i in range(dimensions) for j in range(i, dimensions)]
-        return list(value) if self.rank else [value]
+        return list(value) if self.rank else [float(value) if self.flag else value]
 
     def value(self, numbers: Mapping[str, float], dimensions: int) -> Any:
         """The attribute's value, the inverse of `numbers`; None if it is not known."""
@@ -58,13 +62,13 @@ class Field:
             upper = iter(own)
             pairs = {(i, j): next(upper) for i in range(dimensions) for j in range(i, dimensions)}
             return tuple(tuple(pairs[min(i, j), max(i, j)] for j in range(dimensions)) for i in range(dimensions))
-        return tuple(own) if self.rank else own[0]
+        return tuple(own) if self.rank else bool(own[0]) if self.flag else own[0]
 
 
 FIELDS = (
     Field("id", "", "stays while the contact lasts; counted by each skin for itself"),
     Field("position", "m", "", 1, "geometry_msgs/Point"),
-    Field("normal", "", "outward", 1),
+    Field("normal", "", "outward", 1, space=True),
     Field("extent", "m2", "area above half the peak"),
     Field("strength", "m2", "integral of the relative conductivity change over the extent; not a force"),
     Field("confidence", "", "0 to 1"),
@@ -76,13 +80,14 @@ FIELDS = (
     Field("force_std", "N", "standard deviation of the force; NaN likewise", optional=True),
     Field("pressure", "Pa", "the greatest; NaN likewise, or if the calibration does not tell it", optional=True),
     Field("area", "m2", "force over pressure; NaN likewise", optional=True),
+    Field("self_touch", "", "1: another link touches here, 0: none; NaN if not known", 0, "", True, True, True),
 )
-"""All fields, in the order of every binary format; on the sheet there is no normal."""
+"""All fields, in the order of every binary format; on the sheet there are fewer."""
 
 
 def fields(dimensions: int) -> tuple[Field, ...]:
     """The fields of a contact on the sheet (2) or in space (3)."""
-    return tuple(field for field in FIELDS if dimensions == 3 or field.name != "normal")
+    return tuple(field for field in FIELDS if dimensions == 3 or not field.space)
 
 
 def components(dimensions: int) -> tuple[str, ...]:

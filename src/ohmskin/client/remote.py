@@ -19,7 +19,7 @@ from ohmskin.client.fields import components
 from ohmskin.errors import DataError, PublishError
 
 CONTACTS_TYPE = "ohmskin_msgs::msg::dds_::Contacts_"
-CONTACTS_HASH = "RIHS01_80640f5f026177bf5d7b6e62d19eeb21666805984a62fea94411c1899fe063b3"
+CONTACTS_HASH = "RIHS01_e6a2af3b67db8358f71d10d5699f89e39ac255fc4d0eff899ebadfb6f9165a46"
 _USER = "ohmskin"
 _LARGEST_DOMAIN = 232  # beyond which DDS has no ports
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)

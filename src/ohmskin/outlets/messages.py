@@ -6,7 +6,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.client.cdr import Encoder
-from ohmskin.client.felt import Contact, Felt
+from ohmskin.client.felt import Contact, Felt, wrench
 from ohmskin.client.fields import components, numbers
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
@@ -35,12 +35,8 @@ def encode_wrench(contacts: Sequence[Contact], frame: str, stamp: int) -> bytes:
         frame: The link.
         stamp: ns since 1970.
     """
-    force, torque = np.zeros(3), np.zeros(3)
-    for contact in contacts:
-        push = -(contact.force or 0.0) * np.array(contact.normal)
-        force, torque = force + push, torque + np.cross(contact.position, push)
-    force, torque = force + 0.0, torque + 0.0  # no minus zeros
-    return Encoder().stamp(stamp).text(frame).put("dddddd", *force.tolist(), *torque.tolist()).done()
+    force, torque = wrench(contacts)
+    return Encoder().stamp(stamp).text(frame).put("dddddd", *force, *torque).done()
 
 
 def encode_cloud(pixels: Floats, places: Floats, frame: str, stamp: int) -> bytes:

@@ -16,6 +16,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from ohmskin.child import when_input_ends
 from ohmskin.client.board import BoardReader
 from ohmskin.client.felt import Contact, Felt, SharedMemory
+from ohmskin.client.joints import LinkPoses
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.picture import Picture
@@ -68,7 +69,7 @@ class BoardsPage:
     def __init__(self, name: str, boards: Sequence[str], robot: Mapping[str, Any] | None = None) -> None:
         self._name, self._names, self._robot = name, list(boards), robot
         self._every = 1 / (_FRAMES_PER_SECOND if robot is None else _FRAMES_IN_SPACE)
-        self._merged = SharedMemory(name)
+        self._merged, self._links = SharedMemory(name), LinkPoses(name)
         self._pictures = [BoardReader(f"{board}.image") for board in boards]
         self._devices = [BoardReader(f"{board}.device") for board in boards]
         self._addresses = [""] * len(self._names)  # of virtual skins
@@ -102,8 +103,11 @@ class BoardsPage:
             patches.append(shown | about)
             pixels.append(image)
         header: dict[str, Any] = {"name": self._name, "patches": patches, "note": note}
-        if self._robot is not None and _ROBOT not in told:
-            told[_ROBOT], header["robot"] = 1, self._robot
+        if self._robot is not None:
+            with contextlib.suppress(PublishError):
+                header["links"] = self._links.newest()
+            if _ROBOT not in told:
+                told[_ROBOT], header["robot"] = 1, self._robot
         return pack_frame(header, *pixels, dtype="i1")
 
     def pressed(self, answer: str) -> Press | None:
@@ -172,7 +176,7 @@ class BoardsPage:
 
 def _shown(contact: Contact, x: float, y: float) -> dict[str, Any]:
     """A contact on its skin's map and in its link's frame."""
-    names = ("id", "extent", "strength", "confidence", "normal", "force", "force_std")
+    names = ("id", "extent", "strength", "confidence", "normal", "force", "force_std", "self_touch")
     return {**{name: getattr(contact, name) for name in names}, "x": x, "y": y, "in": contact.position}
 
 

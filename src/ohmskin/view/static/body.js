@@ -157,6 +157,15 @@ export class BodyView {
     return { x: ((x + 1) / 2) * w, y: ((1 - y) / 2) * h, shown: z < 1, world };
   }
 
+  /** Links as the joints have put them by now. */
+  pose(links) {
+    for (const [name, pose] of Object.entries(links)) {
+      const link = this._links.get(name);
+      link?.matrix.set(...pose);
+      link?.updateMatrixWorld(true);
+    }
+  }
+
   show(patches, known, stale, theme, limit, threshold) {
     this._labels = [];
     let arrows = 0;
@@ -185,13 +194,13 @@ export class BodyView {
     this._draw();
   }
 
-  _contact(patch, { id, in: at, normal, force, force_std: std }, arrow, theme) {
+  _contact(patch, { id, in: at, normal, force, force_std: std, self_touch: own }, arrow, theme) {
     const told = force !== null && force !== undefined;
     const length = told ? Math.min(LONGEST, Math.max(SHORT, PER_NEWTON * Math.abs(force))) : FIXED;
-    arrow.point(at, normal, length, told ? INK[theme].felt : INK[theme].quiet);
+    arrow.point(at, normal, length, own ? INK[theme].other : told ? INK[theme].felt : INK[theme].quiet);
     const doubt = std === null || std === undefined ? "" : ` ± ${number(std, 1)}`;
     const why = patch.newtons ? "force not known yet" : "uncalibrated";
-    const text = `#${id} · ${told ? `${number(force, 1)}${doubt} N` : why}`;
+    const text = `#${id} · ${told ? `${number(force, 1)}${doubt} N` : why}${own ? " · self-touch" : ""}`;
     const tail = at.map((v, axis) => v + (length + 0.01) * normal[axis]);
     this._labels.push({ link: patch.link, at: tail, up: 0, text, normal, of: patch.name });
   }

@@ -121,6 +121,7 @@ function show(frame, known) {
     `${frame.patches.length} patches, ${contacts}` + (silent && known ? `, ${silent} silent` : "");
   const values = frame.patches.flatMap((patch) => [...patch.pixels].map((code) => (code * patch.peak) / 127));
   range.follow(Math.min(0, ...values), Math.max(0, ...values), THRESHOLD, performance.now());
+  window.ohmskin.body?.pose(frame.links ?? {});
   window.ohmskin.body?.show(frame.patches, known, STALE, theme, range.limit, THRESHOLD);
   const forces = heard.flatMap((patch) => patch.contacts.map((contact) => contact.force ?? null));
   byId("newtons").hidden = !forces.some((force) => force !== null);

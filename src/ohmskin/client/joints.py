@@ -1,0 +1,72 @@
+"""Joint states, from the program that knows them to the one that senses, and where links are by them."""
+
+import json
+import struct
+import time
+from collections.abc import Mapping
+from math import isfinite
+
+from ohmskin.client.board import Board, BoardReader
+from ohmskin.closing import Closing
+from ohmskin.errors import PublishError
+
+_LARGEST = 2**16  # bytes, some thousand joints
+_POSE = struct.Struct("<16d")
+
+
+class JointStates(Closing):
+    """Tells a body how its joints stand, so that it knows what its contacts are of, and its page moves.
+
+    with JointStates("torso") as joints:
+        joints.push({"elbow": -1.1})            # again whenever they have moved
+
+    Args:
+        name: Name of the body.
+
+    Raises:
+        PublishError: If another program tells that body's joints now.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._board = Board(f"{name}.joints", {}, _LARGEST)
+
+    def push(self, positions: Mapping[str, float], age: float = 0.0) -> None:
+        """Tell the positions of joints by name (rad, m), measured so long ago (s); others stand as the body file says.
+
+        Raises:
+            PublishError: If one is no finite number, or there are too many.
+        """
+        told = {name: float(position) for name, position in positions.items()}
+        if wrong := next((name for name, position in told.items() if not isfinite(position)), None):
+            raise PublishError(f"joint {wrong!r} is at {told[wrong]}; it must be a finite number (rad or m)")
+        self._board.write(json.dumps({"time": time.monotonic() - age, "positions": told}).encode())
+
+    def close(self) -> None:
+        """Take the board away. Safe twice."""
+        self._board.close()
+
+
+class LinkPoses(Closing):
+    """Where the links of a body are, by the joint states that it was told last.
+
+    Args:
+        name: Name of the body.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._reader = BoardReader(f"{name}.links")
+        self._poses: dict[str, tuple[float, ...]] = {}
+
+    def newest(self) -> dict[str, tuple[float, ...]]:
+        """The pose of each link in the frame of the root, row by row (m); empty before joint states were told.
+
+        Raises:
+            PublishError: If the board is of another version.
+        """
+        if (record := self._reader.newest()) is not None:
+            self._poses = dict(zip(self._reader.setup["links"], _POSE.iter_unpack(record), strict=True))
+        return self._poses
+
+    def close(self) -> None:
+        """Let go of the board. Safe twice."""
+        self._reader.close()
