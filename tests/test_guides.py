@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "docs" / "guide"
 EXAMPLES = (
     *("forward.py", "meshes.py", "priors.py", "estimators.py", "estimators_tank.py", "regularisation.py"),
-    *("drive_design.py", "tracking.py", "curved.py"),
+    *("drive_design.py", "tracking.py", "curved.py", "learning.py"),
 )
 TANK = ROOT.parent / "shared" / "data" / "uef2017"
 

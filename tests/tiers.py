@@ -106,6 +106,7 @@ LONG = {
     "test_guides.py::test_example_runs*[[]drive_design": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]estimators": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]forward": "another example, and the text of all",
+    "test_guides.py::test_example_runs*[[]learning": "judgement and learning in test_channels.py and test_learn.py",
     "test_guides.py::test_example_runs*[[]meshes": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]priors": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]regularisation": "another example, and the text of all",

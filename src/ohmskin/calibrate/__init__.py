@@ -2,6 +2,7 @@
 
 from ohmskin.calibrate.channels import ChannelJudgement, judge_channels
 from ohmskin.calibrate.force import ForceCurve, PressSample, fit_force
+from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
 from ohmskin.calibrate.self_test import SelfTest, self_test
@@ -14,6 +15,7 @@ __all__ = [
     "Diagnosis",
     "Finding",
     "ForceCurve",
+    "PositionReport",
     "PressGuide",
     "PressSample",
     "PressStep",
@@ -24,7 +26,9 @@ __all__ = [
     "fit_force",
     "fit_sheet",
     "judge_channels",
+    "learn_positions",
     "press_plan",
+    "read_places",
     "self_test",
     "terminal_pattern",
 ]

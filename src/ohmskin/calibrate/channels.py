@@ -22,10 +22,9 @@ _ROUNDS, _EVEN = 10, 2  # of the search, and of those the first with equal gains
 _SPACING = 0.75  # usual radii of a contact between the places that are searched
 _FLOOR = 0.02  # of the usual variance and power, added to each channel's: one alone must not decide
 _SHAPED = 2.0  # parameters of a press beside its strength
-_SILENT, _DOUBTFUL = (
-    0.1,
-    3.0,
-)  # gain below which a channel tells nothing; times the usual error from which it tells little
+_REPEATS = 4  # quiet frames that tell the noise of each channel
+_LEAST_NOISE = 1e-4  # of the largest voltage, as of a `SkinModel`
+_NOISY = 3.0  # times the usual noise, from which a channel does not tell whether there is a press
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +51,12 @@ class ChannelJudgement:
     @property
     def doubtful(self) -> Bools:
         """(n_meas,) whether a channel tells nothing or little."""
-        gains, errors = self.channels.of(self.pattern)
-        return np.asarray((np.abs(gains) < _SILENT) | (errors > _DOUBTFUL * np.median(errors)))
+        return self.channels.doubtful(self.pattern)
 
     @property
     def reversed(self) -> Bools:
         """(n_meas,) whether a channel is the other way round."""
-        return np.asarray((self.channels.of(self.pattern)[0] < -_SILENT) & ~self.doubtful)
+        return np.asarray((self.channels.of(self.pattern)[0] < 0) & ~self.doubtful)
 
     def report(self) -> list[str]:
         """The findings in plain words, a line each."""
@@ -101,13 +99,15 @@ def judge_channels(
     if len(patterns := {frame.pattern for frame in frames}) != 1:
         raise DataError(f"the presses have {len(patterns)} drive patterns; channels are judged for one at a time")
     (pattern,) = patterns
-    bare = replace(skin.calibration, channels=(), channel_gains=(), channel_errors=())
+    bare = replace(skin.calibration, channels=(), channel_gains=(), channel_errors=(), position_map="")
     known = SkinModel(replace(skin, calibration=bare), skin.transfer_model(), quiet)
     differences = [known.difference(frame) for frame in frames]
     ohms = np.array([change.volts / change.currents for change in differences])
-    volts = np.nan_to_num([change.volts for change in differences])
-    size = np.sqrt((volts**2).sum(axis=1) / np.maximum(np.isfinite(ohms).sum(axis=1), 1))
-    felt = np.flatnonzero(size > _FELT * known.noise)
+    volts = np.array([change.volts for change in differences])
+    noise = _noise(pattern, quiet, known.noise)
+    steady = noise < _NOISY * np.median(noise)
+    size = _rms(volts[:, steady])
+    felt = np.flatnonzero(size > _FELT * _rms(noise[None, steady]))
     if len(felt) < _LEAST:
         told = f"{len(felt)} of {len(frames)} frames change by more than {_FELT:g} times the noise"
         raise DataError(f"{told}; to judge channels, press the skin at {_LEAST} places or more, spread over it")
@@ -117,13 +117,31 @@ def judge_channels(
     ohms = np.where(measured, ohms, 0.0)
     table = known.fitter.table
     chosen = table.spaced(_SPACING * table.radius)
-    search = _Search(table.responses[chosen] @ pattern.combination(table.n_elec).T, ohms, measured)
+    search = _Search(
+        table.responses[chosen] @ pattern.combination(table.n_elec).T, ohms, measured, noise / np.median(size[felt])
+    )
     before = search.unexplained
     for number in range(_ROUNDS):
         search.improve(gains=number >= _EVEN)
         progress((number + 1) / _ROUNDS)
     found = Channels(pattern.quadruples, search.gains, search.errors)
     return ChannelJudgement(pattern, found, table.places[chosen][search.best], search.unexplained, before, skipped)
+
+
+def _noise(pattern: DrivePattern, quiet: Sequence[Frame], usual: float) -> Floats:
+    """Standard deviation (n_meas,) of each channel's change (V); `usual` where quiet frames are too few to tell."""
+    repeats = [frame.voltages for frame in quiet if frame.pattern == pattern]
+    if len(repeats) < _REPEATS:
+        return np.full(pattern.n_meas, usual)
+    scatter = np.std(repeats, axis=0, ddof=1) * np.sqrt(1 + 1 / len(repeats))
+    least = _LEAST_NOISE * float(np.nanmax(np.abs(repeats[0])))
+    return np.asarray(np.maximum(np.where(np.isfinite(scatter), scatter, usual), least))
+
+
+def _rms(volts: Floats) -> Floats:
+    """Root mean square (n,) of what is known of each row (n, n_meas)."""
+    known = np.isfinite(volts)
+    return np.asarray(np.sqrt((np.where(known, volts, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
 
 class _Search:
@@ -133,12 +151,12 @@ class _Search:
         templates: (n_places, n_meas) what a contact changes of each channel.
         changes: (n_presses, n_meas) what was measured, and
         measured: whether it was.
+        noise: (n_meas,) of each channel, over the size of a usual press.
     """
 
-    def __init__(self, templates: Floats, changes: Floats, measured: Bools) -> None:
+    def __init__(self, templates: Floats, changes: Floats, measured: Bools, noise: Floats) -> None:
         self._templates, self._changes, self._measured = templates, changes, measured.astype(float)
-        n_meas = templates.shape[1]
-        self.gains, self.errors = np.ones(n_meas), np.ones(n_meas)
+        self.gains, self.errors = np.ones(templates.shape[1]), np.sqrt(1 + noise**2)
         raised, lowered = (self._explained(sign)[0].sum() for sign in (1.0, -1.0))
         self.gains *= 1.0 if raised >= lowered else -1.0  # all the other way round
         self._explain()

@@ -5,10 +5,13 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import DataError
 from ohmskin.scan.baseline import Difference, codes_of
+from ohmskin.scan.frame import Frame
 from ohmskin.scan.pattern import DrivePattern
+
+_SILENT, _DOUBTFUL = 0.1, 3.0  # gain below which a channel tells nothing; times the usual error from which, little
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,15 @@ class Channels:
                 np.where(judged, self.errors[at], float(np.median(self.errors))),
             )
         return known
+
+    def doubtful(self, pattern: DrivePattern) -> Bools:
+        """(n_meas,) whether a channel tells nothing or little, so that it is left out."""
+        gains, errors = self.of(pattern)
+        return np.asarray((np.abs(gains) < _SILENT) | (errors > _DOUBTFUL * np.median(self.errors)))
+
+    def clean(self, frame: Frame) -> Frame:
+        """The frame without the values of doubtful channels (NaN)."""
+        return replace(frame, voltages=np.where(self.doubtful(frame.pattern), np.nan, frame.voltages))
 
     def weigh(self, difference: Difference, noise: float) -> Difference:
         """The difference as if the model held: gains put into the currents, and all errors as large as the noise (V).

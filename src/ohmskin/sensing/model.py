@@ -63,6 +63,9 @@ class SkinModel:
         self.skin, self.quality, self._impedances = skin, quality, impedances
         if quality is not None:
             quiet = [quality.clean(frame) for frame in quiet]
+        self.channels, self.positions = skin.calibration.judged, skin.calibration.positions_learned
+        if self.channels is not None:
+            quiet = [self.channels.clean(frame) for frame in quiet]
         self.baseline, self.quiet = Baseline.learn(quiet), QuietScans(quiet)
         self._first = quiet[0].pattern
         self._described, scale = model, self._scale(model)
@@ -75,7 +78,6 @@ class SkinModel:
             self.noise / max(self.baseline.difference_noise, 1e-300), 1.0
         )  # without noise: floored
         n_elec = len(skin.electrodes)
-        self.channels, self.positions = skin.calibration.judged, skin.calibration.positions_learned
         self._usual = np.full((n_elec, n_elec), np.nan)  # currents (A) of the pairs driven
         for frame in quiet:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
