@@ -1,4 +1,4 @@
-"""``ohmskin robot``: an arm with a skin yields when it is poked."""
+"""``ohmskin robot``: a robot in skins yields when it is poked."""
 
 import json as json_module
 from contextlib import ExitStack
@@ -7,17 +7,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from ohmskin.body import Body
 from ohmskin.cli.options import Flag, check_seed
-from ohmskin.device import connect
-from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
 from ohmskin.skin import Skin
 
 
 def robot(
     *,
+    body: str = "",
     pokes: int = 10,
-    skin: str = "paper",
+    own_touches: int = 0,
+    free: float = 0.0,
+    skin: str = "",
     mode: str = "",
     seed: int = 0,
     yielding: bool = True,
@@ -25,26 +27,34 @@ def robot(
     picture: Path | None = None,
     json: Flag = False,
 ) -> None:
-    """Poke a robot arm that wears the skin: MuJoCo's contacts press it, the loop senses them, the arm yields.
+    """Poke a robot that wears skins: MuJoCo's contacts press them, the loops sense them, the robot yields.
 
     Args:
+        body: Body file (TOML) of a robot with a URDF file, such as examples/humanoid/body.toml; an arm unless given.
         pokes: Number of pokes, at random places.
-        skin: A rectangular skin that ships with ohmskin or a .toml file.
+        own_touches: Then, how often the robot touches itself, in random postures.
+        free: Then, for how long it moves untouched, s: contacts that are felt are invented.
+        skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
         mode: Drive mode, such as 16I or 16O; the skin's best unless given.
         seed: Seed of the random places.
-        yielding: Let the arm yield; --no-yielding shows the forces without.
+        yielding: Let the robot yield; --no-yielding shows the forces without.
         video: MP4 file to write (needs ffmpeg).
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
         json: Print figures as JSON.
     """
-    if not 1 <= pokes <= 10_000:
-        raise OhmskinError(f"--pokes is {pokes}; choose 1 to 10000")
+    for name, value, low, high in (("pokes", pokes, 1, 10_000), ("own-touches", own_touches, 0, 10_000)):
+        if not low <= value <= high:
+            raise OhmskinError(f"--{name} is {value}; choose {low} to {high}")
+    if not 0 <= free <= 36_000:
+        raise OhmskinError(f"--free is {free} s; choose 0 to 36000")
+    if body and skin:
+        raise OhmskinError("the skins are those of the body file; leave out --skin or --body")
     check_seed(int, seed)
     for path in (video, picture):
         if path is not None and not path.parent.is_dir():
             raise OhmskinError(f"there is no folder {path.parent}; make it first")
-    description = Skin.load(skin)
-    from ohmskin.robot import Demonstration, Moment, summary  # here: help needs no MuJoCo
+    loaded = Body.load(body) if body else Skin.load(skin or "paper")
+    from ohmskin.robot import Demonstration, Moment, arm, engines, summary  # here: help needs no MuJoCo
 
     if video or picture:
         from ohmskin.robot.display import check_display
@@ -55,14 +65,11 @@ def robot(
         check_display()
     console = Console(stderr=True)
     with ExitStack() as stack:
-        engine = stack.enter_context(
-            Engine(lambda: connect("virtual:", skin=description, seed=seed, realtime=False), description, mode)
-        )
-        engine.calibrate()
-        demonstration = Demonstration(engine, seed, yielding)
+        poked = loaded if isinstance(loaded, Body) else arm(loaded)
+        demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, yielding)
         shows = []
         if video or picture:
-            film = Film(description, demonstration.arm)
+            film = Film(demonstration.wearer)
             stack.callback(film.close)
             for file, taken in ((picture, to_picture), (video, to_video)):
                 if file:
@@ -73,14 +80,22 @@ def robot(
                 each(moment)
 
         encounters = list(track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console))
+        own = demonstration.own_touches(own_touches, show)
+        touches = list(track(own, "touching itself", total=own_touches, console=console, disable=not own_touches))
+        invented = demonstration.free(free, show)
     if picture and not picture.exists():
         console.print("no poke was felt; no picture was written")
-    figures = summary(encounters)
+    figures = summary(encounters, touches) | {"free_motion": free, "invented_in_free_motion": invented}
     if json:
         print(json_module.dumps(figures))
         return
-    print(f"{figures['felt']} of {pokes} pokes felt")
-    for name, factor, unit in (("position_error", 1e3, "mm"), ("reaction_time", 1e3, "ms"), ("peak_force", 1.0, "N")):
+    print(f"{figures['felt']} of {pokes} pokes felt, {figures['on_the_right_link']} on the right link")
+    if touches:
+        print(f"{figures['own_touches_told']} of {own_touches} touches by itself told from others")
+    if free:
+        print(f"{invented} contacts invented in {free:g} s of free motion")
+    units = {"position_error": (1e3, "mm"), "reaction_time": (1e3, "ms"), "peak_force": (1.0, "N")}
+    for name, (factor, unit) in (units | {"force_error": (1e2, "%")}).items():
         if (spread := figures[name]) is not None:
             assert isinstance(spread, dict)
             said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())

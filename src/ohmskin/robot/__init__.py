@@ -1,6 +1,8 @@
-"""A robot with a sense of touch, in MuJoCo: an arm with a skin on its forearm that yields when it is poked."""
+"""Robots with a sense of touch, in MuJoCo: they wear skins and yield when they are poked."""
 
-from ohmskin.robot.arm import Arm, Poke
-from ohmskin.robot.demonstration import Demonstration, Encounter, Moment, summary
+from ohmskin.robot.arm import arm
+from ohmskin.robot.demonstration import Demonstration, Moment, Sensed, engines
+from ohmskin.robot.figures import Encounter, OwnTouch, summary
+from ohmskin.robot.wearer import Push, Wearer
 
-__all__ = ["Arm", "Demonstration", "Encounter", "Moment", "Poke", "summary"]
+__all__ = ["Demonstration", "Encounter", "Moment", "OwnTouch", "Push", "Sensed", "Wearer", "arm", "engines", "summary"]

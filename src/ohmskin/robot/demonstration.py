@@ -1,169 +1,297 @@
-"""Pokes an arm that feels: MuJoCo's contacts press the physics twin, the real loop senses them, the arm yields."""
+"""Pokes a robot that feels: MuJoCo's contacts press the physics twins, the real loops sense them, the robot yields."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from ohmskin.arrays import Floats, as_plain
+from ohmskin.arrays import Floats
+from ohmskin.body import Body, SelfTouch
+from ohmskin.client.felt import Contact
+from ohmskin.contacts import in_frame
+from ohmskin.device import connect
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
-from ohmskin.robot.arm import Arm, Poke, above
+from ohmskin.robot.figures import Encounter, OwnTouch
+from ohmskin.robot.reach import way_to_itself
+from ohmskin.robot.scene import FINGER
+from ohmskin.robot.wearer import Push, Wearer, above
+from ohmskin.skin import Calibration, Press, Skin
 
+_ABOVE = 0.03  # m: where a poke starts, above the skin
 _APPROACH = 0.08  # m/s
-_RETREAT = 0.25  # m/s, of the skin where it is touched
+_RETREAT = 0.25  # m/s, of the skin where it is touched, and of the finger afterwards
+_SOFT = 0.02  # m/s for each newton that is felt: the admittance
+_USUAL = 5.0  # N, taken for the force in the first frames of a contact, which do not tell it
+_STILL = 0.75  # s in which the robot comes back
 _PUSH = 0.02  # m beyond the first touch that the finger wants to go
+_HARDEST = 20.0  # N that the hand pushes with at most
 _HOLD = 0.25  # s at the end of a push
-_REST = 0.6  # s between two pokes
-_LINGER = 0.15  # s that the arm goes on yielding after the last report
+_PAUSE = 0.4  # s between two pokes
+_REACHING = 0.6  # rad/s or m/s, of a robot that goes to touch itself
+_FIRM = 5.0  # N, with which it does
+_FREE = 2 * FINGER  # m that the way of the finger keeps from other links
+_RIM = 0.1  # of a skin's size, that pokes keep from its rim
+_NEAR = 0.03  # m from a contact, within which a push is taken for what caused it
+_AWAY, _UP = np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, 1.0])  # where no hand is near
 _LEAST_RADIUS, _MOST_PRESSURE = 2e-3, 1e6  # m, Pa: within what the virtual skin takes
 
 
 @dataclass(frozen=True)
-class Encounter:
-    """One poke and what became of it.
+class Sensed:
+    """A contact and what it is of.
 
     Args:
-        position: Where the finger first touched the skin (m).
-        reaction: Time from the first touch to the first command that yields (s); NaN if it was not felt.
-        force_then: Force at that command (N).
-        peak_force: Largest force (N).
-        errors: Distance between the sensed and the true place, frame by frame (m).
+        patch: Number of the skin.
+        place: (x, y) on its map (m).
+        contact: As the body tells it, in the frame of the root link, which is the world.
+        push: What MuJoCo presses there; None if nothing is near.
     """
 
-    position: tuple[float, float]
-    reaction: float
-    force_then: float
-    peak_force: float
-    errors: tuple[float, ...] = field(repr=False)
+    patch: int
+    place: tuple[float, float]
+    contact: Contact
+    push: Push | None
+
+    @property
+    def error(self) -> float:
+        """Distance (m) between both; infinite if nothing is near."""
+        return np.inf if self.push is None else float(np.linalg.norm(self.contact.position - self.push.point))
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The state after one cycle of the loop, for pictures.
+    """The state after one cycle of the loops, for pictures.
 
     Args:
         time: Simulated time (s).
-        touch: What was felt.
-        poke: What presses the skin; None if nothing does.
-        arm: The arm, which goes on moving: draw it now.
+        touches: What each skin felt.
+        pushes: What presses the skins.
+        sensed: All contacts.
+        wearer: The robot, which goes on moving: draw it now.
     """
 
     time: float
-    touch: Touch
-    poke: Poke | None
-    arm: Arm = field(repr=False)
+    touches: tuple[Touch, ...]
+    pushes: tuple[Push, ...]
+    sensed: tuple[Sensed, ...]
+    wearer: Wearer = field(repr=False)
 
 
 class Demonstration:
-    """An arm with a skin, and an engine that senses for it.
+    """A robot in skins, and an engine for each that senses for it.
 
-    Time is the simulation's. Each cycle lasts as long as the device says that its scans take, and `computing` on top,
-    so that the result does not depend on how fast this machine is.
+    Time is the simulation's. All skins are scanned at once; each cycle lasts as long as the devices say that their
+    scans take, and `computing` on top, so that the result does not depend on how fast this machine is.
 
     Args:
-        engine: The loop on a virtual skin, calibrated.
+        body: The robot.
+        engines: The loops on virtual skins, calibrated, in the order of its patches.
         seed: Chooses the places of the pokes.
-        yielding: Whether the arm yields; without, forces show what the sense of touch is worth.
+        yielding: Whether the robot yields; without, forces show what the sense of touch is worth.
         computing: Time for computing in each cycle (s).
 
     Raises:
-        ModelError: If the skin is not virtual or not a rectangle.
+        ModelError: If a skin is not virtual.
     """
 
-    def __init__(self, engine: Engine, seed: int = 0, yielding: bool = True, computing: float = 2e-3) -> None:
-        if not engine.device.capabilities.virtual or engine.skin.sheet.shape != "rectangle":
-            raise ModelError("the demonstration needs a rectangular skin on the device virtual:")
-        self.engine, self.yielding, self.computing = engine, yielding, computing
-        self._size = np.array([engine.skin.sheet.width, engine.skin.sheet.height])
-        self.arm = Arm(*self._size)
+    def __init__(
+        self, body: Body, engines: Sequence[Engine], seed: int = 0, yielding: bool = True, computing: float = 2e-3
+    ) -> None:
+        if not all(engine.device.capabilities.virtual for engine in engines) or len(engines) != len(body.patches):
+            raise ModelError("the demonstration needs a skin on the device virtual: for each patch")
+        self.body, self.engines, self.yielding, self.computing = body, tuple(engines), yielding, computing
+        self.wearer = Wearer(body)
+        self._self_touch = SelfTouch(body)
+        self._links = {placed.patch.name: placed.patch.frame for placed in body.patches}
         self._random = np.random.default_rng(seed)
-        self._felt_at, self._felt_where = -np.inf, np.zeros(2)
+        self._offset = np.zeros_like(self.wearer.target)
+        self._pressed: list[int] = [0] * len(engines)
+        self._elapsed = 0.0
+        self._reach: Floats | None = None  # joint positions in place of the robot's own movement
 
     def pokes(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[Encounter]:
-        """Poke the arm `count` times at random places; `show` is called after every cycle."""
+        """Poke the robot `count` times at random places; `show` is called after every cycle."""
         for _ in range(count):
-            yield self._encounter(self._random.uniform(0.1, 0.9, 2) * self._size, show)
+            yield self._encounter(*self._reachable(), show)
 
-    def _encounter(self, aim: Floats, show: Callable[[Moment], None]) -> Encounter:
-        pushed, held, touched_at, reacted_at = 0.0, 0.0, np.nan, np.nan
-        where, force_then, peak, errors = (np.nan, np.nan), np.nan, 0.0, []
-        finger = above(self.arm, aim)
-        direction: Floats | None = None
-        elapsed = 0.0
-        while held < _HOLD:
-            if direction is None:  # the finger follows the moving arm until it touches, then pushes straight on
-                height = float((finger - self.arm.to_world(aim)) @ self.arm.normal)
-                finger = self.arm.to_world(aim) + (height - _APPROACH * elapsed) * self.arm.normal
-            elif pushed < _PUSH:
-                finger = finger + direction * (_APPROACH * elapsed)
-                pushed += _APPROACH * elapsed
+    def free(self, seconds: float, show: Callable[[Moment], None] = lambda _: None) -> int:
+        """Move for so long without being touched; the number of contacts that were reported all the same."""
+        self.wearer.bring(_AWAY, _UP)
+        end, found = self.wearer.time + seconds, set[tuple[str, int]]()
+        while self.wearer.time < end:
+            moment = self._cycle(_AWAY)
+            show(moment)
+            found |= {(one.contact.patch, one.contact.id) for one in moment.sensed if one.push is None}
+        return len(found)
+
+    def own_touches(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[OwnTouch]:
+        """Let the robot touch itself `count` times, in postures found by chance, with no hand near it."""
+        self.wearer.bring(_AWAY, _UP)
+        for _ in range(count):
+            yield self._own_touch(way_to_itself(self.wearer, self._random), show)
+
+    def _own_touch(self, end: Floats, show: Callable[[Moment], None]) -> OwnTouch:
+        start, push, peak, pushed, frames, told = self.wearer.target.copy(), 0.0, 0.0, set[int](), 0, 0
+        gone, held, seconds = 0.0, 0.0, float(np.abs(end - start).max()) / _REACHING
+        names = [placed.patch.name for placed in self.body.patches]
+        while gone >= 0:
+            if held >= _HOLD:  # and back again
+                gone, start = gone - self._elapsed, self.wearer.rest(self.wearer.time)
+            elif gone < seconds and push < _FIRM and not held:
+                gone += self._elapsed
             else:
-                held += elapsed
-            moment, elapsed = self._cycle(finger, elapsed)
+                end = end if held else start + (end - start) * gone / seconds  # no further than it has come
+                held, seconds = held + self._elapsed, gone
+            self._reach = start + min(1.0, gone / seconds) * (end - start)
+            moment = self._cycle(_AWAY)
             show(moment)
-            if moment.poke is not None:
-                peak = max(peak, moment.poke.force)
-                if direction is None:
-                    direction, touched_at = -self.arm.normal, moment.time
-                    where = (float(moment.poke.position[0]), float(moment.poke.position[1]))
-                for contact in moment.touch.contacts[:1]:
-                    errors.append(float(np.hypot(*(np.array(contact.position) - moment.poke.position))))
-                if np.isnan(reacted_at) and moment.touch.contacts:
-                    # what was touched at the beginning of a cycle is known at its end
-                    reacted_at, force_then = moment.time + elapsed, moment.poke.force
-        end = self.arm.time + _REST
-        while self.arm.time < end:
-            moment, elapsed = self._cycle(above(self.arm, aim, 0.12), elapsed)
+            push = max((push.force for push in moment.pushes), default=0.0)
+            peak, pushed = max(peak, push), pushed | {push.patch for push in moment.pushes}
+            own = [one for one in moment.sensed if one.push is not None]
+            frames, told = frames + len(own), told + sum(bool(one.contact.self_touch) for one in own)
+        self._reach = None
+        return OwnTouch(tuple(names[number] for number in sorted(pushed)), peak, frames, told)
+
+    def _reachable(self) -> tuple[int, Floats]:
+        """A skin, and a place on it that the finger can come to; by chance."""
+        while True:
+            patch = int(self._random.integers(len(self.engines)))
+            domain = self.engines[patch].skin.domain
+            x0, y0, x1, y1 = domain.bounds
+            place = self._random.uniform([x0, y0], [x1, y1])
+            inset = _RIM * min(x1 - x0, y1 - y0)
+            if domain.depth([place])[0] > inset and self._clear(patch, place):
+                return patch, place
+
+    def _clear(self, patch: int, place: Floats) -> bool:
+        """Whether no other link is in the finger's way."""
+        robot, link = self.wearer.posed(), self.body.patches[patch].patch.frame
+        ways = (above(self.wearer, patch, place, height) for height in np.linspace(0.0, 0.15, 7))
+        return all(self._self_touch.nearest(robot, way, link)[1] > FINGER + _FREE for way in ways)
+
+    def _encounter(self, patch: int, aim: Floats, show: Callable[[Moment], None]) -> Encounter:
+        pushed, held, touched_at, reacted_at, force = 0.0, 0.0, np.nan, np.nan, 0.0
+        where, felt_on, peak = (np.nan, np.nan), "", 0.0
+        errors, forces, strangers, own = list[float](), list[tuple[float, float]](), set[tuple[str, int]](), 0
+        height, direction = _ABOVE, np.zeros(3)
+        finger = above(self.wearer, patch, aim, height)
+        self.wearer.bring(finger, self.wearer.surface(patch, aim)[1])
+        while held < _HOLD:
+            step = _APPROACH * self._elapsed
+            if np.isnan(touched_at):  # the finger follows the moving skin until it touches, then pushes straight on
+                height -= step
+                finger = above(self.wearer, patch, aim, height)
+                if height < -_PUSH:
+                    break  # something holds it off
+            elif pushed < _PUSH:
+                step *= min(1.0, 1 - force / _HARDEST)
+                finger, pushed = finger + direction * step, pushed + abs(step)
+            else:
+                held += self._elapsed
+            moment = self._cycle(finger)
             show(moment)
-        return Encounter(where, reacted_at - touched_at, force_then, peak, tuple(errors))
+            push = next((push for push in moment.pushes if push.patch == patch and not push.by), None)
+            force = push.force if push else 0.0
+            if push is not None:
+                peak = max(peak, push.force)
+                if np.isnan(touched_at):
+                    direction, touched_at = -self.wearer.surface(patch, aim)[1], moment.time
+                    where = (float(push.place[0]), float(push.place[1]))
+            for one in moment.sensed:
+                if not felt_on:  # what was touched at the beginning of a cycle is known at its end
+                    felt_on, reacted_at = self._links[one.contact.patch], moment.time + self._elapsed
+                if push is not None and one.push is push:
+                    errors.append(one.error)
+                    own += bool(one.contact.self_touch)
+                    if one.contact.force is not None:
+                        forces.append((push.force, one.contact.force))
+                elif one.push is None and push is not None:
+                    strangers.add((one.contact.patch, one.contact.id))
+        end = self.wearer.time + _PAUSE
+        while self.wearer.time < end:
+            finger = finger - direction * _RETREAT * self._elapsed
+            show(self._cycle(finger))
+        reaction, name = reacted_at - touched_at, self.body.patches[patch].patch.name
+        return Encounter(
+            name, self._links[name], where, felt_on, reaction, peak, tuple(errors), tuple(forces), len(strangers), own
+        )
 
-    def _cycle(self, finger: Floats, seconds: float) -> tuple[Moment, float]:
-        """Move for the time of the last cycle, press what MuJoCo presses, sense, command; how long this one takes."""
-        if seconds:
-            self.arm.advance(seconds, finger)
-        poke = self.arm.poke()
-        position, radius, force = (poke.position, poke.radius, poke.force) if poke else (np.zeros(2), 0.0, 0.0)
-        x, y = np.clip(position, 0, self._size).tolist()
-        radius = max(radius, _LEAST_RADIUS)
-        self.engine.press(0, (x, y), radius, min(force / (np.pi * radius**2), _MOST_PRESSURE))
-        touch = self.engine.step()
-        if touch is None:
-            raise ModelError(f"the skin was lost: {self.engine.message}; start again")
-        scan_time = self.engine.device.capabilities.scan_time
-        took = self.computing + sum(scan_time(frame.pattern) for frame in touch.percept.frames)
-        self._command(touch, took)
-        return Moment(self.arm.time, touch, poke, self.arm), took
+    def _cycle(self, finger: Floats) -> Moment:
+        """Move for the time of the last cycle, press what MuJoCo presses, sense, command."""
+        if self._elapsed:
+            self.wearer.advance(self._elapsed, finger)
+        pushes = self.wearer.pushes()
+        touches = tuple(self._sense(number, engine, pushes) for number, engine in enumerate(self.engines))
+        sensed = tuple(self._placed(touches, pushes))
+        self._elapsed = self.computing + max(self._scanning(*pair) for pair in zip(self.engines, touches, strict=True))
+        moment = Moment(self.wearer.time, touches, pushes, sensed, self.wearer)
+        self._command(sensed)
+        return moment
 
-    def _command(self, touch: Touch, seconds: float) -> None:
-        if touch.contacts:
-            self._felt_at, self._felt_where = self.arm.time, np.array(touch.contacts[0].position)
-        if self.yielding and self.arm.time - self._felt_at <= _LINGER:
-            self.arm.retreat(self._felt_where, _RETREAT, seconds)
-        elif self.arm.time - self._felt_at > 0.4:
-            self.arm.relax(self.arm.rest(self.arm.time), 0.6, seconds)
+    def _sense(self, number: int, engine: Engine, pushes: Sequence[Push]) -> Touch:
+        """What a skin feels of what presses it."""
+        own = [push for push in pushes if push.patch == number]
+        foam = engine.skin.contact_layer.foam_spread
+        for which in range(max(len(own), self._pressed[number])):
+            push = own[which] if which < len(own) else None
+            place = (float(push.place[0]), float(push.place[1])) if push else (0.0, 0.0)
+            radius = max(push.radius if push else 0.0, _LEAST_RADIUS)
+            per_pascal = Press(place, radius, 1.0).force(foam)
+            engine.press(which, place, radius, min(push.force / per_pascal, _MOST_PRESSURE) if push else 0.0)
+        self._pressed[number] = len(own)
+        if (touch := engine.step()) is None:
+            raise ModelError(f"skin {self.body.patches[number].patch.name!r} was lost: {engine.message}; start again")
+        return touch
+
+    def _placed(self, touches: Sequence[Touch], pushes: Sequence[Push]) -> Iterator[Sensed]:
+        """All contacts as the body tells them: in the world, by what the joints tell, with self-touch."""
+        robot = self.wearer.posed()
+        for number, (placed, touch) in enumerate(zip(self.body.patches, touches, strict=True)):
+            if not touch.contacts:
+                continue
+            told = self._self_touch.told(robot, in_frame(touch.contacts, placed.skin.chart, placed.patch))
+            for on_map, contact in zip(touch.contacts, robot.place(told), strict=True):
+                alone = Sensed(number, on_map.position, contact, None)
+                near = (replace(alone, push=push) for push in pushes if push.patch == number)
+                best = min(near, key=lambda one: one.error, default=alone)
+                yield best if best.error < _NEAR else alone
+
+    def _scanning(self, engine: Engine, touch: Touch) -> float:
+        return sum(engine.device.capabilities.scan_time(frame.pattern) for frame in touch.percept.frames)
+
+    def _command(self, sensed: Sequence[Sensed]) -> None:
+        """Where others touch it goes inwards, the faster the more force is felt; what was given way comes back."""
+        self._offset *= np.exp(-self._elapsed / _STILL)
+        for one in sensed:
+            if self.yielding and not one.contact.self_touch:
+                force = _USUAL if one.contact.force is None else one.contact.force
+                telling = self.body.patches[one.patch].patch.newtons
+                speed = min(_RETREAT, _SOFT * force) if telling else _RETREAT
+                self._offset += self.wearer.yielding(one.patch, np.array(one.place)) * speed * self._elapsed
+        own = self.wearer.rest(self.wearer.time) if self._reach is None else self._reach
+        self.wearer.aim(own + self._offset)
 
 
-def summary(encounters: list[Encounter]) -> dict[str, object]:
-    """Figures of a run, for JSON: how many pokes were felt, position errors (m), reaction times (s), forces (N).
+@contextmanager
+def engines(body: Body, seed: int = 0, mode: str = "") -> Iterator[tuple[Engine, ...]]:
+    """A loop for each patch of a body, calibrated, on a virtual skin that is as described, not as calibrated.
 
-    What there is not, such as the reaction to a poke that was not felt, is None.
+    Args:
+        body: The body.
+        seed: Seed of the first skin's noise; the others have the next ones.
+        mode: Drive mode of all; each patch's own unless given.
     """
-    errors = np.concatenate([np.zeros(0), *(e.errors for e in encounters)])
-    reactions = np.array([e.reaction for e in encounters])
-    felt = np.isfinite(reactions)
+    with ExitStack() as stack:
+        made = []
+        for number, placed in enumerate(body.patches):
+            described = replace(placed.skin, calibration=Calibration())
 
-    def spread(values: Floats) -> dict[str, float] | None:
-        if not len(values):
-            return None
-        return {name: float(np.quantile(values, q)) for name, q in (("median", 0.5), ("p95", 0.95), ("worst", 1.0))}
+            def opened(described: Skin = described, seed: int = seed + number) -> Any:
+                return connect("virtual:", skin=described, seed=seed, realtime=False)
 
-    return {
-        "pokes": len(encounters),
-        "felt": int(felt.sum()),
-        "frames_in_contact": len(errors),
-        "position_error": spread(errors),
-        "reaction_time": spread(reactions[felt]),
-        "peak_force": spread(np.array([e.peak_force for e in encounters])),
-        "encounters": [as_plain(asdict(encounter)) for encounter in encounters],
-    }
+            made.append(stack.enter_context(Engine(opened, placed.skin, mode or placed.mode)))
+            made[-1].calibrate()
+        yield tuple(made)

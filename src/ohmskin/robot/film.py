@@ -1,71 +1,134 @@
-"""Pictures of the demonstration: the arm as MuJoCo draws it, and beside it what the skin feels."""
+"""Pictures of the demonstration: the robot as MuJoCo draws it, and beside it what its skins feel."""
 
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
+from ohmskin.arrays import Floats
+from ohmskin.body import PlacedSkin
 from ohmskin.errors import ModelError
 from ohmskin.geometry import Raster
-from ohmskin.robot.arm import Arm
 from ohmskin.robot.demonstration import Moment
 from ohmskin.robot.display import mujoco, renderer
-from ohmskin.skin import Skin
+from ohmskin.robot.wearer import Wearer
 
-_SIDE = 480  # pixels of each half
+_SIDE, _LARGE = 480, 720  # pixels of each half: with one skin, with several
 _RATE = 30  # pictures per second of film
+_SCALE = 0.6  # relative change shown brightest, at least
+_SHOWN = 0.15  # relative change from which on a skin in space is coloured
+_PER_NEWTON, _LEAST, _MOST = 0.02, 0.06, 0.25  # m, of arrows
+_FORCE, _OWN, _TRUE = "#1ad973", "#9d7bff", "#6fd3ff"
+
+
+class SkinMap:
+    """One skin: its map, and its pixels in space.
+
+    Args:
+        placed: The skin.
+        axes: Where its map is drawn.
+        alone: Whether there is no other, so that there is room for a legend and units.
+    """
+
+    def __init__(self, placed: PlacedSkin, axes: Axes, alone: bool) -> None:
+        skin = placed.skin
+        self._raster, self.values = Raster(skin.mesh(), 64 if alone else 48), np.zeros(0)
+        x, y, half = self._raster.x, self._raster.y, self._raster.pitch / 2
+        extent = (1e3 * (x[0] - half), 1e3 * (x[-1] + half), 1e3 * (y[0] - half), 1e3 * (y[-1] + half))
+        empty = np.zeros(self._raster.inside.shape)
+        self._picture = axes.imshow(empty, origin="lower", extent=extent, cmap="magma", vmin=0)
+        axes.plot(*(1e3 * skin.electrodes.positions.T), ".", color="#9aa5b5", markersize=7 if alone else 3)
+        size = 1.0 if alone else 0.5
+        truth: dict[str, Any] = {"color": _TRUE, "markersize": 26 * size}
+        felt: dict[str, Any] = {"markersize": 22 * size}
+        (self._truth,) = axes.plot([], [], "o", fillstyle="none", label="true contact", **truth)
+        (self._felt,) = axes.plot([], [], "+w", markeredgewidth=5 * size, label="sensed contact", **felt)
+        if alone:
+            axes.set_xlabel("mm")
+            look: dict[str, Any] = {"labelcolor": "white", "facecolor": "black", "markerscale": 0.4}
+            axes.legend(loc="lower right", framealpha=0.3, **look)
+        else:
+            axes.set_title(placed.patch.name.replace("_", " "), fontsize=9, pad=3)
+            axes.set(xticks=[], yticks=[])
+        places = np.stack(np.meshgrid(x, y), axis=-1)[self._raster.inside]
+        chart = skin.chart
+        self._points = np.array([placed.patch.place(*point) for point in chart.points(places).tolist()])
+        self.size = 0.75 * self._raster.pitch * np.sqrt(float(np.median(chart.scale(places)) ** 2))
+
+    def draw(self, number: int, moment: Moment) -> None:
+        """Draw what it feels on its map."""
+        pixels = np.nan_to_num(self._raster(moment.touches[number].percept.image.values))
+        self.values = pixels[self._raster.inside]
+        self._picture.set_data(pixels)
+        self._picture.set_clim(0, max(_SCALE, float(pixels.max())))
+        truth = [1e3 * push.place for push in moment.pushes if push.patch == number]
+        felt = [1e3 * np.array(one.place) for one in moment.sensed if one.patch == number]
+        self._truth.set_data(*np.reshape(truth, (-1, 2)).T)
+        self._felt.set_data(*np.reshape(felt, (-1, 2)).T)
+
+    def coloured(self, wearer: Wearer, link: str) -> Iterator[tuple[Floats, Floats]]:
+        """Points (3,) of the skin in the world where it feels something, and their colours (RGBA)."""
+        body = wearer.data.body(link)
+        turn, shown = body.xmat.reshape(3, 3), self.values > _SHOWN
+        colours = colormaps["magma"](self.values[shown] / max(_SCALE, float(self.values.max(initial=0.0))))
+        for point, colour in zip(self._points[shown], colours, strict=True):
+            yield body.xpos + turn @ point, colour
 
 
 class Film:
-    """Draws moments side by side: arm left, skin right.
+    """Draws moments side by side: robot left, skins right.
 
     Args:
-        skin: The skin.
-        arm: The arm that wears it.
+        wearer: The robot.
 
     Raises:
         ModelError: If MuJoCo cannot draw on this machine.
     """
 
-    def __init__(self, skin: Skin, arm: Arm) -> None:
-        self._renderer = renderer(arm.model, _SIDE, _SIDE)
-        self._raster = Raster(skin.mesh(), 64)
-        figure = Figure(figsize=(_SIDE / 100, _SIDE / 100), dpi=100)
+    def __init__(self, wearer: Wearer) -> None:
+        patches = wearer.body.patches
+        self._alone = len(patches) == 1
+        side = _SIDE if self._alone else _LARGE
+        self.size = 2 * side, side
+        self._renderer = renderer(wearer.model, side, side)
+        self._camera = mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(wearer.model, self._camera)
+        figure = Figure(figsize=(side / 100, side / 100), dpi=100)
         self._canvas = FigureCanvasAgg(figure)
-        axes = figure.add_axes((0.09, 0.09, 0.86, 0.82))
-        x, y, half = self._raster.x, self._raster.y, self._raster.pitch / 2
-        extent = (1e3 * (x[0] - half), 1e3 * (x[-1] + half), 1e3 * (y[0] - half), 1e3 * (y[-1] + half))
-        empty = np.zeros(self._raster.inside.shape)
-        self._picture = axes.imshow(empty, origin="lower", extent=extent, cmap="magma", vmin=0)
-        axes.plot(*(1e3 * skin.electrodes.positions.T), ".", color="#9aa5b5", markersize=7)
-        (self._truth,) = axes.plot([], [], "o", color="#6fd3ff", markersize=26, fillstyle="none", label="true contact")
-        self._truth.set_markeredgewidth(2)
-        (self._felt,) = axes.plot([], [], "+", color="white", markersize=22, markeredgewidth=3, label="sensed contact")
-        axes.set_xlabel("mm")
-        axes.legend(loc="lower right", framealpha=0.3, labelcolor="white", facecolor="black", markerscale=0.4)
         self._title = figure.text(0.09, 0.94, "", fontsize=15)
+        if self._alone:
+            places = [figure.add_axes((0.09, 0.09, 0.86, 0.82))]
+        else:
+            rows = -(-len(patches) // 2)
+            grid = figure.add_gridspec(rows, 2, left=0.05, right=0.97, bottom=0.02, top=0.89, hspace=0.3)
+            places = [figure.add_subplot(grid[number // 2, number % 2]) for number in range(len(patches))]
+        pairs = zip(patches, places, strict=True)
+        self._maps = [SkinMap(placed, axes, self._alone) for placed, axes in pairs]
 
-    def draw(self, moment: Moment, scale: float = 0.6) -> np.ndarray:
-        """A picture (480, 960, 3), uint8; `scale` is the relative change shown brightest, at least."""
-        arm = moment.arm
-        self._renderer.update_scene(arm.data, "view")
-        for contact in moment.touch.contacts[:1]:
-            self._mark(arm.to_world(np.array(contact.position)))
-        pixels = np.nan_to_num(self._raster(moment.touch.percept.image.values))
-        self._picture.set_data(pixels)
-        self._picture.set_clim(0, max(scale, float(pixels.max())))
-        self._truth.set_data(*(1e3 * moment.poke.position[:, None] if moment.poke else ([], [])))
-        places = np.array([c.position for c in moment.touch.contacts[:1]]).reshape(-1, 2)
-        self._felt.set_data(*(1e3 * places.T))
-        force = f"{moment.poke.force:4.1f} N" if moment.poke else "no contact"
-        self._title.set_text(f"{moment.time:5.2f} s    {force}")
+    def draw(self, moment: Moment) -> np.ndarray:
+        """A picture (480, 960, 3), of several skins (720, 1440, 3), uint8."""
+        wearer = moment.wearer
+        self._renderer.update_scene(wearer.data, self._camera)
+        for number, (own, placed) in enumerate(zip(self._maps, wearer.body.patches, strict=True)):
+            own.draw(number, moment)
+            for point, colour in own.coloured(wearer, placed.patch.frame):
+                self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, own.size), point, colour)
+        for one in moment.sensed:
+            self._arrow(one.contact.position, one.contact.normal, one.contact.force, bool(one.contact.self_touch))
+        outside = [push for push in moment.pushes if not push.by]
+        told = f"{outside[0].force:4.1f} N" if outside else "self-touch" if moment.pushes else "no contact"
+        forces = [one.contact.force for one in moment.sensed if one.push in outside and one.contact.force is not None]
+        told += f", {forces[0]:4.1f} N felt" if forces else ""
+        self._title.set_text(f"{moment.time:5.2f} s    {told}")
         self._canvas.draw()
         right = np.asarray(self._canvas.buffer_rgba())[..., :3]
         return np.hstack([self._renderer.render(), right])
@@ -74,12 +137,25 @@ class Film:
         """Let go of the renderer."""
         self._renderer.close()
 
-    def _mark(self, place: np.ndarray) -> None:
+    def _arrow(self, at: tuple[float, ...], normal: tuple[float, ...], force: float | None, own: bool) -> None:
+        """An arrow onto a contact, as long as it is strong; another colour where the robot touches itself."""
+        tip, length = np.array(at), _LEAST if force is None else min(_MOST, max(_LEAST, _PER_NEWTON * force))
+        name = _OWN if own else _FORCE
+        colour = np.array([int(name[k : k + 2], 16) / 255 for k in (1, 3, 5)] + [1.0])
+        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.01), tip, colour)
+        geom = self._add(mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), tip, colour)
+        if geom is not None:
+            mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, 0.008, tip + length * np.array(normal), tip)
+
+    def _add(self, kind: Any, size: Floats, point: Floats, colour: Floats) -> Any:
+        """A shape in the scene, if there is room for more."""
         scene = self._renderer.scene
-        size, colour = np.full(3, 0.012), np.array([0.1, 0.85, 0.45, 1.0], np.float32)
-        sphere = mujoco.mjtGeom.mjGEOM_SPHERE
-        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], sphere, size, place, np.eye(3).ravel(), colour)
+        if scene.ngeom >= scene.maxgeom:
+            return None
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, size, point, np.eye(3).ravel(), np.asarray(colour, np.float32))
         scene.ngeom += 1
+        return geom
 
 
 @contextmanager
@@ -93,8 +169,9 @@ def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
 
     def show(moment: Moment) -> None:
         nonlocal best, picture
-        if moment.poke is not None and moment.touch.contacts and moment.poke.force > best:
-            best, picture = moment.poke.force, film.draw(moment)
+        felt = max((one.push.force for one in moment.sensed if one.push is not None), default=0.0)
+        if felt > best:
+            best, picture = felt, film.draw(moment)
 
     try:
         yield show
@@ -115,7 +192,8 @@ def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
     """
     if (ffmpeg := shutil.which("ffmpeg")) is None:
         raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
-    raw = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {2 * _SIDE}x{_SIDE} -r {_RATE} -i -"
+    width, height = film.size
+    raw = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {_RATE} -i -"
     command = [ffmpeg, *raw.split(), *["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"], str(path)]
     process, due = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE), 0.0
     stdin = cast(IO[bytes], process.stdin)

@@ -1,0 +1,89 @@
+"""Figures of the demonstration."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from ohmskin.arrays import Floats, as_plain
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """One poke and what became of it.
+
+    Args:
+        patch: The skin that was poked.
+        link: The link that it is on.
+        position: Where the finger first touched it, on its map (m).
+        felt_on: Link of the first contact that was reported; empty if there was none.
+        reaction: Time from the first touch to the first command that yields (s); NaN if it was not felt.
+        peak_force: Largest force (N).
+        errors: Distance between the sensed and the true place, frame by frame (m).
+        forces: Force and what was told of it (N), frame by frame where it was told.
+        invented: Contacts reported where nothing was.
+        self_touches: Frames in which the poke was taken for a touch of the robot's own.
+    """
+
+    patch: str
+    link: str
+    position: tuple[float, float]
+    felt_on: str
+    reaction: float
+    peak_force: float
+    errors: tuple[float, ...] = field(repr=False)
+    forces: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    invented: int = 0
+    self_touches: int = 0
+
+
+@dataclass(frozen=True)
+class OwnTouch:
+    """One touch of the robot by itself and what became of it.
+
+    Args:
+        patches: The skins that took part.
+        peak_force: Largest force (N).
+        frames: Contacts of it that were reported, in all frames.
+        told: Those of them that were told to be self-touch.
+    """
+
+    patches: tuple[str, ...]
+    peak_force: float
+    frames: int
+    told: int
+
+
+def summary(encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = ()) -> dict[str, object]:
+    """Figures of a run, for JSON: how many pokes were felt, position errors (m), reaction times (s), forces (N).
+
+    What there is not, such as the reaction to a poke that was not felt, is None.
+    """
+    errors = np.concatenate([np.zeros(0), *(e.errors for e in encounters)])
+    true, told = np.concatenate([np.zeros((0, 2)), *(np.reshape(e.forces, (-1, 2)) for e in encounters)]).T
+    reactions = np.array([e.reaction for e in encounters])
+    felt = np.isfinite(reactions)
+    return {
+        "pokes": len(encounters),
+        "felt": int(felt.sum()),
+        "on_the_right_link": sum(e.felt_on == e.link for e in encounters),
+        "invented": sum(e.invented for e in encounters),
+        "taken_for_self_touch": sum(e.self_touches for e in encounters),
+        "frames_in_contact": len(errors),
+        "position_error": _spread(errors),
+        "force_error": _spread(np.abs(told / true - 1)),
+        "reaction_time": _spread(reactions[felt]),
+        "peak_force": _spread(np.array([e.peak_force for e in encounters])),
+        "own_touches": len(touches),
+        "own_touches_felt": sum(touch.frames > 0 for touch in touches),
+        "own_touches_told": sum(touch.told > touch.frames / 2 for touch in touches),
+        "own_touch_frames": sum(touch.frames for touch in touches),
+        "own_touch_frames_told": sum(touch.told for touch in touches),
+        "encounters": [as_plain(asdict(encounter)) for encounter in encounters],
+    }
+
+
+def _spread(values: Floats) -> dict[str, float] | None:
+    if not len(values):
+        return None
+    return {name: float(np.quantile(values, q)) for name, q in (("median", 0.5), ("p95", 0.95), ("worst", 1.0))}

@@ -1,0 +1,184 @@
+"""A robot that wears skins, and the hand that pokes it. MuJoCo does the mechanics."""
+
+from collections import defaultdict
+from copy import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.body import Body
+from ohmskin.body.robot import Robot
+from ohmskin.errors import ModelError
+from ohmskin.robot.display import mujoco
+from ohmskin.robot.scene import FINGER, STEP, scene
+
+_MOTION = 0.1  # rad, of the slow movement of each joint
+_OFF = 10e-3  # m from a skin's surface, beyond which a contact of its hull is none of the skin
+_OWN = 30e-3  # m, radius that a link touches another with
+
+
+@dataclass(frozen=True)
+class Push:
+    """Something that presses a skin now, as MuJoCo has it: the truth.
+
+    Args:
+        patch: Number of the skin.
+        place: (2,) middle of the contact on the skin's map (m).
+        point: (3,) the same in the world (m).
+        force: Normal force (N).
+        radius: Radius of the contact (m): of a ball so deep in thin foam, which gives way only right under it.
+        by: Link that presses it; empty if it is the finger, from outside.
+    """
+
+    patch: int
+    place: Floats
+    point: Floats
+    force: float
+    radius: float
+    by: str = ""
+
+
+class Wearer:
+    """A robot in skins, its root link fixed in the world, and the hand that pokes it.
+
+    Args:
+        body: What it is; its file says how it stands (`joints`).
+
+    Attributes:
+        model, data: MuJoCo's.
+        target: Joint positions (rad, m) that the servos hold, in MuJoCo's order.
+        low, high: What they may be.
+
+    Raises:
+        ModelError: If the body has no URDF file, or MuJoCo does not take what it says.
+    """
+
+    def __init__(self, body: Body) -> None:
+        described = scene(body)
+        try:
+            self.model: Any = mujoco.MjModel.from_xml_string(described)
+        except ValueError as error:
+            raise ModelError(f"MuJoCo does not take body {body.name!r}: {error}; mend its URDF file") from error
+        assert body.robot is not None
+        self.body, self.robot, self.data = body, body.robot, mujoco.MjData(self.model)
+        self._names = [self.model.joint(number).name for number in range(self.model.njnt)]
+        self._skins = {self.model.geom(f"skin {number}").id: number for number in range(len(body.patches))}
+        self._finger = self.model.geom("fingertip").id
+        limits = np.array([body.robot.joints[name].limits for name in self._names]).reshape(-1, 2)
+        self.low, self.high = limits.T
+        self._still = np.array([body.robot.positions.get(name, 0.0) for name in self._names])
+        self.target: Floats = self._still.copy()
+        self.data.qpos[:], self.data.ctrl[:] = self._still, self._still
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def time(self) -> float:
+        """Simulated time (s)."""
+        return float(self.data.time)
+
+    def posed(self) -> Robot:
+        """The robot with its joints as its encoders tell them now."""
+        return self.robot.posed(dict(zip(self._names, self.data.qpos.tolist(), strict=True)))
+
+    def surface(self, patch: int, place: Floats) -> tuple[Floats, Floats]:
+        """The point (3,) at a place (2,) of a skin's map, and the outward normal (3,) there, in the world (m)."""
+        placed = self.body.patches[patch]
+        link = self.data.body(placed.patch.frame)
+        turn, chart = link.xmat.reshape(3, 3), placed.skin.chart
+        point = link.xpos + turn @ placed.patch.place(*chart.points([place])[0])
+        return point, turn @ placed.patch.turn(*chart.frames([place])[0, 2])
+
+    def place(self, patch: int, point: Floats) -> tuple[Floats, float]:
+        """The place (2,) of a skin's map that is closest to a point (3,) in the world, and how far off that is (m)."""
+        placed = self.body.patches[patch]
+        link = self.data.body(placed.patch.frame)
+        local = (point - link.xpos) @ link.xmat.reshape(3, 3) - placed.patch.position
+        places, away = placed.skin.chart.project(np.array(placed.patch.axes) @ local)
+        return places[0], float(away[0])
+
+    def advance(self, seconds: float, finger: Floats) -> None:
+        """Go on by so much time, while the fingertip moves to a point (3,) in the world."""
+        steps = max(1, round(seconds / STEP))
+        start = self.data.mocap_pos[0].copy()
+        for k in range(steps):
+            self.data.mocap_pos[0] = start + (finger - start) * (k + 1) / steps
+            self.data.ctrl[:] = self.target
+            mujoco.mj_step(self.model, self.data)
+        mujoco.mj_forward(self.model, self.data)  # links and contacts of now: a step leaves those of before it
+
+    def bring(self, finger: Floats, normal: Floats) -> None:
+        """Take the finger to a point (3,) in the world at once, its hand along a normal (3,)."""
+        self.data.mocap_pos[0] = finger
+        mujoco.mju_quatZ2Vec(self.data.mocap_quat[0], normal)
+
+    def copy(self) -> "Wearer":
+        """Another one that stands so, without a hand near it."""
+        other = copy(self)
+        other.data = mujoco.MjData(self.model)
+        other.data.mocap_pos[0] = 0.0, 0.0, 9.0
+        other.stand(self.data.qpos)
+        return other
+
+    def stand(self, joints: Floats) -> None:
+        """Stand with the joints at these positions (rad, m), at once."""
+        self.data.qpos[:] = joints
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+
+    def touching(self) -> tuple[int, Floats] | None:
+        """A skin that touches something, and the place (2,) on its map; None if none does."""
+        for contact in self.data.contact[: self.data.ncon]:
+            for geom in (contact.geom1, contact.geom2):
+                if geom in self._skins:
+                    return self._skins[geom], self.place(self._skins[geom], contact.pos)[0]
+        return None
+
+    def pushes(self) -> tuple[Push, ...]:
+        """What presses the skins now, the strongest first; all contacts with one link are one."""
+        found: dict[tuple[int, int], list[tuple[Floats, float, float]]] = defaultdict(list)
+        wrench = np.zeros(6)
+        for number in range(self.data.ncon):
+            contact = self.data.contact[number]
+            mujoco.mj_contactForce(self.model, self.data, number, wrench)
+            for skin, other in ((contact.geom1, contact.geom2), (contact.geom2, contact.geom1)):
+                if skin in self._skins and wrench[0] > 0:
+                    by = -1 if other == self._finger else int(self.model.geom_bodyid[other])
+                    found[self._skins[skin], by].append((contact.pos.copy(), wrench[0], -float(contact.dist)))
+        pushes = [self._push(patch, by, parts) for (patch, by), parts in found.items()]
+        return tuple(sorted((push for push in pushes if push is not None), key=lambda push: -push.force))
+
+    def _push(self, patch: int, by: int, parts: list[tuple[Floats, float, float]]) -> Push | None:
+        """One push of several contacts; None if they are off the skin, at the end of its hull."""
+        points, forces, depths = zip(*parts, strict=True)
+        place, away = self.place(patch, np.average(points, axis=0, weights=forces))
+        if away > _OFF or self.body.patches[patch].skin.domain.depth([place])[0] < 0:
+            return None
+        radius = float(np.sqrt(2 * (FINGER if by < 0 else _OWN) * max(0.0, *depths)))
+        name = "" if by < 0 else self.model.body(by).name
+        return Push(patch, place, self.surface(patch, place)[0], float(sum(forces)), radius, name)
+
+    def yielding(self, patch: int, place: Floats) -> Floats:
+        """Joint steps (rad, m) that move a place of a skin inwards by a metre, along its normal, to first order."""
+        jacobian = np.zeros((3, self.model.nv))
+        point, normal = self.surface(patch, place)
+        link = self.model.body(self.body.patches[patch].patch.frame).id
+        mujoco.mj_jac(self.model, self.data, jacobian, None, point, link)
+        along = normal @ jacobian
+        return np.asarray(-along / (along @ along + 1e-3))
+
+    def aim(self, joints: Floats) -> None:
+        """Let the servos go to joint positions (rad, m), within the joints' limits."""
+        self.target = np.clip(joints, self.low, self.high)
+
+    def rest(self, time: float) -> Floats:
+        """Joint positions of the robot's own slow movement (rad, m)."""
+        numbers = np.arange(len(self._still))
+        return np.asarray(self._still + _MOTION * np.sin((0.5 + 0.13 * numbers) * time))
+
+
+def above(wearer: Wearer, patch: int, place: Floats, height: float) -> Floats:
+    """Where (3,) the middle of the fingertip is when it is `height` above a place (2,) of a skin (m)."""
+    point, normal = wearer.surface(patch, place)
+    return np.asarray(point + (FINGER + height) * normal)
