@@ -484,3 +484,25 @@ def test_a_brutal_press_is_one_contact_over_an_electrode_too(place: tuple[float,
     (contact,) = where.see(modes(where.skin)["16P"], (disc(*place, 25e-3, 20e3),), 0).contacts
     np.testing.assert_allclose(contact.position, place, atol=2.5e-3)
     assert contact.radius > 20e-3
+
+
+def test_data_that_are_not_of_the_skin_make_no_contact_that_is_sure() -> None:
+    skin, pattern = Skin.load("paper-rim16"), adjacent([range(16)])
+    virtual, random = VirtualSkin(skin, seed=3), np.random.default_rng(4)
+    quiet = [virtual.scan(pattern) for _ in range(10)]
+    known = SkinModel(skin, skin.transfer_model(), quiet)
+    for trial in range(8):
+        place = random.uniform(0.03, 0.17, 2)
+        virtual.press(1, *place, radius=8e-3, pressure=20e3)
+        frame = virtual.scan(pattern)
+        virtual.press(1, *place, radius=8e-3, pressure=0.0)
+        seen = perceive(known, frame)
+        assert seen.belief.unexplained < 0.1
+        assert seen.detections[0].confidence > 0.95
+        changed = frame.voltages - quiet[0].voltages
+        other = (
+            random.permutation(changed) if trial % 2 else 0.02 * quiet[0].voltages * random.normal(size=len(changed))
+        )
+        strange = perceive(known, replace(frame, voltages=quiet[0].voltages + other))
+        assert all(contact.confidence <= 0.5 for contact in strange.detections)
+        assert not strange.detections or strange.belief.unexplained > 0.3

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ohmskin.cli.options import check_picture, watched
 from ohmskin.errors import DataError
-from ohmskin.importers import read_recording
+from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
 from ohmskin.mcap import is_tape
 from ohmskin.plot import save_picture
@@ -16,6 +16,8 @@ from ohmskin.recording.player import reimage
 from ohmskin.scan import assess, left_out
 from ohmskin.sensing import Percept, SkinModel, perceive, recorded_mode
 from ohmskin.skin import Skin, shipped_skins
+
+_DOUBTFUL = 0.1  # share of a frame's change that no image explains, from which on that is told
 
 
 def image(
@@ -66,16 +68,23 @@ def image(
         choices = f"a .toml file or {', '.join(shipped_skins())}"
         raise DataError(f"{file} does not say what was measured; name it with --skin, {choices}")
     description = Skin.load(skin or recording.skin)
-    shown = recording.frames[frame]
-    shown.pattern.check(len(description.electrodes))
-    quality = assess(recording.quiet, [shown])
+    recording.frames[frame].pattern.check(len(description.electrodes))
     model = description.transfer_model()
+    if recording.values != "voltages":
+        recording = resolved(recording, model)
+    shown = recording.frames[frame]
+    quality = assess(recording.quiet, [shown])
     known = SkinModel(description, model, recording.quiet, quality)
     missing = left_out(known.baseline.difference(quality.clean(shown)))
     match = match_model(model, quality.clean(recording.quiet[0]))
     for line in [*recording.notes, *quality.report(), *([missing] if missing else []), *match.report()]:
         print(f"# {line}", file=sys.stderr)
     percept = perceive(known, shown, recorded_mode(description).using(estimator, prior, rule))
+    if percept.belief.unexplained > _DOUBTFUL:
+        share = f"{100 * percept.belief.unexplained:.0f} % of the change is like no change of this sheet's conductivity"
+        print(
+            f"# {share}: another skin, exchanged wires, or bad channels (`ohmskin learn` finds them)", file=sys.stderr
+        )
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
     limit = full_scale(percept)
