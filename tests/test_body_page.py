@@ -78,8 +78,8 @@ class Felt:
         point = np.array(self.patch.position) + self.chart.points([place])[0] @ axes
         return point, self.chart.frames([place])[0, 2] @ axes
 
-    def speak(self, *places: tuple[float, float], ago: float = 0.0, force: float | None = None) -> None:
-        """Tell of contacts at places of the map, with an image that has a bump at each."""
+    def speak(self, *places: tuple[float, float], ago: float = 0.0, **known: Any) -> None:
+        """Tell of contacts at places of the map, of which this is known, with an image that has a bump at each."""
         self._sequence += 1
         seen = Sighting(
             self.patch.name, self.patch.frame, self._sequence, time.monotonic() - ago, time.time_ns(), "16P"
@@ -89,8 +89,7 @@ class Felt:
                 *(k + 1, self.patch.name, self.patch.frame),
                 *(tuple(part.tolist()) for part in self.at(place)),
                 *(1e-4, 2e-4, 0.9, 0.3),
-                force=force,
-                force_std=None if force is None else 0.2,
+                **known,
             )
             for k, place in enumerate(places)
         ]
@@ -199,7 +198,7 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         def there(true: str) -> Any:
             """Whether something is so, while all speak but the head."""
             patches["upper_arm"].speak()
-            forearm.speak(*felt.get("places", ()), force=felt.get("force"))
+            forearm.speak(*felt.get("places", ()), **felt.get("known", {}))
             merger.step()
             return page.evaluate(true)
 
@@ -246,11 +245,19 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         until(lambda: there(f"{labels}.includes('#1 · uncalibrated')"))
         assert there(colours.format(1)) > 20
         assert there("!document.getElementById('fixed').hidden && document.getElementById('newtons').hidden")
-        felt["force"] = 7.34
+        felt["known"] = {"force": 7.34, "force_std": 0.2}
         until(lambda: there(f"{labels}.includes('#1 · 7.3 ± 0.2 N')"))
         (arrow,) = [a for a in there("ohmskin.body._arrows.map((a) => [a.position.toArray(), a.shaft.scale.z])") if a]
         np.testing.assert_allclose(arrow[0], forearm.at(place)[0], atol=1e-4)
         assert arrow[1] == pytest.approx(7.34 * 0.02 - 0.022)
+
+        moved = body.robot.posed({"shoulder": 0.3, "elbow": -0.4})
+        with Board("half.links", {"links": list(moved.links)}, 4096) as links:
+            links.write(np.stack(list(moved.links.values())).tobytes())
+            felt["known"] |= {"self_touch": True}
+            until(lambda: there(f"{labels}.includes('#1 · 7.3 ± 0.2 N · self-touch')"))
+            pose = "ohmskin.body._links.get('forearm').matrixWorld.elements"
+            until(lambda: np.allclose(np.reshape(there(pose), (4, 4)).T, moved.links["forearm"]))
 
         page.get_by_role("button", name="upper_arm").click()
         until(lambda: there("location.hash === '#upper_arm'"))
