@@ -13,8 +13,8 @@ from ohmskin.arrays import Floats
 from ohmskin.calibrate import judge_channels
 from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places, similarity
 from ohmskin.errors import DataError, SkinError
-from ohmskin.importers import read_recording, resolved
-from ohmskin.scan import opposite
+from ohmskin.importers import Recording, read_recording, resolved
+from ohmskin.scan import Frame, opposite
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Skin
 from ohmskin.skin.positions import PositionMap
@@ -174,6 +174,34 @@ def test_magnitudes_differences_and_turned_voltages_are_made_voltages(tmp_path: 
     counts, notes = read("counts", voltages=1e5 * (frames - rest), values="differences")
     assert "strengths are relative" in notes
     assert np.corrcoef(counts.ravel(), (frames - rest).ravel())[0, 1] > 1 - 1e-9
+
+
+@pytest.mark.parametrize("seed", [41, 42])
+def test_what_press_data_leave_out_costs_little(seed: int) -> None:
+    given = flawed_skin(seed, 120)
+    model = given.skin.transfer_model()
+    rest = np.mean([frame.voltages for frame in given.quiet], axis=0)
+    offsets = np.random.default_rng(seed).normal(0, np.abs(rest).mean(), len(rest))
+
+    def seen(frames: list[Frame], quiet: list[Frame], values: str = "voltages") -> float:
+        found = resolved(Recording(quiet, frames, "", (), None, given.positions, None, values), model)
+        places = judge_channels(given.skin, found.quiet, found.frames).places
+        assert len(places) == len(given.positions)
+        return float(np.linalg.norm(places - given.positions, axis=1).mean())
+
+    def moved(frames: list[Frame], by: Floats, scale: float = 1.0) -> list[Frame]:
+        return [replace(frame, voltages=scale * (frame.voltages + by)) for frame in frames]
+
+    usual = seen(given.frames, given.quiet)
+    assert usual < 4.5e-3
+    middle = replace(given.quiet[0], voltages=np.median([frame.voltages for frame in given.frames], axis=0))
+    for other in (
+        seen(moved(given.frames, -rest), [], "differences"),
+        seen(moved(given.frames, -rest, -3e4), [], "differences"),  # in counts, and the other way round
+        seen(moved(given.frames, offsets), moved(given.quiet, offsets)),
+        seen(given.frames, [middle]),
+    ):
+        assert other < 1.15 * usual
 
 
 def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:

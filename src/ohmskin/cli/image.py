@@ -70,7 +70,7 @@ def image(
     description = Skin.load(skin or recording.skin)
     recording.frames[frame].pattern.check(len(description.electrodes))
     model = description.transfer_model()
-    if recording.values != "voltages":
+    if recording.positions is not None:  # press data
         recording = resolved(recording, model)
     shown = recording.frames[frame]
     quality = assess(recording.quiet, [shown])

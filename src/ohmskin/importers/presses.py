@@ -12,7 +12,7 @@ among them or not. Lines that begin with ``#``, or texts of those names in the M
 the untouched skin, which is not recorded).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +31,7 @@ VALUES = ("voltages", "magnitudes", "differences")
 _PLACES = {"x": 1.0, "y": 1.0, "x_mm": 1e-3, "y_mm": 1e-3, "force": 1.0}
 _MOST_QUIET = 40
 _WEAK, _STRONG, _USUAL = 1e-3, 0.3, 0.02  # share of the quiet voltages that differences have: least, most, taken
+_UNTOLD = 0.02  # share of a usual change that is taken for noise where nothing tells it
 _MIXED = 0.1  # share of the quiet voltages that is negative on the model, from which all positive ones are rectified
 
 
@@ -160,9 +161,10 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
             notes.append(
                 f"the differences were scaled by {scale:.3g}, as their unit is not volts: strengths are relative"
             )
-        rest = Frame(pattern, at_rest, frames[0].currents)
-        frames = [replace(frame, voltages=at_rest + scale * frame.voltages) for frame in frames]
-        return replace(recording, quiet=(rest,), frames=tuple(frames), values=VALUES[0], notes=tuple(notes))
+        quiet = (Frame(pattern, at_rest, frames[0].currents),)
+        frames = tuple(replace(frame, voltages=at_rest + scale * frame.voltages) for frame in frames)
+        quiet = _with_noise(quiet, frames, notes)
+        return replace(recording, quiet=quiet, frames=frames, values=VALUES[0], notes=tuple(notes))
     measured = np.nanmean([frame.voltages for frame in quiet], axis=0)
     known = np.isfinite(measured)
     rectified = bool(
@@ -177,4 +179,18 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
         notes.append("all voltages are the other way round than on the model: turned")
     if (signs < 0).any():
         quiet, frames = (tuple(replace(one, voltages=signs * one.voltages) for one in some) for some in (quiet, frames))
+    if recording.positions is not None:
+        quiet = _with_noise(quiet, frames, notes)
     return replace(recording, quiet=quiet, frames=frames, values=VALUES[0], notes=tuple(notes))
+
+
+def _with_noise(quiet: Sequence[Frame], frames: Sequence[Frame], notes: list[str]) -> Sequence[Frame]:
+    """Quiet frames that tell a noise: one alone does not, as what channels err by in the same way at rest is none."""
+    if len(quiet) > 1:
+        return quiet
+    (rest,) = quiet
+    changes = np.array([frame.voltages for frame in frames]) - rest.voltages
+    noise = _UNTOLD * float(np.sqrt(np.mean(changes[np.isfinite(changes)] ** 2)))
+    notes.append(f"one state of the untouched skin does not tell the noise: {_UNTOLD:.0%} of a usual change is taken")
+    shift = noise / np.sqrt(2) * np.where(np.arange(changes.shape[1]) % 2, 1.0, -1.0)
+    return tuple(replace(rest, voltages=rest.voltages + sign * shift) for sign in (1.0, -1.0))

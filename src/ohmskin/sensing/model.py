@@ -74,9 +74,8 @@ class SkinModel:
         floor = _LEAST_NOISE * float(np.nanmax(np.where(np.isfinite(volts), np.abs(volts), 0.0)))
         self.noise = max(self.baseline.difference_noise, floor)
         white, self.gain = kinds_of_noise(self.baseline, quiet)
-        self.white = white * max(
-            self.noise / max(self.baseline.difference_noise, 1e-300), 1.0
-        )  # without noise: floored
+        exact = not self.baseline.difference_noise  # without noise: floored
+        self.white = self.noise if exact else white * max(self.noise / self.baseline.difference_noise, 1.0)
         n_elec = len(skin.electrodes)
         self._usual = np.full((n_elec, n_elec), np.nan)  # currents (A) of the pairs driven
         for frame in quiet:
