@@ -29,7 +29,7 @@ test-all: $(VENV)/.ready-dev
 	$(PYTEST) $(ARGS)
 
 test-versions: $(VENV)/.ready-dev
-	$(BIN)/python tools/versions.py
+	$(BIN)/python tools/versions.py $(ARGS)
 
 check: lint test-all
 

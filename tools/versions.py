@@ -1,9 +1,10 @@
 """The shortest tests with other versions of what we depend on: the lowest that pyproject.toml allows, and the newest.
 
-    .venv/bin/python tools/versions.py
+    .venv/bin/python tools/versions.py [lowest-3.11] [newest-3.11] [newest-3.13]
 
-The lowest are tried on the oldest Python that is supported, the newest on that and on the newest one. A Python that is
-not on this machine is named and left out. What fails is shown whole; the exit status is then 1.
+The lowest are tried on the oldest Python that is supported, the newest on that and on the newest one, unless told
+otherwise. A Python that is not on this machine is named and left out. What fails is shown whole; the exit status is
+then 1.
 """
 
 import os
@@ -14,8 +15,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).parents[1]
-TRIED = (("lowest-direct", "3.11"), ("highest", "3.11"), ("highest", "3.13"))
-ALONE = "tests/test_publish.py"  # all of these speak in one ROS domain
+sys.path.insert(0, str(ROOT / "tests"))
+from tiers import SMOKE  # noqa: E402
+
+TRIED = {
+    "lowest-3.11": ("lowest-direct", "3.11"),
+    "newest-3.11": ("highest", "3.11"),
+    "newest-3.13": ("highest", "3.13"),
+}
+FILES = {f"tests/{row.partition('::')[0]}" for row in SMOKE}
+ALONE = {"tests/test_publish.py"}  # all of these speak in one ROS domain
 
 
 def find_python(version: str) -> str | None:
@@ -39,29 +48,30 @@ def install(folder: Path, python: str, resolution: str) -> None:
     subprocess.run([*uv, "pip", "install", *what], check=True, cwd=ROOT)
 
 
-def run(folder: Path, *choice: str) -> "subprocess.CompletedProcess[str]":
-    """The tests that are chosen, in that environment."""
+def run(folder: Path, files: set[str]) -> "subprocess.CompletedProcess[str]":
+    """The shortest tests of these files, in that environment."""
     settings = {"NUMBA_CACHE_DIR": str(folder / "numba"), "OPENBLAS_NUM_THREADS": "1"}
-    command = [str(folder / "bin" / "python"), "-m", "pytest", "-m", "smoke", "-p", "no:cacheprovider", *choice]
+    command = [str(folder / "bin" / "python"), "-m", "pytest", "-m", "smoke", "-p", "no:cacheprovider", *sorted(files)]
     return subprocess.run(command, cwd=ROOT, env=os.environ | settings, capture_output=True, text=True)
 
 
 def main() -> int:
     """Exit status: 0 if all pass that could be run."""
+    if unknown := [name for name in sys.argv[1:] if name not in TRIED]:
+        sys.exit(f"no versions {unknown[0]!r}; choose from {', '.join(TRIED)}")
     failed = False
     with TemporaryDirectory() as scratch:
         made: dict[str, Path] = {}
-        for resolution, version in TRIED:
-            title = f"{resolution.partition('-')[0]} versions on Python {version}"
+        for name in sys.argv[1:] or TRIED:
+            resolution, version = TRIED[name]
+            title = f"{name.partition('-')[0]} versions on Python {version}"
             if (python := find_python(version)) is None:
                 print(f"{title}: not tried, there is no python{version} here", flush=True)
                 continue
-            made[title] = Path(scratch) / f"{resolution}-{version}"
+            made[title] = Path(scratch) / name
             install(made[title], python, resolution)
         with ThreadPoolExecutor(2) as pool:
-            done = dict(
-                zip(made, pool.map(lambda folder: run(folder, f"--ignore={ALONE}"), made.values()), strict=True)
-            )
+            done = dict(zip(made, pool.map(lambda folder: run(folder, FILES - ALONE), made.values()), strict=True))
         for title, folder in made.items():
             for tests in (done[title], run(folder, ALONE)):
                 failed |= tests.returncode != 0
