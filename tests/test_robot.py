@@ -159,8 +159,10 @@ def test_summary_counts_what_was_not_felt() -> None:
 
 
 def test_a_snapshot_is_a_png_whatever_its_name_and_says_where_it_cannot_be_written(tmp_path: Path) -> None:
-    film: Any = SimpleNamespace(draw=lambda _: np.zeros((4, 8, 3), np.uint8))
-    moment: Any = SimpleNamespace(sensed=[SimpleNamespace(push=SimpleNamespace(force=1.0))])
+    film: Any = SimpleNamespace(draw=lambda _: np.zeros((4, 8, 3), np.uint8), faces=lambda _: 1.0)
+    moment: Any = SimpleNamespace(
+        sensed=[SimpleNamespace(push=SimpleNamespace(force=1.0), contact=SimpleNamespace(normal=()))]
+    )
     with snapshot(tmp_path / "arm.picture", film) as show:
         show(moment)
     assert (tmp_path / "arm.picture").read_bytes().startswith(b"\x89PNG")

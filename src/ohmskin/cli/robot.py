@@ -31,6 +31,7 @@ def robot(
 
     Args:
         body: Body file (TOML) of a robot with a URDF file, such as examples/humanoid/body.toml; an arm unless given.
+            Its skins are virtual here.
         pokes: Number of pokes, at random places.
         own_touches: Then, how often the robot touches itself, in random postures.
         free: Then, for how long it moves untouched, s: contacts that are felt are invented.

@@ -187,8 +187,7 @@ class Demonstration:
                 if height < -_PUSH:
                     break  # something holds it off
             elif pushed < _PUSH:
-                step *= min(1.0, 1 - force / _HARDEST)
-                finger, pushed = finger + direction * step, pushed + abs(step)
+                finger, pushed = finger + direction * step * min(1.0, 1 - force / _HARDEST), pushed + step
             else:
                 held += self._elapsed
             moment = self._cycle(finger)

@@ -133,6 +133,11 @@ class Film:
         right = np.asarray(self._canvas.buffer_rgba())[..., :3]
         return np.hstack([self._renderer.render(), right])
 
+    def faces(self, normal: tuple[float, ...]) -> float:
+        """How far (-1 to 1) a surface with this outward normal in the world faces who looks."""
+        turn, up = np.radians([self._camera.azimuth, self._camera.elevation])
+        return float(-np.dot(normal, [np.cos(turn) * np.cos(up), np.sin(turn) * np.cos(up), np.sin(up)]))
+
     def close(self) -> None:
         """Let go of the renderer."""
         self._renderer.close()
@@ -160,7 +165,7 @@ class Film:
 
 @contextmanager
 def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
-    """A PNG file of the moment of largest force among those shown with a sensed contact; none if there is none.
+    """A PNG file of the moment of largest force among those with a sensed contact, best in view; none if there is none.
 
     Raises:
         ModelError: At the end, if the file cannot be written.
@@ -169,7 +174,8 @@ def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
 
     def show(moment: Moment) -> None:
         nonlocal best, picture
-        felt = max((one.push.force for one in moment.sensed if one.push is not None), default=0.0)
+        shares = [(one.push.force, film.faces(one.contact.normal)) for one in moment.sensed if one.push is not None]
+        felt = max((force * (1.1 + facing) for force, facing in shares), default=0.0)
         if felt > best:
             best, picture = felt, film.draw(moment)
 

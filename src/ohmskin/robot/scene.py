@@ -67,7 +67,7 @@ def scene(body: Body) -> str:
     reaches = np.array([[max(visual["size"][0], visual["size"][-1] / 2)] for visual in robot.visuals])
     middles = np.array([(robot.links[visual["link"]] @ visual["pose"])[:3, 3] for visual in robot.visuals])
     low, high = (middles - reaches).min(axis=0), (middles + reaches).max(axis=0)
-    seen = {"center": _text((low + high) / 2), "extent": f"{0.65 * np.linalg.norm(high - low):.3g}"}
+    seen = {"center": _text((low + high) / 2), "extent": f"{0.77 * np.linalg.norm(high - low):.3g}"}
     root = ElementTree.fromstring(_SCENE.format(step=STEP, finger=FINGER, floor=low[2], **seen))
     world, assets, servos = (_child(root, name) for name in ("worldbody", "asset", "actuator"))
     above = {joint.child: (name, joint) for name, joint in robot.joints.items()}
