@@ -183,13 +183,24 @@ def _parse(text: str) -> PositionMap:
         if wrong := [name for name, shape in shapes.items() if given[name].shape != shape]:
             raise ValueError(f"{wrong[0]} has shape {given[wrong[0]].shape}")
         near, full = (_regression(given, name, width) for name, width in (("near", 2), ("full", 2 + features)))
+        if not ((given["trust"] > 0).all() and (given["quadruples"] >= 0).all()):
+            raise ValueError("a variance or an electrode's number is negative")
         registration = Similarity(given["linear"], given["shift"])
         if not 1e-6 < registration.scale < 1e6:
             raise ValueError(f"its scale is {registration.scale:g}")
         return PositionMap(
             registration, bool(given["own"]), given["basis"], given["quadruples"], near, full, given["trust"]
         )
-    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+    except (
+        ValueError,
+        KeyError,
+        OSError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+    ) as error:
         raise SkinError(f"calibration.position_map cannot be read: {error}; learn it again") from None
 
 
