@@ -147,7 +147,7 @@ class Film:
         tip, length = np.array(at), _LEAST if force is None else min(_MOST, max(_LEAST, _PER_NEWTON * force))
         name = _OWN if own else _FORCE
         colour = np.array([int(name[k : k + 2], 16) / 255 for k in (1, 3, 5)] + [1.0])
-        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.01), tip, colour)
+        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.016), tip, colour)
         geom = self._add(mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), tip, colour)
         if geom is not None:
             mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, 0.008, tip + length * np.array(normal), tip)
