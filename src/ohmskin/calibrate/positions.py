@@ -114,7 +114,7 @@ def learn_positions(
         told = f"{known.sum()} of {len(found)} presses of known places were felt"
         raise DataError(f"{told}; to learn positions press {_LEAST} places or more, spread over the sheet")
     found, changes, places = found[known], np.nan_to_num(changes[known]), places[known]
-    own = _is_own(similarity(found, places), size)
+    own = _is_own(similarity(found, places), found.mean(axis=0), size)
     order = np.random.default_rng(0).permutation(len(found))
     after, whole, variances = np.empty_like(places), np.empty_like(places), np.empty((len(places), 2))
     near_only = np.empty_like(places)
@@ -153,12 +153,11 @@ def similarity(these: Floats, those: Floats) -> Similarity:
     return Similarity(linear, those.mean(axis=0) - linear @ these.mean(axis=0))
 
 
-def _is_own(one: Similarity, size: float) -> bool:
-    """Whether a frame is the sheet's own but for errors of the physics."""
-    linear, middle = one.linear / one.scale, one.shift
-    turned = abs(np.arctan2(linear[1, 0], linear[0, 0])) > _OWN_TURN or np.linalg.det(linear) < 0
+def _is_own(one: Similarity, middle: Floats, size: float) -> bool:
+    """Whether a frame is the sheet's own but for errors of the physics; `middle` (2,) is that of the presses (m)."""
+    turned = abs(np.arctan2(one.linear[1, 0], one.linear[0, 0])) > _OWN_TURN or np.linalg.det(one.linear) < 0
     alike = 1 / _OWN_SCALE < one.scale < _OWN_SCALE
-    return bool(alike and not turned and np.linalg.norm(middle) < _OWN_SHIFT * size * max(one.scale, 1.0) + size * 0.25)
+    return bool(alike and not turned and np.linalg.norm(one(middle) - middle) < _OWN_SHIFT * size)
 
 
 def _learn(

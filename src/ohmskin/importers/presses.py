@@ -5,11 +5,11 @@ value of a frame, in the order of the pattern. Rows whose x and y are empty are 
 ``voltages`` (n_presses, n_values) and ``positions`` (n_presses, 2) in metres, perhaps ``forces`` (n_presses,), and
 ``reference`` of the untouched skin, (n_frames, n_values), or a row for each press, from before it.
 
-The pattern is in the MATLAB file, as EIDORS has it, or in a table beside the file (`ohmskin.importers.table`); without
+The pattern is in the MATLAB file, as EIDORS has it, or in a table beside the text (`ohmskin.importers.table`); without
 one it is adjacent drive, voltages between neighbours in the order of the electrodes' numbers, those of driven ones
-among them or not. Lines that begin with ``#``, or texts of those names in the MATLAB file, may hold ``first``,
-``current``, ``skin``, and ``values``: ``voltages``, ``magnitudes`` (of rectified voltages), or ``differences`` (against
-the untouched skin, which is not recorded).
+among them or not. Lines of a table that begin with ``#`` may hold ``first``, ``current`` and ``skin`` as elsewhere, and
+``values``: ``voltages``, ``magnitudes`` (of rectified voltages), or ``differences`` (against the untouched skin, which
+is not recorded); a MATLAB file may have texts ``skin`` and ``values``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -62,8 +62,8 @@ def read_table(
     return _recording(values[pressed], places[pressed], forces, values[~pressed], pattern, settings, name)
 
 
-def read_variables(variables: Mapping[str, Any], pattern: ImportedPattern | None, name: str, driven: bool) -> Recording:
-    """The presses of a MATLAB file; `pattern` if a table beside it has one.
+def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Recording:
+    """The presses of a MATLAB file.
 
     Raises:
         DataError: If arrays do not fit each other or the pattern, or there is no press.
@@ -88,7 +88,8 @@ def read_variables(variables: Mapping[str, Any], pattern: ImportedPattern | None
     if len(quiet) == len(voltages) > 1:  # from before each press: drift is taken off
         steps = np.diff(quiet, axis=0)[:_MOST_QUIET] / np.sqrt(2)
         voltages, quiet = voltages - quiet + quiet.mean(axis=0), quiet.mean(axis=0) + steps - steps.mean(axis=0)
-    if pattern is None and any(key in variables for key in ("stim_pattern", "stim_meas_list", "stimulation", "fmdl")):
+    pattern = None
+    if any(key in variables for key in ("stim_pattern", "stim_meas_list", "stimulation", "fmdl")):
         pattern, _ = pattern_of(dict(variables), driven)
     settings = {key: str(value) for key, value in variables.items() if key in ("skin", "values")}
     return _recording(voltages, places[:, :2], forces, quiet, pattern, settings, name)
@@ -127,7 +128,8 @@ def _adjacent(count: int, settings: Mapping[str, str], name: str) -> tuple[Impor
     n_elec = round(np.sqrt(count)) if whole else n_elec
     if n_elec < 4 or (whole and n_elec**2 != count):
         told = f"{name} has {count} values a frame and no pattern; adjacent drive of n electrodes has n (n - 3) or n^2"
-        raise DataError(f"{told}. Put a table with the columns source, sink, plus, minus beside it")
+        where = "Put a table with the columns source, sink, plus, minus beside it, or stim_meas_list into a MATLAB file"
+        raise DataError(f"{told}. {where}")
     listed = [
         (k, (k + 1) % n_elec, j, (j + 1) % n_elec)
         for k in range(n_elec)

@@ -50,7 +50,7 @@ def read_recording(
             raise DataError(f"{path} is a MATLAB file, which holds its own pattern; leave pattern={str(pattern)!r} out")
         variables, notes = load_variables(content, str(path))
         if presses.is_press_file(variables):
-            found = presses.read_variables(variables, None, str(path), driven)
+            found = presses.read_variables(variables, str(path), driven)
             return replace(found, notes=(*found.notes, *notes))
         if kuopio.is_kuopio(variables):
             other = Path(reference) if reference is not None else kuopio.usual_reference(path, variables)
