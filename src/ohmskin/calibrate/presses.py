@@ -81,6 +81,15 @@ class PressGuide:
         """What is to be pressed now; None when all is done."""
         return self.plan[len(self.samples)] if len(self.samples) < len(self.plan) else None
 
+    @property
+    def peaks(self) -> list[float]:
+        """Of each sample the greatest force before it eased off (N); 0 where it was rising."""
+        peaks, greatest = [], 0.0
+        for sample in self.samples:
+            greatest = sample.force if sample.loading else greatest
+            peaks.append(0.0 if sample.loading else greatest)
+        return peaks
+
     def begin(self) -> None:
         """The press is there: measure it."""
         self._seen = []

@@ -70,11 +70,8 @@ def calibrate(
                 _walk(engine, guide, calibrated)
                 curve = fit_force(guide.samples)
                 found = curve.put_into(replace(found, mode=engine.mode.name))
-                presses = [
-                    KnownPress(one.force, one.contact, one.scans) for one in guide.samples if one.contact is not None
-                ]
                 assert engine.known is not None  # it saw the presses
-                layer, why = _layer(PressFitter(engine.known), presses)
+                layer, why = _layer(PressFitter(engine.known), _felt(guide))
             console.print(
                 f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
                 f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
@@ -99,10 +96,22 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
         return None, f"note: the contact layer stays as described: {error}"
     told = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
     told += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
+    if layer.hysteresis >= 0:
+        told += f", hysteresis {100 * layer.hysteresis:.2g} %"
     if layer.unexplained < _EXPLAINED:
         return layer, told
     left = f"{100 * layer.unexplained:.2g} % of what the presses change"
     return None, f"note: {told}, would leave {left} unexplained; the layer stays as described"
+
+
+def _felt(guide: PressGuide) -> list[KnownPress]:
+    """The presses that were felt; those that eased off only where one that rose was felt, too."""
+    felt, risen = list[KnownPress](), None
+    for one, peak in zip(guide.samples, guide.peaks, strict=True):
+        risen = one.at if one.contact is not None and not peak else risen
+        if one.contact is not None and one.at == risen:
+            felt.append(KnownPress(one.force, one.contact, one.scans, peak))
+    return felt
 
 
 def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:

@@ -8,7 +8,7 @@ and narrow, several fits are followed until all but one are far less likely.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, hypot, sqrt
+from math import exp, hypot, log, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -22,16 +22,16 @@ from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.presses import FittedPress, PressFitter
-from ohmskin.skin import Mode, Press
+from ohmskin.skin import Foam, Mode, Press
 
 _KEPT = 0.05  # s for which a press is taken to stay as it is
 _SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
 _LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
 _DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
-_STRANGE = 5.0  # standard deviations of chi-square by which a frame is unlike the ones before
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
 _LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
 _MOST = 1200  # contacts of patches under all presses, some three fingers: the model's time goes with the cube
+_CHANGED, _CREPT = 0.05, 0.25  # logarithm of a pressure, and share of the time in which foam creeps, worth following
 _UNKNOWN_SIZE = 0.5  # share of a force that is not known where the size of what presses is not
 
 
@@ -75,17 +75,21 @@ class Presses:
         ids: Of the contacts, rising.
         fits: What they may be, the likeliest first; none: too many or too wide to tell.
         data: What the last frames say; None: nothing yet.
+        exact: What the last ones say, as if no model erred: by how much presses have changed since.
         scans: What has been measured since, and
         elapsed: in which time (s).
-        told: The presses found last, by contact.
+        told: The presses found last, by contact, by what of them acts on the sheet, and
+        foam: what the foam under them was last, and how long ago (s).
     """
 
     ids: tuple[int, ...] = ()
     fits: tuple[Fit, ...] = ()
     data: Information | None = None
+    exact: Information | None = None
     scans: tuple[Difference, ...] = ()
     elapsed: float = 0.0
     told: dict[int, FittedPress] = field(default_factory=dict)
+    foam: dict[int, tuple[Foam, float]] = field(default_factory=dict)
 
 
 class Forces(Protocol):
@@ -132,7 +136,33 @@ class PressFollower:
             state = replace(state, scans=(*state.scans, *scans), elapsed=state.elapsed + elapsed)
             if sum(scan.pattern.n_inj for scan in state.scans) >= self._injections:
                 state = self._improved(self._informed(state))
-        return state, tuple(_with_force(contact, state.told.get(contact.id)) for contact in contacts)
+        pressing, foam = self._pressing(state, before.foam, elapsed)
+        told = tuple(_with_force(contact, pressing.get(contact.id)) for contact in contacts)
+        return replace(state, foam=foam), told
+
+    def _pressing(
+        self, state: Presses, before: dict[int, tuple[Foam, float]], elapsed: float
+    ) -> tuple[dict[int, FittedPress], dict[int, tuple[Foam, float]]]:
+        """What presses, of which foam shows more than there is; and the foam as of the last change worth telling."""
+        layer = self.fitter.sheet.skin.contact_layer
+        if not layer.remembers:
+            return state.told, {}
+        pressing, foam = {}, {}
+        for number, one in state.told.items():
+            last, since = before.get(number, (None, 0.0))
+            now, acting = layer.pressing(last, one.press.pressure, since + elapsed), one.press.pressure
+            share = now.pressure / acting
+            pressing[number] = replace(
+                one,
+                press=replace(one.press, pressure=now.pressure),
+                force=share * one.force,
+                force_std=share * one.force_std,
+            )
+            band = max(_CHANGED, one.force_std / one.force)
+            if last is None or abs(log(now.pressure / last.pressure)) > band or since > _CREPT * layer.creep_time:
+                last, since = now, -elapsed
+            foam[number] = last, since + elapsed
+        return pressing, foam
 
     def _lost(self, state: Presses, contacts: Sequence[Contact]) -> bool:
         """Whether a press is far from its contact."""
@@ -166,14 +196,15 @@ class PressFollower:
             return []
 
     def _informed(self, state: Presses) -> Presses:
-        """The state with what it has gathered among its data, of which the older count less."""
-        frames = 1 + _KEPT / max(state.elapsed, 1e-3)
-        data = new = self.fitter.information(state.scans, frames)
-        if state.data is not None:
-            left = new.told.less(state.fits[0].expected).constant
-            if left < new.count + _STRANGE * sqrt(2 * new.count):
-                data = Information.together([state.data.times(exp(-state.elapsed / _KEPT)), new])
-        return replace(state, data=data, scans=(), elapsed=0.0)
+        """The state with what it has gathered among its data, of which the older count less, the more so the more
+        presses have changed since."""
+        exact = self.fitter.information(state.scans, 0.0)
+        kept = exp(-max(state.elapsed, 1e-3) / _KEPT)
+        if state.exact is not None:
+            kept *= exp(-_changed(state.fits[0], state.exact, exact))
+        new = self.fitter.information(state.scans, 1 / (1 - kept))
+        data = new if state.data is None else Information.together([state.data.times(kept), new])
+        return replace(state, data=data, exact=exact, scans=(), elapsed=0.0)
 
     def _improved(self, state: Presses) -> Presses:
         """The state with presses that explain its data better."""
@@ -258,6 +289,19 @@ def _step(normal: Floats, gradient: Floats, damping: float) -> Floats:
     step = gradient.copy()
     damped_step(normal, damping, step)
     return step
+
+
+def _changed(fit: Fit, before: Information, now: Information) -> float:
+    """By how many standard deviations of chi-square presses differ between two looks, beyond one (1)."""
+    found, normals = [], []
+    for one in (before, now):
+        matrix, vector = one.told.matrix[:-1, :-1], one.told.vector[:-1]
+        normals.append(fit.slopes.T @ matrix @ fit.slopes + np.diag(np.tile(_LINEAR, len(fit.params) // 4) ** -2.0))
+        found.append(np.linalg.solve(normals[-1], fit.slopes.T @ (vector - matrix @ fit.caused)))
+    step = found[1] - found[0]
+    both = inverse(normals[0]) + inverse(normals[1])
+    square = float(step @ np.linalg.solve(both, step))
+    return max((square - len(step)) / sqrt(2 * len(step)) - 1, 0.0)
 
 
 def _near(step: Floats) -> bool:

@@ -24,11 +24,12 @@ from ohmskin.skin import Calibration, Press, PressedSheet
 
 _PER_PRESS = 4  # x, y (m), logarithms of radius (m) and pressure (Pa)
 _SPREAD = np.array([0.5, 1.5])  # prior standard deviations of the logarithms of radius and pressure
-_LAYER_SPREAD = np.array([1.0, 0.3])  # of the logarithm of the layer's conductance, and of its exponent
+_LAYER_SPREAD = np.array([1.0, 0.3, 0.2])  # of the logarithm of the layer's conductance, its exponent, its hysteresis
 _WIDER, _HARDER = 4.0, 20.0  # factors by which radius and pressure may differ from the usual ones
 _MODEL_ERROR = 0.02  # share of a press's signal that the model of the layer gets wrong, here and there
 _AMPLITUDE = 0.01  # and of all of it alike
 _SIZES = (0.6, 1.0)  # usual radii from which a fit starts
+_MOST_HYSTERESIS = 0.5
 _ROUNDS, _ENOUGH = 25, 0.02  # most steps, and the gain in squared misfit below which a fit stops
 
 
@@ -57,11 +58,13 @@ class KnownPress:
         force: Force (N).
         contact: Where and how large it seemed.
         scans: What it changed.
+        peak: The greatest force before it eased off to this one (N); 0: it was rising.
     """
 
     force: float
     contact: Contact
     scans: tuple[Difference, ...]
+    peak: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class FittedLayer:
         exponent: Of its growth with pressure (1).
         conductance_std: Standard deviation of the logarithm of the conductance.
         exponent_std: Standard deviation of the exponent.
+        hysteresis: Of the foam (1), see `ContactLayer`; below 0: no press eased off that would tell.
         unexplained: Share of what the presses changed that no such layer explains, noise included (1).
     """
 
@@ -80,12 +84,14 @@ class FittedLayer:
     exponent: float
     conductance_std: float
     exponent_std: float
+    hysteresis: float
     unexplained: float
 
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this layer."""
         stds = self.conductance_std, self.exponent_std
-        return replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds)
+        told = replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds)
+        return replace(told, layer_hysteresis=self.hysteresis)
 
 
 class PressFitter:
@@ -120,61 +126,74 @@ class PressFitter:
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
         """The layer that explains presses of known force; some ten, at places and forces all over the range.
 
+        One that eases off follows the one that it eases off from, at the same place: they tell what foam remembers.
+
         Raises:
-            DataError: If there are fewer than two, a force is not positive, or no finite datum is left of one.
+            DataError: If there are fewer than two, a force is not positive, the first one eases off, or no finite datum
+                is left of one.
         """
         forces = [press.force for press in presses]
         if len(presses) < 2 or not (np.isfinite(forces).all() and min(forces) > 0):
             raise DataError(f"presses of {forces} N; give two or more, each above 0 N")
+        if presses[0].peak:
+            raise DataError("the first press eases off from none before it; begin with one that rises")
         data = [self.information(press.scans) for press in presses]
         layer = self.sheet.skin.contact_layer
-        described = np.array([np.log(layer.conductance), layer.exponent])
-        start = np.concatenate([described, *(self.start([press.contact], 1.0)[:3] for press in presses)])
+        described = np.array([np.log(layer.conductance), layer.exponent, np.log1p(layer.hysteresis)])
+        rising = [press.contact for press in presses if not press.peak]
+        start = np.concatenate([described, *(self.start([contact], 1.0)[:3] for contact in rising)])
 
         def moved(params: Floats, step: Floats) -> Floats:
             after = params + step
-            after[1] = np.clip(after[1], 0.1, 3.0)
-            for k in range(2, len(after), 3):
+            after[1:3] = np.clip(after[1:3], [0.1, 0.0], [3.0, np.log1p(_MOST_HYSTERESIS)])
+            for k in range(3, len(after), 3):
                 after[k : k + 3] = self._within(np.append(after[k : k + 3], self._usual[1]))[:3]
             return after
 
         found, cost, normal = _minimised(
-            start, lambda params: self._under_layer(params, described, forces, data), moved
+            start, lambda params: self._under_layer(params, described, presses, data), moved
         )
         stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(one.told.constant for one in data)
-        conductance, exponent = float(np.exp(found[0])), float(found[1])
-        return FittedLayer(conductance, exponent, float(stds[0]), float(stds[1]), sqrt(max(cost, 0.0) / all_of_it))
+        hysteresis = float(np.expm1(found[2])) if len(rising) < len(presses) else -1.0
+        left = sqrt(max(cost, 0.0) / all_of_it)
+        return FittedLayer(float(np.exp(found[0])), float(found[1]), float(stds[0]), float(stds[1]), hysteresis, left)
 
     def _under_layer(
-        self, params: Floats, described: Floats, forces: Sequence[float], data: Sequence[Information]
+        self, params: Floats, described: Floats, presses: Sequence[KnownPress], data: Sequence[Information]
     ) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of a layer, and of place and size of presses of known force under it.
 
         Args:
-            params: (2 + 3 n,) logarithm of the layer's conductance, and its exponent; x, y and logarithm of the radius
-                of each press.
-            described: (2,) the layer as it was believed to be.
-            forces: Of each press (N).
+            params: (3 + 3 n,) logarithm of the layer's conductance, its exponent, logarithm of one and its hysteresis;
+                x, y and logarithm of the radius of each press that rises, and of those that ease off from it.
+            described: (3,) the layer as it was believed to be.
+            presses: Of known force.
             data: What was measured under each.
         """
         layer = self.sheet.skin.contact_layer
         sheet = self.sheet.with_layer(replace(layer, conductance=float(np.exp(params[0])), exponent=float(params[1])))
-        off = (described - params[:2]) / _LAYER_SPREAD
+        off = (described - params[:3]) / _LAYER_SPREAD
         cost, normal, gradient = float(off @ off), np.zeros((len(params),) * 2), np.zeros(len(params))
-        normal[:2, :2], gradient[:2] = np.diag(_LAYER_SPREAD**-2), off / _LAYER_SPREAD
-        for k, (force, told) in enumerate(zip(forces, data, strict=True)):
-            at = np.r_[0, 1, 2 + 3 * k : 5 + 3 * k]
-            own = np.append(params[at[2:]], 0.0)
-            own[3] = np.log(force / self._press(own).force(layer.foam_spread))
+        normal[:3, :3], gradient[:3] = np.diag(_LAYER_SPREAD**-2), off / _LAYER_SPREAD
+        number = -1
+        for press, told in zip(presses, data, strict=True):
+            number += not press.peak
+            at = np.r_[0:3, 3 + 3 * number : 6 + 3 * number]
+            turned = layer.turned(press.force / press.peak) if press.peak else 0.0
+            own = np.append(params[at[3:]], 0.0)
+            own[3] = np.log(press.force / self._press(own).force(layer.foam_spread)) + turned * params[2]
             caused, slopes = sheet.linearised([self._press(own)])
             slopes[:, 2] -= slopes[:, 3] * self._growth(own)  # a wider one of the same force presses less
-            part = self._explained(told, caused, slopes[:, [4, 5, 0, 1, 2]])
-            prior = self._prior(own[None])
-            cost += part[0] + prior[0]
+            slopes[:, 3] *= turned
+            part = self._explained(told, caused, slopes[:, [4, 5, 3, 0, 1, 2]])
+            cost += part[0]
             normal[np.ix_(at, at)] += part[1]
             gradient[at] += part[2]
-            normal[at[2:], at[2:]] += prior[1][:3]
-            gradient[at[2:]] += prior[2][:3]
+            if not press.peak:
+                prior = self._prior(own[None])
+                cost += prior[0]
+                normal[at[3:], at[3:]] += prior[1][:3]
+                gradient[at[3:]] += prior[2][:3]
         return cost, normal, gradient
 
     def _growth(self, params: Floats) -> float:
@@ -183,7 +202,10 @@ class PressFitter:
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
     def information(self, scans: Sequence[Difference], frames: float = 1.0) -> Information:
-        """What scans say, and as many `frames` like them together; noise averages out, the model's error does not."""
+        """What scans say, and as many `frames` like them together; noise averages out, the model's error does not.
+
+        With no frames, what they say if the model does not err.
+        """
         fitter = self.known.fitter
         four = np.concatenate([scan.pattern.quadruples for scan in scans])
         repeats = frames * len(four) / len(np.unique(four, axis=0))

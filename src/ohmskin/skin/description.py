@@ -24,48 +24,17 @@ from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, 
 from ohmskin.scan import Cost, n_pairs
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.checks import check_expense, check_names, check_table, choice, number, read_text, read_toml
+from ohmskin.skin.layer import ContactLayer
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.mode import Mode, modes_of
 from ohmskin.skin.sheet import Sheet
 
 _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
-_UNCALIBRATED, _LAYOUT, _SHEET = Calibration(), ElectrodeLayout(), Sheet()
+_UNCALIBRATED, _LAYOUT, _SHEET, _LAYER = Calibration(), ElectrodeLayout(), Sheet(), ContactLayer()
 _LARGEST_FILE = 2**20
 _CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
-_COVERED = 0.9  # share of a layer's length that patches cover, unless described otherwise
 _CLOSEST = 0.02  # share of the edges of a mesh that its nodes are apart at an electrode
 _FORMER = {"bipolar": "falls"}  # entries by the names that files written before 0.2 have, and digests keep
-
-
-@dataclass(frozen=True)
-class ContactLayer:
-    """Floating conductive patches on foam that short the sheet where they are pressed on it.
-
-    There are `columns` x `rows` of them or, where these are 0, as many as leave gaps of a tenth. The conductance per
-    area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``.
-    """
-
-    columns: int = number(0, 0, 256)
-    rows: int = number(0, 0, 256)
-    patch: float = number(7.5e-3, 1e-5, 1, "m")
-    conductance: float = number(3.66e3, 1e-6, 1e9, "S/m2")
-    pressure_scale: float = number(20e3, 1, 1e9, "Pa")
-    exponent: float = number(0.95, 0.1, 3)
-    foam_spread: float = number(2e-3, 0, 1, "m")
-
-    def counts(self, domain: Domain) -> tuple[int, int]:
-        """Columns and rows of patches on a map.
-
-        Raises:
-            SkinError: If patches would overlap.
-        """
-        x0, y0, x1, y1 = domain.bounds
-        fitting = [max(1, round(_COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0)]
-        columns, rows = self.columns or fitting[0], self.rows or fitting[1]
-        if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
-            over = f"{columns} x {rows} patches of {self.patch:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
-            raise SkinError(f"{over}; lower contact_layer.columns, rows or patch, or leave columns and rows out")
-        return columns, rows
 
 
 @dataclass(frozen=True)
@@ -118,7 +87,7 @@ class Skin:
     name: str = "paper"
     sheet: Sheet = _SHEET
     electrode: ElectrodeLayout = _LAYOUT
-    contact_layer: ContactLayer = ContactLayer()
+    contact_layer: ContactLayer = _LAYER
     excitation: Excitation = Excitation()
     converter: Converter = Converter()
     imaging: Imaging = Imaging()
@@ -280,7 +249,9 @@ class Skin:
         layer, found = self.contact_layer, self.calibration
         if not found.layer_conductance:
             return layer
-        return replace(layer, conductance=found.layer_conductance, exponent=found.layer_exponent)
+        hysteresis = layer.hysteresis if found.layer_hysteresis < 0 else found.layer_hysteresis
+        told = replace(layer, conductance=found.layer_conductance, exponent=found.layer_exponent)
+        return replace(told, hysteresis=hysteresis)
 
     def mesh(self) -> Mesh:
         """The estimator's mesh, with a node at every electrode."""

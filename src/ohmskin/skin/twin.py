@@ -14,10 +14,12 @@ from ohmskin.forward import FloatingPatches, TransferModel
 from ohmskin.geometry.mesh import folded, shortest, tree
 from ohmskin.scan import all_pairs, two_terminal
 from ohmskin.skin.checks import check_patches
-from ohmskin.skin.description import ContactLayer, Skin
+from ohmskin.skin.description import Skin
+from ohmskin.skin.layer import ContactLayer
 
 _PLACES, _GRADED = 3, 0.8  # places along each side of a contact where the pressure is looked at; 0 is even, 1 a cosine
 _PREPARED = 1000  # patches
+MOST_PRESSURE = 1e7  # Pa
 _MARGIN = 1.3  # by which the scale of a map may change within the reach of a press
 _LEAST_SPREAD = 0.5e-3  # m, of the foam where slopes are asked for: the edge of a press must not be a step
 
@@ -47,7 +49,7 @@ class Press:
             raise SkinError(f"{self} has a value that is not finite")
         if not 0 < self.radius <= 1:
             raise SkinError(f"press radius is {self.radius} m; it must be above 0 and at most 1 m")
-        if not 0 <= self.pressure <= 1e7:
+        if not 0 <= self.pressure <= MOST_PRESSURE:
             raise SkinError(f"press pressure is {self.pressure} Pa; it must be 0 to 10 MPa")
 
     def force(self, foam_spread: float = 0.0) -> float:

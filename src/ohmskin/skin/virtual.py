@@ -1,10 +1,11 @@
 """The virtual skin: what an instrument reads from a pressed sheet, ``converter(noise(sheet(presses)))``.
 
-Not modelled: capacitance of the sheet beyond one settling time constant, creep and hysteresis of the foam, temperature,
-drift, bending, cross-talk between cables, and that the patches also touch each other.
+Not modelled: capacitance of the sheet beyond one settling time constant, that foam remembers a press that has gone,
+temperature, drift, bending, cross-talk between cables, and that the patches also touch each other.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,9 +16,11 @@ from ohmskin.errors import SkinError
 from ohmskin.scan import DrivePattern, Frame, FrameFlag
 from ohmskin.skin.description import Skin
 from ohmskin.skin.faults import PICKUP, Fault, Wiring
-from ohmskin.skin.twin import Press, PressedSheet
+from ohmskin.skin.layer import Foam
+from ohmskin.skin.twin import MOST_PRESSURE, Press, PressedSheet
 
 _MOST_CONTACTS = 5000  # of patches under all presses: memory goes with the square, time with the cube
+_YIELDED = 2e-3  # change of what acts on the sheet by which creeping foam is modelled anew
 
 
 @lru_cache(maxsize=8)
@@ -54,9 +57,11 @@ class VirtualSkin:
             self._check_on_sheet(press)
         self._random = np.random.default_rng(seed)
         self._presses: dict[int, Press] = pressing
-        self._resistance, self._lifted = self._pressed_resistance(pressing), False
-        self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._time = 0.0
+        self._foam, self._foam_time = self._foam_under(pressing, {}, 0.0), 0.0
+        self._stale = False
+        self._model()
+        self._potentials = np.zeros(len(self.skin.electrodes))  # what the channels settled to last
         self._sequence = 0
 
     def rewire(self, *faults: Fault) -> None:
@@ -66,7 +71,7 @@ class VirtualSkin:
             SkinError: If a fault names an electrode that is not there, or two faults name the same one.
         """
         self._wire(faults)
-        self._resistance, self._lifted = self._pressed_resistance(self._presses), False
+        self._model()
 
     def _wire(self, faults: Sequence[Fault]) -> None:
         self.wiring = Wiring(faults, len(self.skin.electrodes))
@@ -91,13 +96,16 @@ class VirtualSkin:
         """
         press, presses = Press((x, y), radius, pressure), self.presses
         if pressure == 0:  # what is left is modelled at the next scan, of many lifts once
-            self._lifted |= self._presses.pop(number, None) is not None
+            self._stale |= self._presses.pop(number, None) is not None
+            self._foam = {other: foam for other, foam in self._foam.items() if other != number}
             return
         self._check_on_sheet(press)
         presses[number] = press
         if presses != self._presses:  # or told again, as hosts do when a reply is lost
-            resistance = self._pressed_resistance(presses)  # may refuse: then nothing has changed
-            self._presses, self._resistance, self._lifted = presses, resistance, False
+            foam = self._foam_under(presses, self._foam, self._time - self._foam_time)
+            resistance = self._pressed_resistance(presses, foam)  # may refuse: then nothing has changed
+            self._presses, self._resistance, self._stale = presses, resistance, False
+            self._foam, self._modelled, self._foam_time = foam, foam, self._time
 
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
@@ -106,8 +114,9 @@ class VirtualSkin:
     def scan(self, pattern: DrivePattern) -> Frame:
         """Scan the skin as it is now; returns at once, with the device time advanced by `duration`."""
         pattern.check(len(self.skin.electrodes))
-        if self._lifted:
-            self._resistance, self._lifted = self._pressed_resistance(self._presses), False
+        self._yield()
+        if self._stale:
+            self._model()
         currents, limited = self._drive(pattern)
         volts = self._settle(pattern, currents)
         noise, shunt = self.skin.converter.noise, self.skin.converter.shunt
@@ -118,11 +127,39 @@ class VirtualSkin:
         flags = FrameFlag(FrameFlag.CLIPPED * (clipped or too_much) | FrameFlag.CURRENT_LIMIT * limited)
         return Frame(pattern, volts, over_shunt / shunt, self._time, self._sequence, flags)
 
-    def _pressed_resistance(self, presses: dict[int, Press]) -> Floats:
+    def _foam_under(self, presses: Mapping[int, Press], before: Mapping[int, Foam], elapsed: float) -> dict[int, Foam]:
+        """The foam under each press, so long (s) after it was as before."""
+        layer = self.skin.contact_layer
+        pressed = presses.items() if layer.remembers else ()
+        return {
+            number: layer.acting(before.get(number), press.pressure, elapsed)
+            for number, press in pressed
+            if press.pressure > 0
+        }
+
+    def _yield(self) -> None:
+        """Let the foam creep until now; what it does to the sheet is modelled anew once that has changed."""
+        if not self.skin.contact_layer.creep or not self._presses:
+            return
+        self._foam = self._foam_under(self._presses, self._foam, self._time - self._foam_time)
+        self._foam_time = self._time
+        modelled = ((self._modelled[number].acting, foam.acting) for number, foam in self._foam.items())
+        self._stale |= any(abs(now - before) > _YIELDED * before for before, now in modelled)
+
+    def _model(self) -> None:
+        """Model what presses now."""
+        self._resistance = self._pressed_resistance(self._presses, self._foam)
+        self._modelled, self._stale = self._foam, False
+
+    def _pressed_resistance(self, presses: Mapping[int, Press], foam: Mapping[int, Foam]) -> Floats:
         if presses and (contacts := self.sheet.contacts_under(presses.values())) > _MOST_CONTACTS:
             slow = f"presses on {contacts} contacts of patches take about {1.4e-11 * contacts**3:.0f} s to model"
             raise SkinError(f"{slow}; allowed are {_MOST_CONTACTS}, some two palms: lift one, or make it smaller")
-        return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(presses.values()))
+        acting = (
+            replace(press, pressure=min(foam[number].acting, MOST_PRESSURE)) if number in foam else press
+            for number, press in presses.items()
+        )
+        return self.wiring.seen_from_terminals(self.sheet.transfer_resistance(acting))
 
     def _check_on_sheet(self, press: Press) -> None:
         if self.skin.domain.depth([press.position])[0] < 0:

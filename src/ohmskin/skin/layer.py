@@ -1,0 +1,116 @@
+"""The contact layer: patches on foam that short the sheet where they are pressed on it, and what foam remembers."""
+
+from dataclasses import dataclass
+from math import exp, log, log1p
+
+from ohmskin.errors import SkinError
+from ohmskin.geometry import Domain
+from ohmskin.skin.checks import number
+
+_COVERED = 0.9  # share of a layer's length that patches cover, unless described otherwise
+_STRETCH = 0.6  # of the logarithm of pressure, in which hysteresis has turned to 1/e; above its largest gap
+_NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
+
+
+@dataclass(frozen=True)
+class ContactLayer:
+    """Floating conductive patches on foam that short the sheet where they are pressed on it.
+
+    There are `columns` x `rows` of them or, where these are 0, as many as leave gaps of a tenth. The conductance per
+    area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has a memory: when a
+    press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting press what acts
+    grows by `creep`, all but 1/e of it in `creep_time`.
+    """
+
+    columns: int = number(0, 0, 256)
+    rows: int = number(0, 0, 256)
+    patch: float = number(7.5e-3, 1e-5, 1, "m")
+    conductance: float = number(3.66e3, 1e-6, 1e9, "S/m2")
+    pressure_scale: float = number(20e3, 1, 1e9, "Pa")
+    exponent: float = number(0.95, 0.1, 3)
+    foam_spread: float = number(2e-3, 0, 1, "m")
+    hysteresis: float = number(0.0, 0, 0.5)
+    creep: float = number(0.0, 0, 1)
+    creep_time: float = number(10.0, 1e-3, 1e5, "s")
+
+    def counts(self, domain: Domain) -> tuple[int, int]:
+        """Columns and rows of patches on a map.
+
+        Raises:
+            SkinError: If patches would overlap.
+        """
+        x0, y0, x1, y1 = domain.bounds
+        fitting = [max(1, round(_COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0)]
+        columns, rows = self.columns or fitting[0], self.rows or fitting[1]
+        if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
+            over = f"{columns} x {rows} patches of {self.patch:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
+            raise SkinError(f"{over}; lower contact_layer.columns, rows or patch, or leave columns and rows out")
+        return columns, rows
+
+    @property
+    def remembers(self) -> bool:
+        """Whether what acts on the sheet depends on what pressed before."""
+        return bool(self.hysteresis or self.creep)
+
+    def acting(self, before: "Foam | None", pressure: float, elapsed: float) -> "Foam":
+        """The foam under a press that has had its former pressure for a time, and now has another.
+
+        Args:
+            before: As it was; None: the press begins.
+            pressure: Of the press now, above 0 (Pa).
+            elapsed: Time since `before` (s).
+        """
+        if before is None:
+            return Foam(pressure, pressure, 0.0, 0.0)
+        gap = self._gap(before.gap, log(pressure / before.pressure))
+        crept = self._crept(before, elapsed)
+        return Foam(pressure, pressure * exp(gap) + self.creep * crept, gap, crept)
+
+    def pressing(self, before: "Foam | None", acting: float, elapsed: float) -> "Foam":
+        """The foam under a press of which is known what acts on the sheet (Pa); the inverse of `acting`."""
+        if before is None:
+            return Foam(acting, acting, 0.0, 0.0)
+        crept = self._crept(before, elapsed)
+        wanted = log(max(acting - self.creep * crept, 1e-3 * acting) / before.pressure) - before.gap
+        step = wanted
+        for _ in range(_NEWTON):
+            slope = 1 + (self._gap(before.gap, step + _SMALL) - self._gap(before.gap, step)) / _SMALL
+            step -= (step + self._gap(before.gap, step) - before.gap - wanted) / max(slope, _LEAST_SLOPE)
+        pressure = before.pressure * exp(step)
+        return Foam(pressure, acting, self._gap(before.gap, step), crept)
+
+    @staticmethod
+    def turned(share: float) -> float:
+        """How much of its hysteresis foam shows where a press has eased off to a share of its greatest pressure (1)."""
+        return float(1 - share ** (1 / _STRETCH))
+
+    def _gap(self, gap: float, step: float) -> float:
+        """By how much more acts than presses (1, logarithmic) after the logarithm of the pressure went up by a step.
+
+        It follows the way the pressure goes within a stretch of it, as Dahl's friction does (Aerospace Corp. report
+        TOR-0158(3107-18)-1, 1968).
+        """
+        goal = 0.0 if step > 0 else log1p(self.hysteresis)
+        return goal + (gap - goal) * exp(-abs(step) / _STRETCH)
+
+    def _crept(self, before: "Foam", elapsed: float) -> float:
+        """What the foam has yielded to after a time (Pa)."""
+        goal = before.pressure * exp(before.gap)
+        return goal + (before.crept - goal) * exp(-max(elapsed, 0.0) / self.creep_time)
+
+
+@dataclass(frozen=True)
+class Foam:
+    """The foam under one press.
+
+    Args:
+        pressure: With which it is pressed (Pa).
+        acting: What of it acts on the sheet (Pa).
+        gap: By how much more because it had been pressed harder (1, logarithmic).
+        crept: The pressure that it has yielded to (Pa).
+    """
+
+    pressure: float
+    acting: float
+    gap: float
+    crept: float
