@@ -114,7 +114,7 @@ def test_the_skins_of_the_paper_have_its_modes() -> None:
     [
         (
             "sheets = 1",
-            "unknown entry 'sheets'; choose from name, sheet, electrode, contact_layer, excitation, converter, imaging",
+            "unknown entry 'sheets'; choose from name, sheet, electrode, contact_layer, excitation, converter",
         ),
         (
             "[sheet]\nwidht = 0.2",

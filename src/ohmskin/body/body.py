@@ -113,7 +113,7 @@ def _placed(
         device = _device(folder, _text(entry, "device", "virtual:", _LINK))
         mode = _text(entry, "mode", "", re.compile(r"\w{0,32}"))
         mode_named(skins[source], mode)
-        patch = Patch(name, link, (x, y, z), axes(*turns), skins[source].calibration.tells_force)
+        patch = Patch(name, link, (x, y, z), axes(*turns), skins[source].tells_force)
         return PlacedSkin(patch, skins[source], device, mode)
     except OhmskinError as error:
         raise SkinError(f"{where}{error}") from None

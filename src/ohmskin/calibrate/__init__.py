@@ -1,7 +1,7 @@
 """Before a skin is used: the self-test of its wiring and instrument, and its calibration to newtons."""
 
 from ohmskin.calibrate.channels import ChannelJudgement, judge_channels
-from ohmskin.calibrate.force import ForceCurve, PressSample, fit_force
+from ohmskin.calibrate.force import ForceCurve, PressSample, fit_auxiliary, fit_force
 from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
@@ -23,6 +23,7 @@ __all__ = [
     "SheetFit",
     "calibrate_quiet",
     "diagnose",
+    "fit_auxiliary",
     "fit_force",
     "fit_sheet",
     "judge_channels",

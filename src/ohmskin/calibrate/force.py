@@ -23,6 +23,7 @@ class PressSample:
         loading: Whether the force was rising; otherwise it was falling.
         contact: What it seemed last; None where it was not felt.
         scans: What it changed, in each of those cycles.
+        auxiliary: What the auxiliary channel read then (N or Pa), the median; NaN: nothing.
     """
 
     at: tuple[float, float]
@@ -31,6 +32,7 @@ class PressSample:
     loading: bool
     contact: Contact | None = None
     scans: tuple[Difference, ...] = field(default=(), repr=False, compare=False)
+    auxiliary: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,23 @@ class ForceCurve:
         """The same calibration with this curve."""
         points = replace(calibration, strengths=self.strengths, forces=self.forces)
         return replace(points, force_error=self.error, hysteresis=self.hysteresis)
+
+
+def fit_auxiliary(samples: Sequence[PressSample], rest: float, calibration: Calibration) -> Calibration:
+    """A calibration with the gain of the auxiliary channel by least squares; as it is where there is no such channel.
+
+    Args:
+        samples: Presses of known force.
+        rest: What the channel read on the quiet skin.
+        calibration: To put it into.
+    """
+    read = np.array([sample.auxiliary for sample in samples]) - rest
+    force = np.array([sample.force for sample in samples])
+    force, read = force[np.isfinite(read)], read[np.isfinite(read)]
+    if len(read) < 2 or (gain := float(force @ read / (force @ force))) <= 0:
+        return calibration
+    error = float(np.sqrt(np.mean((read / (gain * force) - 1) ** 2)))
+    return replace(calibration, auxiliary_gain=gain, auxiliary_error=min(error, 1.0))
 
 
 def fit_force(samples: Sequence[PressSample]) -> ForceCurve:

@@ -155,7 +155,8 @@ def scan_whole(device: Device, pattern: DrivePattern) -> Frame:
     for frame in frames:
         flags |= frame.flags
     volts, currents = np.concatenate([f.voltages for f in frames]), np.concatenate([f.currents for f in frames])
-    return Frame(pattern, volts, currents, frames[-1].time, frames[-1].sequence, flags)
+    last = frames[-1]
+    return Frame(pattern, volts, currents, last.time, last.sequence, flags, auxiliary=last.auxiliary)
 
 
 def mean_frame(frames: list[Frame]) -> Frame:

@@ -74,7 +74,7 @@ class PressGuide:
     def __init__(self, plan: Sequence[PressStep], settle: int = 6, cycles: int = 10) -> None:
         self.plan, self.samples = tuple(plan), list[PressSample]()
         self._settle, self._cycles = settle, cycles
-        self._seen: list[tuple[Contact | None, tuple[Difference, ...]]] | None = None
+        self._seen: list[tuple[Contact | None, tuple[Difference, ...], float]] | None = None
 
     @property
     def step(self) -> PressStep | None:
@@ -94,20 +94,22 @@ class PressGuide:
         """The press is there: measure it."""
         self._seen = []
 
-    def see(self, contacts: Sequence[Contact], scans: Sequence[Difference] = ()) -> bool:
-        """Look at a cycle: its contacts, and what was measured. Whether the press is done and the next step is due."""
+    def see(self, contacts: Sequence[Contact], scans: Sequence[Difference] = (), auxiliary: float = np.nan) -> bool:
+        """Look at a cycle: its contacts, what was measured, and what the auxiliary channel read. Whether the press is
+        done and the next step is due."""
         step = self.step
         if step is None or self._seen is None:
             return False
         near = [contact for contact in contacts if np.hypot(*np.subtract(contact.position, step.at)) < _REACH]
         felt = max(near, key=lambda contact: abs(contact.strength), default=None)
-        self._seen.append((felt, tuple(scans)))
+        self._seen.append((felt, tuple(scans), auxiliary))
         if len(self._seen) < self._settle + self._cycles:
             return False
         counted = self._seen[self._settle :]
-        strength = float(np.median([abs(contact.strength) if contact else 0.0 for contact, _ in counted]))
-        contact = next((contact for contact, _ in reversed(counted) if contact), None) if strength else None
-        measured = tuple(scan for _, scans in counted for scan in scans)
-        self.samples.append(PressSample(step.at, step.force, strength, step.loading, contact, measured))
+        strength = float(np.median([abs(contact.strength) if contact else 0.0 for contact, _, _ in counted]))
+        contact = next((contact for contact, _, _ in reversed(counted) if contact), None) if strength else None
+        measured = tuple(scan for _, scans, _ in counted for scan in scans)
+        beside = float(np.median([reading for _, _, reading in counted]))
+        self.samples.append(PressSample(step.at, step.force, strength, step.loading, contact, measured, beside))
         self._seen = None
         return True

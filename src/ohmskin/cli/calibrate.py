@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 import ohmskin
-from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_force, press_plan
+from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_auxiliary, fit_force, press_plan
 from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
@@ -71,6 +71,7 @@ def calibrate(
                 curve = fit_force(guide.samples)
                 found = curve.put_into(replace(found, mode=engine.mode.name))
                 assert engine.known is not None  # it saw the presses
+                found = fit_auxiliary(guide.samples, engine.known.quiet.rest, found)
                 layer, why = _layer(PressFitter(engine.known), _felt(guide))
             console.print(
                 f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
@@ -78,6 +79,9 @@ def calibrate(
                 f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
             )
             found = found if layer is None else layer.put_into(found)
+            if found.auxiliary_gain:
+                off = f"{100 * found.auxiliary_error:.2g} % off from press to press"
+                console.print(f"auxiliary channel: {found.auxiliary_gain:.4g} for each newton, {off}")
             console.print(why)
             if curve.flat:
                 flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
@@ -130,7 +134,8 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
             touch = engine.step()
             if touch is not None and (known := engine.known) is not None:
                 scans = tuple(map(known.difference, touch.percept.frames))
-                if guide.see(touch.contacts, scans):
+                beside = touch.percept.frames[-1].auxiliary
+                if guide.see(touch.contacts, scans, np.nan if beside is None else beside):
                     break
         else:
             raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}")

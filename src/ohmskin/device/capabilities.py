@@ -24,6 +24,7 @@ class Feature(IntFlag):
     CURRENT_MEASURED = 2  # the currents of a frame are measured, not nominal
     VOLTAGE_SOURCE = 4  # it drives volts; otherwise amperes
     DRIVEN_MEASURED = 8  # voltages of the electrodes that carry the current can be measured, too
+    AUXILIARY = 16  # each frame has one value more, of a sensor beside the electrodes
 
 
 _RECORDED: dict[str, Any] = {
@@ -104,7 +105,7 @@ class Capabilities:
             KeyError, ValueError, OverflowError, ProtocolError: If something is missing or makes no sense.
         """
         values = {name: kind(told[name]) for name, kind in _RECORDED.items()}
-        return cls(**values | {"features": Feature(values["features"] & 15) & ~Feature.VIRTUAL})
+        return cls(**values | {"features": Feature(values["features"] & 31) & ~Feature.VIRTUAL})
 
     @property
     def virtual(self) -> bool:

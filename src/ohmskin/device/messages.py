@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Self, get_args
 
+import numpy as np
+
 from ohmskin.arrays import Floats, unsignalled
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.layout import Kind
@@ -73,7 +75,8 @@ class FrameData:
         time: Time of the last sample on the device's clock (us).
         flags: FrameFlag bits.
         currents: (n_inj,) amperes; float32 as received.
-        voltages: (n_meas,) volts, float32 as received; NaN not measured, +-inf clipped.
+        voltages: (n_meas,) volts, float32 as received; NaN not measured, +-inf clipped. One value more is that of the
+            auxiliary channel.
     """
 
     digest: int
@@ -87,15 +90,16 @@ class FrameData:
     def of(cls, frame: Frame) -> Self:
         """What travels of a frame."""
         number, microseconds = frame.sequence & 2**32 - 1, max(0, round(frame.time * 1e6))
-        return cls(frame.pattern.digest, number, microseconds, int(frame.flags), frame.currents, frame.voltages)
+        values = frame.voltages if frame.auxiliary is None else np.append(frame.voltages, frame.auxiliary)
+        return cls(frame.pattern.digest, number, microseconds, int(frame.flags), frame.currents, values)
 
-    def frame(self, pattern: DrivePattern) -> Frame:
-        """The frame, given the pattern it was asked for.
+    def frame(self, pattern: DrivePattern, auxiliary: bool = False) -> Frame:
+        """The frame, given the pattern it was asked for, and whether the device has an auxiliary channel.
 
         Raises:
             ProtocolError: If the device drove another pattern.
         """
-        told = (self.digest, len(self.currents), len(self.voltages))
+        told = (self.digest, len(self.currents), len(self.voltages) - auxiliary)
         asked = (pattern.digest, pattern.n_inj, pattern.n_meas)
         if told != asked:
             raise ProtocolError(
@@ -103,7 +107,11 @@ class FrameData:
                 "Its firmware must refuse such a scan; update it"
             )
         voltages, currents = unsignalled(self.voltages), unsignalled(self.currents)
-        return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, FrameFlag(self.flags))
+        told_beside = None
+        if auxiliary:
+            voltages, told_beside = voltages[:-1], float(voltages[-1])
+        flags = FrameFlag(self.flags)
+        return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, flags, auxiliary=told_beside)
 
 
 Message = Hello | SetPattern | Scan | Press | Capabilities | Ack | FrameData | Refusal

@@ -75,7 +75,7 @@ class QuietFrames:
             missing = {m: quadruple for m, quadruple in missing.items() if m not in found}
             if not missing:
                 self.at = (self.at + k + 1) % len(segment)
-                return Frame(pattern, voltages, currents, 0.0, frame.sequence, frame.flags)
+                return Frame(pattern, voltages, currents, 0.0, frame.sequence, frame.flags, auxiliary=frame.auxiliary)
         raise PatternError(
             f"the recording has no quiet reference for {len(missing)} of {pattern.n_meas} measurements; "
             "replay it with the skin it was made with"

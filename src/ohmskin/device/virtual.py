@@ -54,13 +54,14 @@ class VirtualInstrument:
 def twin_capabilities(skin: Skin, name: str, conversion_time: float) -> Capabilities:
     """What an instrument tells that simulates a skin; another boot number each time."""
     source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
+    beside = Feature.AUXILIARY if skin.auxiliary.kind else Feature(0)
     return Capabilities(
         name=name.encode()[:32].decode(errors="ignore"),
         n_electrodes=len(skin.electrodes),
         max_injections=256,
         max_measurements=4096,
         pattern_slots=16,
-        features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source,
+        features=Feature.VIRTUAL | Feature.CURRENT_MEASURED | Feature.DRIVEN_MEASURED | source | beside,
         excitation=skin.excitation.amplitude,
         full_scale=skin.converter.full_scale,
         settle_time=skin.converter.settle,

@@ -8,7 +8,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ohmskin.device.capabilities import Capabilities
+from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
 from ohmskin.device.layout import VERSION
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
@@ -91,7 +91,7 @@ class WireDevice(Device):
                 self._meet_again(deadline)
                 continue
             assert isinstance(reply, FrameData)
-            frame = reply.frame(pattern)
+            frame = reply.frame(pattern, Feature.AUXILIARY in self.capabilities.features)
             self._slots[pattern] = slot
             self._slots.move_to_end(pattern)
             return frame

@@ -28,6 +28,7 @@ FRAME_ID = "skin"
 _FRAME_START = struct.Struct("<4x iI dd Q II B 3x I")  # the fields of a frame up to the number of its voltages
 _COUNT = struct.Struct("<I4x")
 _LENGTH = struct.Struct("<I")
+_BESIDE = struct.Struct("<d?")  # the auxiliary channel, and whether there is one; not in recordings before 0.2
 _LARGEST_INDEX = 0xFFFF
 _CONTACT = "i" + "d" * (len(components(2)) - 1)
 _DELETE_ALL, _ADD, _CYLINDER = 3, 0, 3  # of visualization_msgs/Marker
@@ -47,7 +48,7 @@ class FrameRecord:
     """A recorded frame and what is told about it.
 
     Args:
-        voltages, currents, time, sequence, flags: As in `Frame`.
+        voltages, currents, time, sequence, flags, auxiliary: As in `Frame`.
         arrived: When it arrived, on the host's monotonic clock (s).
         stamp: When it arrived, by the calendar (ns since 1970).
         pattern: Digest of its pattern.
@@ -65,6 +66,7 @@ class FrameRecord:
     pattern: int
     role: Role
     mode: str
+    auxiliary: float | None = None
 
     def frame(self, pattern: DrivePattern) -> Frame:
         """The frame, given its pattern.
@@ -72,7 +74,8 @@ class FrameRecord:
         Raises:
             DataError: If it was measured with another pattern.
         """
-        return Frame(pattern, self.voltages, self.currents, self.time, self.sequence, self.flags)
+        told = self.time, self.sequence, self.flags
+        return Frame(pattern, self.voltages, self.currents, *told, auxiliary=self.auxiliary)
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,13 @@ def encode_frame(frame: Frame, stamp: int, arrived: float, role: Role, mode: str
     volts, amperes = (values.astype("<f8", copy=False).tobytes() for values in (frame.voltages, frame.currents))
     text = mode.encode() + b"\0"
     # behind 8-byte floats a string's length is aligned already
-    return b"".join([b"\0\1\0\0", start[4:], volts, _COUNT.pack(n_inj), amperes, _LENGTH.pack(len(text)), text])
+    beside = b"\0" * (-(_LENGTH.size + len(text)) % 8) + _BESIDE.pack(*_auxiliary(frame.auxiliary))
+    parts = [b"\0\1\0\0", start[4:], volts, _COUNT.pack(n_inj), amperes, _LENGTH.pack(len(text)), text, beside]
+    return b"".join(parts)
+
+
+def _auxiliary(value: float | None) -> tuple[float, int]:
+    return (float("nan"), 0) if value is None else (value, 1)
 
 
 def decode_frame(data: bytes) -> FrameRecord:
@@ -148,7 +157,10 @@ def decode_frame(data: bytes) -> FrameRecord:
     known = Role(role) if role in Role._value2member_map_ else Role.UNTOLD
     stamp, mode = seconds * 10**9 + nanoseconds, text.rstrip(b"\0").decode(errors="replace")
     told = at, sequence, FrameFlag(flags), arrived, stamp, pattern, known, mode
-    return FrameRecord(voltages, currents, *told)
+    start += _LENGTH.size + length
+    start += -(start - 4) % 8
+    value, there = _BESIDE.unpack_from(data, start) if len(data) >= start + _BESIDE.size else (0.0, 0)
+    return FrameRecord(voltages, currents, *told, auxiliary=float(value) if there else None)
 
 
 def encode_touch(

@@ -28,6 +28,8 @@ uint8 role
 float64[] voltages             # V; NaN where nothing was measured, infinite where the converter clipped
 float64[] currents             # measured, A, one for each injection
 string mode                    # drive mode, if told
+float64 auxiliary              # of the auxiliary channel: N of a force, Pa of air; NaN not known
+bool has_auxiliary             # whether the device has one
 """,
     "ohmskin_msgs/Touch": """\
 # What one cycle of the loop felt.

@@ -51,7 +51,7 @@ class Publisher(Closing):
         images: float = 30.0,
     ) -> None:
         check_settings(token, images)
-        self.patch = patch = replace(patch, newtons=skin.calibration.tells_force)
+        self.patch = patch = replace(patch, newtons=skin.tells_force)
         self._raster = Raster(skin.mesh(), _PIXELS)
         self._every, self._due = 1 / images, 0.0
         self._chart = skin.chart

@@ -133,6 +133,7 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
         "frame_time_s": tape.times[frames],
         "frame_device_time_s": np.array([r.time for r in records]),
         "frame_sequence": np.array([r.sequence for r in records], np.uint64),
+        "frame_auxiliary": np.array([np.nan if r.auxiliary is None else r.auxiliary for r in records]),
         "frame_flags": np.array([int(r.flags) for r in records], np.uint32),
         "frame_role": np.array([int(r.role) for r in records], np.uint8),
         "frame_pattern": which.astype(np.int64),

@@ -23,5 +23,5 @@ def arm(skin: Skin) -> Body:
         raise ModelError(f"the arm wears a rectangular skin, not a {sheet.shape}; give others in a body file (--body)")
     corner = (_MIDDLE - sheet.width / 2, -sheet.height / 2, _TOP)
     robot = Robot.load(Path(__file__).with_name("arm.urdf"), _REST)
-    patch = Patch("skin", "forearm", corner, newtons=skin.calibration.tells_force)
+    patch = Patch("skin", "forearm", corner, newtons=skin.tells_force)
     return Body("arm", (PlacedSkin(patch, skin, "virtual:", ""),), robot)

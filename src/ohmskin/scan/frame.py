@@ -33,6 +33,8 @@ class Frame:
         time: Time of the last sample on the device's clock (s); 0 where there is no clock, as in simulations.
         sequence: Number of the frame, counted by the device.
         flags: What the device reports beside the data.
+        auxiliary: What the device's auxiliary channel reads beside the electrodes, such as the total force (N) or the
+            pressure of air under the skin (Pa); NaN not known, None where there is no such channel.
         recorded: Of a replayed frame, when it was measured (s), however quickly it is replayed; None if measured now.
 
     Raises:
@@ -46,6 +48,7 @@ class Frame:
     sequence: int = 0
     flags: FrameFlag = FrameFlag(0)
     recorded: float | None = None
+    auxiliary: float | None = None
 
     def __post_init__(self) -> None:
         for name, count in (("voltages", self.pattern.n_meas), ("currents", self.pattern.n_inj)):

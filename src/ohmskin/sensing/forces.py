@@ -30,7 +30,7 @@ _LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pre
 _DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
 _LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
-_MOST = 1200  # contacts of patches under all presses, some three fingers: the model's time goes with the cube
+_MOST = 1200  # contacts of patches under presses near each other, some three fingers: time goes with the cube
 _CHANGED, _CREPT = 0.05, 0.25  # logarithm of a pressure, and share of the time in which foam creeps, worth following
 _UNKNOWN_SIZE = 0.5  # share of a force that is not known where the size of what presses is not
 
@@ -174,7 +174,7 @@ class PressFollower:
     def _begun(self, before: Presses, ids: tuple[int, ...], contacts: Sequence[Contact]) -> Presses:
         """Presses at contacts; those known before as they were, if they are still there."""
         spots = [Press(contact.position, contact.radius or 1e-3, 0.0) for contact in contacts]
-        if self.fitter.sheet.contacts_under(spots) > _MOST:
+        if self.fitter.most_contacts(spots) > _MOST:
             return Presses(ids)
         fits = list[Fit]()
         told = {number: press for number, press in before.told.items() if number in ids}
@@ -188,7 +188,7 @@ class PressFollower:
 
     def _evaluated(self, params: Floats) -> list[Fit]:
         """A fit where the model is evaluated at presses (4 n,); none if that would take too long or cannot be done."""
-        if self.fitter.sheet.contacts_under(self.fitter.presses(params)) > _MOST:
+        if self.fitter.most_contacts(self.fitter.presses(params)) > _MOST:
             return []
         try:
             return [Fit(params, *self.fitter.caused(params))]

@@ -11,6 +11,7 @@ from functools import cached_property
 from math import sqrt
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
@@ -30,6 +31,7 @@ _MODEL_ERROR = 0.02  # share of a press's signal that the model of the layer get
 _AMPLITUDE = 0.01  # and of all of it alike
 _SIZES = (0.6, 1.0)  # usual radii from which a fit starts
 _MOST_HYSTERESIS = 0.5
+_NEAR = 0.04  # m; presses so far from each other change 1 to 3 % of what both cause, those half as far 6 %
 _ROUNDS, _ENOUGH = 25, 0.02  # most steps, and the gain in squared misfit below which a fit stops
 
 
@@ -248,9 +250,31 @@ class PressFitter:
         return self._within(params + by_press.ravel())
 
     def caused(self, params: Floats) -> tuple[Floats, Floats]:
-        """What presses (4 n,) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
-        caused, slopes = self.sheet.linearised(self.presses(params))
-        return caused, slopes[:, : params.size]
+        """What presses (4 n,) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n).
+
+        Presses far from each other are taken for themselves and add up, to 2 % or so: the time goes with the cube of
+        how many patches a model has.
+        """
+        presses, parts = self.presses(params), list[tuple[Floats, Floats]]()
+        order = [k for group in self.groups(presses) for k in group]
+        for group in self.groups(presses):
+            caused, slopes = self.sheet.linearised([presses[k] for k in group])
+            parts.append((caused, slopes[:, : _PER_PRESS * len(group)]))
+        slopes = np.hstack([own for _, own in parts]).reshape(-1, len(presses), _PER_PRESS)[:, np.argsort(order)]
+        return np.sum([own for own, _ in parts], axis=0), slopes.reshape(len(slopes), -1)
+
+    def groups(self, presses: Sequence[Press]) -> list[list[int]]:
+        """Numbers of presses that are near each other, by single linkage."""
+        places = np.array([press.position for press in presses])
+        offsets = self.known.fitter.table.offsets
+        near = [np.hypot(*offsets(np.tile(place, (len(places), 1)), places).T) < _NEAR for place in places]
+        labels = connected_components(np.array(near), directed=False)[1]
+        return [np.flatnonzero(labels == label).tolist() for label in range(labels.max() + 1)]
+
+    def most_contacts(self, presses: Sequence[Press]) -> int:
+        """How many contacts of patches the largest of the `groups` may close; its model takes about the cube of it."""
+        groups = self.groups(presses)
+        return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
     def weighed(
         self, data: Information, params: Floats, caused: Floats, slopes: Floats

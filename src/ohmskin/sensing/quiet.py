@@ -18,6 +18,7 @@ class QuietScans:
         frames: Quiet frames of one or several patterns, repeated.
 
     Attributes:
+        auxiliary: What the auxiliary channel read in each frame, where there is one.
         repeats: How often the least repeated of the patterns was measured.
     """
 
@@ -25,12 +26,19 @@ class QuietScans:
         self._by_pattern: dict[DrivePattern, list[Frame]] = {}
         for frame in frames:
             self._by_pattern.setdefault(frame.pattern, []).append(frame)
+        self.auxiliary = [frame.auxiliary for frame in frames if frame.auxiliary is not None]
         self.repeats = min(len(repeated) for repeated in self._by_pattern.values())
         self._home = {  # where each voltage was measured
             tuple(quadruple): (pattern, row)
             for pattern in self._by_pattern
             for row, quadruple in enumerate(pattern.quadruples.tolist())
         }
+
+    @property
+    def rest(self) -> float:
+        """What the auxiliary channel read on the mean; NaN where it read nothing."""
+        known = np.array(self.auxiliary)[np.isfinite(self.auxiliary)]
+        return float(known.mean()) if len(known) else np.nan
 
     @property
     def driven(self) -> DrivePattern | None:

@@ -21,6 +21,7 @@ from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import placed
 from ohmskin.sensing.readers import Belief, Reader, undriven
+from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
 
@@ -122,7 +123,6 @@ class Implementation(Protocol):
 
     def measure(self, scan: Scan) -> Measured | tuple[Frame, ...]:
         """A frame measured and read; the scans made so far if it cannot read these data."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,7 @@ class Sensor:
     ) -> None:
         self.known, self.drive, self.reader, self.locator = known, drive, reader, locator
         self.thresholds, self.fuse, self.window, self.forces = thresholds, fuse, window, forces
-        self.detector = FaultDetector(known, window)
+        self.detector, self.total = FaultDetector(known, window), TotalForce(known)
         self.implementation: Implementation | None = None
         self.seconds = 0.0
 
@@ -237,8 +237,7 @@ class Sensor:
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
-        sound = all(self.known.soundness(frame)[1].all() for frame in measured.frames)
-        quick = sound and not self._doubts(state)
+        quick = all(self.known.soundness(frame)[1].all() for frame in measured.frames) and not self._doubts(state)
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
         if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
@@ -255,6 +254,7 @@ class Sensor:
         presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)
         if self.forces is not None and _any_known(scans):
             presses, contacts = self.forces.update(presses, contacts, belief.without_drift(scans), elapsed)
+        contacts = self.total(contacts, measured.frames)
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame

@@ -22,6 +22,7 @@ from ohmskin.forward import ContactTable, TransferModel, VoltageSource
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, mesh_domain
 from ohmskin.scan import Cost, n_pairs
+from ohmskin.skin.auxiliary import Auxiliary
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.checks import check_expense, check_names, check_table, choice, number, read_text, read_toml
 from ohmskin.skin.layer import ContactLayer
@@ -31,6 +32,7 @@ from ohmskin.skin.sheet import Sheet
 
 _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
 _UNCALIBRATED, _LAYOUT, _SHEET, _LAYER = Calibration(), ElectrodeLayout(), Sheet(), ContactLayer()
+_AUXILIARY = Auxiliary()
 _LARGEST_FILE = 2**20
 _CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
 _CLOSEST = 0.02  # share of the edges of a mesh that its nodes are apart at an electrode
@@ -90,6 +92,7 @@ class Skin:
     contact_layer: ContactLayer = _LAYER
     excitation: Excitation = Excitation()
     converter: Converter = Converter()
+    auxiliary: Auxiliary = _AUXILIARY
     imaging: Imaging = Imaging()
     calibration: Calibration = _UNCALIBRATED
     modes: tuple[Mode, ...] = ()
@@ -252,6 +255,19 @@ class Skin:
         hysteresis = layer.hysteresis if found.layer_hysteresis < 0 else found.layer_hysteresis
         told = replace(layer, conductance=found.layer_conductance, exponent=found.layer_exponent)
         return replace(told, hysteresis=hysteresis)
+
+    @property
+    def calibrated_auxiliary(self) -> Auxiliary:
+        """The auxiliary channel, as calibrated, if it is."""
+        found = self.calibration
+        if not found.auxiliary_gain:
+            return self.auxiliary
+        return replace(self.auxiliary, gain=found.auxiliary_gain, error=found.auxiliary_error)
+
+    @property
+    def tells_force(self) -> bool:
+        """Whether contacts have forces: it was calibrated for that, or has an auxiliary channel."""
+        return self.calibration.tells_force or bool(self.auxiliary.kind)
 
     def mesh(self) -> Mesh:
         """The estimator's mesh, with a node at every electrode."""

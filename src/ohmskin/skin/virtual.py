@@ -125,7 +125,16 @@ class VirtualSkin:
         self._time += self.duration(pattern)
         self._sequence += 1
         flags = FrameFlag(FrameFlag.CLIPPED * (clipped or too_much) | FrameFlag.CURRENT_LIMIT * limited)
-        return Frame(pattern, volts, over_shunt / shunt, self._time, self._sequence, flags)
+        told = self._time, self._sequence, flags
+        return Frame(pattern, volts, over_shunt / shunt, *told, auxiliary=self._beside())
+
+    def _beside(self) -> float | None:
+        """What the auxiliary channel reads."""
+        channel, spread = self.skin.auxiliary, self.skin.contact_layer.foam_spread
+        if not channel.kind:
+            return None
+        total = sum(press.force(spread) for press in self._presses.values())
+        return channel.gain * total + float(self._random.normal(0, channel.noise))
 
     def _foam_under(self, presses: Mapping[int, Press], before: Mapping[int, Foam], elapsed: float) -> dict[int, Foam]:
         """The foam under each press, so long (s) after it was as before."""

@@ -1,0 +1,78 @@
+"""The auxiliary channel: what one sensor beside the electrodes feels of all contacts together."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite, sqrt
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import Contact
+from ohmskin.scan import Frame
+from ohmskin.sensing.model import SkinModel
+
+_SHARES = 0.5  # how surely strengths alone tell the shares of contacts in a force
+_APART = 5.0  # standard deviations by which a total may differ from that of the contacts
+
+
+class TotalForce:
+    """Brings the forces of contacts to the total that the auxiliary channel tells.
+
+    Args:
+        known: What is known of the skin; its quiet frames tell what the channel reads at rest.
+    """
+
+    def __init__(self, known: SkinModel) -> None:
+        self._channel = known.skin.calibrated_auxiliary
+        self._there, self._rest = bool(self._channel.kind), known.quiet.rest
+        self._rest_variance = self._channel.noise**2 / max(len(known.quiet.auxiliary), 1)
+
+    def total(self, frames: Sequence[Frame]) -> tuple[float, float]:
+        """The total force on the skin that frames tell, and its variance (N, N2); NaN where they do not."""
+        reading, variance = self._mean([frame.auxiliary for frame in frames])
+        force = (reading - self._rest) / self._channel.gain
+        off = (variance + self._rest_variance) / self._channel.gain**2
+        return force, off + (self._channel.error * force) ** 2
+
+    def __call__(self, contacts: tuple[Contact, ...], frames: Sequence[Frame]) -> tuple[Contact, ...]:
+        """Contacts with forces that add up to the total, each changed the more the less sure it was (a Kalman update).
+
+        Where the skin does not tell forces, contacts share the total by their strengths. A total that the contacts
+        cannot have is of something that is no contact yet, or beside the skin: then they stay as they are.
+        """
+        if not (self._there and contacts):
+            return contacts
+        total, variance = self.total(frames)
+        if not isfinite(total):
+            return contacts
+        forces, stds = _told(contacts, total)
+        gain = stds**2 / (variance + float(stds @ stds))
+        if abs(total - forces.sum()) > _APART * sqrt(variance + float(stds @ stds)):
+            return contacts
+        after = np.maximum(forces + gain * (total - forces.sum()), 0.0)
+        left = np.sqrt(np.maximum(stds**2 * (1 - gain), 0.0))
+        return tuple(
+            replace(
+                contact,
+                force=float(force),
+                force_std=float(std),
+                pressure=None if contact.pressure is None else contact.pressure * float(force / max(before, 1e-12)),
+            )
+            for contact, before, force, std in zip(contacts, forces, after, left, strict=True)
+        )
+
+    def _mean(self, readings: Sequence[float | None]) -> tuple[float, float]:
+        """Of those that are known, and its variance."""
+        finite = [one for one in readings if one is not None and isfinite(one)]
+        if not finite:
+            return float("nan"), 0.0
+        return float(np.mean(finite)), self._channel.noise**2 / len(finite)
+
+
+def _told(contacts: Sequence[Contact], total: float) -> tuple[Floats, Floats]:
+    """Forces (n,) of contacts and their standard deviations (N); their shares of the total where they tell none."""
+    if all(contact.force is not None and contact.force_std for contact in contacts):
+        return np.array([contact.force for contact in contacts]), np.array([contact.force_std for contact in contacts])
+    strengths = np.abs([contact.strength for contact in contacts])
+    forces = max(total, 0.0) * strengths / max(float(strengths.sum()), 1e-300)
+    return forces, _SHARES * forces if len(contacts) > 1 else np.maximum(forces, 1e-9)
