@@ -11,7 +11,7 @@ import pytest
 import zarr
 
 from ohmskin import Skin
-from ohmskin.dataset import Recipe, generate
+from ohmskin.dataset import SPLITS, Recipe, TouchData, generate
 from ohmskin.dataset.generate import CHUNK, Chunk
 from ohmskin.errors import DataError
 from ohmskin.skin import VirtualSkin
@@ -173,3 +173,51 @@ def test_command_line(tmp_path: Path) -> None:
     assert wrong.returncode == 2
     assert wrong.stderr.count("\n") == 1
     assert "another recipe" in wrong.stderr
+
+
+def test_it_opens_by_name_and_keeps_its_splits_while_it_grows(tmp_path: Path) -> None:
+    path = tmp_path / "touches.zarr"
+    generate(path, RECIPE, 20, jobs=1)
+    group = zarr.open_group(str(path), mode="r")
+    for name, one in group.arrays():
+        assert one.metadata.dimension_names is not None, name  # as xarray needs them
+        assert len(one.metadata.dimension_names) == one.ndim
+    assert group["truth"].metadata.dimension_names == ("sample", "y", "x")
+    assert len(group["x"][:]) == group["truth"].shape[2]
+    before = {name: TouchData(path, name) for name in SPLITS}
+    assert sorted(np.concatenate([one.numbers for one in before.values()])) == list(range(20))
+    generate(path, RECIPE, 30, jobs=1)
+    for name, one in before.items():
+        after = TouchData(path, name)
+        assert set(one.numbers) <= set(after.numbers)
+        np.testing.assert_array_equal(one[0]["voltages"], after[0]["voltages"])
+    everything = TouchData(path)
+    assert len(everything) == 30
+    np.testing.assert_array_equal(everything[7]["contacts"], group["contacts"][7])
+    text = (tmp_path / "touches.zarr.md").read_text()
+    assert group.attrs["card"] == text
+    assert f"{len(RECIPE.drive_pattern.quadruples)} voltages" in text
+    assert "Limits" in text
+
+
+def test_batches_hold_each_sample_of_a_split_once(tmp_path: Path) -> None:
+    path = tmp_path / "touches.zarr"
+    generate(path, RECIPE, 25, jobs=1)
+    train = TouchData(path, "train")
+    whole = np.array([train[k]["voltages"] for k in range(len(train))])
+    for seed in (None, 3):
+        batches = list(train.batches(8, seed))
+        assert [len(batch["count"]) for batch in batches[:-1]] == [8] * (len(batches) - 1)
+        found = np.concatenate([batch["voltages"] for batch in batches])
+        assert {row.tobytes() for row in found} == {row.tobytes() for row in whole}
+        assert len(found) == len(whole)
+
+
+def test_what_is_no_data_set_or_split_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="not a data set"):
+        TouchData(tmp_path)
+    generate(tmp_path / "touches.zarr", RECIPE, 3, jobs=1)
+    with pytest.raises(DataError, match="choose from train, validation, test"):
+        TouchData(tmp_path / "touches.zarr", "dev")
+    with pytest.raises(DataError, match="choose 1 or more"):
+        next(TouchData(tmp_path / "touches.zarr").batches(0))

@@ -1,6 +1,7 @@
 """Simulated touches by the million, for learning: voltages, truth and parameters."""
 
 from ohmskin.dataset.generate import generate
+from ohmskin.dataset.load import SPLITS, TouchData
 from ohmskin.dataset.recipe import Recipe
 
-__all__ = ["Recipe", "generate"]
+__all__ = ["SPLITS", "Recipe", "TouchData", "generate"]

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,13 +11,14 @@ from typing import Any
 import numpy as np
 
 import ohmskin
+from ohmskin.dataset.load import card
 from ohmskin.dataset.recipe import Recipe
 from ohmskin.errors import DataError
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.runner import spread
 
 CHUNK = 256  # samples in a task and in a chunk of the store
-_FORMAT = 1
+_FORMAT = 2  # with names of axes, so that xarray opens it
 
 
 @dataclass(frozen=True)
@@ -105,15 +107,26 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
     def add(name: str, meaning: str, **settings: Any) -> None:
         group.create_array(name, **settings).attrs["meaning"] = meaning
 
-    for name, (shape, kind, fill, meaning) in recipe.arrays().items():
-        shapes = {"shape": (count, *shape), "chunks": (CHUNK, *shape)}
-        add(name, meaning, dtype=kind, fill_value=kind(fill), **shapes)
-    injections, measurements = recipe.drive_pattern.injections, recipe.drive_pattern.measurements
-    add("pattern_injections", "source and sink electrode of each injection, from 0", data=injections)
-    add("pattern_measurements", "injection, plus and minus electrode of each voltage", data=measurements)
-    add("quiet", "V, frames of the untouched skin", data=quiet)
-    group.create_array("done", shape=(-(-count // CHUNK),), dtype=np.int32, chunks=(1 << 16,), fill_value=0)
-    group.attrs.update({**described, "ohmskin": ohmskin.__version__})  # last: without it this is not a data set
+    for name, one in recipe.arrays().items():
+        shape = tuple(one.sizes.values())
+        shapes = {"shape": (count, *shape), "chunks": (CHUNK, *shape), "dimension_names": ("sample", *one.sizes)}
+        add(name, one.meaning, dtype=one.kind, fill_value=one.kind(one.fill), **shapes)
+    pattern, (x, y) = recipe.drive_pattern, recipe.pixel_centres
+    injections, measurements = pattern.injections, pattern.measurements
+    for name, meaning, data, axes in (
+        ("pattern_injections", "source and sink electrode of each injection, from 0", injections, "injection end"),
+        ("pattern_measurements", "injection, plus and minus of each voltage", measurements, "measurement number"),
+        ("quiet", "V, frames of the untouched skin", quiet, "repeat measurement"),
+        ("x", "m, middles of the truth's pixels", x, "x"),
+        ("y", "m, middles of the truth's pixels", y, "y"),
+    ):
+        add(name, meaning, data=data, dimension_names=axes.split())
+    done = {"shape": (-(-count // CHUNK),), "dtype": np.int32, "chunks": (1 << 16,), "fill_value": 0}
+    group.create_array("done", **done, dimension_names=("chunk",))
+    with suppress(FileExistsError), path.with_name(f"{path.name}.md").open("x", encoding="utf-8") as file:
+        file.write(card(recipe))
+    told = {"ohmskin": ohmskin.__version__, "card": card(recipe)}
+    group.attrs.update({**described, **told})  # last: without it this is not a data set
     return group, group["done"]
 
 

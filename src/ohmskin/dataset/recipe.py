@@ -97,7 +97,7 @@ class Recipe:
         """Samples `first` to `first + count - 1`, by array name; see `arrays`."""
         simulator = _simulator(self)
         samples: dict[str, np.ndarray] = {
-            name: np.full((count, *shape), fill, kind) for name, (shape, kind, fill, _) in self.arrays().items()
+            name: np.full((count, *one.sizes.values()), one.fill, one.kind) for name, one in self.arrays().items()
         }
         for row, index in enumerate(range(first, first + count)):
             presses = self.presses(index)
@@ -121,18 +121,43 @@ class Recipe:
         """What is driven in every sample."""
         return _simulator(self).pattern
 
-    def arrays(self) -> dict[str, tuple[tuple[int, ...], type, float, str]]:
-        """Shape of a sample, type, fill value and meaning of each array."""
+    def arrays(self) -> dict[str, "Array"]:
+        """What a sample is made of, by name."""
         simulator = _simulator(self)
         ny, nx = simulator.raster.inside.shape
         n_meas, n_inj, most = simulator.pattern.n_meas, simulator.pattern.n_inj, max(1, self.contacts[1])
         return {
-            "voltages": ((n_meas,), np.float32, np.nan, "V, in the order of pattern_measurements; infinite if clipped"),
-            "currents": ((n_inj,), np.float32, np.nan, "A, measured, in the order of pattern_injections"),
-            "contacts": ((most, 4), np.float32, np.nan, "x (m), y (m), radius (m), pressure (Pa); NaN beyond count"),
-            "count": ((), np.uint8, 0, "number of contacts"),
-            "truth": ((ny, nx), np.float32, 0.0, "Pa on pixels, row 0 at the smallest y; 0 off the sheet"),
+            "voltages": Array({"measurement": n_meas}, "V, in the order of pattern_measurements; infinite if clipped"),
+            "currents": Array({"injection": n_inj}, "A, measured, in the order of pattern_injections"),
+            "contacts": Array(
+                {"contact": most, "parameter": 4}, "x (m), y (m), radius (m), pressure (Pa); NaN beyond count"
+            ),
+            "count": Array({}, "number of contacts", np.uint8, 0),
+            "truth": Array({"y": ny, "x": nx}, "Pa on pixels, row 0 at the smallest y; 0 off the sheet", fill=0.0),
         }
+
+    @property
+    def pixel_centres(self) -> tuple[Floats, Floats]:
+        """x (nx,) and y (ny,) of the pixels of the truth (m)."""
+        raster = _simulator(self).raster
+        return raster.x, raster.y
+
+
+@dataclass(frozen=True)
+class Array:
+    """One array of a data set, without the axis of its samples.
+
+    Args:
+        sizes: Of its axes, by name.
+        meaning: What its values are.
+        kind: Of its numbers.
+        fill: What stands where nothing is.
+    """
+
+    sizes: dict[str, int]
+    meaning: str
+    kind: type = np.float32
+    fill: float = np.nan
 
 
 class _Simulator:
