@@ -51,6 +51,9 @@ def test_known_presses_make_unseen_ones_better_the_more_the_better_and_few_no_wo
             away = np.linalg.norm(after - given.positions[unseen], axis=1)
             seen.append(float(np.nanmean(away) / np.nanmean(before)))
             if count == 300:
+                counts, errors = zip(*report.curve, strict=True)
+                assert counts == (20, 50, 100)
+                assert errors[-1] < errors[0]
                 _, variances = report.map(found[unseen], report.map.features(changes[unseen]))
                 inside += (away**2 < 4.605 * variances).tolist()
     assert max(ratios[20]) <= 1.1

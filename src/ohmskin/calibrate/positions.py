@@ -21,6 +21,7 @@ _LEAST = 8  # presses
 _FEATURES, _TUNED = 24, 500  # features; presses that hyperparameters are tuned on
 _INDUCING = 200, 400  # inducing points of positions alone, and with features
 _FOLDS = 5
+_COUNTS = (20, 50, 100, 200, 500, 1000)  # presses of a learning curve
 _OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
 _NINETY = 4.605  # squared Mahalanobis distance within which are 90 % of a plane's normal distribution
 _JITTER = 1e-6
@@ -35,6 +36,7 @@ class PositionReport:
         physics, similarity, mapped: (n,) distances of the places told from those pressed (m): as physics tells them,
             after the similarity, after all. NaN: not felt.
         held: Share of the presses within their 90 % ellipses.
+        curve: The learning curve: from how many presses a map was learned, and its mean error (m) at others.
     """
 
     map: PositionMap
@@ -42,6 +44,7 @@ class PositionReport:
     similarity: Floats
     mapped: Floats
     held: float
+    curve: tuple[tuple[int, float], ...] = ()
 
     def report(self) -> list[str]:
         """The findings in plain words, a line each."""
@@ -53,6 +56,9 @@ class PositionReport:
             f"{known.sum()} of {len(known)} presses felt; mean error at presses not learned from: {told}",
             f"{100 * self.held:.0f} % of them within their 90 % ellipses",
         ]
+        if self.curve:
+            fewer = ", ".join(f"{count} {1e3 * error:.2f} mm" for count, error in self.curve)
+            lines.append(f"learned from fewer presses: {fewer}")
         if not self.map.own:
             linear = self.map.registration.linear
             turn = np.rad2deg(np.arctan2(linear[1, 0], linear[0, 0]))
@@ -142,7 +148,14 @@ def learn_positions(
         others = np.setdiff1d(order, test)
         held[test] = ratio[test] < np.quantile(ratio[others], 0.9)
     physics, registered, mapped = (_scattered(np.hypot(*(one - places).T), known) for one in (found, after, whole))
-    return PositionReport(final, physics, registered, mapped, float(held.mean()))
+    test = order[::folds]
+    curve = list[tuple[int, float]]()
+    for count in (count for count in _COUNTS if count < 0.7 * (len(order) - len(test))):
+        train = np.random.default_rng(1).permutation(np.setdiff1d(order, test))[:count]
+        fewer = _learn(pattern, found[train], changes[train], places[train], size, own)
+        reached, _ = fewer.registered(found[test], fewer.features(changes[test]))
+        curve.append((count, float(np.linalg.norm(reached - places[test], axis=1).mean())))
+    return PositionReport(final, physics, registered, mapped, float(held.mean()), tuple(curve))
 
 
 def similarity(these: Floats, those: Floats) -> Similarity:

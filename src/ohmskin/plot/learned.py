@@ -29,13 +29,17 @@ def save_learned(
     Raises:
         DataError: If the file cannot be written.
     """
-    count = 1 + (channels is not None) + (positions is not None)
-    figure = Figure(figsize=(5.4 * max(count - 1, 1), 4.6), layout="constrained")
-    panels = iter(figure.subplots(1, max(count - 1, 1), squeeze=False)[0])
+    known = positions is not None and places is not None
+    curve = positions.curve if positions is not None else ()
+    count = max((channels is not None) + known + bool(curve), 1)
+    figure = Figure(figsize=(5.4 * count, 4.6), layout="constrained")
+    panels = iter(figure.subplots(1, count, squeeze=False)[0])
     if channels is not None:
         _draw_channels(next(panels), channels)
     if positions is not None and places is not None:
         _draw_errors(next(panels), skin, positions, places)
+    if positions is not None and curve:
+        _draw_curve(next(panels), positions)
     save_figure(figure, path, dpi=130)
 
 
@@ -59,6 +63,21 @@ def _draw_channels(axes: Axes, found: ChannelJudgement) -> None:
     before, after = 100 * found.unexplained_before, 100 * found.unexplained
     doubtful = f"{found.doubtful.sum()} of {len(errors)} channels tell little"
     axes.set_title(f"{doubtful}\nunexplained: {before:.0f} %, weighed {after:.0f} %", fontsize=9)
+
+
+def _draw_curve(axes: Axes, found: PositionReport) -> None:
+    """Mean error at other presses by the number of those learned from."""
+    known = np.isfinite(found.mapped)
+    counts, errors = zip(*found.curve, (0.8 * known.sum(), float(found.mapped[known].mean())), strict=True)
+    axes.semilogx(counts, 1e3 * np.array(errors), "o-", color="#00529b", label="map")
+    if found.map.own:
+        axes.axhline(1e3 * float(found.physics[known].mean()), color="0.4", linestyle="--", label="physics alone")
+    axes.set_xticks(counts, [f"{count:.0f}" for count in counts])
+    axes.minorticks_off()
+    axes.set(xlabel="presses learned from", ylabel="mean error at others / mm", ylim=(0, None))
+    axes.set_title(f"{100 * found.held:.0f} % within their 90 % ellipses", fontsize=9)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
 
 
 def _draw_errors(axes: Axes, skin: Skin, found: PositionReport, places: Floats) -> None:
