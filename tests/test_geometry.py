@@ -1,12 +1,14 @@
 """Meshes, layouts and rasters: areas add up, electrodes are nodes, what is broken is refused."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.errors import GeometryError
-from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Raster, Rectangle, mesh_domain
+from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Raster, Rectangle, electrode_points, mesh_domain
 
 SHEET = Rectangle(0.2, 0.2)
 OBLONG = Rectangle(0.3, 0.1)
@@ -249,6 +251,21 @@ def test_locate_inverts_interpolation_even_where_the_mesh_is_graded() -> None:
     outside, _ = mesh.locate([[0.2001, 0.1], [-1, -1], [0.1, -1e-5]])
     assert (outside == -1).all()
     assert mesh.locate(np.empty((0, 2)))[0].shape == (0,)
+
+
+def test_points_outside_a_graded_mesh_cost_no_more_than_those_inside() -> None:
+    """Small elements lie along the rim, beside others that reach fifty times as far: not all are tried for a point."""
+    points = electrode_points(DISC, Electrodes.rim(DISC, 32).with_discs(5e-3, 1e-4), 1.05e-3)
+    mesh = mesh_domain(DISC, 0.05, points, closest=0.02)
+    assert mesh.reach > 30 * np.sqrt(mesh.measures.min())
+    points = np.random.default_rng(0).uniform(-0.13, 0.13, (5000, 2))
+    mesh.locate(points[:1])
+    tracemalloc.start()
+    element, _ = mesh.locate(points)
+    used = tracemalloc.get_traced_memory()[1] / len(points)
+    tracemalloc.stop()
+    assert 1000 < (element < 0).sum() < 4000
+    assert used < 2000  # bytes a point: 270, and 50,000 if all within the reach of the largest are tried
 
 
 def test_locate_and_rasters_need_a_flat_mesh() -> None:

@@ -144,9 +144,25 @@ class Mesh(ReadOnly):
         return folded(self.corners.mean(axis=1), self.period)
 
     @cached_property
+    def _radii(self) -> Floats:
+        """Farthest (n_elem,) that a corner is from the centroid of its element (m)."""
+        offsets = self.corners - self.corners.mean(axis=1, keepdims=True)
+        return np.asarray(np.linalg.norm(offsets, axis=2).max(axis=1))
+
+    @property
     def reach(self) -> float:
         """Farthest that a corner is from the centroid of its element (m)."""
-        return float(np.linalg.norm(self.corners - self.corners.mean(axis=1, keepdims=True), axis=2).max())
+        return float(self._radii.max())
+
+    @cached_property
+    def _sizes(self) -> list[tuple[float, Ints, cKDTree]]:
+        """Elements alike in size: how far one reaches (m), their numbers, what finds their centroids.
+
+        Few of a size are near a point, however finely the mesh is graded elsewhere.
+        """
+        size = np.frexp(self._radii)[1]
+        alike = [(float(2.0**k), np.flatnonzero(size == k)) for k in np.unique(size)]
+        return [(radius, members, tree(self.centroids[members], self.period)) for radius, members in alike]
 
     @cached_property
     def _facets(self) -> Ints:
@@ -235,20 +251,17 @@ class Mesh(ReadOnly):
             raise GeometryError("locate() needs a flat mesh; project the points of a curved one yourself")
         points = folded(self._points(points), self.period)
         element, barycentric = np.full(len(points), -1), np.zeros((len(points), self.dim + 1))
-        reach = self.reach
-        left, count = np.arange(len(points)), min(16, self.n_elem)
-        while len(left):
-            distance, candidates = (a.reshape(len(left), -1) for a in self._centroid_tree.query(points[left], k=count))
-            offset = shortest(points[left][:, None] - self.nodes[self.elements[candidates][:, :, 0]], self.period)
-            inner = np.einsum("nkvd,nkd->nkv", self.gradients[candidates][:, :, 1:], offset)
-            weights = np.concatenate([1 - inner.sum(2, keepdims=True), inner], axis=2)
-            row, best = np.arange(len(left)), weights.min(axis=2).argmax(axis=1)
-            barycentric[left] = weights[row, best]
-            found = barycentric[left].min(axis=1) >= -1e-9
-            element[left[found]] = candidates[row, best][found]
-            # where small elements crowd round a large one, its centroid is not among the closest: look further
-            left = left[~found & (distance[:, -1] <= reach) & (count < self.n_elem)]
-            count = min(4 * count, self.n_elem)
+        for radius, members, centroids in self._sizes:
+            left = np.flatnonzero(element < 0)
+            near = centroids.sparse_distance_matrix(tree(points[left], self.period), radius, output_type="ndarray")
+            candidate, point = members[near["i"]], left[near["j"]]
+            offset = shortest(points[point] - self.nodes[self.elements[candidate, 0]], self.period)
+            inner = np.einsum("nkd,nd->nk", self.gradients[candidate, 1:], offset)
+            weights = np.concatenate([1 - inner.sum(1, keepdims=True), inner], axis=1)
+            least = weights.min(axis=1)
+            best = np.argsort(least)  # the last one said of a point stands
+            best = best[least[best] >= -1e-9]
+            element[point[best]], barycentric[point[best]] = candidate[best], weights[best]
         return element, barycentric
 
     def interpolation(self, points: ArrayLike) -> tuple[sp.csr_array, NDArray[np.bool_]]:
