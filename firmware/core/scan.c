@@ -8,6 +8,12 @@ enum { LATENESS = 1000 }; /* us beyond twice the settling time that go without F
 static const uint32_t CLIPPED_LOW = 0xFFFFFFFEu;
 static const uint32_t CLIPPED_HIGH = 0xFFFFFFFFu;
 
+/* What is driven, where it is not measured; of a voltage source that is not known. */
+static float nominal(const board_t *about)
+{
+    return about->features & FEATURE_VOLTAGE_SOURCE ? NAN : about->excitation;
+}
+
 static void settle(const board_t *about, uint32_t *flags)
 {
     const uint64_t start = board_micros();
@@ -78,7 +84,10 @@ bool scan(const pattern_t *pattern, const board_t *about, reading_t *readings, s
             } while (at < count);
         }
         outcome->time = board_micros();
-        finish(current, about->averages, about->amperes_zero, about->amperes_per_code, &outcome->flags);
+        if (about->features & FEATURE_CURRENT_MEASURED)
+            finish(current, about->averages, about->amperes_zero, about->amperes_per_code, &outcome->flags);
+        else
+            current->value = nominal(about);
         for (uint16_t i = 0; i < count; i++)
             finish(&voltages[i], about->averages, about->volts_zero, about->volts_per_code, &outcome->flags);
         pairs += count;

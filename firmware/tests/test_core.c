@@ -515,6 +515,50 @@ static void values_are_the_means_of_scaled_codes(void)
     CHECK(fabsf(value(2) - (4094.0f - 2048.0f) / 1024.0f) < 1e-6f && fabsf(value(0) - 412.0f / 262144.0f) < 1e-9f);
 }
 
+static void currents_that_are_not_measured_are_those_driven(void)
+{
+    start();
+    fake.about.features &= ~(uint32_t)FEATURE_CURRENT_MEASURED;
+    fake.current_code = 0;
+    feed(VECTOR_PATTERN, sizeof VECTOR_PATTERN);
+    CHECK(replies() == 1);
+    feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
+    CHECK(frame().flags == FLAG_FIRST && value(0) == 2e-3f && value(1) == 2e-3f);
+    fake.current_code = fake.about.code_max; /* nor does it clip */
+    feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
+    CHECK(frame().flags == 0 && value(0) == 2e-3f);
+    fake.about.features |= FEATURE_VOLTAGE_SOURCE;
+    feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
+    CHECK(frame().flags == 0 && isnan(value(0)) && value(2) == (float)(fake_code(0, 1, 2, 3) - 2048) / 1024);
+}
+
+static void number_and_clock_go_on_through_sessions(void)
+{
+    start();
+    uint64_t last = 0;
+    for (unsigned number = 1; number < 4; number++) {
+        feed(VECTOR_HELLO, sizeof VECTOR_HELLO);
+        feed(VECTOR_PATTERN, sizeof VECTOR_PATTERN);
+        CHECK(replies() == 2);
+        feed(VECTOR_SCAN, sizeof VECTOR_SCAN);
+        const message_frame_t told = frame();
+        CHECK(told.number == number && told.flags == (number == 1 ? FLAG_FIRST : 0));
+        CHECK(told.time > last && told.time <= fake.now); /* the last sample's, not the reply's */
+        last = told.time;
+    }
+}
+
+static void the_time_of_an_average_is_told(void)
+{
+    start();
+    fake.about.averages = 8;
+    feed(VECTOR_HELLO, sizeof VECTOR_HELLO);
+    CHECK(replies() == 1);
+    message_capabilities_t able;
+    memcpy(&able, got.payload, sizeof able);
+    CHECK(able.conversion_time == 8 * 2e-5f && able.settle_time == 1e-4f); /* for each measurement; for each injection */
+}
+
 static void clipped_samples_are_infinite_and_flagged(void)
 {
     uint8_t payload[2048];
@@ -641,6 +685,9 @@ int main(void)
         TEST(slots_are_kept_apart_until_hello),
         TEST(an_injection_settles_before_it_is_sampled),
         TEST(values_are_the_means_of_scaled_codes),
+        TEST(currents_that_are_not_measured_are_those_driven),
+        TEST(number_and_clock_go_on_through_sessions),
+        TEST(the_time_of_an_average_is_told),
         TEST(clipped_samples_are_infinite_and_flagged),
         TEST(many_pairs_of_an_injection_and_none_are_taken_in_batches),
         TEST(a_late_sample_is_flagged),
