@@ -15,6 +15,7 @@ from ohmskin.engine import Engine, State, Touch
 from ohmskin.scan import Difference, DrivePattern, Frame, NetworkFit, n_pairs
 from ohmskin.scan.coherence import Instrument, NetworkData
 from ohmskin.sensing import Diagnosis
+from ohmskin.sensing.diagnosis import Cause
 from ohmskin.sensing.remedies import without_spikes
 from ohmskin.skin import Fault, Skin, VirtualSkin
 
@@ -140,6 +141,18 @@ def test_noise_on_all_values_leaves_most_of_them_in(patterns: list[DrivePattern]
         every = np.ones(pattern.n_meas, bool)
         remedy = without_spikes(NetworkData([changes], 16, Instrument(1e-4, 1e-3)), every)
         assert remedy is None or remedy.kept.mean() > 0.5
+
+
+def test_what_is_seen_for_long_takes_no_more_memory_and_is_told_as_before() -> None:
+    loose = Cause("open", (5,))
+    diagnosis = Diagnosis()
+    for frame in range(200):
+        diagnosis = replace(diagnosis, time=0.01 * frame).told({loose}, 1e-4, set())
+        assert [finding.cause for finding in diagnosis.findings] == [loose] * (frame > 1)
+        assert len(diagnosis.seen[loose]) <= 3
+    gone = replace(diagnosis, findings=(), time=3.5)
+    assert not gone.told(set(), 1e-4, set()).seen
+    assert not gone.told({loose}, 1e-4, set()).findings  # the first of three
 
 
 # --- in the loop ------------------------------------------------------------------------------------------------------

@@ -107,6 +107,23 @@ def test_two_explore_but_no_more_than_half(injections: int, exploring: int) -> N
     assert explored == [round_trip[k % 6] for k in range(6 * exploring)]
 
 
+def test_all_loops_of_a_skin_share_one_ranking(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, ranking = list[object](), Ranking
+
+    def counted(*given: object, **named: object) -> object:
+        made.append(given)
+        return ranking(*given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("ohmskin.drive.informed.Ranking", counted)
+    chosen, coarse = [target(0.05, 0.1)], Skin.parse("[imaging]\nmesh_size = 15e-3\n").transfer_model()
+    design = ContactTable(coarse, 8e-3, 16e-3), candidates()
+    base = base_pattern(GRID).injections
+    tracked = [InformedPolicy(GRID, lambda: design, 4).next(chosen, 0) for _ in range(3)]
+    second = [PositionDrive(GRID, lambda: design, 4, base).next(chosen) for _ in range(3)]
+    assert all(pattern == patterns[0] for patterns in (tracked, second) for pattern in patterns)
+    assert len(made) == 2
+
+
 def test_a_set_of_ones_own_is_explored_in_its_order() -> None:
     drives = np.array([[12, 14], [15, 13], [0, 6]])
     explored = Exploration(GRID, 2, drives)

@@ -216,7 +216,8 @@ class Search:
         rows, seen = self._rows[:, number], self._seen[:, number].copy()
         inner = np.eye(rows.shape[-2]) + sign * seen @ rows.swapaxes(-1, -2)
         gain = sign * np.linalg.solve(inner, seen)
-        self._information += 0.5 * np.linalg.slogdet(inner)[1]
+        if self._goal is None:
+            self._information += 0.5 * np.linalg.slogdet(inner)[1]
         across = seen.swapaxes(-1, -2)
         self.covariance -= across @ gain
         self._seen -= (self._rows @ across[:, None]) @ gain[:, None]

@@ -139,7 +139,7 @@ class InformedPolicy(Exploration):
 
     @cached_property
     def _ranking(self) -> Ranking | None:
-        return None if self.exact else Ranking(*self._known)
+        return None if self.exact else _ranking(*self._known, _DEPTH, (), _TRACKED, _EFFECT)
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
         """The pattern of frame number `turn` (from 0), given what is believed of the contacts."""
@@ -193,7 +193,7 @@ class PositionDrive(SecondScan):
     @cached_property
     def ranking(self) -> Ranking:
         """What to drive for a contact in each cell; made when first asked for, in about a second."""
-        return _behind_base(*self._design(), self.pairs, tuple(self._base.tolist()))
+        return _ranking(*self._design(), self.pairs, tuple(self._base.tolist()), _BASED, size=_SIZE)
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
         """The pattern for wherever contacts may be: at the places believed, and a standard deviation to all sides."""
@@ -205,8 +205,17 @@ class PositionDrive(SecondScan):
 
 
 @lru_cache(maxsize=8)
-def _behind_base(table: ContactTable, candidates: Candidates, depth: int, base: tuple[int, ...]) -> Ranking:
-    return Ranking(table, candidates, depth, base, ContactPrior.usual(table.radius, _BASED), size=_SIZE)
+def _ranking(
+    table: ContactTable,
+    candidates: Candidates,
+    depth: int,
+    known: tuple[int, ...],
+    position: float,
+    effect_spread: float = 1.0,
+    size: float = 0.0,
+) -> Ranking:
+    prior = ContactPrior.usual(table.radius, position, effect_spread)
+    return Ranking(table, candidates, depth, known, prior, size=size)
 
 
 def _wherever(target: Target) -> list[Floats]:

@@ -97,7 +97,7 @@ class Diagnosis:
         seen = {
             one: at for one, times in self.seen.items() if (at := tuple(t for t in times if self.time - t < _WITHIN))
         }
-        seen |= {cause: (*seen.get(cause, ()), self.time) for cause in causes}
+        seen |= {cause: (*seen.get(cause, ())[1 - _TOLD :], self.time) for cause in causes}
         before = {finding.cause for finding in self.findings} | confirmed
         lately = {cause: times for cause, times in seen.items() if self.time - times[-1] < HELD}
         causes = {cause for cause, times in lately.items() if len(times) >= _TOLD or cause in before}
