@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
+from direct import DirectDevice
 from recordings import Bench
 
 import ohmskin as ohm
@@ -188,6 +189,33 @@ def test_an_image_goes_through_a_pickle_and_its_estimator_has_a_name(name: str) 
     np.testing.assert_allclose(there.noise_std([3, 5]), image.noise_std([3, 5]))
     np.testing.assert_allclose(there.contrast_std(7), image.contrast_std(7))
     assert len(pickle.dumps(image)) < 20 * model().mesh.n_elem + 2000
+
+
+@pytest.mark.parametrize("mode", ["16O", "16P", "16T", "12B"])
+def test_whatever_a_loop_gives_goes_through_a_pickle(mode: str) -> None:
+    """To another process, for instance; what is remembered of it for speed stays here."""
+    skin = ohm.Skin.parse("[imaging]\nmesh_size = 12e-3\n")
+    with ohm.Engine(lambda: DirectDevice(ohm.VirtualSkin(skin, 1)), skin, mode) as engine:
+        engine.calibrate()
+        engine.press(0, (0.06, 0.12), 8e-3, 20e3)
+        touch = [engine.step() for _ in range(8)][-1]
+        assert touch is not None
+        there: ohm.Touch = pickle.loads(pickle.dumps(touch))
+        assert there.contacts == touch.contacts != ()
+        for name in ("image", "base_image"):
+            np.testing.assert_array_equal(getattr(there.percept, name).values, getattr(touch.percept, name).values)
+        known = pickle.loads(pickle.dumps(engine.known))
+        frame = touch.percept.frames[-1]
+        assert engine.known is not None
+        np.testing.assert_array_equal(known.difference(frame).volts, engine.known.difference(frame).volts)
+
+
+def test_a_baseline_goes_through_a_pickle() -> None:
+    frames = model().simulate(PATTERN, noise=1e-6, count=3)
+    baseline = ohm.Baseline.learn(frames)
+    baseline.difference(frames[0])
+    there = pickle.loads(pickle.dumps(baseline))
+    np.testing.assert_array_equal(there.difference(frames[0]).volts, baseline.difference(frames[0]).volts)
 
 
 def test_values_are_shown_in_a_line() -> None:

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property, wraps
-from typing import Any
+from typing import Any, Self, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,8 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Shorts = NDArray[np.int32]
 Bools = NDArray[np.bool_]
+K = TypeVar("K")
+V = TypeVar("V")
 
 
 def real(given: ArrayLike, what: str, error: type[Exception]) -> Floats:
@@ -36,6 +39,13 @@ def unsignalled(values: NDArray[Any]) -> Floats:
     """Numbers from outside as floats of their own: a signalling NaN, which would warn wherever it goes, is quiet."""
     with np.errstate(invalid="ignore"):
         return np.asarray(values.astype(float) * 1.0)
+
+
+class Remembered(WeakKeyDictionary[K, V]):
+    """What was worked out of something, as long as that is in use; a pickle leaves it out."""
+
+    def __reduce__(self) -> tuple[type[Self], tuple[()]]:
+        return type(self), ()
 
 
 def fixed(compute: Callable[[Any], Floats]) -> "cached_property[Floats]":

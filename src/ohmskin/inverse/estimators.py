@@ -6,7 +6,7 @@ an `Estimator`, its docstring's first line the title. `FrameWise` makes one of a
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -39,6 +39,25 @@ class Estimate(Protocol):
         """The image."""
 
 
+@dataclass(frozen=True, eq=False)
+class Made:
+    """An image that is made when it is first asked for, or goes into a pickle."""
+
+    make: Callable[[], Image]
+
+    @cached_property
+    def image(self) -> Image:
+        """The image."""
+        return self.make()
+
+    def __reduce__(self) -> tuple[Callable[[Image], "Made"], tuple[Image]]:
+        return _made, (self.image,)
+
+
+def _made(image: Image) -> Made:
+    return Made(lambda: image)
+
+
 class Estimator(Protocol):
     """Makes images of scans that follow each other."""
 
@@ -58,19 +77,6 @@ class Estimator(Protocol):
             recent: These, and the ones before that belong to the same moment where a frame has few injections.
             elapsed: Time since the last frame (s).
         """
-
-
-@dataclass(frozen=True, eq=False)
-class Still:
-    """The image of some scans, made when it is first asked for."""
-
-    estimator: Reconstructs
-    scans: tuple[Difference, ...]
-
-    @cached_property
-    def image(self) -> Image:
-        """The image."""
-        return self.estimator.reconstruct(*self.scans)
 
 
 @dataclass(frozen=True)
@@ -107,7 +113,7 @@ class FrameWise:
 
     def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:
         """The image of the recent scans; without any, the one before."""
-        return Still(self.estimator, tuple(recent)) if recent else before
+        return Made(partial(self.estimator.reconstruct, *recent)) if recent else before
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats, Ints, real
+from ohmskin.arrays import Floats, Ints, Remembered, real
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Frame
 from ohmskin.scan.pairs import pair_index, pair_numbers
@@ -137,7 +136,7 @@ class Baseline:
     resistances: Floats
     noise: float
     repeats: int
-    _known: WeakKeyDictionary[DrivePattern, Floats] = field(default_factory=WeakKeyDictionary, init=False, repr=False)
+    _known: Remembered[DrivePattern, Floats] = field(default_factory=Remembered, init=False, repr=False)
 
     @classmethod
     def learn(cls, frames: Iterable[Frame]) -> "Baseline":

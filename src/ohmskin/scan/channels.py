@@ -1,11 +1,10 @@
 """Channels: how far each measurement follows the model of the skin, as many presses showed."""
 
 from dataclasses import dataclass, field, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ohmskin.arrays import Bools, Floats, Ints
+from ohmskin.arrays import Bools, Floats, Ints, Remembered
 from ohmskin.errors import DataError
 from ohmskin.scan.baseline import Difference, codes_of
 from ohmskin.scan.frame import Frame
@@ -30,9 +29,7 @@ class Channels:
     quadruples: Ints
     gains: Floats
     errors: Floats
-    _known: WeakKeyDictionary[DrivePattern, tuple[Floats, Floats]] = field(
-        default_factory=WeakKeyDictionary, init=False, repr=False
-    )
+    _known: Remembered[DrivePattern, tuple[Floats, Floats]] = field(default_factory=Remembered, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = [np.shape(one) for one in (self.quadruples, self.gains, self.errors)]

@@ -22,11 +22,11 @@ from ohmskin.drive import OptimalDrive, TwoScans, part_of
 from ohmskin.errors import DataError, ModelError, PatternError
 from ohmskin.forward.tiles import padded
 from ohmskin.inverse import GaussNewton, Image
-from ohmskin.inverse.estimators import FrameWise
+from ohmskin.inverse.estimators import FrameWise, Made
 from ohmskin.scan import Baseline, DrivePattern, Frame
 from ohmskin.sensing.kernels import Tables, Workspace, look, see
 from ohmskin.sensing.readers import DetectionReader
-from ohmskin.sensing.sensor import Made, Measured, Scan, Sensor
+from ohmskin.sensing.sensor import Measured, Scan, Sensor
 from ohmskin.skin import Mode
 
 MOST_CONTACTS = 64

@@ -3,11 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ohmskin.arrays import Bools, Floats
+from ohmskin.arrays import Bools, Floats, Remembered
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
@@ -82,7 +81,7 @@ class SkinModel:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
             measured &= ~np.isin(frame.pattern.injections, self.bad).any(axis=1)
             self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
-        self._soundness: WeakKeyDictionary[Frame, tuple[Bools, Bools]] = WeakKeyDictionary()
+        self._soundness: Remembered[Frame, tuple[Bools, Bools]] = Remembered()
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     @property

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +12,7 @@ from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions
 from ohmskin.drive import Drive, Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
-from ohmskin.inverse.estimators import Estimate
+from ohmskin.inverse.estimators import Estimate, Made
 from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
@@ -326,18 +325,6 @@ class Sensor:
 def _any_known(scans: Sequence[Difference]) -> bool:
     """Whether anything is known of scans."""
     return any(bool((np.isfinite(scan.volts) & np.isfinite(scan.currents)).any()) for scan in scans)
-
-
-@dataclass(frozen=True, eq=False)
-class Made:
-    """An image that is made when it is first asked for."""
-
-    make: Callable[[], Image]
-
-    @cached_property
-    def image(self) -> Image:
-        """The image."""
-        return self.make()
 
 
 def targets_of(contacts: Sequence[Contact]) -> list[Target]:
