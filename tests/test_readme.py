@@ -31,6 +31,12 @@ def test_the_mathematics_images_a_touch_where_it_is(capsys: pytest.CaptureFixtur
     assert abs(y - 0.12) < 0.005
 
 
+def test_the_guide_has_the_same_and_it_takes_eight_lines() -> None:
+    assert f"```python\n{SNIPPETS[1]}```" in (ROOT / "docs" / "guide" / "coming-from.md").read_text(encoding="utf-8")
+    steps = [line for line in SNIPPETS[1].splitlines() if line and not line.startswith(("import", "print"))]
+    assert len(steps) == 8
+
+
 def test_every_link_leads_somewhere() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     for page in pages:
