@@ -39,7 +39,7 @@ class Ranking:
         depth: How many injections to rank in each cell.
         known: Numbers of injections that each frame measures anyway.
         prior: What is known of a contact in the cell; as much as a tracker knows unless given.
-        cell: Width of a cell, about (m); 2.5 radii of a contact unless given. A cell takes some 7 ms.
+        cell: Width of a cell, about (m); 2.5 radii of a contact unless given. A cell takes some 5 ms.
         size: What a radius that is not known counts, against a place (1).
 
     Attributes:
