@@ -6,9 +6,9 @@ import os
 # processes that compile at once would overwrite each other's index of compiled functions, so each worker has its own.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault(
-    "NUMBA_CACHE_DIR",
-    os.path.abspath(f"{__file__}/../../.pytest_cache/numba-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}"),
+os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba-main"))
+os.environ["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"].replace(  # a worker inherits its parent's
+    ".pytest_cache/numba-main", f".pytest_cache/numba-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}"
 )
 
 import faulthandler

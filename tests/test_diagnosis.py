@@ -161,7 +161,7 @@ def test_what_is_seen_for_long_takes_no_more_memory_and_is_told_as_before() -> N
 def test_touches_of_any_kind_are_not_doubted(engine: Engine) -> None:
     random = np.random.default_rng(3)
     electrodes = engine.skin.electrodes.positions
-    for _ in range(25):
+    for _ in range(12):
         for number in range(3):
             beside = electrodes[random.integers(16)] + random.uniform(-6e-3, 6e-3, 2)
             x, y = np.clip(beside, 4e-3, 0.196) if random.random() < 0.4 else random.uniform(8e-3, 0.192, 2)

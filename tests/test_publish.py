@@ -418,7 +418,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, An
         stack.callback(ears.session.close)
         until(lambda: ears.of("contacts"))
         subprocess.run(
-            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "6", "--device", device[0]],
+            [sys.executable, "-m", "ohmskin", "press", "60", "140", "--seconds", "2", "--device", device[0]],
             check=True,
             timeout=60,
         )
