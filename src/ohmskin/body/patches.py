@@ -15,6 +15,8 @@ from ohmskin.child import Child
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.felt import LARGEST, Contact, Felt, Patch, Sighting, felt, pack, patches_from, unpack
 from ohmskin.closing import Closing
+from ohmskin.errors import PublishError
+from ohmskin.outlets.joints import JointsProcess
 from ohmskin.outlets.publisher import check_settings
 from ohmskin.outlets.relay import RelayProcess
 
@@ -104,6 +106,9 @@ class Patches(Closing):
         token: What listeners on other machines must give, where the protocol knows such a thing.
         demo: Whether a demonstration finger presses each virtual patch.
         images: Most images per second of each patch at outlets; on boards, where pages read them, there are more.
+        joints: Where to hear how the joints stand, ``zenoh`` or ``dds``; from a program of ours (`JointStates`) unless
+            given.
+        joint_topic: Topic of the joint states (`sensor_msgs/msg/JointState`).
         report: Called with every message for the user.
 
     Attributes:
@@ -111,7 +116,7 @@ class Patches(Closing):
         boards: Names of the boards of each patch.
 
     Raises:
-        PublishError: If the body's name is taken, or an outlet cannot be opened.
+        PublishError: If the body's name is taken, an outlet cannot be opened, or joint states cannot be heard.
     """
 
     def __init__(
@@ -121,9 +126,13 @@ class Patches(Closing):
         token: str | None = None,
         demo: bool = False,
         images: float = 10.0,
+        joints: str = "",
+        joint_topic: str = "/joint_states",
         report: Callable[[str], None] = lambda _: None,
     ) -> None:
         check_settings(token, images)
+        if joints and body.robot is None:
+            raise PublishError("joint states have a use for a body with a URDF file only; name one in the body file")
         self.body = body
         self.boards = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
         self._processes: list[PatchProcess] = []
@@ -135,11 +144,15 @@ class Patches(Closing):
             stack.enter_context(self._merger)
             self._relay = RelayProcess(body.name, pictures, patches, outlets, token, images)
             stack.enter_context(self._relay)
+            self.addresses = [f"shm:{body.name}", *self._relay.addresses]
+            if joints and body.robot is not None:
+                moving = [name for name, joint in body.robot.joints.items() if joint.moves]
+                heard = JointsProcess(body.name, moving, joints, joint_topic, token)
+                report(f"hearing joint states at {stack.enter_context(heard).address}, {joint_topic}")
             stack.callback(self._end_processes)
             for placed, board in zip(body.patches, self.boards, strict=True):
                 self._processes.append(PatchProcess(placed, board, demo, report))
             self._stack = stack.pop_all()
-        self.addresses = [f"shm:{body.name}", *self._relay.addresses]
 
     @property
     def status(self) -> dict[str, dict[str, Any]]:

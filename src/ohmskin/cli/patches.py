@@ -18,6 +18,8 @@ def patches(
     *,
     publish: Repeated = (),
     page: Page = HERE,
+    joints: str = "",
+    joint_topic: str = "/joint_states",
     demo: bool = True,
     headless: Flag = False,
     seconds: Seconds = None,
@@ -27,6 +29,8 @@ def patches(
     Args:
         body: The body file (TOML): which patches there are, and where on the robot.
         publish: Publish contacts to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
+        joints: Hear how the joints stand from ROS 2: zenoh[:PLACE] or dds[:INTERFACE].
+        joint_topic: The topic of these joint states (sensor_msgs/msg/JointState).
         demo: Let a demonstration finger wander over each virtual patch.
         headless: No page.
     """
@@ -38,7 +42,9 @@ def patches(
             say(f"the page does not show meshes, which are on {', '.join(loaded.robot.unseen)}; it shows simple shapes")
     stop = Stop()
     with ExitStack() as stack:
-        all_patches = stack.enter_context(Patches(loaded, publish, page.token or None, demo, report=say))
+        all_patches = stack.enter_context(
+            Patches(loaded, publish, page.token or None, demo, joints=joints, joint_topic=joint_topic, report=say)
+        )
         say(f"publishing at {', '.join(all_patches.addresses)}")
         if not headless:
             robot = loaded.robot.told() if loaded.robot else None

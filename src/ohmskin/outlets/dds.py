@@ -8,17 +8,18 @@ import os
 import re
 import socket
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, Listener
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct, types
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
@@ -29,6 +30,7 @@ from ohmskin.outlets.topics import TEXTS, Topic, dds_name
 
 log = logging.getLogger(__name__)
 
+_AT_ONCE = 100  # messages
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,32}")
 
 
@@ -45,16 +47,8 @@ class DdsOutlet:
     """
 
     def __init__(self, place: str, topics: Sequence[Topic], node: str, token: str | None) -> None:
-        interface = place or "lo"
-        self.address = f"dds:{interface}"
-        try:
-            self._domain = Domain(domain(), domain_config(interface))
-            self._participant = DomainParticipant(domain())
-            _stay_on(interface)
-            self._writers = {topic: self._writer(topic) for topic in topics}
-        except DDSException as error:
-            what = f"DDS cannot use the interface {interface!r}: {error}"
-            raise PublishError(f"{what}; `ip link` lists what there is") from error
+        self.address, self._domain, self._participant = _joined(place)
+        self._writers = {topic: self._writer(topic) for topic in topics}
 
     def send(self, topic: Topic, stamp: int, data: bytes) -> None:
         """Publish one CDR message."""
@@ -73,6 +67,49 @@ class DdsOutlet:
         told = Policy.Userdata(f"typehash={topic.hash};".encode())  # where ROS 2 looks for it
         qos = Qos(lasting, Policy.Durability.Volatile, history, cdr, told)
         return DataWriter(self._participant, DdsTopic(self._participant, f"rt{topic.name}", _message(topic.type)), qos)
+
+
+def listen(
+    place: str, topic: str, kind: str, token: str | None, take: Callable[[bytes], None]
+) -> tuple[str, Callable[[], None]]:
+    """Call `take` with every message (CDR) of a topic; where, and what ends it.
+
+    Raises:
+        PublishError: As `DdsOutlet`.
+    """
+
+    class Taker(Listener):
+        def on_data_available(self, reader: Any) -> None:
+            for sample in reader.take(N=_AT_ONCE):
+                if isinstance(sample, kept):
+                    take(sample.ready)
+
+    address, here, participant = _joined(place)
+    kept = _message(kind)
+    qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(_AT_ONCE))  # which hears reliable ones, too
+    topics = DdsTopic(participant, f"rt{topic}", kept)
+    taker = Taker()  # type: ignore[no-untyped-call]
+    held: list[Any] = [here, participant, topics, DataReader(participant, topics, qos, listener=taker)]
+    del here, participant, topics
+
+    def end() -> None:
+        while held:
+            held.pop()
+
+    return address, end
+
+
+def _joined(place: str) -> tuple[str, Domain, DomainParticipant]:
+    """The address of an interface, and our part in its domain."""
+    interface = place or "lo"
+    try:
+        here = Domain(domain(), domain_config(interface))
+        participant = DomainParticipant(domain())
+        _stay_on(interface)
+    except DDSException as error:
+        what = f"DDS cannot use the interface {interface!r}: {error}"
+        raise PublishError(f"{what}; `ip link` lists what there is") from error
+    return f"dds:{interface}", here, participant
 
 
 def domain_config(interface: str) -> str:
@@ -137,6 +174,11 @@ def _message(topic_type: str) -> Any:
     def serialize(self: Any, buffer: object = None, endianness: object = None, use_version_2: object = None) -> bytes:
         return bytes(self.ready)
 
-    kind.serialize = serialize
+    def deserialize(data: bytes, *_: object, **__: object) -> Any:
+        sample = kind()
+        sample.ready = bytes(data)
+        return sample
+
+    kind.serialize, kind.deserialize = serialize, staticmethod(deserialize)
     kind.__init__ = lambda self: None
     return kind

@@ -43,10 +43,17 @@ uint8[] data
 bool is_dense
 """,
     "sensor_msgs/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+    "sensor_msgs/JointState": """\
+std_msgs/Header header
+string[] name
+float64[] position  # rad, m
+float64[] velocity
+float64[] effort
+""",
     "geometry_msgs/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n",
     "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n",
 }
-"""Definition of each message type that is recorded or published, without those of the types in it."""
+"""Definition of each message type that is recorded, published or heard, without those of the types in it."""
 
 _HASHES = {
     "ohmskin_msgs/msg/Contacts": CONTACTS_HASH,

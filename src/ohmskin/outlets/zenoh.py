@@ -9,7 +9,7 @@ import hashlib
 import re
 import socket
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from typing import Any
 
@@ -17,7 +17,7 @@ import zenoh
 
 from ohmskin.client.remote import data_key, domain, is_loopback, open_session
 from ohmskin.errors import PublishError
-from ohmskin.outlets.topics import Topic
+from ohmskin.outlets.topics import Topic, dds_name
 
 PORT = 7447
 _PLACE = re.compile(r"(listen/)?(tcp)/(\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(\d{1,5})")
@@ -39,13 +39,7 @@ class ZenohOutlet:
     """
 
     def __init__(self, place: str, topics: Sequence[Topic], node: str, token: str | None) -> None:
-        listen, where = _place(place)
-        host = where.partition("/")[2].rpartition(":")[0]
-        if listen and token is None and not is_loopback(host):
-            instead = "give a --token, or stay with 127.0.0.1"
-            raise PublishError(f"zenoh at {where} can be reached from other machines; {instead}")
-        self.address = f"zenoh:{'listen/' if listen else ''}{where}"
-        self._session = open_session(where, listen, token, gossip=not listen or not is_loopback(host))
+        self.address, self._session = _opened(place, token)
         try:
             self._announce(topics, node)
         except BaseException:
@@ -81,6 +75,30 @@ class ZenohOutlet:
     def close(self) -> None:
         """Take tokens and publishers back."""
         self._session.close()
+
+
+def listen(
+    place: str, topic: str, kind: str, token: str | None, take: Callable[[bytes], None]
+) -> tuple[str, Callable[[], None]]:
+    """Call `take` with every message (CDR) of a topic, whatever hash its type has; where, and what ends it.
+
+    Raises:
+        PublishError: As `ZenohOutlet`.
+    """
+    address, session = _opened(place, token)
+    session.declare_subscriber(data_key(topic, dds_name(kind), "*"), lambda sample: take(sample.payload.to_bytes()))
+    return address, session.close
+
+
+def _opened(place: str, token: str | None) -> tuple[str, Any]:
+    """A session at a place, and its address."""
+    here, where = _place(place)
+    host = where.partition("/")[2].rpartition(":")[0]
+    if here and token is None and not is_loopback(host):
+        instead = "give a --token, or stay with 127.0.0.1"
+        raise PublishError(f"zenoh at {where} can be reached from other machines; {instead}")
+    session = open_session(where, here, token, gossip=not here or not is_loopback(host))
+    return f"zenoh:{'listen/' if here else ''}{where}", session
 
 
 def _place(place: str) -> tuple[bool, str]:

@@ -1,0 +1,133 @@
+"""Joint states of a robot that speaks ROS 2 (`sensor_msgs/msg/JointState`), passed on to the board of its body.
+
+A process of its own listens until its standard input ends, where it is told first what to hear (`ohmskin.child`).
+"""
+
+import logging
+import os
+import struct
+import time
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from importlib import import_module
+from math import isfinite
+
+from ohmskin.child import Child, begin
+from ohmskin.client.cdr import Decoder
+from ohmskin.client.joints import JointStates
+from ohmskin.closing import Closing
+from ohmskin.errors import OhmskinError, PublishError
+from ohmskin.outlets.outlet import check_outlet
+
+log = logging.getLogger(__name__)
+
+_TYPE = "sensor_msgs/JointState"
+_START_TIMEOUT = 60.0
+_OTHER_CLOCK = 10.0  # s from now, beyond which a stamp is by another clock, such as a simulation's
+
+
+class Follower:
+    """Keeps the newest position of each joint of a body, whoever tells it, and passes them on together.
+
+    Args:
+        states: Where to.
+        joints: Names of the body's joints; messages may tell of others.
+    """
+
+    def __init__(self, states: JointStates, joints: Collection[str]) -> None:
+        self._states, self._joints = states, joints
+        self._known: dict[str, tuple[float, float]] = {}  # position, and when it was so (s, monotonic clock)
+        self._said = ""
+
+    def take(self, message: bytes) -> None:
+        """Pass on a message (CDR). One that makes no sense is told of once, and not used.
+
+        All positions are as old as the oldest: of a joint that is no longer told nothing is known.
+        """
+        try:
+            self._known |= self._told(message)
+            if self._known:
+                positions = {name: position for name, (position, _) in self._known.items()}
+                self._states.push(positions, time.monotonic() - min(at for _, at in self._known.values()))
+        except OhmskinError as error:
+            if str(error) != self._said:
+                self._said = str(error)
+                log.warning("joint states are not taken: %s", error)
+
+    def _told(self, message: bytes) -> dict[str, tuple[float, float]]:
+        decoder = Decoder(message)
+        age = time.time() - decoder.stamp() * 1e-9
+        at = time.monotonic() - (age if 0 < age < _OTHER_CLOCK else 0.0)
+        decoder.text()
+        names = [decoder.text() for _ in range(decoder.count(4))]
+        block = decoder.block(8)
+        positions = struct.unpack(f"<{len(block) // 8}d", block)
+        if positions and len(positions) != len(names):
+            raise PublishError(f"a message tells {len(names)} joints and {len(positions)} positions")
+        told = {name: (p, at) for name, p in zip(names, positions, strict=bool(positions)) if name in self._joints}
+        if wrong := next((name for name, (position, _) in told.items() if not isfinite(position)), None):
+            raise PublishError(f"joint {wrong!r} is at {told[wrong][0]}; it must be a finite number (rad or m)")
+        return told
+
+
+class JointsProcess(Closing):
+    """The process that listens.
+
+    Args:
+        name: Name of the body.
+        joints: Names of its joints.
+        place: ``zenoh`` or ``dds``, with a place as outlets have it (`ohmskin.outlets.outlet.open_outlet`).
+        topic: The topic, usually ``/joint_states``.
+        token: As for outlets.
+
+    Attributes:
+        address: Where it listens.
+
+    Raises:
+        PublishError: If it cannot listen there, or another program tells the body's joints.
+    """
+
+    def __init__(self, name: str, joints: Collection[str], place: str, topic: str, token: str | None) -> None:
+        if place.partition(":")[0] not in ("zenoh", "dds"):
+            raise PublishError(f"joint states cannot be heard over {place!r}; choose from zenoh and dds")
+        check_outlet(place)
+        settings = {"name": name, "joints": list(joints), "place": place, "topic": topic, "token": token}
+        self._child = Child.module("ohmskin.outlets.joints", "the process that hears joint states", settings)
+        self.address = str(self._child.ready(_START_TIMEOUT, PublishError)["ready"])
+
+    def close(self) -> None:
+        """End it. Safe twice."""
+        self._child.close()
+
+
+def hear(place: str, topic: str, token: str | None, take: Callable[[bytes], None]) -> tuple[str, Callable[[], None]]:
+    """Call `take` with every message of a topic, in a thread of the library's; where that is, and what ends it.
+
+    Raises:
+        PublishError: If the place cannot be used.
+    """
+    kind, _, where = place.partition(":")
+    listen = import_module(f"ohmskin.outlets.{kind}").listen
+    address, end = listen(where, f"/{topic.strip('/')}", _TYPE, token, take)
+    return str(address), end
+
+
+def main() -> None:
+    """Listen until standard input ends."""
+    settings, answer = begin()
+    with ExitStack() as stack:
+        try:
+            states = stack.enter_context(JointStates(settings["name"]))
+            follower = Follower(states, settings["joints"])
+            address, end = hear(settings["place"], settings["topic"], settings["token"], follower.take)
+        except OhmskinError as error:
+            answer(failed=str(error))
+            return
+        stack.callback(end)
+        answer(ready=address)
+        while os.read(0, 65536):
+            pass
+
+
+if __name__ == "__main__":
+    main()
