@@ -11,6 +11,7 @@ from typing import IO, Any
 
 from ohmskin.body.body import Body, PlacedSkin
 from ohmskin.body.posture import Posture
+from ohmskin.body.replay import BodyReplay
 from ohmskin.child import Child
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.felt import LARGEST, Contact, Felt, Patch, Sighting, felt, pack, patches_from, unpack
@@ -109,6 +110,7 @@ class Patches(Closing):
         joints: Where to hear how the joints stand, ``zenoh`` or ``dds``; from a program of ours (`JointStates`) unless
             given.
         joint_topic: Topic of the joint states (`sensor_msgs/msg/JointState`).
+        replay: A recording of the body to show again, instead of its devices.
         report: Called with every message for the user.
 
     Attributes:
@@ -128,6 +130,7 @@ class Patches(Closing):
         images: float = 10.0,
         joints: str = "",
         joint_topic: str = "/joint_states",
+        replay: str = "",
         report: Callable[[str], None] = lambda _: None,
     ) -> None:
         check_settings(token, images)
@@ -142,15 +145,17 @@ class Patches(Closing):
             posture = None if body.robot is None else stack.enter_context(Posture(body, report))
             self._merger = Merger(body.name, patches, self.boards, posture)
             stack.enter_context(self._merger)
-            self._relay = RelayProcess(body.name, pictures, patches, outlets, token, images)
+            root = "" if body.robot is None else body.robot.root
+            self._relay = RelayProcess(body.name, pictures, patches, outlets, token, images, root)
             stack.enter_context(self._relay)
             self.addresses = [f"shm:{body.name}", *self._relay.addresses]
             if joints and body.robot is not None:
                 moving = [name for name, joint in body.robot.joints.items() if joint.moves]
                 heard = JointsProcess(body.name, moving, joints, joint_topic, token)
                 report(f"hearing joint states at {stack.enter_context(heard).address}, {joint_topic}")
+            self._replay = stack.enter_context(BodyReplay(body, replay)) if replay else None
             stack.callback(self._end_processes)
-            for placed, board in zip(body.patches, self.boards, strict=True):
+            for placed, board in zip(body.patches, self.boards, strict=True) if not replay else ():
                 self._processes.append(PatchProcess(placed, board, demo, report))
             self._stack = stack.pop_all()
 
@@ -158,12 +163,21 @@ class Patches(Closing):
     def status(self) -> dict[str, dict[str, Any]]:
         """What each patch told last; see `PatchProcess`."""
         names = [placed.patch.name for placed in self.body.patches]
+        if self._replay is not None:
+            return {name: {"state": "running"} for name in names}
         return {name: process.status for name, process in zip(names, self._processes, strict=True)}
+
+    @property
+    def ended(self) -> bool:
+        """Whether a recording has been shown to its end."""
+        return self._replay is not None and self._replay.ended
 
     def step(self) -> Felt | None:
         """Pass on what is new; None, after a nap of half a millisecond, if nothing is."""
         for process in self._processes:
             process.look()
+        if self._replay is not None:
+            self._replay.step()
         if (merged := self._merger.step()) is None:
             time.sleep(_NAP)
         else:

@@ -20,6 +20,8 @@ def patches(
     page: Page = HERE,
     joints: str = "",
     joint_topic: str = "/joint_states",
+    record: str = "",
+    replay: str = "",
     demo: bool = True,
     headless: Flag = False,
     seconds: Seconds = None,
@@ -31,6 +33,8 @@ def patches(
         publish: Publish contacts to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
         joints: Hear how the joints stand from ROS 2: zenoh[:PLACE] or dds[:INTERFACE].
         joint_topic: The topic of these joint states (sensor_msgs/msg/JointState).
+        record: Record contacts, images, joint states and links' poses to this MCAP file.
+        replay: Show such a recording again, instead of sensing; ends with it.
         demo: Let a demonstration finger wander over each virtual patch.
         headless: No page.
     """
@@ -43,7 +47,16 @@ def patches(
     stop = Stop()
     with ExitStack() as stack:
         all_patches = stack.enter_context(
-            Patches(loaded, publish, page.token or None, demo, joints=joints, joint_topic=joint_topic, report=say)
+            Patches(
+                loaded,
+                [*publish, *([f"mcap:{record}"] if record else [])],
+                page.token or None,
+                demo,
+                joints=joints,
+                joint_topic=joint_topic,
+                replay=replay,
+                report=say,
+            )
         )
         say(f"publishing at {', '.join(all_patches.addresses)}")
         if not headless:
@@ -52,7 +65,7 @@ def patches(
         end = float("inf") if seconds is None else time.monotonic() + seconds
         stop.listen()
         due, count, newest = time.monotonic() + _TABLE_EVERY, 0, None
-        while not stop and (now := time.monotonic()) < end:
+        while not stop and not all_patches.ended and (now := time.monotonic()) < end:
             if (felt := all_patches.step()) is not None:
                 newest, count = felt, count + 1
             if now >= due and newest is not None:

@@ -39,13 +39,13 @@ class Follower:
         self._known: dict[str, tuple[float, float]] = {}  # position, and when it was so (s, monotonic clock)
         self._said = ""
 
-    def take(self, message: bytes) -> None:
-        """Pass on a message (CDR). One that makes no sense is told of once, and not used.
+    def take(self, message: bytes, since: float = 0.0) -> None:
+        """Pass on a message (CDR) that came `since` seconds ago. One that makes no sense is told of once, and not used.
 
         All positions are as old as the oldest: of a joint that is no longer told nothing is known.
         """
         try:
-            self._known |= self._told(message)
+            self._known |= self._told(message, since)
             if self._known:
                 positions = {name: position for name, (position, _) in self._known.items()}
                 self._states.push(positions, time.monotonic() - min(at for _, at in self._known.values()))
@@ -54,9 +54,9 @@ class Follower:
                 self._said = str(error)
                 log.warning("joint states are not taken: %s", error)
 
-    def _told(self, message: bytes) -> dict[str, tuple[float, float]]:
+    def _told(self, message: bytes, since: float) -> dict[str, tuple[float, float]]:
         decoder = Decoder(message)
-        age = time.time() - decoder.stamp() * 1e-9
+        age = time.time() - since - decoder.stamp() * 1e-9
         at = time.monotonic() - (age if 0 < age < _OTHER_CLOCK else 0.0)
         decoder.text()
         names = [decoder.text() for _ in range(decoder.count(4))]

@@ -1,8 +1,9 @@
 """What is felt as ROS 2 messages, in the frames of the robot; see `ohmskin.outlets.topics` for their definitions."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
 from ohmskin.client.cdr import Encoder
@@ -37,6 +38,26 @@ def encode_wrench(contacts: Sequence[Contact], frame: str, stamp: int) -> bytes:
     """
     force, torque = wrench(contacts)
     return Encoder().stamp(stamp).text(frame).put("dddddd", *force, *torque).done()
+
+
+def encode_joints(positions: Mapping[str, float], stamp: int) -> bytes:
+    """`sensor_msgs/msg/JointState`: positions alone (rad, m)."""
+    encoder = Encoder().stamp(stamp).text("").put("I", len(positions))
+    for name in positions:
+        encoder.text(name)
+    for values in (list(positions.values()), [], []):
+        encoder.array(np.array(values, float))
+    return encoder.done()
+
+
+def encode_transforms(root: str, poses: Mapping[str, Sequence[float]], stamp: int) -> bytes:
+    """`tf2_msgs/msg/TFMessage`: the poses (16,) of links in the frame of the root, row by row (m)."""
+    links = {name: np.reshape(pose, (4, 4)) for name, pose in poses.items() if name != root}
+    encoder = Encoder().put("I", len(links))
+    for name, pose in links.items():
+        turn = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True)
+        encoder.stamp(stamp).text(root).text(name).put("ddddddd", *pose[:3, 3], *turn)
+    return encoder.done()
 
 
 def encode_cloud(pixels: Floats, places: Floats, frame: str, stamp: int) -> bytes:

@@ -12,6 +12,7 @@ _HOMES = {
     "zenoh": ("ohmskin.outlets.zenoh", "ZenohOutlet", "zenoh"),
     "dds": ("ohmskin.outlets.dds", "DdsOutlet", "cyclonedds"),
     "foxglove": ("ohmskin.outlets.foxglove", "FoxgloveOutlet", "foxglove"),
+    "mcap": ("ohmskin.outlets.file", "FileOutlet", "mcap"),
 }
 KINDS = ("shm", *_HOMES)
 """What `--publish` takes. Shared memory needs no outlet: it is where outlets read."""
@@ -34,7 +35,8 @@ class Outlet(Protocol):
 
 
 def open_outlet(address: str, topics: Sequence[Topic], node: str, token: str | None) -> Outlet:
-    """The outlet at an address such as ``zenoh``, ``zenoh:tcp/HOST:PORT``, ``dds:eth0`` or ``foxglove:127.0.0.1:8765``.
+    """The outlet at an address such as ``zenoh``, ``zenoh:tcp/HOST:PORT``, ``dds:eth0``, ``foxglove:127.0.0.1:8765`` or
+    ``mcap:FILE.mcap``.
 
     Args:
         address: Kind and place; without a place it is on this machine only.

@@ -3,20 +3,22 @@
 It is told on standard input what to publish where (`ohmskin.child`), then any byte whenever there is something new.
 """
 
+import json
 import os
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 
 import numpy as np
 
 from ohmskin.child import begin
 from ohmskin.client.board import BoardReader
 from ohmskin.client.felt import Felt, Patch, SharedMemory
+from ohmskin.client.joints import LinkPoses
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
 from ohmskin.mcap.messages import encode_image, encode_markers
-from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_wrench
+from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_joints, encode_transforms, encode_wrench
 from ohmskin.outlets.outlet import Outlet, open_outlet
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.topics import Topic, contacts_topic, wrench_topic
@@ -31,12 +33,18 @@ class Relay:
         links: Frames with patches that tell forces: each has a topic of wrenches, for strength is no force.
         outlets: Addresses, see `open_outlet`.
         token: See `open_outlet`.
+        root: Link in whose frame the poses of a robot's links are told, with its joint states; empty: they are not.
 
     Raises:
         PublishError: If an outlet cannot be opened.
     """
 
-    def __init__(self, name: str, pictures: list[str], links: list[str], outlets: list[str], token: str | None) -> None:
+    def __init__(
+        self, name: str, pictures: list[str], links: list[str], outlets: list[str], token: str | None, root: str = ""
+    ) -> None:
+        self._root = root
+        self._joints = Topic(f"{prefix(name)}/joint_states", "sensor_msgs/msg/JointState", True, 10)
+        self._transforms = Topic(f"{prefix(name)}/tf", "tf2_msgs/msg/TFMessage", True, 100)
         self._contacts = contacts_topic(name)
         self._markers = Topic(f"{prefix(name)}/markers", "visualization_msgs/msg/MarkerArray", True, 10)
         self._wrenches = {link: wrench_topic(name, link, links) for link in links}
@@ -48,10 +56,12 @@ class Relay:
             for own in (picture.removesuffix(".image") for picture in pictures)
         ]
         topics = [self._contacts, self._markers, *(topic for pair in self._images for topic in pair)]
-        topics += self._wrenches.values()
+        topics += [*self._wrenches.values(), *([self._joints, self._transforms] if root else [])]
         self.outlets: list[Outlet] = []
         with ExitStack() as stack:
             self._board = stack.enter_context(closing(SharedMemory(name)))
+            self._states = stack.enter_context(closing(BoardReader(f"{name}.joints")))
+            self._poses = stack.enter_context(LinkPoses(name))
             self._pictures = [stack.enter_context(BoardReader(picture)) for picture in pictures]
             for address in outlets:
                 opened = open_outlet(address, topics, f"ohmskin_{name}", token)
@@ -66,6 +76,7 @@ class Relay:
         patches = self._board.patches
         self._send(self._contacts, felt.stamp, encode_contacts(felt))
         self._send_wrenches(felt, patches)
+        self._send_posture()
         now = time.monotonic()
         if now < self._due:
             return
@@ -94,6 +105,17 @@ class Relay:
             if all(one.sequence for one in seen) and not any(contact.force is None for contact in own):
                 stamp = min(one.stamp for one in seen)
                 self._send(topic, stamp, encode_wrench(own, link, stamp))
+
+    def _send_posture(self) -> None:
+        """How the joints stand and where the links are, if that was told anew."""
+        if not self._root or (record := self._states.newest()) is None:
+            return
+        with suppress(ValueError, KeyError, TypeError, AttributeError):  # whoever writes that board may err
+            told = json.loads(record)
+            stamp = time.time_ns() - round((time.monotonic() - float(told["time"])) * 1e9)
+            self._send(self._joints, stamp, encode_joints(told["positions"], stamp))
+            if poses := self._poses.newest():
+                self._send(self._transforms, stamp, encode_transforms(self._root, poses, stamp))
 
     def _send(self, topic: Topic, stamp: int, data: bytes) -> None:
         for outlet in self.outlets:

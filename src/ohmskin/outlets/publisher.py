@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.client.board import Board
 from ohmskin.client.felt import LARGEST, Felt, Patch, Sighting, felt, pack
+from ohmskin.client.felt import Contact as Placed
 from ohmskin.closing import Closing
 from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
-from ohmskin.errors import PublishError
+from ohmskin.errors import DataError, PublishError
 from ohmskin.geometry import Disc, Polygon, Raster
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.relay import RelayProcess
@@ -73,8 +75,22 @@ class Publisher(Closing):
         self._board.write(pack(self.felt(touch, stamp), [self.patch]))
         if (now := time.monotonic()) >= self._due:
             self._due = now + self._every
-            self._picture.write(Picture.pack(self._raster(touch.percept.image.values), touch.sequence, stamp))
+            self.show(self._raster(touch.percept.image.values), touch.sequence, stamp)
         self._relay.wake()
+
+    def repeat(self, seen: Sighting, contacts: Sequence[Placed]) -> None:
+        """Show what was felt before."""
+        self._board.write(pack(felt(seen.sequence, [seen], contacts, self._board.boot), [self.patch]))
+
+    def show(self, pixels: Floats, sequence: int, stamp: int) -> None:
+        """Show an image (ny, nx); one of another size is none of this skin.
+
+        Raises:
+            DataError: If it is one.
+        """
+        if pixels.shape != self._raster.inside.shape:
+            raise DataError(f"an image of {pixels.shape} pixels; this skin has {self._raster.inside.shape}")
+        self._picture.write(Picture.pack(pixels, sequence, stamp))
 
     def felt(self, touch: Touch, stamp: int) -> Felt:
         """What a cycle felt, in the patch's frame."""

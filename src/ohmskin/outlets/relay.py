@@ -23,6 +23,7 @@ class RelayProcess(Closing):
         name, pictures, patches, token: See `ohmskin.outlets.process.Relay`.
         outlets: See `open_outlet`; with none but ``shm`` there is no process at all.
         picture_rate: Most images per second.
+        root: See `ohmskin.outlets.process.Relay`.
 
     Attributes:
         addresses: Where its outlets are.
@@ -39,6 +40,7 @@ class RelayProcess(Closing):
         outlets: Sequence[str],
         token: str | None,
         picture_rate: float,
+        root: str = "",
     ) -> None:
         for address in outlets:
             check_outlet(address)
@@ -49,7 +51,7 @@ class RelayProcess(Closing):
             return
         boards = {"name": name, "pictures": list(pictures), "picture_every": 1 / picture_rate}
         links = list(dict.fromkeys(patch.frame for patch in patches if patch.newtons))
-        settings: dict[str, Any] = {**boards, "links": links, "outlets": outlets, "token": token}
+        settings: dict[str, Any] = {**boards, "links": links, "outlets": outlets, "token": token, "root": root}
         child = Child.module("ohmskin.outlets.process", "the publishing process", settings, OMP_NUM_THREADS="1")
         self.addresses = child.ready(_START_TIMEOUT, PublishError)["ready"]
         os.set_blocking(child.stdin.fileno(), False)

@@ -1,0 +1,233 @@
+"""A recorded body shown again: contacts, images, joint states and links, for the page, clients and ROS tools."""
+
+import json
+import math
+import re
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ohmskin.body import Body
+from ohmskin.body.body import PlacedSkin
+from ohmskin.body.patches import Merger, Patches
+from ohmskin.body.posture import Posture
+from ohmskin.client import Client, Contact, Sighting
+from ohmskin.client.board import BoardReader
+from ohmskin.client.joints import JointStates, LinkPoses
+from ohmskin.errors import DataError, PublishError
+from ohmskin.outlets.picture import Picture
+from ohmskin.outlets.publisher import Publisher
+from ohmskin.outlets.relay import RelayProcess
+from ohmskin.outlets.topics import Topic
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+SKIN = "[imaging]\nmesh_size = 20e-3\n[contact_layer]\ncolumns = 4\nrows = 4\npatch = 0.02\n"
+URDF = """<robot name="r"><link name="base"/><link name="forearm"/><joint name="elbow" type="revolute">
+<origin xyz="0 0 0.3"/><parent link="base"/><child link="forearm"/><axis xyz="0 0 1"/></joint></robot>"""
+BODY = """name = "torso"
+urdf = "robot.urdf"
+[[patch]]
+name = "chest"
+link = "base"
+skin = "skin.toml"
+[[patch]]
+name = "arm"
+link = "forearm"
+position = [0.1, 0.0, 0.2]
+skin = "skin.toml"
+"""
+
+
+@pytest.fixture(autouse=True)
+def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OHMSKIN_BOARDS", str(tmp_path / "boards"))
+
+
+@pytest.fixture
+def body(tmp_path: Path) -> Body:
+    for name, text in (("skin.toml", SKIN), ("robot.urdf", URDF), ("body.toml", BODY)):
+        (tmp_path / name).write_text(text)
+    return Body.load(tmp_path / "body.toml")
+
+
+def contact(placed: PlacedSkin, number: int, x: float) -> Contact:
+    cell = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 0.0))
+    place = (x, 0.1, 0.2)
+    return Contact(
+        number, placed.patch.name, placed.patch.frame, place, (0.0, 0.0, 1.0), 1e-4, 2e-5, 0.9, 0.3, covariance=cell
+    )
+
+
+@contextmanager
+def sensing(body: Body, file: Path) -> Iterator[tuple[list[Publisher], JointStates, Merger, RelayProcess]]:
+    """What `ohmskin patches --record` has, without loops: patches are shown what a test says."""
+    names = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
+    assert body.robot is not None
+    with ExitStack() as stack:
+        pairs = zip(body.patches, names, strict=True)
+        publishers = [stack.enter_context(Publisher(p.skin, (), name, p.patch)) for p, name in pairs]
+        patches = [placed.patch for placed in body.patches]
+        merger = stack.enter_context(Merger(body.name, patches, names, stack.enter_context(Posture(body))))
+        pictures = [f"{name}.image" for name in names]
+        outlets = [f"mcap:{file}"]
+        relay = RelayProcess(body.name, pictures, patches, outlets, None, 50.0, body.robot.root)
+        yield publishers, stack.enter_context(JointStates(body.name)), merger, stack.enter_context(relay)
+
+
+def recorded(body: Body, file: Path, cycles: int = 12) -> None:
+    """The arm is touched further and further on while the elbow bends."""
+    with sensing(body, file) as (publishers, joints, merger, relay):
+        for k in range(1, cycles + 1):
+            joints.push({"elbow": 0.1 * k})
+            for publisher, placed in zip(publishers, body.patches, strict=True):
+                now = Sighting(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
+                touched = [contact(placed, 1, 0.01 * k)] if placed.patch.name == "arm" else []
+                shape = publisher._raster.inside.shape
+                publisher.show(np.full(shape, float(k)), k, time.time_ns())
+                publisher.repeat(now, touched)
+            assert merger.step() is not None
+            relay.wake()
+            time.sleep(0.03)
+
+
+def messages(file: Path) -> dict[str, list[tuple[str, bytes]]]:
+    found: dict[str, list[tuple[str, bytes]]] = {}
+    with file.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            found.setdefault(channel.topic, []).append((schema.name, message.data))
+    return found
+
+
+def test_a_recording_has_the_topics_of_ros_2_as_other_readers_read_them(body: Body, tmp_path: Path) -> None:
+    recorded(body, tmp_path / "a.mcap")
+    found = messages(tmp_path / "a.mcap")
+    assert {"/ohmskin/torso/contacts", "/ohmskin/torso/markers", "/ohmskin/torso/arm/image"} < set(found)
+    kind, data = found["/ohmskin/torso/joint_states"][-1]
+    state = STORE.deserialize_cdr(data, kind)
+    assert (state.name, state.position.tolist()) == (["elbow"], [pytest.approx(1.2)])
+    kind, data = found["/ohmskin/torso/tf"][-1]
+    (transform,) = STORE.deserialize_cdr(data, kind).transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("base", "forearm")
+    turn, place = transform.transform.rotation, transform.transform.translation
+    assert (place.x, place.y, place.z) == (0.0, 0.0, 0.3)
+    assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(state.position[0])
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None
+        for schema in summary.schemas.values():
+            assert schema.encoding == "ros2msg"
+            assert get_types_from_msg(schema.data.decode(), schema.name)[schema.name]
+    for kind in ("sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"):
+        topic = Topic("/x", kind, True, 10)
+        assert topic.hash == STORE.hash_rihs01(kind)
+        told = get_types_from_msg(topic.definition, kind)
+        assert [name for name, _ in told[kind][1]] == [name for name, _ in STORE.fielddefs[kind][1]]
+
+
+def test_a_recording_replays_the_body(body: Body, tmp_path: Path) -> None:
+    recorded(body, tmp_path / "a.mcap")
+    felt, poses, images = [], list[float](), list[float]()
+    with (
+        Patches(body, replay=str(tmp_path / "a.mcap")) as patches,
+        Client("shm:torso") as client,
+        LinkPoses("torso") as links,
+        BoardReader("torso.arm.image") as pictures,
+    ):
+        while not patches.ended:
+            patches.step()
+            if (newest := client.newest()) is not None:
+                felt.append(newest)
+                assert newest.age < 5.0
+            if pose := links.newest():
+                poses.append(math.asin(pose["forearm"][4]))
+            if (record := pictures.newest()) is not None:
+                images.append(float(np.nanmax(Picture.unpack(record, pictures.setup).pixels)))
+    touched = [one.contacts[0] for one in felt if one.contacts]
+    assert [c.position[0] for c in touched] == sorted(c.position[0] for c in touched)
+    last = touched[-1]
+    assert (last.patch, last.frame, last.id) == ("arm", "forearm", 1)
+    assert last.position == pytest.approx((0.12, 0.1, 0.2))
+    assert last.covariance == ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 0.0))
+    assert last.self_touch is False  # told anew, by the joint states of then
+    assert poses[-1] == pytest.approx(1.2)
+    assert poses == sorted(poses)
+    assert images[-1] == 12.0
+    assert {one.patches[1].mode for one in felt} == {"16P"}
+
+
+def test_a_replay_can_be_recorded_again_and_says_the_same(body: Body, tmp_path: Path) -> None:
+    recorded(body, tmp_path / "a.mcap", cycles=6)
+    with Patches(body, [f"mcap:{tmp_path / 'b.mcap'}"], images=1000.0, replay=str(tmp_path / "a.mcap")) as patches:
+        while not patches.ended:
+            patches.step()
+        time.sleep(0.2)
+    first, again = messages(tmp_path / "a.mcap"), messages(tmp_path / "b.mcap")
+    for topic in ("/ohmskin/torso/joint_states", "/ohmskin/torso/arm/image"):
+        said, repeated = ({(kind, data[12:]) for kind, data in found[topic]} for found in (first, again))
+        assert repeated <= said  # but for their stamps
+        assert len(repeated) >= min(2, len(said))
+
+
+def test_what_is_no_recording_of_this_body_is_refused_in_words(body: Body, tmp_path: Path) -> None:
+    recorded(body, tmp_path / "a.mcap", cycles=2)
+    with pytest.raises(DataError, match="cannot read recording"):
+        Patches(body, replay=str(tmp_path / "none.mcap"))
+    (tmp_path / "body.toml").write_text(BODY.replace('"torso"', '"other"'))
+    with pytest.raises(DataError, match="nothing of a body called 'other'"):
+        Patches(Body.load(tmp_path / "body.toml"), replay=str(tmp_path / "a.mcap"))
+    with pytest.raises(PublishError, match=r"use mcap:FILE\.mcap"):
+        Patches(body, ["mcap:a.bag"])
+    with pytest.raises(PublishError, match="File exists"):
+        Patches(body, [f"mcap:{tmp_path / 'a.mcap'}"])
+    (tmp_path / "body.toml").write_text(BODY.replace('"forearm"', '"base"'))
+    moved = Body.load(tmp_path / "body.toml")
+    with Patches(moved, replay=str(tmp_path / "a.mcap")) as patches:  # a message that does not fit is left out
+        while not patches.ended:
+            assert patches.step() is None or not patches._merger._contacts[1]
+
+
+def test_damaged_messages_are_left_out(body: Body, tmp_path: Path) -> None:
+    recorded(body, tmp_path / "a.mcap")
+    content = bytearray((tmp_path / "a.mcap").read_bytes())
+    rng = np.random.default_rng(0)
+    for case in range(12):
+        spoilt = bytearray(content)
+        for at in rng.integers(8, len(spoilt), 20):
+            spoilt[at] = rng.integers(256)
+        if case % 3 == 0:
+            del spoilt[rng.integers(8, len(spoilt)) :]
+        (tmp_path / "b.mcap").write_bytes(spoilt)
+        try:
+            with Patches(body, replay=str(tmp_path / "b.mcap")) as patches:
+                end = time.monotonic() + 0.5
+                while not patches.ended and time.monotonic() < end:
+                    patches.step()
+        except DataError:
+            pass
+
+
+def test_the_layouts_of_rviz_and_foxglove_name_topics_links_and_files_that_are_there() -> None:
+    folder = Path(__file__).parents[1] / "examples" / "body"
+    body, text = Body.load(folder / "body.toml"), (folder / "body.rviz").read_text(encoding="utf-8")
+    assert body.robot is not None
+    own = f"/ohmskin/{body.name}"
+    points = {f"{own}/{placed.patch.name}/points" for placed in body.patches}
+    rviz = set(re.findall(r"Value: ([^,}]+)", text))
+    assert rviz == points | {f"{own}/markers"}
+    assert f"/tf:={own}/tf" in text
+    assert (folder / re.findall(r"Description File: (\S+)", text)[0]).exists()
+    assert re.findall(r"Fixed Frame: (\S+)", text) == [body.robot.root]
+    assert len(re.findall(r"Name: (?:Upper arm|Forearm|Head)$", text, re.MULTILINE)) == len(body.patches)
+    layout = json.loads((folder / "foxglove-layout.json").read_text(encoding="utf-8"))["configById"]
+    assert set(layout["3D!half"]["topics"]) == points | {f"{own}/markers", f"{own}/tf"}
+    assert layout["3D!half"]["followTf"] == body.robot.root
+    assert layout["RawMessages!half"]["topicPath"] == f"{own}/contacts"
+    urdf = layout["3D!half"]["layers"]["robot"]
+    assert urdf["layerId"] == "foxglove.Urdf"
