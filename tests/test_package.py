@@ -59,6 +59,13 @@ def test_help_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip().endswith("[]")
 
 
+def test_a_loop_of_a_flat_skin_imports_no_splines_statistics_or_pictures() -> None:
+    """They take a third of a second each, at every start."""
+    heavy = ("scipy.integrate", "scipy.interpolate", "scipy.stats", "matplotlib")
+    code = f"import sys, ohmskin.engine, ohmskin.device.virtual; print([m for m in {heavy} if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
 # --- what is built ----------------------------------------------------------------------------------------------------
 
 

@@ -11,8 +11,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import cumulative_simpson
-from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats
@@ -103,6 +101,9 @@ class RevolutionChart:
     """
 
     def __init__(self, profile: ArrayLike, angle: float = 2 * np.pi) -> None:
+        from scipy.integrate import cumulative_simpson  # these take a third of a second, which flat skins need not wait
+        from scipy.interpolate import CubicSpline
+
         given = np.asarray(profile, float)
         if given.ndim != 2 or given.shape[1] != 2 or len(given) < 2 or not np.isfinite(given).all():
             raise GeometryError(
