@@ -92,7 +92,7 @@ class Board(Closing):
 
     def __init__(self, name: str, setup: Mapping[str, Any], largest: int) -> None:
         path = board_path(name)
-        text = json.dumps(setup, allow_nan=False).encode()
+        text = json.dumps(setup, allow_nan=False, ensure_ascii=False).encode(errors="replace")
         slots_at = -(-(_HEAD_BYTES + len(text)) // 64) * 64
         slot_bytes = -(-(_SLOT.size + largest) // 64) * 64
         size = slots_at + _SLOTS * slot_bytes
