@@ -11,6 +11,8 @@ resolves. So where contacts have an area, the mesh's G is corrected near each pa
 the area of a contact, with mirror images beyond the rim, less what the mesh makes of that logarithm round the patch.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
@@ -20,6 +22,7 @@ from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import local_stiffness
 from ohmskin.forward.quadrature import Surface
+from ohmskin.forward.scenes import pressed
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 from ohmskin.geometry import Mesh
@@ -63,6 +66,7 @@ class FloatingPatches:
         if not self.kept.any():
             raise ModelError("no point of a patch lies on the mesh; give points in its coordinates (m)")
         self.points, self.patches = where[self.kept], owner[self.kept].astype(np.int64)
+        self._slots: Ints = np.unique(self.patches, return_inverse=True)[1]
         corners = corners[self.kept]
         self.update = LocalUpdate(model, np.unique(corners))
         self._corners: Ints = np.searchsorted(self.update.nodes, corners)
@@ -123,6 +127,37 @@ class FloatingPatches:
         after = np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
         return after, currents / joint[touching, None]
 
+    def many(self, scenes: Sequence[tuple[Ints, Floats]]) -> Floats:
+        """(n, n_elec, n_elec) transfer resistances in ohms of n scenes, several times as quick as one by one.
+
+        Args:
+            scenes: Of each the distinct numbers of the `points` that touch (m,), and their conductances (m,) (siemens).
+
+        Raises:
+            ModelError: If a conductance is not positive and finite.
+        """
+        first = np.cumsum([0, *(len(points) for points, _ in scenes)])
+        touching = np.concatenate([np.empty(0, np.int64), *(points for points, _ in scenes)])
+        joint = np.concatenate([np.empty(0), *(conductance for _, conductance in scenes)])
+        if not ((joint > 0) & (joint < np.inf)).all():
+            raise ModelError(
+                "a patch conductance is not positive or not finite; leave out where a patch does not touch"
+            )
+        count = int(self._slots.max()) + 1
+        none = np.full((count, 0), -1), np.full((count, 0), -1), np.empty((count, 0, 0))
+        own, near, missed = none if self._near is None else self._near.table(np.unique(self._slots[touching]))
+        out = np.empty((len(scenes), *self.model.transfer_resistance.shape))
+        green = self.update.green_of(np.unique(self._corners[touching]))
+        untouched = self.model.transfer_resistance
+        try:
+            pressed(
+                untouched, first, touching, joint, self._corners, self._weights, self._caused, green, self._slots,
+                own, near, missed, out,
+            )  # fmt: skip
+        except np.linalg.LinAlgError:
+            raise ModelError("the mesh is too coarse for patches so hard pressed; use a finer one") from None
+        return out
+
 
 def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, Bools]:
     """Nodes (n, k) and barycentric coordinates (n, k) of points on the skin, and which (n,) are on it."""
@@ -173,6 +208,7 @@ class _NearField:
         self._middles = folded(self._middles, mesh.period)
         self._nodes, self._tree = tree(mesh.nodes, mesh.period), tree(self._middles, mesh.period)
         self._made: dict[int, tuple[Ints, Floats]] = {}
+        self._table: tuple[Ints, Ints, Floats] | None = None
 
     def add_to(self, green: Floats, touching: Ints, numbers: Ints) -> None:
         """Add it to the potentials (n, n) that contacts `touching` (n,), of patches `numbers`, cause at each other."""
@@ -188,6 +224,24 @@ class _NearField:
             at, by = targets >= 0, sources >= 0
             missed[np.ix_(targets[at], sources[by])] = values[np.ix_(at, by)]
         green += (missed + missed.T) / 2
+
+    def table(self, slots: Ints) -> tuple[Ints, Ints, Floats]:
+        """Contacts of each patch and near it, and what the mesh misses: what `pressed` takes, of `slots` at least."""
+        if self._table is None:
+            own = np.full((len(self._own), max(map(len, self._own))), -1)
+            for slot, points in enumerate(self._own):
+                own[slot, : len(points)] = points
+            around = self._tree.query_ball_point(self._middles, 2 * self._half + _NEAR * self._edge, return_length=True)
+            width = int(around.max()) * own.shape[1]
+            self._table = own, np.full((len(own), width), -1), np.zeros((len(own), width, own.shape[1]))
+        own, near, missed = self._table
+        for slot in slots[near[slots, 0] < 0].tolist():
+            if slot not in self._made:
+                self._made[slot] = self._missed(slot)
+            points, values = self._made[slot]
+            near[slot, : len(points)] = points
+            missed[slot, : len(points), : values.shape[1]] = values
+        return self._table
 
     def _missed(self, slot: int) -> tuple[Ints, Floats]:
         """Contacts (n_near,) near a patch, and what the mesh misses there (n_near, n_own) of the patch's contacts."""

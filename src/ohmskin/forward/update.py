@@ -60,6 +60,11 @@ class LocalUpdate:
         self._solve(rows)
         return self._green[np.ix_(rows, rows)]
 
+    def green_of(self, rows: Ints) -> Floats:
+        """(n, n) of which `rows` (m,) are those of `green`; others may not be known yet."""
+        self._solve(rows)
+        return self._green
+
     def _solve(self, rows: Ints) -> None:
         missing = rows[~self._known[rows]]
         for first in range(0, len(missing), _BLOCK):

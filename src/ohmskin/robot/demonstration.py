@@ -36,7 +36,6 @@ _FREE = 2 * FINGER  # m that the way of the finger keeps from other links
 _RIM = 0.1  # of a skin's size, that pokes keep from its rim
 _NEAR = 0.03  # m from a contact, within which a push is taken for what caused it
 _AWAY, _UP = np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, 1.0])  # where no hand is near
-_LEAST_RADIUS, _MOST_PRESSURE = 2e-3, 1e6  # m, Pa: within what the virtual skin takes
 
 
 @dataclass(frozen=True)
@@ -235,11 +234,8 @@ class Demonstration:
         own = [push for push in pushes if push.patch == number]
         foam = engine.skin.contact_layer.foam_spread
         for which in range(max(len(own), self._pressed[number])):
-            push = own[which] if which < len(own) else None
-            place = (float(push.place[0]), float(push.place[1])) if push else (0.0, 0.0)
-            radius = max(push.radius if push else 0.0, _LEAST_RADIUS)
-            per_pascal = Press(place, radius, 1.0).force(foam)
-            engine.press(which, place, radius, min(push.force / per_pascal, _MOST_PRESSURE) if push else 0.0)
+            press = own[which].press(foam) if which < len(own) else Press((0.0, 0.0), 1.0, 0.0)
+            engine.press(which, press.position, press.radius, press.pressure)
         self._pressed[number] = len(own)
         if (touch := engine.step()) is None:
             raise ModelError(f"skin {self.body.patches[number].patch.name!r} was lost: {engine.message}; start again")

@@ -13,10 +13,12 @@ from ohmskin.body.robot import Robot
 from ohmskin.errors import ModelError
 from ohmskin.robot.display import mujoco
 from ohmskin.robot.scene import FINGER, STEP, scene
+from ohmskin.skin import Press
 
 _MOTION = 0.1  # rad, of the slow movement of each joint
-_OFF = 10e-3  # m from a skin's surface, beyond which a contact of its hull is none of the skin
+OFF = 10e-3  # m from a skin's surface, beyond which a contact of its hull is none of the skin
 _OWN = 30e-3  # m, radius that a link touches another with
+_LEAST_RADIUS, _MOST_PRESSURE = 2e-3, 1e6  # m, Pa: within what the virtual skin takes
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,12 @@ class Push:
     force: float
     radius: float
     by: str = ""
+
+    def press(self, foam_spread: float) -> Press:
+        """What presses the virtual skin so, with foam of that spread (m): something round, of the same force."""
+        place, radius = (float(self.place[0]), float(self.place[1])), max(self.radius, _LEAST_RADIUS)
+        per_pascal = Press(place, radius, 1.0).force(foam_spread)
+        return Press(place, radius, min(self.force / per_pascal, _MOST_PRESSURE))
 
 
 class Wearer:
@@ -153,7 +161,7 @@ class Wearer:
         """One push of several contacts; None if they are off the skin, at the end of its hull."""
         points, forces, depths = zip(*parts, strict=True)
         place, away = self.place(patch, np.average(points, axis=0, weights=forces))
-        if away > _OFF or self.body.patches[patch].skin.domain.depth([place])[0] < 0:
+        if away > OFF or self.body.patches[patch].skin.domain.depth([place])[0] < 0:
             return None
         radius = float(np.sqrt(2 * (FINGER if by < 0 else _OWN) * max(0.0, *depths)))
         name = "" if by < 0 else self.model.body(by).name
