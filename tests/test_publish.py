@@ -61,6 +61,7 @@ PUBLISHED = {
     "/ohmskin/wrench": "geometry_msgs/msg/WrenchStamped",
     "/ohmskin/image": "sensor_msgs/msg/Image",
     "/ohmskin/points": "sensor_msgs/msg/PointCloud2",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 
 
@@ -369,7 +370,8 @@ class Ears:
         config.insert_json5("listen/endpoints", "[]")
         self.heard: dict[str, list[tuple[bytes, bytes, int]]] = defaultdict(list)
         self.session = zenoh.open(config)
-        self.subscriber = self.session.declare_subscriber(f"{domain}/ohmskin/**", self.take)
+        topics = (f"{domain}/ohmskin/**", f"{domain}/diagnostics/**")
+        self.subscribers = [self.session.declare_subscriber(topic, self.take) for topic in topics]
 
     def take(self, sample: Any) -> None:
         self.heard[str(sample.key_expr)].append(
@@ -377,7 +379,7 @@ class Ears:
         )
 
     def of(self, name: str) -> list[tuple[bytes, bytes, int]]:
-        return next((messages for key, messages in dict(self.heard).items() if key.split("/")[2] == name), [])
+        return next((messages for key, messages in dict(self.heard).items() if name in key.split("/")), [])
 
 
 @pytest.fixture(scope="module")
@@ -482,6 +484,16 @@ def stamped(data: bytes) -> int:
     """The stamp at the beginning of a message (ns)."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return seconds * 10**9 + nanoseconds
+
+
+def test_diagnostics_tell_how_the_loop_is(published: dict[str, Any], store: Any) -> None:
+    """The first message, before there is a rate, and the next ones."""
+    heard = until(lambda: d if len(d := list(published["ears"].of("diagnostics"))) > 2 else None)
+    (status,) = store.deserialize_cdr(heard[-1][0], PUBLISHED["/diagnostics"]).status
+    assert (status.level, status.name, status.message) == (0, "ohmskin: skin", "running")
+    values = {pair.key: float(pair.value) for pair in status.values}
+    assert values["rate"] > 0
+    assert "latency_p99" in values
 
 
 def test_attachments_count_stamp_and_name_the_sender(published: dict[str, Any]) -> None:

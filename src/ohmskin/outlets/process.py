@@ -13,6 +13,7 @@ import numpy as np
 
 from ohmskin.child import begin
 from ohmskin.client.board import BoardReader
+from ohmskin.client.cdr import Decoder
 from ohmskin.client.felt import Felt, Patch, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.client.remote import prefix
@@ -22,6 +23,8 @@ from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_joint
 from ohmskin.outlets.outlet import Outlet, open_outlet
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.topics import Topic, contacts_topic, wrench_topic
+
+_DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", True, 10)
 
 
 class Relay:
@@ -56,13 +59,15 @@ class Relay:
             for own in (picture.removesuffix(".image") for picture in pictures)
         ]
         topics = [self._contacts, self._markers, *(topic for pair in self._images for topic in pair)]
-        topics += [*self._wrenches.values(), *([self._joints, self._transforms] if root else [])]
+        topics += [*self._wrenches.values(), _DIAGNOSTICS, *([self._joints, self._transforms] if root else [])]
         self.outlets: list[Outlet] = []
         with ExitStack() as stack:
             self._board = stack.enter_context(closing(SharedMemory(name)))
             self._states = stack.enter_context(closing(BoardReader(f"{name}.joints")))
             self._poses = stack.enter_context(LinkPoses(name))
             self._pictures = [stack.enter_context(BoardReader(picture)) for picture in pictures]
+            health = [picture.removesuffix(".image") + ".health" for picture in pictures]
+            self._health = [stack.enter_context(BoardReader(board)) for board in health]
             for address in outlets:
                 opened = open_outlet(address, topics, f"ohmskin_{name}", token)
                 self.outlets.append(stack.enter_context(closing(opened)))
@@ -81,6 +86,9 @@ class Relay:
         if now < self._due:
             return
         self._due = now + picture_every
+        for board in self._health:
+            if (told := board.newest()) is not None:
+                self._send(_DIAGNOSTICS, Decoder(told).stamp(), told)
         if felt.contacts or self._marked:
             self._send(self._markers, felt.stamp, encode_markers(felt.contacts, patches, felt.stamp))
             self._marked = bool(felt.contacts)

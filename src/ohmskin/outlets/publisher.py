@@ -18,11 +18,13 @@ from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
 from ohmskin.errors import DataError, PublishError
 from ohmskin.geometry import Disc, Polygon, Raster
+from ohmskin.mcap.messages import encode_health
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.relay import RelayProcess
 from ohmskin.skin import Skin
 
 _PIXELS = 64  # along the longer side, as on the live page
+_HEALTH_EVERY, _LARGEST_HEALTH, _LONGEST_MESSAGE = 1.0, 2**14, 2000  # s, bytes, characters
 
 
 class Publisher(Closing):
@@ -55,14 +57,15 @@ class Publisher(Closing):
         check_settings(token, images)
         self.patch = patch = replace(patch, newtons=skin.tells_force)
         self._raster = Raster(skin.mesh(), _PIXELS)
-        self._every, self._due = 1 / images, 0.0
-        self._chart = skin.chart
+        self._every, self._due, self._health_due = 1 / images, 0.0, 0.0
+        self._chart, self._name, self._about = skin.chart, name, skin.name
         setup = {"skin": skin.name, "domain": describe_domain(skin), "patches": [asdict(patch)]}
         about = setup | Picture.setup(self._raster) | Picture.in_space(self._raster, self._chart, patch)
         size = Picture.size(self._raster)
         with ExitStack() as stack:
             self._board = stack.enter_context(Board(name, setup, LARGEST))
             self._picture = stack.enter_context(Board(f"{name}.image", about, size))
+            self._health = stack.enter_context(Board(f"{name}.health", {}, _LARGEST_HEALTH))
             relay = RelayProcess(name, [f"{name}.image"], [patch], outlets, token, images)
             self._relay = stack.enter_context(relay)
             self._stack = stack.pop_all()
@@ -76,6 +79,11 @@ class Publisher(Closing):
         if (now := time.monotonic()) >= self._due:
             self._due = now + self._every
             self.show(self._raster(touch.percept.image.values), touch.sequence, stamp)
+        if now >= self._health_due:
+            self._health_due = now + _HEALTH_EVERY
+            message = "; ".join(finding.words for finding in touch.percept.findings)[:_LONGEST_MESSAGE]
+            told = touch.health.figures, message, self._about, stamp, f"ohmskin: {self._name}"
+            self._health.write(encode_health(*told))
         self._relay.wake()
 
     def repeat(self, seen: Sighting, contacts: Sequence[Placed]) -> None:
