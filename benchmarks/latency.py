@@ -1,5 +1,5 @@
-"""From the last sample of a cycle to a subscriber in another process: shared memory and zenoh, with page and recorder
-on.
+"""From the last sample of a cycle to a subscriber in another process: shared memory (Python, C++) and zenoh, with page
+and recorder on.
 
     python -m benchmarks.latency --seconds 20 --picture docs/images/guide/latency.png
 
@@ -29,6 +29,7 @@ import numpy as np
 import psutil
 
 from ohmskin import Engine, Skin, connect
+from ohmskin.client import board
 from ohmskin.device.demo import demo_finger
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.recording import Recorder
@@ -51,6 +52,23 @@ with Client(sys.argv[1]) as client:
 print(json.dumps([ages, numbers]))
 """
 
+_LISTEN_CPP = """
+#include <cstdio>
+#include <ohmskin.hpp>
+int main(int, char** arguments) {
+    ohmskin::Client client(arguments[1]);
+    while (!client.wait(1.0)) {}
+    std::vector<std::pair<double, unsigned long long>> heard;
+    for (const double end = ohmskin::now() + std::atof(arguments[2]); ohmskin::now() < end;)
+        if (const ohmskin::Felt* felt = client.wait(0.5)) heard.emplace_back(felt->age(), felt->sequence);
+    std::printf("[[");
+    for (std::size_t i = 0; i < heard.size(); ++i) std::printf("%s%.9g", i ? "," : "", heard[i].first);
+    std::printf("],[");
+    for (std::size_t i = 0; i < heard.size(); ++i) std::printf("%s%llu", i ? "," : "", heard[i].second);
+    std::printf("]]");
+}
+"""
+_NAMES = ("shared memory", "shared memory, C++", "zenoh")
 
 _BROWSE = """
 import json, sys, time
@@ -93,9 +111,11 @@ def measure(seconds: float, rate: float) -> dict[str, Any]:
         done = threading.Event()
 
         def listen() -> None:
-            for name, address in (("shared memory", "shm:latency"), ("zenoh", f"zenoh:latency@{_ZENOH}")):
-                command = [sys.executable, "-c", _LISTEN, address, str(seconds)]
-                ages, numbers = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+            python = [sys.executable, "-c", _LISTEN]
+            commands = [*python, "shm:latency"], [_compiled(folder), "latency"], [*python, f"zenoh:latency@{_ZENOH}"]
+            for name, command in zip(_NAMES, commands, strict=True):
+                said = subprocess.run([*command, str(seconds)], capture_output=True, check=True).stdout
+                ages, numbers = json.loads(said)
                 results[name] = {"ages": ages, "heard": len(numbers) / (numbers[-1] - numbers[0] + 1)}
             done.set()
 
@@ -120,6 +140,15 @@ def measure(seconds: float, rate: float) -> dict[str, Any]:
             "load average": float(np.mean(loads)),
         }
     return results
+
+
+def _compiled(folder: str) -> str:
+    """The listener in C++."""
+    source, program = Path(folder) / "listen.cpp", str(Path(folder) / "listen")
+    source.write_text(_LISTEN_CPP, encoding="utf-8")
+    where = f"-I{Path(board.__file__).parent}"
+    subprocess.run(["g++", "-std=c++17", "-O2", where, str(source), "-o", program], check=True)
+    return program
 
 
 def draw(results: dict[str, Any], path: Path) -> None:
@@ -156,7 +185,7 @@ def main() -> None:
     arguments = parser.parse_args()
     results = measure(arguments.seconds, arguments.rate)
     figures: dict[str, Any] = {"loop": results["loop"]}
-    for name in ("shared memory", "zenoh"):
+    for name in _NAMES:
         p50, p99, worst = 1e3 * np.percentile(results[name]["ages"], [50, 99, 100])
         figures[name] = {"p50 / ms": p50, "p99 / ms": p99, "largest / ms": worst, "share heard": results[name]["heard"]}
     for name, values in figures.items():
