@@ -96,6 +96,7 @@ def test_a_stamp_of_another_clock_is_not_believed(follower: Follower, boards: Bo
         (message(["elbow"], [math.nan]), "'elbow' is at nan"),
         (b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0\xff\xff\xff\xff", "entries, which do not fit"),
     ],
+    ids=["empty", "short", "counts", "nan", "too many"],  # messages hold the time: workers must name tests alike
 )
 def test_what_makes_no_sense_is_told_once_and_not_used(
     content: bytes, words: str, follower: Follower, boards: BoardReader, caplog: pytest.LogCaptureFixture
