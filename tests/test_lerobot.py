@@ -1,5 +1,5 @@
 """The plug-in of LeRobot: found by its name, contacts as a state vector, images as a camera. LeRobot itself need not be
-there, but for what is skipped."""
+there: with it, one test more is found here (pip install lerobot integrations/lerobot)."""
 
 import importlib.util
 import subprocess
@@ -120,21 +120,22 @@ def test_an_image_is_red_where_it_is_pressed(observe: Any, pictures: Board) -> N
         one.close()
 
 
-def test_lerobot_takes_robot_and_camera(board: Board, pictures: Board) -> None:
-    pytest.importorskip("lerobot", reason="needs LeRobot: pip install lerobot integrations/lerobot")
-    from lerobot.cameras.configs import CameraConfig
-    from lerobot.robots.config import RobotConfig
-    from lerobot.robots.utils import make_robot_from_config
-    from lerobot.utils.import_utils import register_third_party_plugins
+if importlib.util.find_spec("lerobot") is not None:
 
-    register_third_party_plugins()
-    camera = CameraConfig.get_choice_class("ohmskin")()
-    robot = make_robot_from_config(RobotConfig.get_choice_class("ohmskin")(contacts=2, cameras={"skin": camera}))
-    board.write(pack(touched(1), PATCHES[:1]))
-    pictures.write(Picture.pack(np.zeros((64, 64)), 1, time.time_ns()))
-    with robot:
-        observed = robot.get_observation()
-        assert set(observed) == set(robot.observation_features)
-        assert observed["skin"].shape == robot.observation_features["skin"] == (64, 64, 3)
-        assert observed["contact_0.x"] == 0.1
-    assert not robot.is_connected
+    def test_lerobot_takes_robot_and_camera(board: Board, pictures: Board) -> None:
+        from lerobot.cameras.configs import CameraConfig
+        from lerobot.robots.config import RobotConfig
+        from lerobot.robots.utils import make_robot_from_config
+        from lerobot.utils.import_utils import register_third_party_plugins
+
+        register_third_party_plugins()
+        camera = CameraConfig.get_choice_class("ohmskin")()
+        robot = make_robot_from_config(RobotConfig.get_choice_class("ohmskin")(contacts=2, cameras={"skin": camera}))
+        board.write(pack(touched(1), PATCHES[:1]))
+        pictures.write(Picture.pack(np.zeros((64, 64)), 1, time.time_ns()))
+        with robot:
+            observed = robot.get_observation()
+            assert set(observed) == set(robot.observation_features)
+            assert observed["skin"].shape == robot.observation_features["skin"] == (64, 64, 3)
+            assert observed["contact_0.x"] == 0.1
+        assert not robot.is_connected
