@@ -91,12 +91,12 @@ def test_a_stamp_of_another_clock_is_not_believed(follower: Follower, boards: Bo
     ("content", "words"),
     [
         (b"", "CDR"),
-        (message(["elbow"], [0.5])[:-20], "ends early"),
-        (message(["elbow", "wrist"], [0.5]), "2 joints and 1 positions"),
-        (message(["elbow"], [math.nan]), "'elbow' is at nan"),
+        (message(["elbow"], [0.5], 1.0)[:-20], "ends early"),
+        (message(["elbow", "wrist"], [0.5], 1.0), "2 joints and 1 positions"),
+        (message(["elbow"], [math.nan], 1.0), "'elbow' is at nan"),
         (b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0\xff\xff\xff\xff", "entries, which do not fit"),
     ],
-    ids=["empty", "short", "counts", "nan", "too many"],  # messages hold the time: workers must name tests alike
+    ids=["nothing", "cut", "lengths", "no number", "count"],
 )
 def test_what_makes_no_sense_is_told_once_and_not_used(
     content: bytes, words: str, follower: Follower, boards: BoardReader, caplog: pytest.LogCaptureFixture

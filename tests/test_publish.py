@@ -771,7 +771,7 @@ def test_an_outlet_that_cannot_be_opened_says_why(outlet: str, says: str) -> Non
         open_outlet(outlet, [contacts_topic("skin")], "test", None)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "shm"])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("shm", "mcap")])
 def test_a_missing_extra_names_the_line_that_installs_it(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, {"zenoh": "zenoh", "dds": "cyclonedds", "foxglove": "foxglove"}[kind], None)
     with pytest.raises(PublishError, match=rf"pip install 'ohmskin\[{kind}\]'"):
