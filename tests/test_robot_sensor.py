@@ -116,7 +116,7 @@ SCENES = [
 
 def test_many_at_once_are_what_they_are_one_by_one(skin: Skin) -> None:
     quick, slow = QuickSkin(skin), VirtualSkin(skin, contacts=4)
-    found = quick.resistances(SCENES)
+    found = quick.sheet.many(SCENES)
     for presses, resistance in zip(SCENES, found, strict=True):
         expected = slow.sheet.transfer_resistance(presses)
         scale = np.abs(expected - slow.sheet.untouched).max() or 1.0
@@ -127,8 +127,11 @@ def test_noise_and_faults_are_those_of_the_virtual_skin(skin: Skin, sensor: Skin
     faults = [Fault.parse("open 3"), Fault.parse("high 5 20")]
     quick, slow = QuickSkin(skin, 7, faults), VirtualSkin(skin, 7, faults, 4)
     for presses, frame in zip(SCENES, quick.scans(SCENES, sensor.pattern), strict=True):
-        slow._presses, slow._lifted = dict(enumerate(presses)), True
+        for number, press in enumerate(presses):
+            slow.press(number, *press.position, press.radius, press.pressure)
         expected = slow.scan(sensor.pattern)
+        for number, press in enumerate(presses):
+            slow.press(number, *press.position, press.radius, 0.0)
         assert frame.voltages == pytest.approx(expected.voltages, abs=2 * skin.converter.full_scale / 2**15)
         assert (frame.flags, frame.sequence) == (expected.flags, expected.sequence)
 

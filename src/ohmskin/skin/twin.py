@@ -1,6 +1,6 @@
 """The physics of a pressed sheet: area electrodes, and floating patches that short the sheet where they are pressed."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -128,13 +128,12 @@ class PressedSheet:
 
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
-        spread = self.skin.contact_layer.foam_spread
+        return self.under(self._loads(presses))
 
-        def pressure_at(points: Floats, press: Press) -> Floats:
-            return press.pressure_at(self.distances(points, press), spread)
-
-        loads = ((press.position, press.radius + spread, partial(pressure_at, press=press)) for press in presses)
-        return self.under(loads)
+    def many(self, scenes: Sequence[Iterable[Press]]) -> Floats:
+        """(n, n_elec, n_elec) `transfer_resistance` of n scenes of presses, in one compiled pass."""
+        closed = [self._closed(self._loads(presses)) for presses in scenes]
+        return np.array([_against_last(one) for one in self._patches.many(closed)])
 
     def under(self, loads: Iterable[Load]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under loads of any shape, whose pressures add up.
@@ -143,15 +142,32 @@ class PressedSheet:
             loads: Of each its place (2,), how far it reaches from there (m), and its pressure (...) (Pa) at points
                 (..., 2) (m) of the skin's map.
         """
-        pressure = np.zeros(self._places.shape[:2])
-        for position, reach, pressure_at in loads:
-            near = self._near(position, reach)
-            pressure[near] += pressure_at(self._places[near])
-        if not (touching := np.flatnonzero(pressure.any(axis=1))).size:
+        touching, closed = self._closed(loads)
+        if not touching.size:
             return self.untouched
-        conductance = np.zeros(len(pressure))
-        conductance[touching] = self._conductance(pressure[touching]).mean(axis=1) * self._areas[touching]
+        conductance = np.zeros(len(self._places))
+        conductance[touching] = closed
         return _against_last(self._patches.transfer_resistance(conductance))
+
+    def _loads(self, presses: Iterable[Press]) -> Iterator[Load]:
+        spread = self.skin.contact_layer.foam_spread
+
+        def pressure_at(points: Floats, press: Press) -> Floats:
+            return press.pressure_at(self.distances(points, press), spread)
+
+        for press in presses:
+            yield press.position, press.radius + spread, partial(pressure_at, press=press)
+
+    def _closed(self, loads: Iterable[Load]) -> tuple[Ints, Floats]:
+        """Contacts (m,) of patches that loads close, rising, and the conductance (m,) of each (S)."""
+        parts = [(np.array(self._near(place, reach), int), pressure_at) for place, reach, pressure_at in loads]
+        near = np.unique(np.concatenate([np.empty(0, int), *(own for own, _ in parts)]))
+        pressure = np.zeros((len(near), self._places.shape[1]))
+        for own, pressure_at in parts:
+            pressure[np.searchsorted(near, own)] += pressure_at(self._places[own])
+        touched = pressure.any(axis=1)
+        touching = near[touched]
+        return touching, self._conductance(pressure[touched]).mean(axis=1) * self._areas[touching]
 
     def with_layer(self, layer: ContactLayer) -> "PressedSheet":
         """The same sheet under a layer of the same patches with other conductance; nothing is made anew."""
