@@ -109,6 +109,19 @@ def test_without_calibration_contacts_share_the_total_by_strength() -> None:
     assert alone.force_std == pytest.approx(np.hypot(2.0 / 40 * np.sqrt(1.5), 0.02 * 8.0), rel=0.1)
 
 
+def test_a_contact_that_tells_no_force_yet_leaves_the_others_as_sure_as_they_are() -> None:
+    known, new = fused((contact(5.0, 0.2), contact()), 12.0)
+    assert known.force == pytest.approx(5.0, abs=0.1)
+    assert new.force == pytest.approx(7.0, abs=0.1)
+
+
+def test_a_total_of_nothing_is_no_surer_than_the_channel() -> None:
+    (light,) = fused((contact(),), 0.0)
+    assert light.force == 0.0
+    assert light.force_std is not None
+    assert light.force_std > 0.03  # the channel's own noise is 0.05 N
+
+
 def test_a_total_that_contacts_cannot_have_or_that_is_not_there_changes_nothing() -> None:
     given = (contact(5.0, 0.2), contact(5.0, 0.3))
     assert fused(given, 30.0) == given  # a palm beside the contacts

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import until as until_within
 
 from ohmskin.client import Board, BoardReader, Client, Contact, Felt, Patch, Sighting
 from ohmskin.client.board import board_path
@@ -41,11 +42,7 @@ def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def until(condition: Callable[[], Any], seconds: float = 10.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < end, "this did not happen in time"
-        time.sleep(0.005)
-    return value
+    return until_within(condition, seconds)
 
 
 def touched(sequence: int = 1, count: int = 1, ago: float = 0.0) -> Felt:

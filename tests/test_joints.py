@@ -4,13 +4,14 @@ import json
 import math
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
+from waiting import until
 
 from ohmskin.body import Body
 from ohmskin.client.board import BoardReader
@@ -42,14 +43,6 @@ def message(names: list[str], positions: list[float], stamp: float | None = None
     numbers = np.array(positions)
     state = types[KIND](header=header, name=names, position=numbers, velocity=np.zeros(0), effort=np.zeros(0))
     return bytes(STORE.serialize_cdr(state, KIND))
-
-
-def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < end, "this did not happen in time"
-        time.sleep(0.01)
-    return value
 
 
 def told(reader: BoardReader) -> dict[str, Any] | None:

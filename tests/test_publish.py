@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from waiting import until
 
 import ohmskin
 from ohmskin.body.body import axes
@@ -87,14 +88,6 @@ def store() -> Any:
             types |= get_types_from_msg(rest if head.startswith("MSG: ") else part, name)
     store.register(types)
     return store
-
-
-def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < end, "this did not happen in time"
-        time.sleep(0.01)
-    return value
 
 
 # --- types ------------------------------------------------------------------------------------------------------------

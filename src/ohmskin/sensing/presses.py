@@ -252,15 +252,15 @@ class PressFitter:
     def caused(self, params: Floats) -> tuple[Floats, Floats]:
         """What presses (4 n,) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n).
 
-        Presses far from each other are taken for themselves and add up, to 2 % or so: the time goes with the cube of
-        how many patches a model has.
+        Presses far from each other are taken for themselves and add up, to 2 % or so: time goes with the cube of size.
         """
-        presses, parts = self.presses(params), list[tuple[Floats, Floats]]()
-        order = [k for group in self.groups(presses) for k in group]
-        for group in self.groups(presses):
+        presses = self.presses(params)
+        groups, parts = self.groups(presses), list[tuple[Floats, Floats]]()
+        for group in groups:
             caused, slopes = self.sheet.linearised([presses[k] for k in group])
             parts.append((caused, slopes[:, : _PER_PRESS * len(group)]))
-        slopes = np.hstack([own for _, own in parts]).reshape(-1, len(presses), _PER_PRESS)[:, np.argsort(order)]
+        back = np.argsort(np.concatenate(groups))
+        slopes = np.hstack([own for _, own in parts]).reshape(-1, len(presses), _PER_PRESS)[:, back]
         return np.sum([own for own, _ in parts], axis=0), slopes.reshape(len(slopes), -1)
 
     def groups(self, presses: Sequence[Press]) -> list[list[int]]:

@@ -37,7 +37,7 @@ class TotalForce:
     def __call__(self, contacts: tuple[Contact, ...], frames: Sequence[Frame]) -> tuple[Contact, ...]:
         """Contacts with forces that add up to the total, each changed the more the less sure it was (a Kalman update).
 
-        Where the skin does not tell forces, contacts share the total by their strengths. A total that the contacts
+        Contacts that tell no force share what is left of the total by their strengths. A total that the contacts
         cannot have is of something that is no contact yet, or beside the skin: then they stay as they are.
         """
         if not (self._there and contacts):
@@ -45,7 +45,7 @@ class TotalForce:
         total, variance = self.total(frames)
         if not isfinite(total):
             return contacts
-        forces, stds = _told(contacts, total)
+        forces, stds = _told(contacts, total, sqrt(variance))
         gain = stds**2 / (variance + float(stds @ stds))
         if abs(total - forces.sum()) > _APART * sqrt(variance + float(stds @ stds)):
             return contacts
@@ -69,10 +69,14 @@ class TotalForce:
         return float(np.mean(finite)), self._channel.noise**2 / len(finite)
 
 
-def _told(contacts: Sequence[Contact], total: float) -> tuple[Floats, Floats]:
-    """Forces (n,) of contacts and their standard deviations (N); their shares of the total where they tell none."""
-    if all(contact.force is not None and contact.force_std for contact in contacts):
-        return np.array([contact.force for contact in contacts]), np.array([contact.force_std for contact in contacts])
-    strengths = np.abs([contact.strength for contact in contacts])
-    forces = max(total, 0.0) * strengths / max(float(strengths.sum()), 1e-300)
-    return forces, _SHARES * forces if len(contacts) > 1 else np.maximum(forces, 1e-9)
+def _told(contacts: Sequence[Contact], total: float, least: float) -> tuple[Floats, Floats]:
+    """Forces (n,) of contacts and their standard deviations (N), these at least so large where contacts tell none: then
+    they share by their strengths what is left of the total."""
+    forces = np.array([np.nan if contact.force is None else contact.force for contact in contacts])
+    stds = np.array([contact.force_std or least for contact in contacts])
+    if (unknown := np.isnan(forces)).any():
+        strengths = np.abs([contact.strength for contact in contacts])[unknown]
+        left = max(total - float(forces[~unknown].sum()), 0.0)
+        forces[unknown] = left * strengths / max(float(strengths.sum()), 1e-300)
+        stds[unknown] = np.maximum((_SHARES if unknown.sum() > 1 else 1.0) * forces[unknown], least)
+    return forces, stds
