@@ -6,7 +6,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from waiting import until
 
 from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
@@ -29,15 +30,6 @@ from ohmskin.outlets.publisher import describe_domain
 from ohmskin.view.overview import BoardsPage, Overview
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "body" / "body.toml"
-
-
-def until(true: Callable[[], Any], seconds: float = 60.0) -> Any:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if found := true():
-            return found
-        time.sleep(0.02)
-    raise AssertionError("it did not come to that")
 
 
 @pytest.fixture(autouse=True)
