@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.util
+import os
 import pkgutil
 import re
 import subprocess
@@ -64,6 +65,32 @@ def test_a_loop_of_a_flat_skin_imports_no_splines_statistics_or_pictures() -> No
     heavy = ("scipy.integrate", "scipy.interpolate", "scipy.stats", "matplotlib")
     code = f"import sys, ohmskin.engine, ohmskin.device.virtual; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_without_matplotlib_pictures_say_what_to_install_before_anything_is_done(tmp_path: Path) -> None:
+    commands = (
+        "image a.csv",
+        "layout",
+        "pattern",
+        "export a.mcap --to mp4",
+        "replay a.mcap --compare paper",
+        "self-test --output .",
+        "calibrate --picture a.png",
+        "learn a.csv --picture a.png",
+        "policies --quick",
+        "reproduce --quick",
+        "bench --quick",
+    )
+    code = "import sys; sys.modules['matplotlib'] = None; from command_line import ohmskin\n"  # as if it were not there
+    code += (
+        "for told in map(str.split, sys.argv[1:]): done = ohmskin(*told); print(done.returncode, done.stderr, end='')"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "tests")}
+    command = [sys.executable, "-c", code, *commands]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment, timeout=300)
+    told = "2 ohmskin: pictures need Matplotlib; install it: pip install 'ohmskin[plot]'"
+    assert ran.stdout.splitlines() == [told] * len(commands), ran.stderr
+    assert not list(tmp_path.iterdir())
 
 
 # --- what is built ----------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.bench import run, write_report
-from ohmskin.cli.options import Flag, Names
+from ohmskin.cli.options import Flag, Names, check_plot
 
 _COLOURS = {"pass": "green", "short": "red", "not run": "yellow", "": ""}
 
@@ -26,6 +26,7 @@ def bench(
         only: Parts to measure: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes,
             accuracy, start.
     """
+    check_plot()
     started = time.monotonic()
     console = Console()
     with console.status("measuring") as status:

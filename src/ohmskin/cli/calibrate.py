@@ -13,7 +13,6 @@ from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, f
 from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, write
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
-from ohmskin.plot.calibration import save_calibration
 from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, mode_named
 from ohmskin.skin import Calibration, Press, Skin
 
@@ -89,6 +88,8 @@ def calibrate(
     write(path, replace(description, calibration=found).dump())
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
+        from ohmskin.plot.calibration import save_calibration  # here: it needs the extra `plot`
+
         save_calibration(picture, calibrated, guide.samples, curve)
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ohmskin.cli.options import watched
+from ohmskin.cli.options import check_plot, watched
 from ohmskin.errors import DataError, OhmskinError
 from ohmskin.mcap import Tape, is_tape
 from ohmskin.recording import export as exporting
@@ -50,6 +50,7 @@ def export(
     if target.exists():
         raise OhmskinError(f"{target} exists and is never overwritten; choose another with --output")
     if to in ("png", "mp4"):
+        check_plot()
         cycles = watched(reimage(file, mode=mode, skin=skin, start=start or 0.0, stop=stop))
         if to == "mp4":
             print(f"film of {exporting.write_film(target, cycles, rate)} pictures: {target}")

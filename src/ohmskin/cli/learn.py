@@ -14,7 +14,6 @@ from ohmskin.calibrate.positions import learn_positions, read_places
 from ohmskin.cli.options import SkinName, check_picture, check_writable, write
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
-from ohmskin.plot.learned import save_learned
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Skin, shipped_skins
 
@@ -91,5 +90,7 @@ def learn(
     write(path, replace(description, calibration=found).dump())
     print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
+        from ohmskin.plot.learned import save_learned  # here: it needs the extra `plot`
+
         save_learned(picture, description, judged, report, recording.positions)
         print(f"picture: {picture}")

@@ -226,10 +226,16 @@ def check_writable(path: Path) -> None:
         raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or read-only'}")
 
 
-def check_picture(path: Path) -> None:
-    """Raise DataError if a picture cannot be written there, likewise."""
-    from matplotlib.backend_bases import FigureCanvasBase  # here: most commands draw nothing
+def check_plot() -> None:
+    """Raise DataError, with the line that installs it, if the extra `plot` is missing; told before anything is done."""
+    import ohmskin.plot  # noqa: F401 (here: most commands draw nothing)
 
+
+def check_picture(path: Path) -> None:
+    """Raise DataError if a picture cannot be written there, likewise, or the extra `plot` is missing."""
     check_writable(path)
-    if path.suffix.lstrip(".") not in FigureCanvasBase.filetypes:
+    check_plot()
+    from ohmskin.plot.picture import FORMATS  # here: most commands draw nothing
+
+    if path.suffix.lstrip(".") not in FORMATS:
         raise DataError(f"cannot write {path}: {path.suffix!r} is not a picture format; choose .png, .pdf or .svg")

@@ -59,11 +59,11 @@ def robot(
 
     if video or picture:
         from ohmskin.robot.display import check_display
+
+        check_display()
         from ohmskin.robot.film import Film
         from ohmskin.robot.film import snapshot as to_picture
         from ohmskin.robot.film import video as to_video
-
-        check_display()
     console = Console(stderr=True)
     with ExitStack() as stack:
         poked = loaded if isinstance(loaded, Body) else arm(loaded)

@@ -7,8 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ohmskin.calibrate import self_test as run_self_test
-from ohmskin.cli.options import Flag, SkinName, make_folder, open_skin, write
-from ohmskin.plot.calibration import save_self_test
+from ohmskin.cli.options import Flag, SkinName, check_picture, make_folder, open_skin, write
 from ohmskin.skin import Fault
 
 
@@ -31,6 +30,9 @@ def self_test(
         fault: With virtual: only: fault of the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5
             20".
     """
+    if output is not None:
+        make_folder(output)
+        check_picture(output / "self-test.png")
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin, [Fault.parse(text) for text in fault])
     with opened:
@@ -49,7 +51,8 @@ def self_test(
         if table.rows:
             console.print(table)
     if output is not None:
-        make_folder(output)
+        from ohmskin.plot.calibration import save_self_test  # here: it needs the extra `plot`
+
         write(output / "self-test.json", result.to_json() + "\n")
         save_self_test(output / "self-test.png", result, description)
     if result.findings:

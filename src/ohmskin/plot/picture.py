@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
@@ -17,8 +18,11 @@ from ohmskin.geometry import Domain, Electrodes, Mesh, Raster
 from ohmskin.inverse import Image
 from ohmskin.sensing import Percept
 
+FORMATS = frozenset(FigureCanvasBase.filetypes)
+"""Endings of the files that pictures can be saved to, without the dot."""
+
 _SHADES = "RdBu_r"  # red conducts better, blue worse, white is unchanged
-_PIXELS = 256
+PIXELS = 256
 _PALE = 20.0  # standard deviations of noise that full colour is, where there is no contact
 
 
@@ -43,7 +47,7 @@ def draw_image(
     Returns:
         What a colour bar can be made of.
     """
-    raster = Raster(mesh, _PIXELS)
+    raster = Raster(mesh, PIXELS)
     pixels = raster(values)
     full = limit or float(np.nanmax(np.abs(pixels))) or 1.0
     half = raster.pitch / 2

@@ -11,17 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.animation import FFMpegWriter
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ohmskin.client.fields import columns, numbers
 from ohmskin.errors import DataError
-from ohmskin.geometry import Raster
 from ohmskin.mcap import Tape
-from ohmskin.plot import draw_image
-from ohmskin.plot.picture import full_scale
 from ohmskin.recording.player import Replayed, reimage
 
 CONTACT_COLUMNS = ("time_s", "cycle", "mode", *columns())
@@ -35,8 +29,6 @@ FRAME_COLUMNS = (
 
 _ROWS_AT_ONCE = 65536
 _MOST_VALUES = 2**28  # of one array held in memory
-_FILM_INCHES, _DPI = (6.4, 5.6), 100
-_RASTER = 256  # as in `draw_image`
 
 
 def contact_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
@@ -159,16 +151,11 @@ def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
     """Save images with their contacts side by side, each under its title, each with colours of its own.
 
     Raises:
-        DataError: If the file exists or cannot be written.
+        DataError: If the file exists or cannot be written, or the extra `plot` is missing.
     """
-    figure = Figure(figsize=(1 + 4.2 * len(cycles), 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, (title, cycle) in zip(figure.subplots(1, len(cycles), squeeze=False)[0], cycles.items(), strict=True):
-        model, seen = cycle.known.model, cycle.touch.percept
-        limit = full_scale(seen)
-        shown = draw_image(axes, model.mesh, seen.image.values, model.electrodes, seen.detections, limit)
-        axes.set_title(title, fontsize=10)
-        figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.8)
+    from ohmskin.plot.film import side_by_side  # here: it needs the extra `plot`
+
+    figure = side_by_side({title: (cycle.known.model, cycle.touch.percept) for title, cycle in cycles.items()})
     with _new(path) as part:
         try:
             figure.savefig(part, dpi=120, format=path.suffix.lstrip(".") or "png")
@@ -182,26 +169,29 @@ def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> in
     Each picture is of the newest cycle at its time. Colours stay fixed from the first one on.
 
     Raises:
-        DataError: If ffmpeg is not installed or fails, there are no cycles, or the file exists.
+        DataError: If ffmpeg or the extra `plot` is not installed, ffmpeg fails, there are no cycles, or the file
+            exists.
     """
-    if not FFMpegWriter.isAvailable():
-        raise DataError("a film needs the program ffmpeg: apt-get install ffmpeg; or choose png, csv, npz or parquet")
+    from ohmskin.plot.film import Film, check_film  # here: it needs the extra `plot`
+
+    check_film()
     cycles = iter(cycles)
     if (first := next(cycles, None)) is None:
         raise DataError("nothing was recorded in that time; choose another --start and --seconds")
-    film = _Film(first)
-    writer = FFMpegWriter(rate, extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])  # type: ignore[arg-type]
+    film = Film(first.known.model, first.touch.percept, max(0.3, 3 * first.thresholds.final))
     count, due = 0, first.time
     with _new(path) as part:
         try:
-            with writer.saving(film.figure, str(part), _DPI):
+            with film.written(part, rate) as add:
                 for cycle in chain([first], cycles):
                     while count and due + 1 / rate <= cycle.time:  # nothing new: the film stands still
-                        writer.grab_frame()
+                        add()
                         count, due = count + 1, due + 1 / rate
                     if cycle.time + 1e-9 >= due:
-                        film.show(cycle)
-                        writer.grab_frame()
+                        touch = cycle.touch
+                        title = f"{touch.mode.name}   {cycle.time:7.2f} s"
+                        film.show(cycle.known.model, touch.percept, touch.contacts, title)
+                        add()
                         count, due = count + 1, due + 1 / rate
         except subprocess.CalledProcessError as error:
             why = error.stderr.strip()[:300] or "no reason given"
@@ -235,31 +225,6 @@ def cycle_at(path: str | Path, at: float, **options: Any) -> Replayed:
     for cycle in reimage(path, start=at, **options):
         return cycle
     raise DataError(f"no whole cycle was recorded from {at:g} s on; choose an earlier time")
-
-
-class _Film:
-    """One figure, whose image and contacts are exchanged from picture to picture."""
-
-    def __init__(self, first: Replayed) -> None:
-        self.figure = Figure(figsize=_FILM_INCHES, dpi=_DPI, layout="constrained")
-        FigureCanvasAgg(self.figure)
-        self._axes = self.figure.add_subplot()
-        model = first.known.model
-        self._mesh, self._raster = model.mesh, Raster(model.mesh, _RASTER)
-        full = max(0.3, 3 * first.thresholds.final)
-        image = first.touch.percept.image.values
-        self._shown = draw_image(self._axes, model.mesh, image, model.electrodes, limit=full)
-        self.figure.colorbar(self._shown, ax=self._axes, label="relative conductivity change", shrink=0.85)
-        (self._marks,) = self._axes.plot([], [], "+", color="black", markersize=12)
-
-    def show(self, cycle: Replayed) -> None:
-        if cycle.known.model.mesh is not self._mesh:  # after another calibration
-            self._mesh = cycle.known.model.mesh
-            self._raster = Raster(self._mesh, _RASTER)
-        self._shown.set_data(self._raster(cycle.touch.percept.image.values))
-        places = 1e3 * np.array([contact.position for contact in cycle.touch.contacts]).reshape(-1, 2)
-        self._marks.set_data(places[:, 0], places[:, 1])
-        self._axes.set_title(f"{cycle.touch.mode.name}   {cycle.time:7.2f} s", fontsize=10)
 
 
 def _within(tape: Tape, start: float, stop: float) -> Any:

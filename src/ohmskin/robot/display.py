@@ -29,7 +29,9 @@ except ImportError as error:
 
 
 def check_display() -> None:
-    """Raise `ModelError` if there is no library to draw with."""
+    """Raise `ModelError` if there is no library to draw with, `DataError` if the extra `plot` is missing."""
+    import ohmskin.plot  # noqa: F401 (here: simulations need no pictures)
+
     if os.environ.get("MUJOCO_GL") == "disable":
         raise ModelError(f"a picture needs a graphics library; {_INSTALL}")
 
