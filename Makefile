@@ -3,6 +3,7 @@
 # make test-long  the tests that take long and are seldom broken
 # make test-all   both
 # make test-versions  the shortest tests with the lowest versions that pyproject.toml allows, and with the newest
+# make docs       build the documentation site in docs/_build/html; warnings are errors
 # make check      lint, types, import layers and all tests: what CI runs
 
 PYTHON ?= python3
@@ -13,7 +14,7 @@ SOURCES := src tests benchmarks examples docs firmware tools hatch_build.py
 WORKERS ?= 2
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-.PHONY: live test test-long test-all test-versions check lint bench clean
+.PHONY: live test test-long test-all test-versions check lint docs bench clean
 .DEFAULT_GOAL := live
 
 live: $(VENV)/.ready
@@ -40,6 +41,10 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/lint-imports
 	$(BIN)/python tools/imports.py src/ohmskin tests
 
+docs: $(VENV)/.ready-docs
+	$(BIN)/sphinx-build -W --keep-going -q -j auto docs docs/_build/html
+	@echo "the site is in docs/_build/html/index.html"
+
 bench: $(VENV)/.ready-dev
 	$(BIN)/python -m benchmarks.loop $(ARGS)
 
@@ -58,5 +63,10 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
+$(VENV)/.ready-docs: $(VENV)/.ready
+	@echo "set-up: installing what the documentation site needs"
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@
+
 clean:
-	rm -rf $(VENV) firmware/build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf docs/_build docs/gallery docs/reference/api docs/reference/commands.md $(VENV) firmware/build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -179,7 +179,7 @@ def cell(row: dict[str, Any]) -> str:
 
 def table(rows: list[dict[str, Any]], kind: str, decibels: float) -> str:
     """One world as Markdown."""
-    lines = [f"### {'Discs' if kind == 'discs' else 'Twin'}, {decibels:g} dB", ""]
+    lines = [f"## {'Discs' if kind == 'discs' else 'Twin'}, {decibels:g} dB", ""]
     lines += ["| drive | injections | " + " | ".join(READINGS) + " |", "|---" * (2 + len(READINGS)) + "|"]
     for drive in DRIVES:
         own = [r for r in rows if (r["world"], r["decibels"], r["drive"]) == (kind, decibels, drive)]

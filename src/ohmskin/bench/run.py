@@ -218,6 +218,7 @@ GROUPS: dict[str, Group] = {
     "accuracy": accuracy,
     "start": starting,
 }
+"""Groups of figures by name, as `ohmskin bench --only` names them."""
 
 
 def run(

@@ -11,7 +11,8 @@ from ohmskin.errors import SkinError
 from ohmskin.scan import Difference
 from ohmskin.skin import Skin
 
-GRAVITY = 9.80665  # m/s2
+GRAVITY = 9.80665
+"""Standard acceleration of gravity (m/s2)."""
 _REACH = 0.03  # m from where it was asked for within which a contact is taken for the press
 
 

@@ -42,7 +42,7 @@ class DeviceServer(Closing):
 
     @property
     def pty_path(self) -> str | None:
-        """The path of the pseudo-terminal, for `serial://` addresses; None if there is none."""
+        """The path of the pseudo-terminal, for ``serial://`` addresses; None if there is none."""
         return self._terminal.path if self._terminal else None
 
     def start(self) -> None:

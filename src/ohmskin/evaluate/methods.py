@@ -54,6 +54,7 @@ _ALL = (
     Method("16O fused", "16_Electrodes_O, fused", "12B, then pairs by eq. (7); image of both scans", "grid", "eq7", 28),
 )
 METHODS = tuple(each.key for each in _ALL)
+"""Keys of the methods compared, in the order of the tables."""
 
 
 def all_methods() -> dict[str, Method]:

@@ -204,6 +204,7 @@ RULES: dict[str, Callable[..., Choice]] = {
     "discrepancy": discrepancy,
     "evidence": evidence,
 }
+"""Rules for the regularisation parameter, by name."""
 
 
 def choose(rule: str, estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:

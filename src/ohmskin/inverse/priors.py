@@ -163,6 +163,7 @@ def mean_diagonal(apply: Callable[[Floats], Floats], n: int, probes: int = 256) 
 
 
 Prior = Callable[[Mesh], "sp.csc_array | Penalty"]
+"""A prior: function from a mesh to its penalty, a matrix (n_elem, n_elem) or a `Penalty`."""
 
 
 def paper_laplacian(mesh: Mesh) -> sp.csc_array:

@@ -66,7 +66,9 @@ class Variation:
 
 @dataclass(eq=False)
 class TotalVariation(Reconstructs):
-    """Total-variation images: the x of least |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
+    """Total-variation images: the x that minimises
+
+        |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
 
     Solved by lagged diffusivity (Vogel and Oman 1996): each round is a quadratic problem in the space of the data, the
     gradient of each triangle weighed by its last length.

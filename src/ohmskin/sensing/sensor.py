@@ -23,6 +23,7 @@ from ohmskin.sensing.readers import Belief, Reader, undriven
 from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
+"""What a sensor measures with: drives a pattern once and returns its frame, such as `Device.scan`."""
 
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
 _SPIKES = Cause("spikes")

@@ -21,6 +21,7 @@ SECTIONS = (
     *("static", "driven", "time", "gain", "moving", "pairs", "press", "sensitivity", "detection", "quiet", "trouble"),
     *("robust", "cost"),
 )
+"""The parts of the comparison, as `ohmskin policies --only` names them."""
 
 DISTANCES = tuple(d / 1000 for d in (12, 15, 17, 20, 25, 30))
 STRENGTHS = (0.5, 1.4)  # of 6 mm discs: the usual contact's change; about the usual contact's whole effect

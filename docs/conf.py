@@ -1,0 +1,37 @@
+"""The documentation site: `make docs` builds it with Sphinx, and warnings are errors."""
+
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # small dense solves are slower with more
+sys.path.insert(0, str(Path(__file__).parent))
+
+import ohmskin
+
+project = "ohmskin"
+version = release = ohmskin.__version__
+copyright = "the ohmskin authors, Apache-2.0"  # noqa: A001
+
+extensions = [
+    "myst_nb",  # Markdown and notebooks
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_design",
+    "reference_pages",  # docs/reference_pages.py
+]
+exclude_patterns = ["_build", "**/.ipynb_checkpoints"]
+default_role = "py:class"  # a class in backticks is a link
+
+html_theme = "furo"
+html_title = f"ohmskin {version}"
+
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+nb_execution_mode = "cache"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+
+autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_typehints = "none"
+napoleon_numpy_docstring = False
