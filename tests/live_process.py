@@ -11,9 +11,9 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def live(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """The page's address and the process of `ohmskin live`, which must end cleanly when asked."""
-    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--port", "0", *arguments]
+def live(*arguments: str, port: int = 0) -> Iterator[tuple[str, "subprocess.Popen[str]", str]]:
+    """The page's address, the process of `ohmskin live`, which must end cleanly when asked, and what it said so far."""
+    command = [sys.executable, "-m", "ohmskin", "live", "--no-browser", "--port", str(port), *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert process.stdout is not None
     try:
@@ -24,7 +24,7 @@ def live(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
                 break
         else:
             raise AssertionError(f"ohmskin live ended: {''.join(seen)}")
-        yield found[0], process
+        yield found[0], process, "".join(seen)
         process.send_signal(signal.SIGTERM)
         rest = process.communicate(timeout=120)[0]
         assert process.returncode == 0, rest

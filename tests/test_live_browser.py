@@ -13,7 +13,7 @@ FIVE = [(0.05, 0.12), (0.1, 0.1), (0.16, 0.04), (0.04, 0.05), (0.13, 0.16)]
 
 @pytest.fixture(scope="module")
 def fresh(chromium: Any) -> Iterator[Any]:
-    with live() as (url, _):
+    with live() as (url, *_):
         page = chromium.new_page(viewport={"width": 1300, "height": 900})
         page.set_default_timeout(30000)
         page.goto(url)

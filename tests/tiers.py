@@ -230,7 +230,7 @@ TABLE = (
             "test_the_command_serves",
         )
     ),
-    Row("test_publish.py::test_fast_dds_reads_it", "compiler", (FAST_DDS, GXX)),
+    Row("test_publish_live.py::test_fast_dds_reads_it", "compiler", (FAST_DDS, GXX)),
     Row("test_cpp_client.py", "compiler", (GXX,)),
     Row("test_robot.py::test_command_line_draws*", "gl", (GL, FFMPEG)),
     *(Row(f"test_domains.py::{name}", "gmsh", GMSH) for name in ("*gmsh*", "test_refined*", "test_a_broken*")),
@@ -243,6 +243,7 @@ SLOWEST = (  # files that take longest, in the long tests as well, so that worke
     "test_reproduce.py",
     "test_cli.py",
     "test_diagnosis.py",
+    "test_publish_live.py",
     "test_publish.py",
     "test_replay.py",
     "test_policies.py",
