@@ -124,6 +124,7 @@ def domain_config(interface: str) -> str:
     return (
         f"<CycloneDDS><Domain><General><Interfaces><NetworkInterface name={quoteattr(interface)} "
         f"multicast={quoteattr(multicast)}/></Interfaces><AllowMulticast>{multicast}</AllowMulticast></General>"
+        "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
         f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
         f"<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>{peer}</Discovery></Domain></CycloneDDS>"
     )
