@@ -171,10 +171,9 @@ class Commands:
     allowed = (CommandError, OhmskinError)
 
     def __init__(self, _: Path) -> None:
-        patch("ohmskin.view.session.LiveView", Page).start()
         device = DirectDevice(ohm.VirtualSkin(COARSE, seed=3))
         self._engine = Engine(lambda: device, COARSE, "16O")
-        self._session = PageSession(self._engine, "virtual:", "", 0, None, False)
+        self._session = PageSession(self._engine, "virtual:", Page(), False)
         self._session.calibrate()
         for name in self._engine.modes:  # what is compiled is compiled now
             self._engine.set_mode(name)

@@ -49,10 +49,13 @@ def slow(settings: Settings) -> Estimator:
 class Page:
     """Stands in for the page: keeps what it is told, hands over commands as a browser would."""
 
-    def __init__(self, setup: dict[str, Any], *_: object) -> None:
-        self.setup = check_setup(setup)
+    def __init__(self) -> None:
+        self.setup: dict[str, Any] = {}
         self.told: list[dict[str, Any]] = []
         self.sent: list[dict[str, Any]] = []
+
+    def show(self, setup: dict[str, Any]) -> None:
+        self.setup = check_setup(setup)
 
     def commands(self) -> list[dict[str, Any]]:
         sent, self.sent = self.sent, []
@@ -87,13 +90,12 @@ class Looker:
 @pytest.fixture(scope="module")
 def calibrated() -> Iterator[Looker]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ohmskin.view.session.LiveView", Page)
         theirs = EntryPoint("slow", f"{__name__}:slow", "ohmskin.estimators")
         patch.setattr("ohmskin.registry.entry_points", lambda group: [theirs] if group == "ohmskin.estimators" else [])
         skin = Skin.load("paper")
         skin = replace(skin, imaging=replace(skin.imaging, bipolar=True))
         device = DirectDevice(VirtualSkin(skin, seed=3))
-        with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", "", 0, None, False) as session:
+        with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", Page(), False) as session:
             session.calibrate()
             yield Looker(session)
 
@@ -172,20 +174,18 @@ def test_a_slow_estimator_says_what_rate_it_reaches_and_data_without_an_image_do
 
 
 def test_a_lost_device_takes_no_new_press_and_gets_those_it_had_again() -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ohmskin.view.session.LiveView", Page)
-        device = DirectDevice(VirtualSkin(Skin.load("paper"), seed=3))
-        with Engine(lambda: device, Skin.load("paper")) as engine, Session(engine, "", "", 0, None, False) as session:
-            session.calibrate()
-            looker = Looker(session)
-            press = {"x": PLACE[0], "y": PLACE[1], "radius": 8e-3, "pressure": 2e4}
-            looker.send("press", id="held", **press)
-            device.gone = True
-            assert looker.send("press", id="held", **press | {"x": 0.1})[-1]["state"] == "lost"
-            told = looker.send("press", id="new", **press)[-1]
-            assert [shown["id"] for shown in told["presses"]] == ["held"]
-            assert (told["presses"][0]["x"], told["state"]) == (0.1, "lost")
-            assert told["message"] == "device lost: the plug was pulled; reconnecting"
+    device = DirectDevice(VirtualSkin(Skin.load("paper"), seed=3))
+    with Engine(lambda: device, Skin.load("paper")) as engine, Session(engine, "", Page(), False) as session:
+        session.calibrate()
+        looker = Looker(session)
+        press = {"x": PLACE[0], "y": PLACE[1], "radius": 8e-3, "pressure": 2e4}
+        looker.send("press", id="held", **press)
+        device.gone = True
+        assert looker.send("press", id="held", **press | {"x": 0.1})[-1]["state"] == "lost"
+        told = looker.send("press", id="new", **press)[-1]
+        assert [shown["id"] for shown in told["presses"]] == ["held"]
+        assert (told["presses"][0]["x"], told["state"]) == (0.1, "lost")
+        assert told["message"] == "device lost: the plug was pulled; reconnecting"
 
 
 def test_the_page_is_told_what_is_doubted_where_and_both_thresholds(looker: Looker) -> None:
@@ -219,10 +219,9 @@ def test_frames_without_any_image_do_not_end_the_loop(looker: Looker, monkeypatc
 
 
 def test_electrodes_that_were_bad_at_the_calibration_are_told_with_their_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.view.session.LiveView", Page)
     skin = Skin.load("paper")
     device = DirectDevice(VirtualSkin(skin, seed=3, faults=[Fault.parse("open 6")]))
-    with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", "", 0, None, False) as session:
+    with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", Page(), False) as session:
         session.calibrate()
         finding = Looker(session).send("lift_all")[-1]["findings"][0]
     assert finding["electrodes"] == [6]

@@ -9,6 +9,9 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 from test_view_browser import AS_USUAL, Reader, SyntheticLoop, make_setup
+from waiting import until
+
+from ohmskin.view import LiveView
 
 ELECTRODE_4, RIM = (0.2, 0.0667), (0.03, 0.2)  # m
 UNKNOWN = {
@@ -96,6 +99,31 @@ def test_a_program_that_ended_is_unknown_too(chromium: Browser) -> None:
     expect(reader.page.locator("#notice")).to_contain_text("Connection to ohmskin lost. Is it still running?")
     expect(reader.page.locator("#no-contacts")).to_have_text("Unknown")
     reader.context.close()
+
+
+def test_the_page_is_there_before_the_loop_and_says_how_far_it_is(chromium: Browser) -> None:
+    setup = make_setup()
+    with LiveView(port=0) as view:
+        view.starting("compiling, once on this machine", 0.4)
+        page = chromium.new_page()
+        page.goto(view.url)
+        expect(page.locator("#unknown-todo")).to_have_text("Compiling, once on this machine.")
+        expect(page.locator("#unknown-why")).to_have_text("Starting")
+        expect(page.locator("#state")).to_have_text("starting")
+        expect(page.get_by_role("progressbar", name="Progress")).to_have_js_property("value", 0.4)
+        view.starting("starting the virtual skin")
+        expect(page.locator("#unknown-todo")).to_have_text("Starting the virtual skin.")
+        expect(page.get_by_role("progressbar", name="Progress")).not_to_have_attribute("value", "0.4")
+        view.show(setup)
+        until(view.wants_frame)
+        image = np.zeros((setup["raster"]["ny"], setup["raster"]["nx"]))
+        view.publish(
+            {"sequence": 1, "state": "calibrating", "message": "", "mode": "16O", "progress": 0.7}, image, image
+        )
+        expect(page.locator("#skin-name")).to_have_text(setup["skin"]["name"])
+        expect(page.locator("#unknown-why")).to_have_text("Unknown: the skin is being calibrated.")
+        expect(page.get_by_role("progressbar", name="Progress")).to_have_js_property("value", 0.7)
+        page.close()
 
 
 def test_help_explains_every_mark_by_mouse_and_by_keyboard(reader: Reader) -> None:

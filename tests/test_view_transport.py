@@ -34,10 +34,13 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Paper:
     """Stands in for the page: keeps the newest header, hands over commands as a browser would."""
 
-    def __init__(self, setup: dict[str, Any], *_: object) -> None:
-        self.setup: dict[str, Any] = check_setup(setup)
+    def __init__(self) -> None:
+        self.setup: dict[str, Any] = {}
         self.header: dict[str, Any] = {}
         self.sent: list[dict[str, Any]] = []
+
+    def show(self, setup: dict[str, Any]) -> None:
+        self.setup = check_setup(setup)
 
     def send(self, kind: str, **fields: object) -> None:
         self.sent.append(read_command(json.dumps({"type": kind, **fields}), self.setup))
@@ -88,10 +91,9 @@ class Viewer:
 
 
 @pytest.fixture
-def viewer(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Viewer]:
-    monkeypatch.setattr("ohmskin.view.session.LiveView", Paper)
+def viewer(path: Path) -> Iterator[Viewer]:
     device = ReplayDevice(f"replay:{path}", speed=np.inf, loop=False)
-    with ohm.Engine(lambda: device, SKIN) as engine, Session(engine, device.url, "", 0, None, False) as session:
+    with ohm.Engine(lambda: device, SKIN) as engine, Session(engine, device.url, Paper(), False) as session:
         yield Viewer(path, engine, device, session)
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from ohmskin.view import LiveView
+
 SIZES = {320: 640, 390: 844, 1024: 768, 1440: 900, 1920: 1080}
 PHONE = 500  # px of width, below which it is a phone
 THEMES = ("light", "dark")
@@ -63,13 +65,13 @@ class Screens:
         self._chromium, self._folder, self._wanted, self._widths = chromium, folder, wanted, widths
         self.made: list[Path] = []
 
-    def open(self, url: str) -> Page:
-        """Go to a page with both."""
+    def open(self, url: str, condition: str = f"{FRAME}?.patches || {FRAME}?.state === 'running'") -> Page:
+        """Go to a page with both, and wait until a condition is true of it."""
         phone = self._chromium.new_context(has_touch=True, is_mobile=True, viewport={"width": 390, "height": 844})
         self.desk, self.phone = self._chromium.new_context().new_page(), phone.new_page()
         for page in (self.desk, self.phone):
             page.goto(url)
-            until(page, f"{FRAME}?.patches || {FRAME}?.state === 'running'")
+            until(page, condition)
         self.desk.set_viewport_size({"width": 1440, "height": 900})
         return self.desk
 
@@ -152,6 +154,13 @@ def live(screens: Screens, stack: ExitStack, recording: Path) -> None:
     screens.take("lost")
 
 
+def starting(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    view = stack.enter_context(LiveView(port=0))
+    view.starting("compiling, once on this machine; 12 functions in 9 s", 0.43)
+    screens.open(view.url, "document.getElementById('state').textContent === 'starting'")
+    screens.take("starting")
+
+
 def doubt(screens: Screens, stack: ExitStack, recording: Path) -> None:
     address, _ = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1", "--fault", "open 6"))
     url, _ = stack.enter_context(running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address))
@@ -197,6 +206,7 @@ def docs(screens: Screens, stack: ExitStack, recording: Path) -> None:
 
 SCENES: dict[Callable[[Screens, ExitStack, Path], None], set[str]] = {
     live: {"quiet", "help", "one", "three", "tracking", "lost"},
+    starting: {"starting"},
     doubt: {"doubt"},
     replay: {"replay", "replay-end"},
     body: {"body", "patch"},

@@ -29,6 +29,7 @@ from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.outlets.publisher import Publisher
+from ohmskin.view.live import LiveView
 from ohmskin.view.session import Session
 
 _ROWS_PER_SECOND = 5
@@ -72,23 +73,29 @@ def live(
     tell = lines.tell if json else say
     out = sys.stderr if json else sys.stdout
     with ExitStack() as stack:
-        loop = stack.enter_context(open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out))
+        view, starting = None, lambda *_: None
+        if not (headless or json):
+            view = stack.enter_context(LiveView(None, *page.address))
+            starting = view.starting
+            if view.port_was_taken:
+                say(f"port {page.port} is in use; taking the next free one")
+            page.open(view.url)
+        loop = stack.enter_context(
+            open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out, starting=starting)
+        )
         engine = lines.engine = loop.engine
         if publish:
             publisher = Publisher(engine.skin, publish, name, Patch(name, frame), page.token or None)
             stack.enter_context(publisher)
             loop.sinks.insert(0, publisher.publish)  # first, because robots wait for it
             tell(f"publishing at {', '.join(publisher.addresses)}")
-        if headless or json:
+        if view is None:
             tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
             engine.calibrate()
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
-        with Session(engine, device, *page.address, demo) as session:
-            if session.view.port_was_taken:
-                say(f"port {page.port} is in use; taking the next free one")
-            page.open(session.view.url)
+        with Session(engine, device, view, demo) as session:
             if address := getattr(engine.device, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             say(f"{engine.mode.label}; calibrating: keep the skin untouched")

@@ -14,10 +14,13 @@ from ohmskin.device import Device
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, Touch
+from ohmskin.engine.compiling import compile_ahead, prepare
 from ohmskin.errors import OhmskinError
 from ohmskin.mcap import Progress
 from ohmskin.recording.player import Player
 from ohmskin.recording.recorder import Recorder
+from ohmskin.sensing import mode_named
+from ohmskin.skin import Skin
 
 _REPORT_EVERY = 1.0  # s
 
@@ -104,13 +107,22 @@ def open_loop(
     images: float = 30.0,
     quiet: bool = False,
     out: TextIO | None = None,
+    starting: Callable[[str, float | None], None] = lambda *_: None,
 ) -> Iterator[Loop]:
     """A loop on a device, recorded if there is a file to `record` to; the options are those of `ohmskin record`.
 
     What the engine says goes to `tell`, what became of the recording to `out` at the end, standard output unless given.
-    While all goes well, a `quiet` one says nothing of the recording.
+    While all goes well, a `quiet` one says nothing of the recording. `starting` is told what is done before there is a
+    loop, and which share of it.
     """
-    opened, description = open_skin(device, skin)
+
+    def meanwhile(description: Skin) -> None:
+        if not mode or mode_named(description, mode).reader != "centroid":
+            compile_ahead(starting)
+        starting("starting the virtual skin", None)
+        prepare(description, mode)
+
+    opened, description = open_skin(device, skin, meanwhile=meanwhile)
     first = [opened]
     try:
         recorder = Recorder(record, description, images) if record is not None else None

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 import webbrowser
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -161,8 +161,12 @@ class Stop(threading.Event):
         return self.is_set()
 
 
-def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Device, Skin]:
+def open_skin(
+    device: str, skin: str, faults: Sequence[Fault] = (), meanwhile: Callable[[Skin], None] = lambda _: None
+) -> tuple[Device, Skin]:
     """Open a device and the description of its skin: the one named, the device's own, or the paper's.
+
+    `meanwhile` is called with the skin while the process of a virtual one starts.
 
     Raises:
         SkinError: If a real skin is to have `faults`.
@@ -170,7 +174,8 @@ def open_skin(device: str, skin: str, faults: Sequence[Fault] = ()) -> tuple[Dev
     scheme, _, rest = device.partition(":")
     if scheme == "virtual":
         description = Skin.load(skin or rest or "paper")
-        return connect("virtual:", skin=description, faults=faults), description
+        opened = connect("virtual:", skin=description, faults=faults, meanwhile=lambda: meanwhile(description))
+        return opened, description
     if faults:
         raise SkinError(f"--fault is for virtual: only; give it to `ohmskin serve-skin` if {device} is one of those")
     opened = connect(device)

@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +81,7 @@ class VirtualDevice(WireDevice):
         port: TCP port; a free one unless given.
         realtime: See `VirtualInstrument`.
         faults: What is wrong with its wiring.
+        meanwhile: Called while its process starts, which takes seconds.
 
     Raises:
         DeviceLost: If the process does not come up.
@@ -94,6 +95,7 @@ class VirtualDevice(WireDevice):
         port: int = 0,
         realtime: bool = True,
         faults: Sequence[Fault] = (),
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         source = url.partition(":")[2] or "paper"
         command = [sys.executable, "-m", "ohmskin", "serve-skin", "--port", str(port), "--lifeline"]
@@ -107,6 +109,7 @@ class VirtualDevice(WireDevice):
                 Path(source).write_text(skin.dump(), encoding="utf-8")
             self._child = Child([*command, "--skin", source], "the virtual skin", stderr=subprocess.PIPE)
             try:
+                meanwhile()
                 super().__init__(address := self._address())
             except BaseException:
                 self._child.close(0.0)

@@ -163,7 +163,7 @@ class Search:
     """
 
     def __init__(self, rows: Floats, covariance: Floats, goal: Floats | None = None, repeats: bool = False) -> None:
-        self._rows = rows if rows.ndim == 4 else rows[None]
+        self._rows = np.ascontiguousarray(rows if rows.ndim == 4 else rows[None])
         shape = (len(self._rows), *covariance.shape[-2:])
         self.covariance: Floats = np.array(np.broadcast_to(covariance, shape), float)
         self._goal = None if goal is None else goal.reshape(-1, *goal.shape[-2:])

@@ -1,12 +1,21 @@
-"""Compiled functions are compiled when they are first called on a machine, once; that takes a minute or two."""
+"""Compiled functions are compiled when they are first called on a machine, once; that takes some 20 s."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 
+import numpy as np
 from numba.core import event
+from numba.core.errors import NumbaError
+
+from ohmskin.drive import Target
+from ohmskin.engine.signatures import SIGNATURES
+from ohmskin.sensing import drive_of, mode_named
+from ohmskin.skin import Skin
 
 _TELL_EVERY = 2.0  # s
+_FUNCTIONS = 2 * len(SIGNATURES)  # as each has some that only it calls
 
 
 class _Listener(event.Listener):
@@ -23,7 +32,7 @@ class _Listener(event.Listener):
         if now >= self._due:
             self._due = now + _TELL_EVERY
             spent = f"; {self.count} functions in {now - self._began:.0f} s" if self.count > 1 else ""
-            self._tell(f"compiling, once on this machine, for a minute or two{spent}")
+            self._tell(f"compiling, once on this machine{spent}")
 
     def on_end(self, event: event.Event) -> None:
         pass
@@ -34,3 +43,30 @@ def compiling(tell: Callable[[str], None]) -> Iterator[None]:
     """Say that functions are being compiled when that begins, and every two seconds or so while it goes on."""
     with event.install_listener("numba:compile", _Listener(tell)):
         yield
+
+
+def compile_ahead(tell: Callable[[str, float], None]) -> None:
+    """Compile what a loop that fits contacts will call, such as while a device starts.
+
+    Args:
+        tell: Told what is done and which share of it, 0 to 1, if anything is to be compiled.
+    """
+    listener = _Listener(lambda words: tell(words, min(1.0, listener.count / _FUNCTIONS)))
+    with event.install_listener("numba:compile", listener):
+        for name, arguments in SIGNATURES:
+            module, _, function = name.partition(":")
+            try:
+                getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
+            except NumbaError:  # it is called otherwise by now, and compiled then
+                continue
+
+
+def prepare(skin: Skin, mode: str = "") -> None:
+    """Make what a mode needs that follows from the description of a skin alone: its model and the tables of its drive.
+
+    Raises:
+        PatternError: If there is no such mode, or the skin does not allow it.
+    """
+    model, drive = skin.transfer_model(), drive_of(mode_named(skin, mode), skin)
+    target = Target(model.mesh.centroids[:, :2].mean(axis=0), 1e-6 * np.eye(2), 1e-4, skin.imaging.mesh_size)
+    drive.next([target] if drive.patterns else [], 1)

@@ -17,7 +17,7 @@ from ohmskin.child import Child
 from ohmskin.client.remote import is_loopback
 from ohmskin.closing import Closing
 from ohmskin.errors import ViewError
-from ohmskin.view.wire import check_setup, pack_frame, write_message
+from ohmskin.view.wire import check_setup, pack_frame, to_json, write_message
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +33,8 @@ class LiveView(Closing):
     time (a credit) when a browser is ready to draw; frames published without a credit are dropped.
 
     Args:
-        setup: What there is to show: skin, raster, modes, device (docs/live-page.md).
+        setup: What there is to show: skin, raster, modes, device (docs/live-page.md). Without it the page says that
+            the loop is `starting`, until `show` is called.
         host: Address to listen on. Other machines can reach the page only through an address that is not loopback, and
             such an address needs a token.
         port: Port to listen on, or the next free one of 20 beyond it; 0 lets the system choose.
@@ -49,21 +50,43 @@ class LiveView(Closing):
     """
 
     def __init__(
-        self, setup: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000, token: str | None = None
+        self,
+        setup: Mapping[str, Any] | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8000,
+        token: str | None = None,
     ) -> None:
         check_address(host, port, token)
-        setup = check_setup(setup)
-        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
+        checked = None if setup is None else check_setup(setup)
+        self._shape = (0, 0)
         self._credits = 0
         self._pending: list[dict[str, Any]] = []
         self._lock = threading.Lock()  # guards _credits and _pending, held for microseconds only
         self._outbox: queue.SimpleQueue[tuple[bytes, bytes] | None] = queue.SimpleQueue()
         self._closing = False
-        self._child, self.port, self.url = start_page("ohmskin.view.server", {"setup": setup}, host, port, token)
+        self._child, self.port, self.url = start_page("ohmskin.view.server", {}, host, port, token)
         self.port_was_taken = port not in (0, self.port)
         self._threads = [threading.Thread(target=target, daemon=True) for target in (self._write, self._read)]
         for thread in self._threads:
             thread.start()
+        if checked is not None:
+            self._show(checked)
+
+    def starting(self, words: str, share: float | None = None) -> None:
+        """Say what the loop is doing before there is anything to show, and which share of it is done (0 to 1)."""
+        self._outbox.put((b"W", to_json({"type": "starting", "message": words, "share": share}).encode()))
+
+    def show(self, setup: Mapping[str, Any]) -> None:
+        """Say what there is to show, where the constructor was not told.
+
+        Raises:
+            ViewError: If the setup is malformed.
+        """
+        self._show(check_setup(setup))
+
+    def _show(self, setup: Mapping[str, Any]) -> None:
+        self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
+        self._outbox.put((b"S", to_json(setup).encode()))
 
     def wants_frame(self) -> bool:
         """Whether a browser waits for a frame."""

@@ -58,6 +58,7 @@ class Browser:
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     awaited: int | None = None  # sequence of the frame that it is drawing
     seen: int = 0
+    told: str = ""  # of the loop's start, or the setup
     held: set[str] = field(default_factory=set)
     refusals: list[str] = field(default_factory=list)
 
@@ -65,8 +66,9 @@ class Browser:
 class Page:
     """Passes the newest frame to each browser that is ready for one, and their commands to `tell`."""
 
-    def __init__(self, setup: dict[str, Any], tell: Callable[..., None]) -> None:
-        self._setup = setup
+    def __init__(self, tell: Callable[..., None]) -> None:
+        self._setup: dict[str, Any] | None = None
+        self._starting = to_json({"type": "starting", "message": "starting", "share": None})
         self._tell = tell
         self._browsers: list[Browser] = []
         self._frame = b""
@@ -75,12 +77,17 @@ class Page:
         self._asked = False
         self._names = 0
 
-    def take(self, _: bytes, frame: bytes) -> None:
-        """A message of the loop: a frame."""
-        self._asked, self._frame = False, frame
-        length = int.from_bytes(frame[:4], "little")
-        self._sequence = json.loads(frame[4 : 4 + length]).get("sequence", 0)
-        self._arrived += 1
+    def take(self, kind: bytes, message: bytes) -> None:
+        """A message of the loop: how far its start is, the setup, or a frame."""
+        if kind == b"W":
+            self._starting = message.decode()
+        elif kind == b"S":
+            self._setup = json.loads(message)
+        else:
+            self._asked, self._frame = False, message
+            length = int.from_bytes(message[:4], "little")
+            self._sequence = json.loads(message[4 : 4 + length]).get("sequence", 0)
+            self._arrived += 1
         for browser in self._browsers:
             browser.wake.set()
 
@@ -107,16 +114,24 @@ class Page:
     async def _feed(self, browser: Browser) -> None:
         # The only place that sends: a browser that does not read holds up nothing but this task.
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await browser.channel.send_text(to_json(self._setup | {"type": "setup", "client": browser.name}))
             while True:
                 await browser.wake.wait()
                 browser.wake.clear()
+                if browser.told != (news := self._news(browser)):
+                    browser.told = news
+                    await browser.channel.send_text(news)
+                if self._setup is None:
+                    continue
                 while browser.refusals:
                     await browser.channel.send_text(to_json({"type": "refused", "message": browser.refusals.pop(0)}))
                 if browser.awaited is None and browser.seen < self._arrived and self._frame:
                     browser.seen, browser.awaited = self._arrived, self._sequence
                     await browser.channel.send_bytes(self._frame)
                 self._ask()
+
+    def _news(self, browser: Browser) -> str:
+        """What there is to show, once the loop has said so; until then, how far it is."""
+        return to_json(self._setup | {"type": "setup", "client": browser.name}) if self._setup else self._starting
 
     def _ask(self) -> None:
         waiting = any(b.awaited is None and (b.seen == self._arrived or not self._frame) for b in self._browsers)
@@ -128,6 +143,8 @@ class Page:
         try:
             if text is None:
                 raise CommandError("commands are text, not binary")
+            if self._setup is None:
+                raise CommandError("the loop is starting; wait until it is ready")
             command = read_command(text, self._setup)
             if command["type"] == "ack":
                 if command["sequence"] == browser.awaited:
@@ -279,7 +296,7 @@ async def serve_page(
 
 async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
     """Serve until the loop says so or standard input ends."""
-    page = Page(settings["setup"], tell)
+    page = Page(tell)
     loop = asyncio.get_running_loop()
 
     def listen_to_loop(end: Callable[[], None]) -> None:

@@ -32,13 +32,13 @@ class Session(Closing):
     Args:
         engine: The loop, not yet calibrated.
         url: The device's address, as the page should show it.
-        host, port, token: Where the page is served; see `LiveView`.
+        view: The page, which is closed with the session.
         demo: Whether a demonstration finger wanders over a virtual skin until somebody presses.
     """
 
-    def __init__(self, engine: Engine, url: str, host: str, port: int, token: str | None, demo: bool) -> None:
-        self._engine = engine
-        self._raster = Raster(engine.skin.mesh(), _PIXELS)
+    def __init__(self, engine: Engine, url: str, view: LiveView, demo: bool) -> None:
+        self._engine, self.view = engine, view
+        self._raster = Raster(engine.skin.transfer_model().mesh, _PIXELS)
         self._demo = demo and engine.device.capabilities.virtual
         self._demo_from = time.monotonic()
         self._demo_pressing = False
@@ -49,13 +49,17 @@ class Session(Closing):
         self._sought, self._alone = False, False  # whether a place is not shown yet, and whether the loop pauses there
         self._note, self._note_until = "", 0.0
         self._preparing = ""
-        self.view = LiveView(setup_of(engine, url, self._raster, self._recording), host, port, token)
+        self._calibrated: float | None = None  # share of a calibration that is under way
+        view.show(setup_of(engine, url, self._raster, self._recording))
 
     def calibrate(self) -> None:
         """Learn the quiet skin, everything lifted, and say so on the page."""
         self._lift_all()
         self._stop_demo_press()
-        self._engine.calibrate(lambda _: self._publish())
+        try:
+            self._engine.calibrate(self._progress)
+        finally:
+            self._calibrated = None
 
     def step(self) -> Touch | None:
         """Do what the page asks, move the demonstration finger, run one cycle of the loop, show it.
@@ -127,6 +131,10 @@ class Session(Closing):
 
     def _tell(self, note: str) -> None:
         self._note, self._note_until = note, time.monotonic() + _NOTE_SECONDS
+
+    def _progress(self, share: float) -> None:
+        self._calibrated = share
+        self._publish()
 
     def _prepare(self, mode: Mode) -> None:
         """Say that a mode is being prepared, before the loop stands still for that."""
@@ -220,6 +228,7 @@ class Session(Closing):
             "mode": engine.mode.name,
             **{name: getattr(engine.mode, name) for name in ("estimator", "prior", "rule")},
             "preparing": self._preparing,
+            "progress": self._calibrated,
             "contacts": [],
             "bad_electrodes": [],
             "findings": [],

@@ -22,6 +22,7 @@ const byId = (id) => document.getElementById(id);
 const domainHeight = (width) => (setup ? heightFor(setup.skin.domain, width) : width);
 
 let setup = null;
+let starting = null; // what the loop does before there is a setup
 let frame = null; // the newest: { header, base, image }
 let unacknowledged = null; // sequence of the frame that the server waits for
 let ready = false;
@@ -83,8 +84,14 @@ const link = new Link({
     touch.forget();
     requestDraw();
   },
+  onStarting(message) {
+    starting = message;
+    frameTime = performance.now();
+    requestDraw();
+  },
   onSetup(message) {
     setup = message;
+    starting = null;
     frame = null;
     section = null;
     fields.map = new Field(setup.raster);
@@ -229,17 +236,27 @@ function showText(now) {
   const silence = (now - frameTime) / 1000;
   if (now > refusal.until) refusal = { text: "", until: 0 };
   const header = frame?.header;
-  notice = noticeFor({ connected: link.connected, everConnected, setup, header, silence, refusal: refusal.text });
+  notice = noticeFor({
+    connected: link.connected,
+    everConnected,
+    starting,
+    setup,
+    header,
+    silence,
+    refusal: refusal.text,
+  });
   setText("notice", notice.text);
   byId("notice").dataset.kind = notice.kind;
   const ended = header?.recording?.ended && header.state === "paused";
-  const shown = ended ? "end" : (header?.state ?? "connecting");
+  const shown = starting ? "starting" : ended ? "end" : (header?.state ?? "connecting");
   const state = link.connected ? shown : everConnected ? "disconnected" : "connecting";
   setText("state", state);
   byId("state").dataset.state = state;
   document.documentElement.dataset.stale = Boolean(notice.unknown);
   byId("unknown").hidden = !notice.unknown;
-  setText("unknown-why", notice.unknown ? `Unknown: ${notice.unknown}.` : "");
+  byId("unknown").dataset.kind = notice.kind;
+  setText("unknown-why", notice.unknown ? (notice.title ?? `Unknown: ${notice.unknown}.`) : "");
+  showProgress(notice.progress);
   setText("unknown-todo", notice.todo ?? "");
   if (!header) return;
   controls.showHeader(header);
@@ -259,6 +276,14 @@ function showText(now) {
     const count = contacts.length === 1 ? "1 contact" : `${contacts.length || "no"} contacts`;
     setText("summary", notice.unknown ? `contacts unknown: ${notice.unknown}` : count);
   }
+}
+
+/** A share from 0 to 1, a bar that only says that something goes on (null), or no bar at all. */
+function showProgress(share) {
+  const bar = byId("progress");
+  bar.hidden = share === undefined;
+  if (share === null) bar.removeAttribute("value");
+  else if (share !== undefined) bar.value = share;
 }
 
 function showReadouts() {

@@ -12,7 +12,7 @@ export function readFrame(buffer) {
   return { header, base: values.subarray(0, half), image: values.subarray(half) };
 }
 
-/** Calls onSetup(setup), onFrame(frame), onOpen(), onLost() and onRefused(message). */
+/** Calls onStarting(message), onSetup(setup), onFrame(frame), onOpen(), onLost() and onRefused(message). */
 export class Link {
   constructor(handlers) {
     this._handlers = handlers;
@@ -51,7 +51,8 @@ export class Link {
       return;
     }
     const message = JSON.parse(data);
-    if (message.type === "setup") this._handlers.onSetup(message);
+    if (message.type === "starting") this._handlers.onStarting(message);
+    else if (message.type === "setup") this._handlers.onSetup(message);
     else if (message.type === "refused") this._handlers.onRefused(message.message);
   }
 }

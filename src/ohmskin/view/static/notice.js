@@ -14,11 +14,11 @@ const finger = matchMedia("(pointer: coarse)").matches ? "touch" : "virtual";
 
 /**
  * The notice { kind, text } for what is known, the gravest first. Where nobody knows what touches the skin, also why
- * (`unknown`), what to do (`todo`), and why a press is refused (`barred`).
+ * (`unknown`), what to do (`todo`), how far it is (`progress`), and why a press is refused (`barred`).
  */
 export function noticeFor(known) {
-  const { connected, everConnected, setup, header, silence, refusal } = known;
-  if (connected && !header) return { kind: "wait", text: "Waiting for the first frame…" };
+  const { connected, starting, setup, header, silence, refusal } = known;
+  if (connected && !header && !starting) return { kind: "wait", text: "Waiting for the first frame…" };
   const without = withoutFrames(known);
   if (without) return refusal ? { ...without, text: refusal } : without;
   if (refusal) return { kind: "warn", text: refusal };
@@ -40,7 +40,7 @@ export function noticeFor(known) {
   return { kind: "hint", text: HINTS[setup.recording ? "recording" : setup.press ? finger : "real"] };
 }
 
-function withoutFrames({ connected, everConnected, setup, header, silence }) {
+function withoutFrames({ connected, everConnected, starting, setup, header, silence }) {
   if (!connected && !everConnected) return { kind: "wait", text: "Connecting…" };
   if (!connected) {
     return {
@@ -49,6 +49,17 @@ function withoutFrames({ connected, everConnected, setup, header, silence }) {
       unknown: "the connection to ohmskin is lost",
       todo: "If ohmskin has ended, start it again, such as with “ohmskin live”. This page reconnects by itself.",
       barred: "the connection to ohmskin is lost",
+    };
+  }
+  if (starting) {
+    return {
+      kind: "wait",
+      text: "Starting. This page goes on by itself.",
+      title: "Starting",
+      unknown: "the loop is starting",
+      todo: sentence(starting.message),
+      progress: starting.share,
+      barred: "the loop is starting",
     };
   }
   if (header.state === "lost") {
@@ -70,6 +81,7 @@ function withoutFrames({ connected, everConnected, setup, header, silence }) {
       kind: "warn",
       text: header.message ? sentence(header.message) : text,
       unknown: "the skin is being calibrated",
+      progress: header.progress,
       todo: setup.recording ? "" : "Keep the skin untouched.",
       barred: "the skin is being calibrated; press when it is done",
     };
