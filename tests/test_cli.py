@@ -15,6 +15,7 @@ import command_line
 import numpy as np
 import pytest
 from live_process import all_gone, children, live, serving
+from waiting import until
 
 from ohmskin.cli import app
 
@@ -274,8 +275,8 @@ def test_live_ends_cleanly_and_leaves_no_process_behind() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         with live("--mode", "12B", "--seconds", "60", port=port) as (address, process, before):
+            until(lambda: len(children(process.pid)) == 2)  # the virtual skin and the page
             family = children(process.pid)
-            assert len(family) == 2  # the virtual skin and the page
     assert all_gone(family)
     assert f"port {port} is in use" in before
     found = re.search(r"127\.0\.0\.1:(\d+)/", address)
@@ -288,8 +289,8 @@ def test_a_killed_live_takes_its_processes_with_it() -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()
+        until(lambda: len(children(process.pid)) == 2)
         family = children(process.pid)
-        assert family
         process.kill()
     assert all_gone(family)
 

@@ -9,7 +9,7 @@ import { showHelp } from "./help.js";
 import { Link } from "./link.js";
 import { drawMap, drawScale } from "./map.js";
 import { noticeFor } from "./notice.js";
-import { compose, download } from "./picture.js";
+import { savePicture } from "./picture.js";
 import { drawSection } from "./section.js";
 import { Surface } from "./surface.js";
 import { Touch } from "./touch.js";
@@ -316,27 +316,9 @@ function labelMaps() {
 function save() {
   if (!frame) return;
   const theme = document.documentElement.dataset.theme;
-  const { header } = frame;
   const scene = scenes(theme, Boolean(notice.unknown));
-  const now = new Date();
-  const stamp = new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 19);
-  const canvas = compose({
-    felt: { ...scene.felt, section: null, cursor: null },
-    base: single() ? null : { ...scene.base, section: null, cursor: null },
-    scale: scene.scale,
-    theme,
-    title:
-      `${setup.skin.name}: change of sheet conductivity (${setup.unit})` +
-      (notice.unknown ? `; contacts unknown: ${notice.unknown}` : ""),
-    caption:
-      `${stamp.replace("T", "  ")}    ${header.mode}, ${controls.title(header.mode)}    ` +
-      `${madeWith(header)}frame ${header.sequence}    ohmskin ${setup.version}`,
-  });
-  download(canvas, `ohmskin-${header.mode}-${stamp.replaceAll(/[-:]/g, "").replace("T", "-")}.png`);
-}
-
-function madeWith({ estimator, prior, rule }) {
-  return estimator ? `${estimator}, prior ${prior}, rule ${rule}    ` : "";
+  if (single()) scene.base = null;
+  savePicture(setup, frame.header, scene, controls.title(frame.header.mode), notice.unknown);
 }
 
 setInterval(() => {

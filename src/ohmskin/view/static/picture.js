@@ -8,7 +8,7 @@ const RESOLUTION = 2; // pixels of the picture per pixel of its layout
 const [LARGE, SMALL, EDGE, HEAD, BAR] = [620, 420, 24, 84, 76];
 
 /** Compose the picture; scenes as for drawMap (base may be null), scale as for drawScale. Gives a canvas. */
-export function compose({ felt, base, scale, title, caption, theme }) {
+function compose({ felt, base, scale, title, caption, theme }) {
   const ink = INK[theme];
   const tall = heightFor(felt.skin.domain, LARGE);
   const [width, height] = [LARGE + BAR + 3 * EDGE + (base ? SMALL + EDGE : 0), HEAD + tall + EDGE];
@@ -46,7 +46,7 @@ export function compose({ felt, base, scale, title, caption, theme }) {
 }
 
 /** Hand the picture to the reader as a file. */
-export function download(canvas, name) {
+function download(canvas, name) {
   canvas.toBlob((blob) => {
     const link = document.createElement("a");
     link.href = URL.createObjectURL(blob);
@@ -54,4 +54,25 @@ export function download(canvas, name) {
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 10000);
   }, "image/png");
+}
+
+/** Save the maps of a frame as a picture; `unknown` says why nobody knows what touches the skin, if so. */
+export function savePicture(setup, header, { felt, base, scale }, title, unknown) {
+  const now = new Date();
+  const stamp = new Date(now - 60000 * now.getTimezoneOffset()).toISOString().slice(0, 19);
+  const { estimator, prior, rule } = header;
+  const made = estimator ? `${estimator}, prior ${prior}, rule ${rule}    ` : "";
+  const canvas = compose({
+    felt: { ...felt, section: null, cursor: null },
+    base: base && { ...base, section: null, cursor: null },
+    scale,
+    theme: felt.theme,
+    title:
+      `${setup.skin.name}: change of sheet conductivity (${setup.unit})` +
+      (unknown ? `; contacts unknown: ${unknown}` : ""),
+    caption:
+      `${stamp.replace("T", "  ")}    ${header.mode}, ${title}    ` +
+      `${made}frame ${header.sequence}    ohmskin ${setup.version}`,
+  });
+  download(canvas, `ohmskin-${header.mode}-${stamp.replaceAll(/[-:]/g, "").replace("T", "-")}.png`);
 }
