@@ -32,18 +32,15 @@ from ohmskin.mcap import Role, Tape, is_tape, recover
 from ohmskin.mcap.container import LARGEST_RECORD, Container
 from ohmskin.mcap.messages import (
     decode_frame,
-    decode_image,
-    decode_log,
     decode_pattern,
     decode_touch,
     encode_frame,
-    encode_image,
-    encode_log,
     encode_pattern,
     encode_touch,
 )
 from ohmskin.mcap.modes import decode_modes
 from ohmskin.mcap.schemas import FRAME, IMAGE, PATTERN, TOPICS
+from ohmskin.mcap.standard import decode_image, decode_log, encode_image, encode_log
 from ohmskin.mcap.writer import RecordingWriter
 from ohmskin.recording import Recorder
 from ohmskin.recording.export import write_npz

@@ -34,8 +34,8 @@ from ohmskin.client.felt import felt
 from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts
 from ohmskin.contacts import Contact as SheetContact
 from ohmskin.errors import DataError, OhmskinError, PublishError
-from ohmskin.mcap.messages import encode_image, encode_markers
 from ohmskin.mcap.schemas import FIELD
+from ohmskin.mcap.standard import encode_image, encode_markers
 from ohmskin.outlets.messages import (
     encode_cloud,
     encode_contacts,

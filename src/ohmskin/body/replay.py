@@ -13,7 +13,7 @@ from ohmskin.client.remote import decode_contacts, prefix
 from ohmskin.closing import Closing
 from ohmskin.errors import DataError
 from ohmskin.mcap.container import Container
-from ohmskin.mcap.messages import decode_image
+from ohmskin.mcap.standard import decode_image
 from ohmskin.outlets.joints import Follower
 from ohmskin.outlets.publisher import Publisher
 

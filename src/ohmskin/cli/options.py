@@ -1,4 +1,4 @@
-"""What several commands share."""
+"""What several commands share; what some of them need is imported where it is used, so that others start sooner."""
 
 import os
 import signal
@@ -8,23 +8,19 @@ import webbrowser
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
 
 from ohmskin.child import when_input_ends
 from ohmskin.device import Device, connect
-from ohmskin.device.replay import ReplayDevice, recorded_skin
 from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
-from ohmskin.inverse import PRIORS
-from ohmskin.inverse.choice import RULES
-from ohmskin.inverse.estimators import ESTIMATORS
-from ohmskin.outlets.outlet import check_outlet
-from ohmskin.outlets.publisher import check_settings
-from ohmskin.recording.player import Replayed
 from ohmskin.skin import Fault, Skin
 from ohmskin.view.live import check_address
+
+if TYPE_CHECKING:
+    from ohmskin.recording.player import Replayed
 
 DeviceUrl = Annotated[str, Parameter(help="Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.")]
 SkinName = Annotated[str, Parameter(help="A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.")]
@@ -76,6 +72,12 @@ class _Imaging:
     rule: str = ""
 
     def __post_init__(self) -> None:
+        if not (self.estimator or self.prior or self.rule):
+            return
+        from ohmskin.inverse import PRIORS
+        from ohmskin.inverse.choice import RULES
+        from ohmskin.inverse.estimators import ESTIMATORS
+
         for option, table in (("estimator", ESTIMATORS), ("prior", [*PRIORS, "pixels"]), ("rule", RULES)):
             if (name := getattr(self, option)) and name not in table:
                 raise ModelError(f"no {option} {name!r}; choose from {', '.join(table)}")
@@ -178,6 +180,8 @@ def open_skin(
         return opened, description
     if faults:
         raise SkinError(f"--fault is for virtual: only; give it to `ohmskin serve-skin` if {device} is one of those")
+    from ohmskin.device.replay import ReplayDevice, recorded_skin
+
     opened = connect(device)
     try:
         if isinstance(opened, ReplayDevice) and (skin or opened.description):
@@ -190,12 +194,15 @@ def open_skin(
 
 def check_publishing(outlets: Sequence[str], page: _Page) -> None:
     """Raise PublishError if something cannot be published so, such as for an extra that is missing."""
+    from ohmskin.outlets.outlet import check_outlet
+    from ohmskin.outlets.publisher import check_settings
+
     check_settings(page.token or None, images=1.0)
     for address in outlets:
         check_outlet(address)
 
 
-def watched(cycles: Iterable[Replayed]) -> Iterator[Replayed]:
+def watched(cycles: Iterable["Replayed"]) -> Iterator["Replayed"]:
     """The cycles of a recording, and on the terminal how far they are."""
     with Console(stderr=True).status("reading the recording") as status:
         for cycle in cycles:

@@ -1,8 +1,28 @@
-"""Recordings in MCAP: their messages, the writer in a process of its own, the reader, and the repair of cut files."""
+"""Recordings in MCAP: their messages, the writer in a process of its own, the reader, and the repair of cut files.
 
-from ohmskin.mcap.messages import FrameRecord, Role, TouchRecord
-from ohmskin.mcap.pipe import Progress, WriterPipe
-from ohmskin.mcap.repair import Recovery, recover
-from ohmskin.mcap.tape import Tape, is_tape
+Each is imported when it is asked for: the writer's process needs neither NumPy nor what a recording is about.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # for editors
+    from ohmskin.mcap.messages import FrameRecord, Role, TouchRecord
+    from ohmskin.mcap.pipe import Progress, WriterPipe
+    from ohmskin.mcap.repair import Recovery, recover
+    from ohmskin.mcap.tape import Tape, is_tape
 
 __all__ = ["FrameRecord", "Progress", "Recovery", "Role", "Tape", "TouchRecord", "WriterPipe", "is_tape", "recover"]
+
+_HOMES = {
+    **dict.fromkeys(("FrameRecord", "Role", "TouchRecord"), "messages"),
+    **dict.fromkeys(("Progress", "WriterPipe"), "pipe"),
+    **dict.fromkeys(("Recovery", "recover"), "repair"),
+    **dict.fromkeys(("Tape", "is_tape"), "tape"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

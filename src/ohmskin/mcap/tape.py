@@ -13,7 +13,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.client.fields import components
 from ohmskin.closing import Closing
 from ohmskin.errors import DataError
-from ohmskin.mcap import messages
+from ohmskin.mcap import messages, standard
 from ohmskin.mcap.container import MAGIC, Container
 from ohmskin.mcap.messages import Role
 from ohmskin.mcap.modes import decode_modes
@@ -80,8 +80,8 @@ class Tape(Closing):
         self._patterns = self._list(messages.decode_pattern)
         self.frames = self._list(messages.decode_frame)
         self.touches = self._list(lambda data: messages.decode_touch(data, self._contact_fields))
-        self.images = self._list(messages.decode_image)
-        self.log = self._list(messages.decode_log)
+        self.images = self._list(standard.decode_image)
+        self.log = self._list(standard.decode_log)
         self.modes: list[str] = []
         self.recorded_modes: Mapping[str, Mapping[str, Any]] = {}
         self._contact_fields = components(2)

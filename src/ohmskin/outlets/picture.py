@@ -3,14 +3,16 @@
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.client.felt import Patch
 from ohmskin.errors import PublishError
-from ohmskin.geometry import Chart, Raster
+
+if TYPE_CHECKING:  # the publishing process needs no meshes
+    from ohmskin.geometry import Chart, Raster
 
 _HEAD = struct.Struct("<Qq")
 
@@ -44,13 +46,13 @@ class Picture:
         return raster["x0"] + raster["pitch"] * found[0], raster["y0"] + raster["pitch"] * found[1]
 
     @staticmethod
-    def setup(raster: Raster) -> dict[str, Any]:
+    def setup(raster: "Raster") -> dict[str, Any]:
         """What a page is told of its pixels on the skin's map."""
         first = {"x0": float(raster.x[0]), "y0": float(raster.y[0])}
         return {"raster": {**first, "pitch": raster.pitch, "nx": len(raster.x), "ny": len(raster.y)}}
 
     @staticmethod
-    def in_space(raster: Raster, chart: Chart, patch: Patch) -> dict[str, Any]:
+    def in_space(raster: "Raster", chart: "Chart", patch: Patch) -> dict[str, Any]:
         """What the setup of its board tells beside that: where the pixels are in the patch's frame (m)."""
         centres = np.stack(np.meshgrid(raster.x, raster.y), axis=-1).reshape(-1, 2)
         points = np.array(patch.position) + chart.points(centres) @ np.array(patch.axes)
@@ -62,7 +64,7 @@ class Picture:
         return _HEAD.pack(sequence, stamp) + pixels.astype("<f4").tobytes()
 
     @staticmethod
-    def size(raster: Raster) -> int:
+    def size(raster: "Raster") -> int:
         """How many bytes `pack` makes."""
         return _HEAD.size + 4 * raster.inside.size
 

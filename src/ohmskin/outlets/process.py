@@ -18,7 +18,7 @@ from ohmskin.client.felt import Felt, Patch, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
-from ohmskin.mcap.messages import encode_image, encode_markers
+from ohmskin.mcap.standard import encode_image, encode_markers
 from ohmskin.outlets.messages import encode_cloud, encode_contacts, encode_joints, encode_transforms, encode_wrench
 from ohmskin.outlets.outlet import Outlet, open_outlet
 from ohmskin.outlets.picture import Picture

@@ -18,7 +18,7 @@ from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
 from ohmskin.errors import DataError, PublishError
 from ohmskin.geometry import Disc, Polygon, Raster
-from ohmskin.mcap.messages import encode_health
+from ohmskin.mcap.standard import encode_health
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.relay import RelayProcess
 from ohmskin.skin import Skin

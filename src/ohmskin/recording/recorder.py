@@ -18,7 +18,7 @@ from ohmskin.device import Device
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.errors import DataError
 from ohmskin.geometry import Raster
-from ohmskin.mcap import Progress, Role, WriterPipe, messages
+from ohmskin.mcap import Progress, Role, WriterPipe, messages, standard
 from ohmskin.mcap.modes import encode_modes
 from ohmskin.mcap.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOUCH
 from ohmskin.mcap.tape import FORMAT
@@ -114,22 +114,22 @@ class Recorder(Closing):
         if self._raster is not None and clock >= self._image_at:
             self._image_at = clock + self._image_every
             pixels = self._raster(touch.percept.image.values)
-            self._pipe.send(IMAGE, number, stamp, messages.encode_image(pixels, stamp))
+            self._pipe.send(IMAGE, number, stamp, standard.encode_image(pixels, stamp))
             contacts = in_frame(touch.contacts, self._chart, _SHEET)
-            self._pipe.send(MARKERS, number, stamp, messages.encode_markers(contacts, (_SHEET,), stamp))
+            self._pipe.send(MARKERS, number, stamp, standard.encode_markers(contacts, (_SHEET,), stamp))
         if clock >= self._health_at:
             self._health_at = clock + _HEALTH_EVERY
             health = touch.health
             values = {name: float(value) for name, value in vars(health).items() if isinstance(value, int | float)}
             values["recorder_dropped"] = float(sum(self.progress.dropped.values()))
             message = self._engine.message if self._engine is not None else ""
-            self._pipe.send(HEALTH, number, stamp, messages.encode_health(values, message, self._device, stamp))
+            self._pipe.send(HEALTH, number, stamp, standard.encode_health(values, message, self._device, stamp))
 
     def note(self, sentence: str) -> None:
         """Record a sentence of the loop."""
         if self._pipe is not None:
             stamp = time.time_ns()
-            self._pipe.send(LOG, 0, stamp, messages.encode_log(sentence, stamp))
+            self._pipe.send(LOG, 0, stamp, standard.encode_log(sentence, stamp))
 
     @property
     def progress(self) -> Progress:
