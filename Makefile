@@ -68,5 +68,12 @@ $(VENV)/.ready-docs: $(VENV)/.ready
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
 
+# ROS 2's Python node, for tests/test_ros_node.py; wheels for Python 3.11 on Linux
+.venv-ros/.ready: Makefile
+	@$(PYTHON) -m venv .venv-ros
+	@.venv-ros/bin/python -m pip install -qq --disable-pip-version-check ros-kilted-rclpy==9.1.2 \
+		ros-kilted-rmw-fastrtps-cpp==9.3.3 ros-kilted-common-interfaces==5.5.1
+	@touch $@
+
 clean:
-	rm -rf docs/_build docs/gallery docs/reference/api docs/reference/commands.md $(VENV) firmware/build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf docs/_build docs/gallery docs/reference/api docs/reference/commands.md $(VENV) .venv-ros firmware/build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

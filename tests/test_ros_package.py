@@ -14,6 +14,7 @@ from test_publish import PUBLISHED
 yaml = pytest.importorskip("yaml")
 
 PACKAGE = Path(__file__).parents[1] / "ros" / "ohmskin_ros"
+SCRIPTS = {path.name: path.read_text(encoding="utf-8") for path in sorted((PACKAGE / "scripts").iterdir())}
 RVIZ = {
     "PointCloud2": "sensor_msgs/msg/PointCloud2",
     "MarkerArray": "visualization_msgs/msg/MarkerArray",
@@ -67,8 +68,9 @@ def test_the_launch_file_starts_the_skin_with_options_that_there_are(
     assert process.cmd[-3:] == ["--publish", "dds", "--headless"]
     (tmp_path / "robot.urdf").write_text("<robot name='r'/>")
     (tmp_path / "own.yaml").write_text("publish: [zenoh, foxglove]\nheadless: false\nseconds: 2.5\n")
-    given = {"params": str(tmp_path / "own.yaml"), "rviz": "true", "urdf": str(tmp_path / "robot.urdf")}
-    process, state, rviz = launched(monkeypatch, **given)
+    given = {"params": str(tmp_path / "own.yaml"), "urdf": str(tmp_path / "robot.urdf")}
+    process, commands, state, rviz = launched(monkeypatch, rviz="true", commands="true", **given)
+    assert commands.parameters == [{"skins": ["skin"]}]
     assert process.cmd[2:] == ["--publish", "zenoh", "--publish", "foxglove", "--seconds", "2.5"]
     assert state.parameters == [{"robot_description": "<robot name='r'/>"}]
     assert Path(rviz.arguments[1]).is_file()
@@ -88,6 +90,12 @@ def test_the_package_installs_and_names_what_it_uses() -> None:
     needs = {e.text for e in ElementTree.parse(PACKAGE / "package.xml").getroot().iter("exec_depend")}
     launch = (PACKAGE / "launch" / "skin.launch.py").read_text(encoding="utf-8")
     used = set(re.findall(r'package="(\w+)"', launch)) | set(re.findall(r"^from (launch\w*)", launch, re.MULTILINE))
-    assert used <= needs
-    installed = re.findall(r"install\(DIRECTORY (.*) DESTINATION", (PACKAGE / "CMakeLists.txt").read_text())[0].split()
-    assert sorted(installed) == sorted(path.name for path in PACKAGE.iterdir() if path.is_dir())
+    for script in SCRIPTS.values():
+        used |= set(re.findall(r"^(?:from|import) (rclpy|std_srvs|ohmskin_msgs)", script, re.MULTILINE))
+    assert used - {"ohmskin_ros"} <= needs
+    build = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
+    installed = re.findall(r"install\(DIRECTORY (.*) DESTINATION", build)[0].split()
+    assert sorted([*installed, "scripts"]) == sorted(path.name for path in PACKAGE.iterdir() if path.is_dir())
+    programs = re.findall(r"install\(PROGRAMS (.*) DESTINATION lib/", build)[0].split()
+    assert programs == [f"scripts/{name}" for name in SCRIPTS]
+    assert set(re.findall(r'executable="(\w+\.py)"', launch)) == set(SCRIPTS)

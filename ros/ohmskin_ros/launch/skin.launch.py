@@ -15,6 +15,7 @@ SHARE = Path(__file__).resolve().parents[1]
 ARGUMENTS = {
     "params": (str(SHARE / "config" / "skin.yaml"), "Options of `ohmskin live`, a YAML file."),
     "ohmskin": ("ohmskin", "The command, such as the one of a virtual environment."),
+    "commands": ("false", "Whether to offer services to tare the skin and to change its mode."),
     "rviz": ("false", "Whether to show it in RViz."),
     "urdf": ("", "File of the robot's description, for RViz and tf; none for a skin alone."),
 }
@@ -30,6 +31,9 @@ def actions(context):
             flag = f"--{name.replace('_', '-')}"
             command += [flag] * (one is True) if isinstance(one, bool) else [flag, str(one)]
     started = [ExecuteProcess(cmd=command, output="screen")]
+    if given["commands"].lower() == "true":
+        told = {"skins": [str(options.get("name", "skin"))]}
+        started.append(Node(package="ohmskin_ros", executable="commands.py", parameters=[told], output="screen"))
     if given["urdf"]:
         told = {"robot_description": Path(given["urdf"]).read_text(encoding="utf-8")}
         started.append(Node(package="robot_state_publisher", executable="robot_state_publisher", parameters=[told]))

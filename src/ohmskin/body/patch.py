@@ -16,6 +16,7 @@ from ohmskin.device import connect
 from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine, State
 from ohmskin.errors import DeviceError, OhmskinError
+from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.skin import Skin
 
@@ -44,7 +45,9 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
                 with Engine(
                     lambda: connect(device, **options), skin, settings["mode"], lambda text: answer(message=text)
                 ) as engine:
-                    _run(engine, publisher, address, skin if settings["demo"] else None, answer, stop)
+                    commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
+                    with CommandServer(settings["name"], commands) as server:
+                        _run(engine, publisher, server, address, skin if settings["demo"] else None, answer, stop)
             except DeviceError as error:
                 answer(state="lost", message=str(error))
                 stop.wait(_RETRY_AFTER)
@@ -53,6 +56,7 @@ def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading
 def _run(
     engine: Engine,
     publisher: Publisher,
+    server: CommandServer,
     address: Board,
     pressed: Skin | None,
     answer: Callable[..., None],
@@ -70,6 +74,7 @@ def _run(
         touch = engine.step()
         if touch is not None:
             publisher.publish(touch)
+            server.look()
         if (now := time.monotonic()) >= due:
             due = now + _REPORT_EVERY
             address.write(getattr(engine.device, "address", "").encode())  # where a page presses a virtual skin

@@ -4,6 +4,7 @@ import json as json_module
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from ohmskin.cli.options import (
 from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
 from ohmskin.engine import Engine, State, Touch
+from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.view.live import LiveView
 from ohmskin.view.session import Session
@@ -84,10 +86,13 @@ def live(
             open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out, starting=starting)
         )
         engine = lines.engine = loop.engine
+        commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
         if publish:
             publisher = Publisher(engine.skin, publish, name, Patch(name, frame), page.token or None)
             stack.enter_context(publisher)
             loop.sinks.insert(0, publisher.publish)  # first, because robots wait for it
+            server = stack.enter_context(CommandServer(name, commands))
+            loop.sinks.append(lambda touch: server.look())
             tell(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
             tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
@@ -100,6 +105,7 @@ def live(
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             say(f"{engine.mode.label}; calibrating: keep the skin untouched")
             session.calibrate()
+            commands["tare"] = session.calibrate
             loop.sinks.append(_Arrivals())
             loop.run(stop, seconds, session.step)
 

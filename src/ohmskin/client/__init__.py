@@ -11,7 +11,8 @@ with Client() as skin:
 
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.client import Client
+from ohmskin.client.commands import Commands
 from ohmskin.client.felt import Contact, Felt, Patch, Sighting
 from ohmskin.client.joints import JointStates
 
-__all__ = ["Board", "BoardReader", "Client", "Contact", "Felt", "JointStates", "Patch", "Sighting"]
+__all__ = ["Board", "BoardReader", "Client", "Commands", "Contact", "Felt", "JointStates", "Patch", "Sighting"]
