@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ohmskin.drive import complete_pattern
 from ohmskin.errors import DataError
 from ohmskin.forward import TransferModel
-from ohmskin.geometry import Disc, Electrodes, mesh_domain
+from ohmskin.geometry import Disc, Electrodes, Rectangle, mesh_domain
 from ohmskin.importers import Recording, read_recording
 from ohmskin.inverse import GaussNewton, match_model
 from ohmskin.scan import (
@@ -287,6 +288,17 @@ def test_no_current_no_signal_and_a_short_are_told_apart(model: TransferModel) -
     shorted = assess([replace(f, voltages=volts + random.normal(0, NOISE, len(volts))) for f in frames])
     assert [(v.electrode, v.kind) for v in shorted.verdicts] == [(4, "shorted"), (5, "shorted")]
     assert "electrode 5" in shorted.verdicts[0].words
+
+
+def test_an_electrode_far_from_all_that_a_part_of_a_scan_drives_is_not_open() -> None:
+    """A device that takes few injections at once scans all pairs in parts."""
+    sheet = Rectangle(0.2, 0.2)
+    electrodes = Electrodes.grid(sheet, 5, 5)
+    model = TransferModel(mesh_domain(sheet, 0.01, electrodes.positions), electrodes, 2e-3)
+    parts = list(complete_pattern(electrodes).with_driven.split(30))
+    scans = [model.simulate(part, noise=1e-6, count=2, seed=k) for k, part in enumerate(parts)]
+    assert any(assess(scan).bad for scan in scans)  # one part alone cannot tell
+    assert not assess([frame for scan in scans for frame in scan]).verdicts
 
 
 def test_noisy_and_drifting_electrodes_count_less(model: TransferModel) -> None:

@@ -15,7 +15,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import DataError
 from ohmskin.scan import consistency
 from ohmskin.scan.consistency import ABSENT, FLOOR, NOISE_SHARE
@@ -54,7 +54,9 @@ def assess(quiet: Sequence[Frame], frames: Sequence[Frame] = ()) -> Quality:
         return [e for e, verdict in found.items() if verdict.weight == 0]
 
     for group in chain(groups.values(), touched.values()):
-        add(chain(_unmeasured(group), _silent(group)))
+        add(_unmeasured(group))
+    for state in (groups, touched):
+        add(_silent(list(state.values())))
     for group in groups.values():
         add(chain(_scatter(group), _drift(group)))
     for pattern, group in groups.items():
@@ -113,20 +115,27 @@ def _unmeasured(group: Repeats) -> Iterator[Verdict]:
         yield Verdict(e, kind, 0.0, words)
 
 
-def _silent(group: Repeats) -> Iterator[Verdict]:
-    """Electrodes that no current or no voltage reaches, and pairs that are at one potential."""
-    pattern = group.pattern
-    used = [int(e) for e in np.unique(pattern.quadruples)]
-    involved = {e: pattern.uses(e) for e in used}
-    currents = np.abs(known_mean(np.stack([finite(frame.currents) for frame in group.frames])))
-    squares = known_mean(group.voltages**2)
+def _silent(groups: Sequence[Repeats]) -> Iterator[Verdict]:
+    """Electrodes that no current or no voltage reaches, and pairs that are at one potential, in all patterns together.
+
+    In one pattern alone, such as a part of a larger one, an electrode may be far from all that is driven.
+    """
+    if not groups:
+        return
+    quadruples = np.concatenate([group.pattern.quadruples for group in groups])
+    injections = np.concatenate([group.pattern.injections for group in groups])
+    used = [int(e) for e in np.unique(quadruples)]
+    involved = {e: (quadruples == e).any(axis=1) for e in used}
+    means = [known_mean(np.stack([finite(frame.currents) for frame in group.frames])) for group in groups]
+    currents = np.abs(np.concatenate(means))
+    squares = np.concatenate([known_mean(group.voltages**2) for group in groups])
 
     def level(electrode: int, without: tuple[int, ...] = ()) -> float:
-        own = involved[electrode] & ~pattern.uses(without)
+        own = involved[electrode] & ~np.isin(quadruples, without).any(axis=1)
         return float(np.sqrt(known_mean(squares[own]))) if own.any() else float("nan")
 
     typical = float(np.nanmedian(currents)) if np.isfinite(currents).any() else 0.0
-    driven = {e: currents[(pattern.injections == e).any(axis=1)] for e in used}
+    driven = {e: currents[(injections == e).any(axis=1)] for e in used}
     idle = [e for e, own in driven.items() if own.size and np.nanmax(own, initial=0.0) < ABSENT * typical]
     words = "open: almost no current flows when it is driven; check its wire; left out"
     yield from (Verdict(e, "open", 0.0, words) for e in idle)
@@ -146,13 +155,13 @@ def _silent(group: Repeats) -> Iterator[Verdict]:
         share = f"its voltages are {100 * levels[e] / middle:.2g} % of the others'"
         yield Verdict(e, "open", 0.0, f"open: {share}, as if nothing were connected; left out")
     if not idle and not quiet:
-        yield from _shorted(pattern, squares)
+        yield from _shorted(quadruples, squares)
 
 
-def _shorted(pattern: DrivePattern, squares: Floats) -> Iterator[Verdict]:
+def _shorted(quadruples: Ints, squares: Floats) -> Iterator[Verdict]:
     """Pairs between which no voltage is ever measured, and that drive nothing, while each alone does its work."""
     pairs: dict[tuple[int, int], list[float]] = defaultdict(list)
-    for (a, b, c, d), square in zip(pattern.quadruples.tolist(), squares.tolist(), strict=True):
+    for (a, b, c, d), square in zip(quadruples.tolist(), squares.tolist(), strict=True):
         if np.isfinite(square):
             pairs[min(a, b), max(a, b)].append(square)
             pairs[min(c, d), max(c, d)].append(square)
