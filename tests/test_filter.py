@@ -152,7 +152,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     np.testing.assert_allclose(products(found.told), whole.T @ np.linalg.solve(covariance, whole), rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(products(found.white), whole.T @ whole / 0.3**2, rtol=1e-9, atol=1e-9)
     change, beside = np.random.default_rng(3).normal(size=(2, 120, 3))
-    change_rows = np.ascontiguousarray(change.T)
+    columns = np.vstack([change, np.zeros(3)])
     left = whole - np.column_stack([np.zeros((known.sum(), 121)), rows[known] @ change[:, 0]])
     less = found.less(change[:, 0])
     np.testing.assert_allclose(products(less.told), left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7)
@@ -162,7 +162,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     np.testing.assert_allclose(marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
     for one in (found, less, less.without(beside)):  # of the same places, whatever has been taken off since
         expected = np.einsum("pn,nm,pm->p", change.T, one.told.matrix[:-1, :-1], change.T)
-        np.testing.assert_allclose(one.told.power(change_rows), expected, rtol=1e-8)
+        np.testing.assert_allclose(one.told.power(columns), expected, rtol=1e-8)
         np.testing.assert_allclose(one.told.sizes(change), np.sqrt(expected), rtol=1e-8)
     blind, seeing = (np.abs(one.told.matrix[:-1, :-1] @ beside).max() for one in (less.beside(beside), less))
     assert blind < 1e-5 * seeing
@@ -177,11 +177,10 @@ def test_directions_that_depend_on_each_other_are_taken_off_once() -> None:
     random = np.random.default_rng(0)
     few = 1e6 * random.standard_normal((120, 6))
     many = few @ random.standard_normal((6, 40))
-    whole = random.standard_normal((200, 121))
-    vector = random.standard_normal(121)
-    misfit = Misfit(whole.T @ whole, vector, 1e3, np.empty((0, 121)))
+    told, _ = Information.of(16, Errors(0.1), [random_difference(COMPLETE, 1)])
+    misfit = replace(told.told, vector=random.standard_normal(121), constant=1e3)
     once, often = misfit.without(few), misfit.without(many)
-    np.testing.assert_allclose(often.matrix, once.matrix, atol=1e-6 * np.abs(misfit.whole).max())
+    np.testing.assert_allclose(often.matrix, once.matrix, atol=1e-6 * np.abs(misfit.matrix).max())
     assert often.constant == pytest.approx(once.constant, rel=1e-6)
 
 

@@ -40,8 +40,8 @@ class DiscFitter:
         self.table, self.errors, self.bipolar, self.model_error = table, errors, bipolar, errors.model
         chosen = table.spaced(1.25 * table.radius)
         self.places: Floats = table.places[chosen]
-        self._candidates = table.responses[chosen]
-        self._largest = (self._candidates**2).max(axis=0)
+        candidates = table.responses[chosen].T  # (n_pairs, n_places), and a row that no pair has
+        self._candidates = np.concatenate([candidates, np.zeros((1, len(chosen)))])
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self._least = -np.inf if bipolar else 1e-3 * table.radius**2
 
@@ -81,8 +81,7 @@ class DiscFitter:
 
     def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        least = 1e-12 * float(self._largest @ left.white.diagonal[:-1])  # rounding reaches that far
-        return self._candidates @ left.told.vector[:-1], np.maximum(left.told.power(self._candidates), least)
+        return left.told.vector @ self._candidates, left.told.power(self._candidates)
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
@@ -128,7 +127,7 @@ class DiscFitter:
             if known is None or prior is None:
                 known, prior = self.expected(one[:, 2])
             cost, normal, caused, slopes = kernels.refined(
-                one, told.matrix, told.vector, told.constant, known, np.ascontiguousarray(prior),
+                one, told.rows, told.lost, told.vector, told.constant, known, np.ascontiguousarray(prior),
                 rounds, self.table.radius, self._least, *self.squares, self.table.sheet, self.table.spline, best.cost,
             )  # fmt: skip
             if cost < best.cost or not len(best.params):

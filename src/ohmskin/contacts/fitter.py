@@ -188,22 +188,22 @@ class ContactFitter(DiscFitter):
                     tried.append((under, told, data, one))
         return min(tried, key=lambda each: self._price(each[3], 0), default=None)
 
-    def _likely(self, told: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
+    def _likely(self, data: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
         """The electrode that one contact more most likely covers, if there is one that promises a contact at all.
 
         That is told by what the contact does beside the electrode's own resistance.
         """
-        left = told.less(found.caused).told if len(found.params) else told.told
+        left = data.less(found.caused).told if len(found.params) else data.told
         electrodes = self._at_electrodes
         (alone, over), many = electrodes.reshape(2, -1, electrodes.shape[1]), electrodes.shape[1]
         seen, through = left.seen(electrodes)[:, :many].reshape(2, -1, many)
         own, mixed, vector = (seen * alone).sum(axis=1), (seen * over).sum(axis=1), left.vector[:-1]
-        own = np.maximum(own, 1e-12 * np.max(own))  # of electrodes that are not driven nothing is seen
-        score = over @ vector - mixed * (alone @ vector) / own
-        power = (through * over).sum(axis=1) - mixed**2 / own
+        told = np.divide(mixed, own, np.zeros(len(own)), where=own > 1e-12 * np.max(own))  # of driven ones alone
+        score = over @ vector - told * (alone @ vector)
+        power = (through * over).sum(axis=1) - told * mixed
         height = self.heights(score, np.maximum(power, 1e-9 * np.max(power)))
         height[list(covered)] = -np.inf
-        enough = height.max() > self.bar + self.model_error * told.size(found.caused)
+        enough = height.max() > self.bar + self.model_error * data.size(found.caused)
         return [int(np.argmax(height))] if enough else []
 
     def _cleared(self, data: Information, found: Solution) -> Solution:

@@ -12,11 +12,10 @@ from functools import reduce
 from math import sqrt
 
 import numpy as np
-from numba import njit
-from scipy.linalg.blas import dtrsm
 
-from ohmskin.arrays import Bools, Floats, Ints
-from ohmskin.contacts.misfit import Misfit, Parts
+from ohmskin.arrays import Floats
+from ohmskin.contacts.measured import Rows, beside_errors, fainter, measured
+from ohmskin.contacts.misfit import Misfit
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import n_pairs, pair_numbers
@@ -24,10 +23,7 @@ from ohmskin.scan.pairs import n_pairs, pair_numbers
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 _COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
 _SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
-_ROUNDING = 1e-13  # of sums of squares
 _RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where data say nothing
-_ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
-_SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +51,7 @@ class Errors:
             known: Of it (n_pairs,), what has been taken off the data.
         """
         assert self.contacts is not None
-        curvature = data.white.matrix[:-1, :-1]
-        seen = self.contacts.T @ curvature
+        seen = data.white.seen(self.contacts.T)[:, :-1]
         volts = self.contacts.T @ data.white.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
         return np.asarray(self.contacts @ np.linalg.solve(seen @ self.contacts + np.eye(len(seen)), volts))
 
@@ -101,32 +96,27 @@ class Information:
             np.concatenate([own if own is not None else zero for own, zero in zip(given, zeros, strict=True)])
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
-        changes = np.empty((n_pairs(n_elec), 0)) if errors.contacts is None else errors.contacts
-        n = len(changes) + 2
-        gram, gains = np.zeros((n, n)), np.zeros((int(starts[-1]) if errors.gain > 0 else 0, n))
-        kinds = np.array([errors.noise, errors.gain, errors.model])
-        count = _products(four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec), kinds, gram, gains)
-        if not count:
+        loaded = any(scan.source_loading is not None for scan in scans)
+        given = four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec)
+        rows, data = measured(*given, int(starts[-1]), loaded, errors.noise, errors.model)
+        if not len(data):
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        larger = 1 + errors.model**2 * gram[-1, -1] / count
-        beside = [_whitened(gram, gains, changes, errors.gain, variance) for variance in (1.0, larger)]
-        told, wary, white, warier = (
-            Misfit(*_parts(one), np.empty((0, n - 1))) for one in (*beside, gram, gram / larger)
-        )
-        return cls(told, white, count), cls(wary, warier, count)
+        return cls._beside(rows, data, errors, n_pairs(n_elec))
+
+    @classmethod
+    def _beside(cls, rows: Rows, data: Floats, errors: Errors, pairs: int) -> tuple["Information", "Information"]:
+        """What data (n_rows,) say, and the same wary."""
+        none = np.zeros((pairs, 0))
+        changes = none if errors.contacts is None else errors.contacts
+        larger = 1 + errors.model**2 * float(data @ data) / len(data)
+        ways = (changes, errors.gain, 1.0), (changes, errors.gain, larger), (none, 0.0, 1.0), (none, 0.0, larger)
+        told, wary, white, warier = (_misfit(*beside_errors(rows, data, *way)) for way in ways)
+        return cls(told, white, len(data)), cls(wary, warier, len(data))
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
         """What several say whose errors are their own."""
-        told, white = (
-            Misfit(
-                reduce(np.add, [one.whole for one in each]),
-                reduce(np.add, [one.vector for one in each]),
-                sum(one.constant for one in each),
-                np.concatenate([one.lost for one in each]),
-            )
-            for each in ([part.told for part in parts], [part.white for part in parts])
-        )
+        told, white = (_summed(each) for each in ([part.told for part in parts], [part.white for part in parts]))
         return cls(told, white, sum(part.count for part in parts))
 
     @property
@@ -179,8 +169,8 @@ class Information:
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
-        told = self.told
-        less = Misfit(share * told.whole, share * told.vector, share * told.constant, sqrt(share) * told.lost)
+        told, root = self.told, sqrt(share)
+        less = Misfit(fainter(told.rows, share), share * told.vector, share * told.constant, root * told.lost, told.errors)
         return Information(less, self.white, self.count)
 
     def size(self, changes: Floats) -> float:
@@ -188,75 +178,25 @@ class Information:
         return float(self.white.sizes(changes[:, None])[0])
 
 
-@njit(cache=True, nogil=True)
-def _products(
-    four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
-    numbers: Ints, errors: Floats, gram: Floats, gains: Floats,
-) -> int:  # fmt: skip
-    """Products of the columns of the problem in units of noise, and the number of finite data.
-
-    Into `gram` (n, n) those of all two-terminal resistances, the quiet data and the data; into `gains` (n_inj, n) those
-    with an error of the current of each injection. The `errors` are noise, gain and model of `Errors`.
-    """
-    noise, gain, model = errors
-    counts, squares = np.zeros(2, np.int64), np.zeros(2)
-    for row in range(len(four)):
-        if np.isfinite(volts[row]) and np.isfinite(amperes[row]):
-            counts[int(driven[row])] += 1
-            squares[int(driven[row])] += volts[row] ** 2
-    count, share = counts[0] + counts[1], 1.0
-    if counts[0] > 0 and counts[1] > 0:  # driven electrodes count less, as their larger changes are modelled worse
-        usual, theirs = squares[0] / counts[0], squares[1] / counts[1]
-        share = min(1.0, np.sqrt((noise**2 + model**2 * usual) / (noise**2 + model**2 * theirs)))
-    pairs = numbers[0, 0]  # on the diagonal: of no pair
-    columns, entries = np.empty(7, np.int64), np.empty(7)
-    for row in range(len(four)):
-        if not (np.isfinite(volts[row]) and np.isfinite(amperes[row])):
-            continue
-        scale = (share if driven[row] else 1.0) / noise
-        many = 0
-        for term in range(5):
-            one, other = four[row, _ENDS[term, 0]], four[row, _ENDS[term, 1]]
-            value = scale * amperes[row] * (-loading[row] if term == 4 else _SIGNS[term])
-            if one != other and value != 0:  # a driven electrode that is also measured: F_ii = 0
-                columns[many], entries[many] = numbers[one, other], value
-                many += 1
-        columns[many], columns[many + 1] = pairs, pairs + 1
-        entries[many] = scale * quiet[row] if np.isfinite(quiet[row]) else 0.0
-        entries[many + 1] = scale * volts[row]
-        many += 2
-        for p in range(many):
-            for q in range(many):
-                gram[columns[p], columns[q]] += entries[p] * entries[q]
-            if gain > 0:  # an error of the current looks like the quiet skin
-                gains[which[row], columns[p]] += gain * entries[many - 2] * entries[p]
-    return int(count)
+def _misfit(rows: Rows, lost: Floats, vector: Floats, constant: float) -> Misfit:
+    return Misfit(rows, vector, constant, lost, len(lost))
 
 
-def _parts(products: Floats) -> Parts:
-    """Curvature, gradient and constant from products (n + 1, n + 1) of columns, the data last."""
-    return np.ascontiguousarray(products[:-1, :-1]), products[-1, :-1].copy(), float(products[-1, -1])
-
-
-def _whitened(gram: Floats, gains: Floats, contacts: Floats, gain: float, variance: float) -> Floats:
-    """Products (n, n) of columns of data beside errors, if the noise has that variance.
-
-    Args:
-        gram: (n, n) theirs.
-        gains: (n_inj, n) theirs with errors of the currents, which have no data in common.
-        contacts: (n_pairs, k) changes of two-terminal resistances of one standard deviation of further errors.
-        gain: Standard deviation of the relative error of a current (1).
-        variance: Of the noise.
-    """
-    pairs = len(contacts)
-    beside, sizes = contacts.T @ gram[:pairs], gain * gains[:, pairs]
-    own = beside[:, :pairs] @ contacts
-    ridge = variance + _ROUNDING * (sizes.sum() + np.trace(own))
-    root = 1 / np.sqrt(ridge + sizes)[:, None]
-    first = root * gains
-    both = first[:, :pairs] @ contacts
-    lower = np.linalg.cholesky(own + ridge * np.eye(len(own)) - both.T @ both)
-    second = dtrsm(1.0, lower, beside - both.T @ first, lower=1)
-    whitened = gram - first.T @ first - second.T @ second
-    whitened[np.diag_indices(len(gram))] += _ROUNDING * np.diag(gram)  # or rounding would leave less than nothing
-    return np.asarray(whitened / variance)
+def _summed(parts: Sequence[Misfit]) -> Misfit:
+    """The misfit of data whose errors are their own."""
+    columns, sizes, loading, quiet, starts, weights = zip(*(part.rows for part in parts), strict=True)
+    begins = np.cumsum([0, *(len(own) for own in sizes)])
+    loaded = any(len(own) for own in loading)
+    loads = [own if len(own) else np.zeros(len(size)) for own, size in zip(loading, sizes, strict=True) if loaded]
+    first = [own[:-1] + begin for own, begin in zip(starts, begins, strict=False)]
+    rows = (
+        np.concatenate(columns),
+        np.concatenate(sizes),
+        np.concatenate(loads or [np.empty(0)]),
+        np.concatenate(quiet),
+        np.append(np.concatenate(first), begins[-1]),
+        np.concatenate(weights),
+    )
+    vector, constant = reduce(np.add, [part.vector for part in parts]), sum(part.constant for part in parts)
+    lost = np.concatenate([part.lost for part in parts])
+    return Misfit(rows, vector, constant, lost, len(lost))

@@ -4,6 +4,8 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints
+from ohmskin.contacts.measured import Rows, copy, dot
+from ohmskin.contacts.misfit import products
 from ohmskin.forward.response import Grid, Spline, respond, scatter
 
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, as a share of the usual one
@@ -103,13 +105,13 @@ def expected(effects: Floats, usual: float, low: Floats, high: Floats, period: f
 
 @njit(cache=True, nogil=True)
 def refined(
-    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
+    params: Floats, rows: Rows, lost: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
     radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline, best: float,
 ) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
     """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes.
 
     A fit ends, too, that cannot come up with the `best` cost known, by what its next step promises.
-    The `matrix` (n_pairs + 1, n_pairs + 1) and `vector` are those of a `Misfit`.
+    Rows, those lost, vector and constant are those of a `Misfit`.
     """
     damping, n = 1e-3, params.size
     floor, ceiling, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -120,7 +122,7 @@ def refined(
             ceiling[i + axis] = np.inf if free else sheet[1][axis]
         floor[i + 2], ceiling[i + 2], floor[i + 3], ceiling[i + 3] = least, np.inf, smallest, largest
     moved = np.empty_like(params)
-    cost, normal, gradient, caused, slopes = _linearised(params, matrix, vector, constant, mean, prior, spline)
+    cost, normal, gradient, caused, slopes = _linearised(params, rows, lost, vector, constant, mean, prior, spline)
     for _ in range(rounds):
         for i in range(n):
             low[i], high[i] = floor[i] - params[i // 4, i % 4], ceiling[i] - params[i // 4, i % 4]
@@ -139,7 +141,7 @@ def refined(
             moved[k, 2] = max(params[k, 2] + step[4 * k + 2], least)
             moved[k, 3] = min(max(params[k, 3] + step[4 * k + 3], smallest), largest)
             onto(moved[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4], sheet[5])
-        trial = _linearised(moved, matrix, vector, constant, mean, prior, spline)
+        trial = _linearised(moved, rows, lost, vector, constant, mean, prior, spline)
         gain = cost - trial[0]
         if gain > 0:
             for k in range(len(params)):
@@ -202,58 +204,27 @@ def damped_step(normal: Floats, damping: float, step: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def _linearised(
-    params: Floats, matrix: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, spline: Spline
+    params: Floats, rows: Rows, lost: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats,
+    spline: Spline,
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
     caused, slopes = responses(params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], spline[6])
-    n, many = len(slopes), len(caused)
-    rows, seen = np.empty((n + 1, many)), np.zeros((n + 1, many))  # the slopes, and last what is caused
-    for k in range(n + 1):
-        for p in range(many):
-            rows[k, p] = slopes[k, p] if k < n else caused[p]
-    _multiplied(matrix, rows, seen)
-    products = np.empty((n + 1, n + 2))
-    _dotted(rows, seen, vector, products)
-    cost, normal, gradient = constant - 2 * products[n, n + 1] + products[n, n], prior.copy(), np.zeros(n)
+    n = len(slopes)
+    changes, common, told = np.empty((n + 1, len(caused))), np.empty((n + 1, n + 1)), np.empty(n + 1)
+    for k in range(n + 1):  # the slopes, and last what is caused
+        copy(slopes[k] if k < n else caused, changes[k])
+        told[k] = dot(vector, changes[k])
+    products(rows, lost, changes, common)
+    cost, normal, gradient = constant - 2 * told[n] + common[n, n], prior.copy(), np.zeros(n)
     off, period = np.empty(n), spline[4]
     for i in range(n):
         off[i] = mean[i] - params[i // 4, i % 4]
         if period > 0.0 and i % 4 == 0:
             off[i] -= period * np.rint(off[i] / period)
     for i in range(n):
-        gradient[i] = products[i, n + 1] - products[i, n]
+        gradient[i] = told[i] - common[i, n]
         for k in range(n):
-            normal[i, k] += products[i, k]
+            normal[i, k] += common[i, k]
             gradient[i] += prior[i, k] * off[k]
             cost += off[i] * prior[i, k] * off[k]
     return cost, normal, gradient, caused, slopes
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _dotted(rows: Floats, seen: Floats, vector: Floats, out: Floats) -> None:
-    """The products of rows (m, n), with those of `seen` (m, n), the same by a symmetric matrix, and with a vector."""
-    for i in range(len(rows)):
-        for k in range(i + 1):
-            total = 0.0
-            for j in range(rows.shape[1]):
-                total += rows[i, j] * seen[k, j]
-            out[i, k] = out[k, i] = total
-        total = 0.0
-        for j in range(rows.shape[1]):
-            total += rows[i, j] * vector[j]
-        out[i, len(rows)] = total
-
-
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _multiplied(matrix: Floats, rows: Floats, out: Floats) -> None:
-    """Adds the product of rows (m, n) with a matrix, four of its rows at a time."""
-    n = rows.shape[1]
-    for i in range(0, n - 3, 4):
-        for k in range(len(rows)):
-            a, b, c, d = rows[k, i], rows[k, i + 1], rows[k, i + 2], rows[k, i + 3]
-            for j in range(n):
-                out[k, j] += a * matrix[i, j] + b * matrix[i + 1, j] + c * matrix[i + 2, j] + d * matrix[i + 3, j]
-    for i in range(n - n % 4, n):
-        for k in range(len(rows)):
-            for j in range(n):
-                out[k, j] += rows[k, i] * matrix[i, j]

@@ -5,13 +5,12 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from scipy.linalg.blas import dtrmm
 
 from ohmskin.arrays import Floats
+from ohmskin.contacts import measured
+from ohmskin.contacts.measured import Rows
 
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
-
-Parts = tuple[Floats, Floats, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,93 +18,131 @@ class Misfit:
     """A squared misfit constant - 2 vector.x + x.matrix.x, of data in units of their noise.
 
     Args:
-        whole: (n, n) its curvature, halved, but for what is lost; n = n_pairs + 1.
-        vector: (n,) its downhill gradient at nothing, halved.
+        rows: What changes do to the data.
+        vector: (n,) its downhill gradient at nothing, halved; n = n_pairs + 1.
         constant: That of nothing.
-        lost: (k, n) rows whose products with themselves are to be taken off the `whole`.
-        powers: Of the whole, as far as they have been asked for, see `power`.
+        lost: (k, n) rows whose products with themselves are to be taken off the curvature.
+        errors: How many of these are of errors, and lost from the start.
+        powers: What is known of powers beside these errors, see `power`: of changes, and as far as rounding reaches.
     """
 
-    whole: Floats
+    rows: Rows
     vector: Floats
     constant: float
     lost: Floats
-    powers: dict[int, Floats] = field(default_factory=dict, repr=False)
+    errors: int = 0
+    powers: dict[int, tuple[Floats, float]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def matrix(self) -> Floats:
         """(n, n) its curvature, halved."""
-        return self.whole - self.lost.T @ self.lost if len(self.lost) else self.whole
-
-    @property
-    def diagonal(self) -> Floats:
-        """(n,) that of the matrix."""
-        return np.asarray(np.diag(self.whole) - (self.lost**2).sum(axis=0))
+        matrix = self.seen(np.eye(len(self.vector)))
+        return (matrix + matrix.T) / 2
 
     def less(self, known: Floats) -> "Misfit":
         """What is left once changes (n_pairs or n,) are known."""
         many, seen = len(known), self.seen(known[None])[0]
         constant = self.constant - float(known @ (2 * self.vector[:many] - seen[:many]))
-        return Misfit(self.whole, self.vector - seen, constant, self.lost, self.powers)
+        return Misfit(self.rows, self.vector - seen, constant, self.lost, self.errors, self.powers)
 
     def without(self, directions: Floats) -> "Misfit":
         """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        changes, vector = np.ascontiguousarray(directions.T), self.vector.copy()
-        rows = np.concatenate((self.lost, self.seen(changes)))
-        constant = self.constant - _taken_off(rows[len(self.lost) :], changes, vector)
-        return Misfit(self.whole, vector, constant, rows, self.powers)
+        vector, lost = self.vector.copy(), np.empty((len(self.lost) + directions.shape[1], len(self.vector)))
+        taken = _taken_off(self.rows, self.lost, np.ascontiguousarray(directions.T), vector, lost)
+        return Misfit(self.rows, vector, self.constant - taken, lost, self.errors, self.powers)
 
     def seen(self, changes: Floats) -> Floats:
         """What changes (m, n_pairs or n) do to the gradient (m, n)."""
-        many = changes.shape[1]
-        seen = changes @ self.whole[:many]
-        return np.asarray(seen - (changes @ self.lost[:, :many].T) @ self.lost if len(self.lost) else seen)
+        out = np.empty((len(changes), len(self.vector)))
+        seen(self.rows, self.lost, np.ascontiguousarray(changes), out)
+        return out
 
     def sizes(self, changes: Floats) -> Floats:
         """How large each of changes (n_pairs or n, k) is in the data (k,) (1)."""
-        seen = self.seen(changes.T)[:, : len(changes)]
-        return np.asarray(np.sqrt(np.maximum(np.einsum("kn,nk->k", seen, changes), 0.0)))
+        return sizes(self.rows, self.lost, np.ascontiguousarray(changes.T))
 
     def power(self, changes: Floats) -> Floats:
-        """The squares of the sizes of changes (m, n_pairs), always the same ones; that of the whole is told once."""
-        many = changes.shape[1]
-        if (known := self.powers.get(id(changes))) is None:
-            half = self.whole[:many, :many].copy()  # the curvature is symmetric
-            half.flat[:: many + 1] *= 0.5
-            known = 2 * np.einsum("np,np->p", dtrmm(1.0, half.T, changes.T, lower=1), changes.T)
-            self.powers[id(changes)] = known
-        return np.asarray(known - ((changes @ self.lost[:, :many].T) ** 2).sum(axis=1) if len(self.lost) else known)
+        """The squares of the sizes of changes (n, m), the last row zero, always the same ones.
+
+        What has been told once of what the data say before something was taken off is told no more.
+        """
+        if id(changes) not in self.powers:
+            whole = measured.powers(self.rows, changes)
+            self.powers[id(changes)] = _less(whole, self.lost[: self.errors], changes), _ROUNDED * whole.max()
+        known, least = self.powers[id(changes)]
+        return np.maximum(_less(known, self.lost[self.errors :], changes), least)
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _taken_off(rows: Floats, directions: Floats, vector: Floats) -> float:
-    """Makes of what directions (k, n_pairs or n) do to the gradient, `rows` (k, n), that whose products are lost.
+def _less(power: Floats, lost: Floats, changes: Floats) -> Floats:
+    """Powers of changes (n, m) beside rows (k, n) that are lost."""
+    return np.asarray(power - ((lost @ changes) ** 2).sum(axis=0)) if len(lost) else power
+
+
+@njit(cache=True, nogil=True)
+def seen(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
+    """What changes (m, n_pairs or n) do to the gradient, into `out` (m, n)."""
+    quiet, starts, weights = rows[3], rows[4], rows[5]
+    pairs, data, inner = out.shape[1] - 1, np.empty(len(quiet)), np.empty(len(weights))
+    for k in range(len(changes)):
+        measured.apply(rows, changes[k], pairs, data)
+        measured.along_quiet(rows, data, inner)
+        for i in range(len(inner)):
+            for m in range(starts[i], starts[i + 1]):
+                data[m] -= weights[i] * inner[i] * quiet[m]
+        out[k] = 0.0
+        measured.apply_transposed(rows, data, pairs, out[k])
+        for one in lost:
+            measured.add(-measured.dot(one, changes[k]), one, out[k])
+
+
+@njit(cache=True, nogil=True)
+def products(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
+    """What changes (m, n_pairs or n) have in common in the data, into `out` (m, m)."""
+    pairs, many, injections = lost.shape[1] - 1, len(rows[3]), len(rows[5])
+    data, less = np.empty((len(changes), many)), np.empty((len(changes), injections + len(lost)))
+    for k in range(len(changes)):
+        measured.apply(rows, changes[k], pairs, data[k])
+        measured.along_quiet(rows, data[k], less[k])
+        for i in range(injections):
+            less[k, i] *= np.sqrt(rows[5][i])
+        for i in range(len(lost)):
+            less[k, injections + i] = measured.dot(lost[i], changes[k])
+        for i in range(k + 1):
+            out[i, k] = out[k, i] = measured.dot(data[i], data[k]) - measured.dot(less[i], less[k])
+
+
+@njit(cache=True, nogil=True)
+def sizes(rows: Rows, lost: Floats, changes: Floats) -> Floats:
+    """How large each of changes (m, n_pairs or n) is in the data (m,)."""
+    out, power = np.empty(len(changes)), np.empty((1, 1))
+    for k in range(len(changes)):
+        products(rows, lost, changes[k : k + 1], power)
+        out[k] = np.sqrt(max(power[0, 0], 0.0))
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _taken_off(rows: Rows, lost: Floats, directions: Floats, vector: Floats, out: Floats) -> float:
+    """What is lost, into `out` (k + m, n), once directions (m, n_pairs or n) are taken off beside what was (k, n).
 
     One is taken after the other, and off the `vector` (n,); so much is taken off the constant.
     """
-    constant = 0.0
-    for i in range(len(rows)):
-        row, direction = rows[i], directions[i]
-        whole = 0.0
-        for k in range(len(direction)):
-            whole += row[k] * direction[k]
-        for before in rows[:i]:
-            share = 0.0
-            for k in range(len(direction)):
-                share += before[k] * direction[k]
-            for k in range(len(row)):
-                row[k] -= share * before[k]
-        power, told = 0.0, 0.0
-        for k in range(len(direction)):
-            power += row[k] * direction[k]
-            told += vector[k] * direction[k]
+    constant, before = 0.0, len(lost)
+    for i in range(before):
+        measured.copy(lost[i], out[i])
+    seen(rows, lost, directions, out[before:])
+    for i in range(before, len(out)):
+        row, direction = out[i], directions[i - before]
+        whole = measured.dot(row, direction)
+        for k in range(before, i):
+            measured.add(-measured.dot(out[k], direction), out[k], row)
+        power, told = measured.dot(row, direction), measured.dot(vector, direction)
         if power < _ROUNDED * whole:  # those before are it already, and what rounding leaves would grow
             row[:] = 0.0
             continue
         root = np.sqrt(1 + max(power, 0.0))  # rounding may make it negative where it is not seen
-        told /= root
         for k in range(len(row)):
             row[k] /= root
-            vector[k] -= told * row[k]
-        constant += told * told
+        measured.add(-told / root, row, vector)
+        constant += (told / root) ** 2
     return constant

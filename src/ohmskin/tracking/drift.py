@@ -33,11 +33,12 @@ def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:
     """The state with the common change of all resistances that its newest frame shows beside all its contacts."""
     newest = state.history[0]
     told, share = newest.innovation.told, fitter.allowance(newest.innovation)
-    if not (curvature := float(told.diagonal[-1])):
+    change = np.zeros(len(told.vector))
+    change[-1] = 1.0
+    if not (curvature := float(told.sizes(change[:, None])[0]) ** 2):
         return state
     variance = 1 / (1 / state.common_drift[1] + share * curvature)
     rise = variance * share * float(told.vector[-1])
-    change = np.zeros(len(told.vector))
     change[-1] = rise
     newest = replace(newest, residual=newest.residual.less(change))
     common_drift = (state.common_drift[0] + rise, variance)

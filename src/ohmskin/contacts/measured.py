@@ -1,0 +1,224 @@
+"""Rows of data in units of their noise: what changes of two-terminal resistances do to the voltages of scans.
+
+A voltage is a sum of four two-terminal resistances, so that rows are applied without ever being written out: a product
+costs a tenth of one with the matrix of 120 by 120 numbers that sums up the same data. Rows are six arrays:
+
+    columns (n_rows, 5): numbers of the two-terminal resistances F_ad, F_bc, F_ac, F_bd, F_ab; n_pairs: none
+    sizes (n_rows,): what a change of the first two does to the datum, and minus that of the next two (1/ohm)
+    loading (n_rows,): minus that of the last (1/ohm); or (0,) if there is none
+    quiet (n_rows,): what a common relative change of all resistances does (1)
+    starts (n_inj + 1,): the first row of each injection, and the number of rows
+    weights (n_inj,): how much less data say for an error of each current, which looks like the quiet data
+"""
+
+import numpy as np
+from numba import njit
+
+from ohmskin.arrays import Bools, Floats, Ints
+
+Rows = tuple[Ints, Floats, Floats, Floats, Ints, Floats]
+
+_ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
+_BLOCK = 64  # changes of which powers are worked out at once: their sums stay in the nearest cache
+
+
+def fainter(rows: Rows, share: float) -> Rows:
+    """The same with all errors larger: data say that share of what they did."""
+    columns, sizes, loading, quiet, starts, weights = rows
+    root = np.sqrt(share)
+    return columns, root * sizes, root * loading, root * quiet, starts, weights / share
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def dot(one: Floats, other: Floats) -> float:
+    """The product of two vectors, as far as both go."""
+    total = 0.0
+    for k in range(min(len(one), len(other))):
+        total += one[k] * other[k]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def add(share: float, one: Floats, out: Floats) -> None:
+    """Adds a share of a vector (n,) to another, `out`."""
+    for k in range(len(out)):
+        out[k] += share * one[k]
+
+
+@njit(cache=True, nogil=True)
+def copy(one: Floats, out: Floats) -> None:
+    """Copies a vector (n,) into another, `out`."""
+    for k in range(len(out)):
+        out[k] = one[k]
+
+
+@njit(cache=True, nogil=True)
+def measured(
+    four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
+    numbers: Ints, injections: int, loaded: bool, noise: float, model: float,
+) -> tuple[Rows, Floats]:  # fmt: skip
+    """The finite data of scans as rows, errors of currents not counted, and the data themselves (n_rows,).
+
+    Data of driven electrodes count as much less as their larger changes are modelled worse, by a share `model` of them.
+    """
+    counts, squares = np.zeros(2, np.int64), np.zeros(2)
+    for row in range(len(four)):
+        if np.isfinite(volts[row]) and np.isfinite(amperes[row]):
+            counts[int(driven[row])] += 1
+            squares[int(driven[row])] += volts[row] ** 2
+    count, share = counts[0] + counts[1], 1.0
+    if counts[0] > 0 and counts[1] > 0:
+        usual, theirs = squares[0] / counts[0], squares[1] / counts[1]
+        share = min(1.0, np.sqrt((noise**2 + model**2 * usual) / (noise**2 + model**2 * theirs)))
+    columns, sizes, load = np.empty((count, 5), np.int64), np.empty(count), np.empty(count if loaded else 0)
+    rest, data, starts = np.empty(count), np.empty(count), np.zeros(injections + 1, np.int64)
+    at = 0
+    for row in range(len(four)):
+        if np.isfinite(volts[row]) and np.isfinite(amperes[row]):
+            scale = (share if driven[row] else 1.0) / noise
+            for term in range(5):
+                columns[at, term] = numbers[four[row, _ENDS[term, 0]], four[row, _ENDS[term, 1]]]
+            sizes[at] = 0.5 * scale * amperes[row]
+            if loaded:
+                load[at] = scale * amperes[row] * loading[row]
+            rest[at] = scale * quiet[row] if np.isfinite(quiet[row]) else 0.0
+            data[at] = scale * volts[row]
+            at += 1
+            starts[which[row] + 1] = at
+    for k in range(injections):
+        starts[k + 1] = max(starts[k], starts[k + 1])
+    return (columns, sizes, load, rest, starts, np.zeros(injections)), data
+
+
+@njit(cache=True, nogil=True)
+def apply(rows: Rows, change: Floats, pairs: int, out: Floats) -> None:
+    """What a change (n_pairs,) of two-terminal resistances does to data (n_rows,), or with (n_pairs + 1,) the common
+    change of all of them last."""
+    columns, sizes, loading, quiet, _, _ = rows
+    own = np.zeros(pairs + 1)
+    for p in range(pairs):
+        own[p] = change[p]
+    for m in range(len(columns)):
+        out[m] = sizes[m] * (own[columns[m, 0]] + own[columns[m, 1]] - own[columns[m, 2]] - own[columns[m, 3]])
+    for m in range(len(loading)):
+        out[m] -= loading[m] * own[columns[m, 4]]
+    if len(change) > pairs:
+        for m in range(len(columns)):
+            out[m] += quiet[m] * change[pairs]
+
+
+@njit(cache=True, nogil=True)
+def apply_transposed(rows: Rows, data: Floats, pairs: int, out: Floats) -> None:
+    """Adds to `out` (n_pairs + 1,) the products of data (n_rows,) with what each resistance, and last the common change
+    of all of them, does to them."""
+    columns, sizes, loading, quiet, _, _ = rows
+    own = np.zeros(pairs + 1)
+    for m in range(len(columns)):
+        value = sizes[m] * data[m]
+        own[columns[m, 0]] += value
+        own[columns[m, 1]] += value
+        own[columns[m, 2]] -= value
+        own[columns[m, 3]] -= value
+        out[pairs] += quiet[m] * data[m]
+    for m in range(len(loading)):
+        own[columns[m, 4]] -= loading[m] * data[m]
+    for p in range(pairs):
+        out[p] += own[p]
+
+
+@njit(cache=True, nogil=True)
+def along_quiet(rows: Rows, data: Floats, out: Floats) -> None:
+    """The products (n_inj,) of the data (n_rows,) of each injection with its quiet data."""
+    quiet, starts = rows[3], rows[4]
+    for k in range(len(starts) - 1):
+        out[k] = 0.0
+        for m in range(starts[k], starts[k + 1]):
+            out[k] += quiet[m] * data[m]
+
+
+@njit(cache=True, nogil=True)
+def powers(rows: Rows, changes: Floats) -> Floats:
+    """Squared sizes in the data of changes, beside errors of currents, the changes (n_pairs + 1, n) in columns, the
+    last row zero."""
+    columns, sizes, loading, quiet, starts, weights = rows
+    n = changes.shape[1]
+    out, inner = np.zeros(n), np.empty(_BLOCK)
+    for low in range(0, n, _BLOCK):
+        high = min(low + _BLOCK, n)
+        total = out[low:high]
+        for k in range(len(weights)):
+            inner[:] = 0.0
+            for m in range(starts[k], starts[k + 1]):
+                a, b = changes[columns[m, 0], low:high], changes[columns[m, 1], low:high]
+                c, d = changes[columns[m, 2], low:high], changes[columns[m, 3], low:high]
+                e, load = changes[columns[m, 4], low:high], loading[m] if len(loading) else 0.0
+                for p in range(len(total)):
+                    value = sizes[m] * (a[p] + b[p] - c[p] - d[p]) - load * e[p]
+                    total[p] += value * value
+                    inner[p] += quiet[m] * value
+            for p in range(len(total)):
+                total[p] -= weights[k] * inner[p] * inner[p]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def beside_errors(
+    rows: Rows, data: Floats, contacts: Floats, gain: float, variance: float
+) -> tuple[Rows, Floats, Floats, float]:
+    """What data (n_rows,) say if they err, beside noise of that variance, by currents and contacts, as `Misfit` has it.
+
+    Args:
+        rows: Theirs, for noise of variance 1.
+        data: In the same units.
+        contacts: (n_pairs, k) changes of two-terminal resistances of one standard deviation of further errors.
+        gain: Standard deviation of the relative error of a current (1).
+        variance: Of the noise.
+
+    Returns:
+        The rows; those lost, (k, n_pairs + 1); the downhill gradient (n_pairs + 1,), halved; the squared misfit.
+    """
+    columns, starts, pairs, k, many = rows[0], rows[4], len(contacts), contacts.shape[1], len(data)
+    root, injections = 1 / np.sqrt(variance), len(starts) - 1
+    quiet, weights = root * rows[3], np.zeros(injections)
+    for i in range(injections):
+        power = 0.0
+        for m in range(starts[i], starts[i + 1]):
+            power += quiet[m] ** 2
+        weights[i] = gain**2 / (1 + gain**2 * power)
+    scaled = (columns, root * rows[1], root * rows[2], quiet, starts, weights)
+    # each further error, and last the data, beside errors of the currents
+    errors, seen = np.empty((k + 1, many)), np.zeros((k + 1, pairs + 1))
+    beside, inner = np.empty(many), np.empty(injections)
+    own = np.zeros((k + 1, k + 1))
+    for i in range(k + 1):
+        if i < k:
+            apply(scaled, contacts[:, i], pairs, errors[i])
+        else:
+            for m in range(many):
+                errors[i, m] = root * data[m]
+        along_quiet(scaled, errors[i], inner)
+        for j in range(injections):
+            for m in range(starts[j], starts[j + 1]):
+                beside[m] = errors[i, m] - weights[j] * inner[j] * quiet[m]
+        apply_transposed(scaled, beside, pairs, seen[i])
+        for j in range(i + 1):
+            own[i, j] = dot(beside, errors[j])
+    trace = 1.0
+    for i in range(k):
+        trace += 1e-13 * own[i, i]
+    lost = seen[:k]
+    for i in range(k + 1):  # Cholesky, rows as it goes on; the last is of the data
+        for j in range(i + (i < k)):
+            total = own[i, j] + (trace if i == j else 0.0)
+            for h in range(j):
+                total -= own[i, h] * own[j, h]
+            own[i, j] = np.sqrt(total) if i == j else total / own[j, j]
+        for j in range(i):
+            for p in range(pairs + 1):
+                seen[i, p] -= own[i, j] * seen[j, p]
+        for p in range(pairs + 1 if i < k else 0):
+            seen[i, p] /= own[i, i]
+    constant = own[k, k]
+    for j in range(k):
+        constant -= own[k, j] ** 2
+    return scaled, lost, seen[k].copy(), constant
