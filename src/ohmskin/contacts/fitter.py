@@ -16,7 +16,7 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts.discs import DiscFitter, cost_of
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
-from ohmskin.contacts.solution import Solution, effect_std, nothing
+from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share
@@ -35,6 +35,7 @@ _PROMISED = 0.02  # share of the gain asked of a split that a small one must pro
 _WIDE, _WIDEST = 1.5, 2.0  # usual radii of a contact beyond which a pair may be as far apart as it is wide, and must be
 _LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
+NEAR = 4.0  # radii, within which two contacts may be one
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _ANGLES = np.arange(4) * np.pi / 4
 _AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
@@ -109,10 +110,16 @@ class ContactFitter(DiscFitter):
         """
         return self.explained(*self.information(*scans))
 
-    def explained(self, told: Information, data: Information, bar: float | None = None) -> Solution:
-        """The contacts that explain what is measured, given as `information` gives it; `bar` as for `split`."""
+    def explained(
+        self, told: Information, data: Information, bar: float | None = None, before: Floats | None = None
+    ) -> Solution:
+        """The contacts that explain what is measured, given as `information` gives it; `bar` as for `split`.
+
+        Contacts that were there a moment `before` (n, 4) need not be looked for, where that makes no difference.
+        """
         told, data = everything = told.beside_common(), data.beside_common()
-        found, covered = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant), tuple[int, ...]()
+        found = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant)
+        found, covered = self._still(told, data, before) or found, tuple[int, ...]()
         while len(found.params) < self.most:
             left = told.less(found.caused) if len(found.params) else told
             beside = left.beside(found.slopes) if len(found.params) else left
@@ -139,6 +146,29 @@ class ContactFitter(DiscFitter):
             else:
                 break
         return replace(found, covered=covered)
+
+    def _still(self, told: Information, data: Information, before: Floats | None) -> Solution | None:
+        """The contacts that were there `before` (n, 4) as they are now, if they would be found afresh, too.
+
+        They are if each stands out by itself as one that is new must, none may be a part of another, and together they
+        leave no more than is usual.
+        """
+        if before is None or not 0 < len(before) <= self.most:
+            return None
+        away = np.linalg.norm(self.table.offsets(before[:, None, :2], before[:, :2]), axis=2)
+        if (away + np.diag(np.full(len(before), np.inf)) < NEAR * self.table.radius).any():
+            return None
+        found = self.refine(data, self.within(before))
+        if self.poor(told, found.cost):
+            return None
+        for k, covariance in enumerate(found.covariances):
+            effect = found.params[k, 2]
+            height = abs(effect) / effect_std(covariance)
+            others = found.caused - effect * found.slopes[:, PER_CONTACT * k + 2]
+            sure = height > self.bar + self.model_error * told.size(others)
+            if not sure and found.cost + height**2 < _CLEAR * max(found.cost, self.bar**2):
+                return None
+        return found
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""

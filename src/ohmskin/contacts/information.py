@@ -109,9 +109,9 @@ class Information:
         none = np.zeros((pairs, 0))
         changes = none if errors.contacts is None else errors.contacts
         larger = 1 + errors.model**2 * float(data @ data) / len(data)
-        ways = (changes, errors.gain, 1.0), (changes, errors.gain, larger), (none, 0.0, 1.0), (none, 0.0, larger)
-        told, wary, white, warier = (_misfit(*beside_errors(rows, data, *way)) for way in ways)
-        return cls(told, white, len(data)), cls(wary, warier, len(data))
+        ways = (changes, errors.gain, 1.0), (changes, errors.gain, larger), (none, 0.0, 1.0)
+        told, wary, white = (_misfit(*beside_errors(rows, data, *way)) for way in ways)
+        return cls(told, white, len(data)), cls(wary, white, len(data))
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
@@ -169,8 +169,8 @@ class Information:
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
-        told, root = self.told, sqrt(share)
-        less = Misfit(fainter(told.rows, share), share * told.vector, share * told.constant, root * told.lost, told.errors)
+        told, rows = self.told, fainter(self.told.rows, share)
+        less = Misfit(rows, share * told.vector, share * told.constant, sqrt(share) * told.lost, told.errors)
         return Information(less, self.white, self.count)
 
     def size(self, changes: Floats) -> float:

@@ -204,7 +204,13 @@ def damped_step(normal: Floats, damping: float, step: Floats) -> None:
 
 @njit(cache=True, nogil=True)
 def _linearised(
-    params: Floats, rows: Rows, lost: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats,
+    params: Floats,
+    rows: Rows,
+    lost: Floats,
+    vector: Floats,
+    constant: float,
+    mean: Floats,
+    prior: Floats,
     spline: Spline,
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""

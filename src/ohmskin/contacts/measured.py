@@ -3,7 +3,8 @@
 A voltage is a sum of four two-terminal resistances, so that rows are applied without ever being written out: a product
 costs a tenth of one with the matrix of 120 by 120 numbers that sums up the same data. Rows are six arrays:
 
-    columns (n_rows, 5): numbers of the two-terminal resistances F_ad, F_bc, F_ac, F_bd, F_ab; n_pairs: none
+    columns (n_rows, 5): numbers of the two-terminal resistances F_ad, F_bc, F_ac, F_bd, F_ab; n_pairs: none;
+        without a sign, as indices without one are read most quickly
     sizes (n_rows,): what a change of the first two does to the datum, and minus that of the next two (1/ohm)
     loading (n_rows,): minus that of the last (1/ohm); or (0,) if there is none
     quiet (n_rows,): what a common relative change of all resistances does (1)
@@ -11,15 +12,17 @@ costs a tenth of one with the matrix of 120 by 120 numbers that sums up the same
     weights (n_inj,): how much less data say for an error of each current, which looks like the quiet data
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Bools, Floats, Ints
 
-Rows = tuple[Ints, Floats, Floats, Floats, Ints, Floats]
+_BLOCK = 32  # changes of which powers are worked out at once: they stay in the nearest cache
+Rows = tuple[Any, Floats, Floats, Floats, Ints, Floats]
 
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
-_BLOCK = 64  # changes of which powers are worked out at once: their sums stay in the nearest cache
 
 
 def fainter(rows: Rows, share: float) -> Rows:
@@ -70,7 +73,7 @@ def measured(
     if counts[0] > 0 and counts[1] > 0:
         usual, theirs = squares[0] / counts[0], squares[1] / counts[1]
         share = min(1.0, np.sqrt((noise**2 + model**2 * usual) / (noise**2 + model**2 * theirs)))
-    columns, sizes, load = np.empty((count, 5), np.int64), np.empty(count), np.empty(count if loaded else 0)
+    columns, sizes, load = np.empty((count, 5), np.uint64), np.empty(count), np.empty(count if loaded else 0)
     rest, data, starts = np.empty(count), np.empty(count), np.zeros(injections + 1, np.int64)
     at = 0
     for row in range(len(four)):
@@ -141,23 +144,29 @@ def powers(rows: Rows, changes: Floats) -> Floats:
     """Squared sizes in the data of changes, beside errors of currents, the changes (n_pairs + 1, n) in columns, the
     last row zero."""
     columns, sizes, loading, quiet, starts, weights = rows
-    n = changes.shape[1]
-    out, inner = np.zeros(n), np.empty(_BLOCK)
+    n, pairs = changes.shape[1], len(changes)
+    out, some = np.zeros(n), np.zeros((pairs, _BLOCK))
+    value, inner, total = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
     for low in range(0, n, _BLOCK):
-        high = min(low + _BLOCK, n)
-        total = out[low:high]
+        many = min(_BLOCK, n - low)
+        for k in range(pairs):
+            copy(changes[k, low:], some[k, :many])
+        total[:] = 0.0
         for k in range(len(weights)):
             inner[:] = 0.0
-            for m in range(starts[k], starts[k + 1]):
-                a, b = changes[columns[m, 0], low:high], changes[columns[m, 1], low:high]
-                c, d = changes[columns[m, 2], low:high], changes[columns[m, 3], low:high]
-                e, load = changes[columns[m, 4], low:high], loading[m] if len(loading) else 0.0
-                for p in range(len(total)):
-                    value = sizes[m] * (a[p] + b[p] - c[p] - d[p]) - load * e[p]
-                    total[p] += value * value
-                    inner[p] += quiet[m] * value
-            for p in range(len(total)):
+            for m in range(starts[k], starts[k + 1]):  # loops that write one array each, or they are not vectorised
+                a, b, c, d = columns[m, 0], columns[m, 1], columns[m, 2], columns[m, 3]
+                for p in range(_BLOCK):
+                    value[p] = sizes[m] * (some[a, p] + some[b, p] - some[c, p] - some[d, p])
+                if len(loading):
+                    add(-loading[m], some[columns[m, 4]], value)
+                for p in range(_BLOCK):
+                    total[p] += value[p] * value[p]
+                for p in range(_BLOCK):
+                    inner[p] += quiet[m] * value[p]
+            for p in range(_BLOCK):
                 total[p] -= weights[k] * inner[p] * inner[p]
+        copy(total, out[low : low + many])
     return out
 
 
@@ -221,4 +230,4 @@ def beside_errors(
     constant = own[k, k]
     for j in range(k):
         constant -= own[k, j] ** 2
-    return scaled, lost, seen[k].copy(), constant
+    return scaled, lost, seen[k].copy(), float(constant)

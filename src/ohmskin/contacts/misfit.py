@@ -14,6 +14,29 @@ _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once othe
 
 
 @dataclass(frozen=True, eq=False)
+class Sums:
+    """A squared misfit constant - 2 vector.x + x.matrix.x written out, which takes no more room the more data it has.
+
+    Args:
+        matrix: (n_pairs, n_pairs) its curvature, halved.
+        vector: (n_pairs,) its downhill gradient at nothing, halved.
+        constant: That of nothing.
+    """
+
+    matrix: Floats
+    vector: Floats
+    constant: float
+
+    def plus(self, other: "Sums", share: float) -> "Sums":
+        """Its `share`, and all of another."""
+        return Sums(
+            share * self.matrix + other.matrix,
+            share * self.vector + other.vector,
+            share * self.constant + other.constant,
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Misfit:
     """A squared misfit constant - 2 vector.x + x.matrix.x, of data in units of their noise.
 
@@ -38,6 +61,11 @@ class Misfit:
         """(n, n) its curvature, halved."""
         matrix = self.seen(np.eye(len(self.vector)))
         return (matrix + matrix.T) / 2
+
+    @property
+    def sums(self) -> Sums:
+        """It written out, of two-terminal resistances alone."""
+        return Sums(self.matrix[:-1, :-1], self.vector[:-1], self.constant)
 
     def less(self, known: Floats) -> "Misfit":
         """What is left once changes (n_pairs or n,) are known."""

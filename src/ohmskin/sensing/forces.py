@@ -15,8 +15,8 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
-from ohmskin.contacts.information import Information
 from ohmskin.contacts.kernels import damped_step
+from ohmskin.contacts.misfit import Sums
 from ohmskin.contacts.solution import inverse
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
@@ -84,8 +84,8 @@ class Presses:
 
     ids: tuple[int, ...] = ()
     fits: tuple[Fit, ...] = ()
-    data: Information | None = None
-    exact: Information | None = None
+    data: Sums | None = None
+    exact: Sums | None = None
     scans: tuple[Difference, ...] = ()
     elapsed: float = 0.0
     told: dict[int, FittedPress] = field(default_factory=dict)
@@ -203,7 +203,7 @@ class PressFollower:
         if state.exact is not None:
             kept *= exp(-_changed(state.fits[0], state.exact, exact))
         new = self.fitter.information(state.scans, 1 / (1 - kept))
-        data = new if state.data is None else Information.together([state.data.times(kept), new])
+        data = new if state.data is None else state.data.plus(new, kept)
         return replace(state, data=data, exact=exact, scans=(), elapsed=0.0)
 
     def _improved(self, state: Presses) -> Presses:
@@ -216,7 +216,7 @@ class PressFollower:
             fits = _distinct([fit for fit in fits if fit.found is None or fit.cost < fits[0].cost + _UNLIKELY])
         return replace(state, fits=tuple(fits), told=self._told(state, fits))
 
-    def _stepped(self, fit: Fit, data: Information) -> list[Fit]:
+    def _stepped(self, fit: Fit, data: Sums) -> list[Fit]:
         """A fit closer to the data: solved for, if that is near to where it is linear, else evaluated there."""
         fitter = self.fitter
         cost, normal, gradient = fitter.weighed(data, fit.params, fit.caused, fit.slopes)
@@ -291,13 +291,12 @@ def _step(normal: Floats, gradient: Floats, damping: float) -> Floats:
     return step
 
 
-def _changed(fit: Fit, before: Information, now: Information) -> float:
+def _changed(fit: Fit, before: Sums, now: Sums) -> float:
     """By how many standard deviations of chi-square presses differ between two looks, beyond one (1)."""
     found, normals = [], []
     for one in (before, now):
-        matrix, vector = one.told.matrix[:-1, :-1], one.told.vector[:-1]
-        normals.append(fit.slopes.T @ matrix @ fit.slopes + np.diag(np.tile(_LINEAR, len(fit.params) // 4) ** -2.0))
-        found.append(np.linalg.solve(normals[-1], fit.slopes.T @ (vector - matrix @ fit.caused)))
+        normals.append(fit.slopes.T @ one.matrix @ fit.slopes + np.diag(np.tile(_LINEAR, len(fit.params) // 4) ** -2.0))
+        found.append(np.linalg.solve(normals[-1], fit.slopes.T @ (one.vector - one.matrix @ fit.caused)))
     step = found[1] - found[0]
     both = inverse(normals[0]) + inverse(normals[1])
     square = float(step @ np.linalg.solve(both, step))

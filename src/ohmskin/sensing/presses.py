@@ -17,6 +17,7 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import damped_step
+from ohmskin.contacts.misfit import Sums
 from ohmskin.contacts.solution import inverse
 from ohmskin.errors import DataError
 from ohmskin.scan import Difference
@@ -155,13 +156,13 @@ class PressFitter:
         found, cost, normal = _minimised(
             start, lambda params: self._under_layer(params, described, presses, data), moved
         )
-        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(one.told.constant for one in data)
+        stds, all_of_it = np.sqrt(np.diag(inverse(normal))), sum(one.constant for one in data)
         hysteresis = float(np.expm1(found[2])) if len(rising) < len(presses) else -1.0
         left = sqrt(max(cost, 0.0) / all_of_it)
         return FittedLayer(float(np.exp(found[0])), float(found[1]), float(stds[0]), float(stds[1]), hysteresis, left)
 
     def _under_layer(
-        self, params: Floats, described: Floats, presses: Sequence[KnownPress], data: Sequence[Information]
+        self, params: Floats, described: Floats, presses: Sequence[KnownPress], data: Sequence[Sums]
     ) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of a layer, and of place and size of presses of known force under it.
 
@@ -203,7 +204,7 @@ class PressFitter:
         spread, radius = self.known.skin.contact_layer.foam_spread, float(np.exp(params[2]))
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
-    def information(self, scans: Sequence[Difference], frames: float = 1.0) -> Information:
+    def information(self, scans: Sequence[Difference], frames: float = 1.0) -> Sums:
         """What scans say, and as many `frames` like them together; noise averages out, the model's error does not.
 
         With no frames, what they say if the model does not err.
@@ -214,7 +215,7 @@ class PressFitter:
         errors = Errors(
             fitter.errors.noise, fitter.errors.gain, fitter.errors.contacts, self._model_error * np.sqrt(repeats)
         )
-        return Information.of(fitter.table.n_elec, errors, scans)[1]
+        return Information.of(fitter.table.n_elec, errors, scans)[1].told.sums
 
     def start(self, contacts: Sequence[Contact], size: float = 1.0) -> Floats:
         """Parameters (4 n,) of presses at contacts: x, y (m), logarithms of radius (m), that many usual ones, and of
@@ -238,7 +239,7 @@ class PressFitter:
         inside[:, 2:] = np.clip(inside[:, 2:], self._usual - reach, self._usual + reach)
         return inside.ravel()
 
-    def _fitted(self, data: Information, start: Floats) -> tuple[Floats, float, Floats]:
+    def _fitted(self, data: Sums, start: Floats) -> tuple[Floats, float, Floats]:
         """The parameters (4 n,) of presses near `start` that explain data best, their cost and its curvature."""
         return _minimised(start, lambda params: self.weighed(data, params, *self.caused(params)), self.moved)
 
@@ -276,23 +277,21 @@ class PressFitter:
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
-    def weighed(
-        self, data: Information, params: Floats, caused: Floats, slopes: Floats
-    ) -> tuple[float, Floats, Floats]:
+    def weighed(self, data: Sums, params: Floats, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of presses (4 n,) that cause so much."""
         cost, normal, gradient = self._explained(data, caused, slopes)
         own, precision, pull = self._prior(params.reshape(-1, _PER_PRESS))
         return cost + own, normal + np.diag(precision), gradient + pull
 
     @staticmethod
-    def _explained(data: Information, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
+    def _explained(data: Sums, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of what is caused, up to a common error of all of it."""
-        matrix, vector = data.told.matrix[:-1, :-1], data.told.vector[:-1]
+        matrix, vector = data.matrix, data.vector
         left, seen = vector - matrix @ caused, matrix @ slopes
         error = _AMPLITUDE * caused
         felt = matrix @ error
         share = 1 / (1 + error @ felt)
-        cost = data.told.constant - caused @ (vector + left) - share * (error @ left) ** 2
+        cost = data.constant - caused @ (vector + left) - share * (error @ left) ** 2
         normal = slopes.T @ seen - share * np.outer(slopes.T @ felt, felt @ slopes)
         return float(cost), normal, slopes.T @ (left - share * felt * (error @ left))
 

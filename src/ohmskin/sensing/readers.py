@@ -26,7 +26,7 @@ from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 _FOLLOWED = (
     2.0  # s in which a change of contact impedances, or of anything that no contact explains, is followed to 1/e
 )
-_LEARNED = 0.1  # s between frames that tell of the latter
+_LEARNED = 0.1  # s between frames that tell of the latter, and in which contacts are looked for afresh
 _DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
 _SURE, _LITTLE = (
     2.0,
@@ -100,6 +100,11 @@ class Reader(Protocol):
         ...
 
 
+def params_of(contacts: Sequence[Contact]) -> Floats:
+    """Parameters (n, 4) of contacts that were fitted: x, y (m), effect (m2), squared radius (m2)."""
+    return np.array([(*one.position, one.strength, one.extent / np.pi) for one in contacts]).reshape(-1, 4)
+
+
 def undriven(scans: Sequence[Difference]) -> list[Difference]:
     """What images are made of: contact impedances, which change, are no part of it."""
     return [scan.undriven for scan in scans]
@@ -165,7 +170,9 @@ class FitReader:
             new, recent = ([less[id(scan)] for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
-        solution = self.fitter.explained(told, wary)
+        unlearned = before.unlearned + elapsed
+        afresh = unlearned >= _LEARNED  # now and then, lest a wrong place be kept
+        solution = self.fitter.explained(told, wary, before=None if afresh else params_of(before.detections))
         if solution.covered:
             told = told.leaving_out(in_series(solution.covered, self.fitter.table.n_elec))
         unexplained = told.unexplained(solution.caused)
@@ -175,8 +182,7 @@ class FitReader:
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
             drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
-        unlearned = before.unlearned + elapsed
-        if unlearned >= _LEARNED:
+        if afresh:
             learned = -np.expm1(-unlearned / _FOLLOWED) * self._drift(told, solution)
             drift, unlearned = learned if drift is None else drift + learned, 0.0
         tracks, contacts = self.tracker.update(before.tracks, found)

@@ -7,13 +7,12 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 
-from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.fitter import NEAR, ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import PER_CONTACT
 from ohmskin.tracking.state import STATE, TrackState
 
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
-NEAR = 4.0  # radii, within which two contacts may be one
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
 _RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
 _HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again
