@@ -368,3 +368,20 @@ def test_a_recording_is_known_by_its_file_and_has_an_end(chromium: Browser) -> N
     expect(page.get_by_text("untouched")).to_have_count(0)
     reader.close()
     loop.close()
+
+
+def test_the_last_minute_is_kept_with_its_doubts(reader: Reader) -> None:
+    past = """
+        const { Past } = await import("/static/past.js");
+        const past = new Past(), sure = { id: 4, confidence: 1 }, unsure = { id: 7, confidence: 0.5 };
+        for (let t = 0; t < 40; t += 0.1) past.add(t, t < 20 ? [sure] : [sure, unsure], false, t < 5);
+        for (let t = 40; t < 70; t += 0.1) past.add(t, [sure], true, false);
+        return [past.contacts, past._bars.map((bar) => [bar.kind, bar.lane, Math.round(bar.from), Math.round(bar.to)])];
+    """
+    count, bars = run(reader.page, past)
+    assert count == 2
+    assert sorted(bars, key=str) == [["contact", 0, 0, 40], ["unknown", None, 40, 70], ["unsure", 1, 20, 40]]
+    expect(reader.page.locator("#past")).to_have_attribute("aria-label", "The last minute: 1 contact")
+    box = reader.page.locator("#past").bounding_box()
+    assert box is not None
+    assert colourful(pixels(reader.page, x=box["x"] + box["width"] - 30, y=box["y"], width=28, height=12)) > 80

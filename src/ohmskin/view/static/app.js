@@ -3,12 +3,13 @@
 import { Range, number } from "./colour.js";
 import { Controls } from "./controls.js";
 import { Field } from "./field.js";
-import { Spark, showContacts, showFigures, showFindings } from "./figures.js";
+import { Spark, counted, showContacts, showFigures, showFindings, showProgress } from "./figures.js";
 import { Frame, bounds, clampTo, heightFor } from "./frame.js";
 import { showHelp } from "./help.js";
 import { Link } from "./link.js";
 import { drawMap, drawScale } from "./map.js";
 import { noticeFor } from "./notice.js";
+import { Past } from "./past.js";
 import { savePicture } from "./picture.js";
 import { drawSection } from "./section.js";
 import { Surface } from "./surface.js";
@@ -38,6 +39,7 @@ let drawnTimes = [];
 const fields = { map: null, base: null };
 const range = new Range();
 const spark = new Spark();
+const past = new Past();
 
 const surfaces = {
   map: new Surface(byId("map"), requestDraw, domainHeight),
@@ -46,6 +48,7 @@ const surfaces = {
   x: new Surface(byId("section-x"), requestDraw),
   y: new Surface(byId("section-y"), requestDraw),
   spark: new Surface(byId("spark"), requestDraw),
+  past: new Surface(byId("past"), requestDraw),
 };
 
 const touch = new Touch({
@@ -167,6 +170,7 @@ function drawPicture(now) {
     );
   }
   surfaces.spark.draw((c, w, h) => spark.draw(c, w, h, theme));
+  surfaces.past.draw((c, w, h) => past.draw(c, w, h, theme, now / 1000));
 }
 
 /** Whether the base image is all that there is. */
@@ -265,7 +269,9 @@ function showText(now) {
   showFigures(notice.unknown ? {} : header);
   const contacts = notice.unknown ? [] : (header.contacts ?? []);
   showContacts(contacts, notice.unknown ? "Unknown" : "No contact");
-  showFindings(notice.unknown ? [] : (header.findings ?? []));
+  const findings = notice.unknown ? [] : (header.findings ?? []);
+  showFindings(findings);
+  past.add(now / 1000, contacts, Boolean(notice.unknown), findings.length > 0);
   showReadouts();
   const through = contacts.length ? `through contact ${strongest().id}` : "no contact";
   setText("section-of", notice.unknown ? "unknown" : through);
@@ -273,17 +279,9 @@ function showText(now) {
   setText("drawn", `${drawnTimes.length} displayed fps`);
   if (now - summaryTime > SUMMARY_EVERY) {
     summaryTime = now;
-    const count = contacts.length === 1 ? "1 contact" : `${contacts.length || "no"} contacts`;
-    setText("summary", notice.unknown ? `contacts unknown: ${notice.unknown}` : count);
+    byId("past").setAttribute("aria-label", `The last minute: ${counted(past.contacts)}`);
+    setText("summary", notice.unknown ? `contacts unknown: ${notice.unknown}` : counted(contacts.length));
   }
-}
-
-/** A share from 0 to 1, a bar that only says that something goes on (null), or no bar at all. */
-function showProgress(share) {
-  const bar = byId("progress");
-  bar.hidden = share === undefined;
-  if (share === null) bar.removeAttribute("value");
-  else if (share !== undefined) bar.value = share;
 }
 
 function showReadouts() {

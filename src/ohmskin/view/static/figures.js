@@ -39,6 +39,18 @@ export function showFindings(findings) {
   );
 }
 
+export function counted(contacts) {
+  return contacts === 1 ? "1 contact" : `${contacts || "no"} contacts`;
+}
+
+/** A share from 0 to 1, a bar that only says that something goes on (null), or no bar at all. */
+export function showProgress(share) {
+  const bar = byId("progress");
+  bar.hidden = share === undefined;
+  if (share === null) bar.removeAttribute("value");
+  else if (share !== undefined) bar.value = share;
+}
+
 /**
  * Rows of the contact table are kept and refilled, so that nothing flickers and selections survive; `none` stands there
  * if it is empty.
