@@ -140,6 +140,14 @@ def live(screens: Screens, stack: ExitStack, recording: Path) -> None:
     for each in (page, screens.phone):
         each.keyboard.press("Escape")
         each.evaluate("document.activeElement.blur()")
+    for each in (page, screens.phone):
+        each.click("#guided")
+        each.click("#guide-on")
+        until(each, "document.getElementById('guide').dataset.step === 'press'")
+    screens.take("guide")
+    for each in (page, screens.phone):
+        each.click("#guide-close")
+        each.evaluate("document.activeElement.blur()")
     screens.press((0.06, 0.13))
     screens.take("one")
     screens.lift()
@@ -149,6 +157,9 @@ def live(screens: Screens, stack: ExitStack, recording: Path) -> None:
     until(page, f"{FRAME}.mode === '16T' && {FRAME}.contacts.length === 3")
     page.wait_for_timeout(1500)
     screens.take("tracking")
+    for each in (page, screens.phone):
+        each.click("#expert summary")
+    screens.take("expert")
     skin.terminate()
     until(page, f"{FRAME}.state === 'lost'")
     screens.take("lost")
@@ -205,7 +216,7 @@ def docs(screens: Screens, stack: ExitStack, recording: Path) -> None:
 
 
 SCENES: dict[Callable[[Screens, ExitStack, Path], None], set[str]] = {
-    live: {"quiet", "help", "one", "three", "tracking", "lost"},
+    live: {"quiet", "help", "guide", "one", "three", "tracking", "expert", "lost"},
     starting: {"starting"},
     doubt: {"doubt"},
     replay: {"replay", "replay-end"},

@@ -346,4 +346,5 @@ class Engine(Closing):
 
 def _lost(error: OhmskinError) -> str:
     """What a user is told of a lost device, which the loop connects to again by itself."""
-    return f"device lost: {str(error).removesuffix('; connect again')}; reconnecting"
+    why = str(error).removesuffix("; connect again")
+    return f"device lost: {why} Reconnecting" if why.endswith("?") else f"device lost: {why}; reconnecting"

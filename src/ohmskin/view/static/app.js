@@ -1,10 +1,12 @@
 // The live page: takes the newest frame, draws once per screen refresh, tells the server what it has drawn.
 
 import { Range, number } from "./colour.js";
+import { strongest } from "./contacts.js";
 import { Controls } from "./controls.js";
 import { Field } from "./field.js";
 import { Spark, counted, showContacts, showFigures, showFindings, showProgress } from "./figures.js";
 import { Frame, bounds, clampTo, heightFor } from "./frame.js";
+import { Guide } from "./guide.js";
 import { showHelp } from "./help.js";
 import { Link } from "./link.js";
 import { drawMap, drawScale } from "./map.js";
@@ -72,6 +74,14 @@ const controls = new Controls({
   save,
   changed: requestDraw,
   refuse,
+});
+
+const guide = new Guide({
+  skin: () => setup.skin,
+  virtual: () => Boolean(setup.press),
+  settings: () => controls.press,
+  send: (command) => link.send(command),
+  changed: requestDraw,
 });
 
 const transport = new Transport((command) => link.send(command));
@@ -200,6 +210,7 @@ function scenes(theme, unknown = false) {
       pairs: (!unknown && header.injections) || [],
       contacts: (!unknown && header.contacts) || [],
       cursor: touch.cursors.get(byId("map")),
+      target: guide.target,
     },
     base: {
       ...common,
@@ -220,16 +231,8 @@ function shownPresses(header) {
   return [...others, ...[...touch.presses.values()].map((press) => ({ ...press, own: true }))];
 }
 
-function strongest() {
-  const contacts = frame.header.contacts ?? [];
-  return contacts.reduce(
-    (best, next) => (best && Math.abs(best.strength) >= Math.abs(next.strength) ? best : next),
-    null,
-  );
-}
-
 function placeSection() {
-  const contact = strongest();
+  const contact = strongest(frame.header.contacts ?? []);
   const [left, bottom, right, top] = bounds(setup.skin.domain);
   if (contact) section = clampTo(setup.skin.domain, contact.x, contact.y);
   else section ??= [(left + right) / 2, (bottom + top) / 2];
@@ -271,9 +274,10 @@ function showText(now) {
   showContacts(contacts, notice.unknown ? "Unknown" : "No contact");
   const findings = notice.unknown ? [] : (header.findings ?? []);
   showFindings(findings);
+  guide.update(now / 1000, header, contacts, Boolean(notice.unknown));
   past.add(now / 1000, contacts, Boolean(notice.unknown), findings.length > 0);
   showReadouts();
-  const through = contacts.length ? `through contact ${strongest().id}` : "no contact";
+  const through = contacts.length ? `through contact ${strongest(contacts).id}` : "no contact";
   setText("section-of", notice.unknown ? "unknown" : through);
   drawnTimes = drawnTimes.filter((time) => time > now - 1000);
   setText("drawn", `${drawnTimes.length} displayed fps`);

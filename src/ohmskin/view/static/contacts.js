@@ -31,6 +31,14 @@ export function drawContacts(c, f, width, height, scene, taken, ink) {
   scene.contacts.forEach((contact, i) => drawLabel(c, contact, circles[i], taken, width, height, ink));
 }
 
+/** The contact that changed most; null if there is none. */
+export function strongest(contacts) {
+  return contacts.reduce(
+    (best, next) => (best && Math.abs(best.strength) >= Math.abs(next.strength) ? best : next),
+    null,
+  );
+}
+
 /** Whether a contact is to look doubtful. */
 export function doubtful(contact) {
   return contact.confidence < SURE;

@@ -26,6 +26,12 @@ const MARKS = [
     "Crosshair:",
     "where the cross-sections run, through the strongest contact.",
   ],
+  [
+    "target",
+    '<circle cx="14" cy="10" r="8"/><circle cx="14" cy="10" r="4"/>',
+    "Target",
+    "of the guided calibration: press there.",
+  ],
   ["cursor", '<path d="M4 10h6M18 10h6M14 1v6M14 13v6"/>', "Keyboard cursor.", "", true],
   ["electrode", '<circle cx="10" cy="12" r="3.4"/><text x="16" y="9">7</text>', "Electrode", "and its number."],
   [

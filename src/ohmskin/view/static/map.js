@@ -8,7 +8,7 @@ import { FONT, INK } from "./ink.js";
 /**
  * Draw one map.
  * scene: { skin, field (or null), theme, limit, threshold, pairs, contacts, presses, bad and doubted (electrodes),
- *   doubtful (whether all of it is), section, cursor }
+ *   doubtful (whether all of it is), section, cursor, target ({ at, number }, where to press) }
  */
 export function drawMap(c, width, height, scene) {
   const ink = INK[scene.theme];
@@ -33,6 +33,7 @@ export function drawMap(c, width, height, scene) {
   drawScaleBar(c, f, height, scene, ink);
   for (const press of scene.presses) drawPress(c, f, press, ink);
   drawContacts(c, f, width, height - FOOT, scene, electrodeBoxes(f, scene), ink);
+  if (scene.target) drawTarget(c, f, scene.target, ink);
   if (scene.cursor) drawCursor(c, f, scene.cursor, ink);
 }
 
@@ -218,6 +219,27 @@ function drawPress(c, f, press, ink) {
     c.fill();
   }
   c.restore();
+}
+
+function drawTarget(c, f, { at, number: place }, ink) {
+  const [x, y] = [f.x(at[0]), f.y(at[1])];
+  for (const [colour, weight] of [
+    [ink.halo, 5],
+    [ink.other, 2.2],
+  ]) {
+    c.strokeStyle = colour;
+    c.lineWidth = weight;
+    c.beginPath();
+    for (const radius of [8, 16]) {
+      c.moveTo(x + radius, y);
+      c.arc(x, y, radius, 0, 2 * Math.PI);
+    }
+    c.stroke();
+  }
+  c.textAlign = "center";
+  c.textBaseline = "middle";
+  c.fillStyle = ink.other;
+  c.fillText(place, x, y + 0.5);
 }
 
 function drawCursor(c, f, [x, y], ink) {

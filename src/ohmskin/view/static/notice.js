@@ -35,7 +35,7 @@ export function noticeFor(known) {
       : "Showing the last frame.";
     return { kind: "wait", text: `Paused. ${place}` };
   }
-  if (header.message) return { kind: "warn", text: header.message };
+  if (header.message) return { kind: "warn", text: sentence(header.message) };
   if (header.demo) return { kind: "demo", text: "Demonstration finger: press anywhere to take over." };
   return { kind: "hint", text: HINTS[setup.recording ? "recording" : setup.press ? finger : "real"] };
 }

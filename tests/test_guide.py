@@ -1,0 +1,83 @@
+"""The guided calibration of the page: quiet, ten presses, and what they say."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, expect
+from test_view_browser import Reader, SyntheticLoop, make_setup
+
+
+@pytest.fixture
+def reader(chromium: Browser) -> Iterator[Reader]:
+    loop = SyntheticLoop(make_setup())
+    reader = Reader(chromium, loop)
+    yield reader
+    reader.close()
+    loop.close()
+
+
+def judged(reader: Reader, change: str) -> dict[str, str]:
+    """What the page says of presses that were felt where a change of the true place (m) says."""
+    script = """async () => {
+        const { judge, placesOn } = await import("/static/guide.js");
+        const domain = { kind: "rectangle", width: 0.2, height: 0.2 };
+        return judge(placesOn(domain).map(([x, y]) => [[x, y], %s]), domain);
+    }"""
+    told: dict[str, str] = reader.page.evaluate(script % change)
+    return told
+
+
+def test_a_newcomer_is_led_through_quiet_and_ten_presses(reader: Reader) -> None:
+    page = reader.page
+    guide, on = page.get_by_role("region", name="Guided calibration"), page.locator("#guide-on")
+    page.get_by_role("button", name="Guide").click()
+    expect(guide.get_by_text("Take everything off the skin.")).to_be_visible()
+    expect(on).to_be_focused()
+    page.keyboard.press("Enter")
+    reader.until(lambda: reader.heard("calibrate"))
+    reader.loop.header.update(state="calibrating")
+    expect(guide.get_by_text("Measuring. Do not touch the skin.")).to_be_visible()
+    reader.loop.header.update(state="running")
+    expect(guide.get_by_text("2. Press 1 of 10")).to_be_visible()
+    on.click()  # not felt
+    page.get_by_role("button", name="Press for me").click()
+    expect(guide.get_by_text("Good")).to_be_visible(timeout=60_000)
+    expect(guide.get_by_text("9 of 10 presses felt, 0.0 mm off on average")).to_be_visible()
+    assert len(reader.heard("lift")) == 9
+    page.keyboard.press("Escape")
+    expect(guide).to_be_hidden()
+
+
+def test_places_are_spread_inside_any_outline(reader: Reader) -> None:
+    script = """async () => {
+        const { placesOn } = await import("/static/guide.js");
+        return [placesOn({ kind: "disc", radius: 0.1 }), placesOn({ kind: "rectangle", width: 0.2, height: 0.1 })];
+    }"""
+    disc, sheet = (np.array(places) for places in reader.page.evaluate(script))
+    assert disc.shape == sheet.shape == (10, 2)
+    assert np.hypot(*disc.T).max() <= 0.1 - 0.12 * 0.2 + 1e-9
+    assert sheet.min() >= 0.012 - 1e-9
+    for places in (disc, sheet):
+        apart = np.linalg.norm(places[:, None] - places, axis=2) + np.eye(10)
+        assert apart.min() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict", "says"),
+    [
+        ("[x + 0.002, y]", "Good", "10 of 10 presses felt, 2.0 mm off on average, 2.0 mm at most."),
+        ("[x + 0.006, y]", "Fair", "6.0 mm off"),
+        ("[x + 0.02, y]", "Poor", "20.0 mm off"),
+        ("x < 0.05 ? null : [x, y]", "Good", "presses felt, 0.0 mm"),
+        ("null", "Poor", "0 of 10 presses were felt"),
+        ("[0.2 - x, y]", "Check the wiring", "fits better mirrored left to right"),
+        ("[y, 0.2 - x]", "Check the wiring", "fits better turned by a quarter"),
+        ("[y, x]", "Check the wiring", "fits better mirrored across a diagonal"),
+    ],
+)
+def test_the_verdict_names_what_is_wrong(reader: Reader, change: str, verdict: str, says: Any) -> None:
+    told = judged(reader, change)
+    assert told["verdict"] == verdict
+    assert says in told["text"]
