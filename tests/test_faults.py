@@ -85,14 +85,20 @@ class Line:
                 end.shutdown(socket.SHUT_RDWR)
 
 
-@contextmanager
-def lined() -> Iterator[Line]:
-    with serving("--seed", "1") as (address, _):
-        line = Line(address)
-        try:
-            yield line
-        finally:
-            line.close()
+@pytest.fixture(scope="module")
+def served() -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """The address and the process of a virtual skin that serves one test after the other."""
+    with serving("--seed", "1") as device:
+        yield device
+
+
+@pytest.fixture
+def line(served: tuple[str, "subprocess.Popen[str]"]) -> Iterator[Line]:
+    line = Line(served[0])
+    try:
+        yield line
+    finally:
+        line.close()
 
 
 @contextmanager
@@ -130,8 +136,8 @@ def feels(engine: Engine) -> bool:
     return any(abs(c.position[0] - 0.06) < 15e-3 and abs(c.position[1] - 0.13) < 15e-3 for c in touch.contacts)
 
 
-def test_a_cable_pulled_and_plugged_in_again() -> None:
-    with lined() as line, running(line.url) as (engine, told):
+def test_a_cable_pulled_and_plugged_in_again(line: Line) -> None:
+    with running(line.url) as (engine, told):
         before = cycles(engine, 1)[0].sequence
         line.unplug()
         until_lost(engine)
@@ -199,8 +205,8 @@ def test_a_device_reset_in_mid_scan_is_asked_again() -> None:
         server.stdout.close()
 
 
-def test_one_byte_in_a_hundred_spoilt_gives_no_wrong_touch() -> None:
-    with lined() as line, running(line.url) as (engine, _):
+def test_one_byte_in_a_hundred_spoilt_gives_no_wrong_touch(line: Line) -> None:
+    with running(line.url) as (engine, _):
         dice = random.Random(4)
         line.spoil = lambda data: bytes(dice.randrange(256) if dice.random() < 0.01 else byte for byte in data)
         # a frame of 480 bytes comes through whole once in a hundred times; small ones do, so the loop may lose the
@@ -217,8 +223,9 @@ def test_one_byte_in_a_hundred_spoilt_gives_no_wrong_touch() -> None:
         assert feels(engine)
 
 
-def test_a_stalled_device_is_lost_and_found() -> None:
-    with serving("--seed", "1") as (address, process), running(address) as (engine, told):
+def test_a_stalled_device_is_lost_and_found(served: tuple[str, "subprocess.Popen[str]"]) -> None:
+    address, process = served
+    with running(address) as (engine, told):
         os.kill(process.pid, signal.SIGSTOP)
         try:
             until_lost(engine)
@@ -233,8 +240,8 @@ def test_a_stalled_device_is_lost_and_found() -> None:
         assert feels(engine)
 
 
-def test_a_line_that_stalls_for_a_moment_loses_no_cycle() -> None:
-    with lined() as line, running(line.url) as (engine, told):
+def test_a_line_that_stalls_for_a_moment_loses_no_cycle(line: Line) -> None:
+    with running(line.url) as (engine, told):
         before = cycles(engine, 1)[0].sequence
         line.flowing.clear()
         threading.Timer(0.4, line.flowing.set).start()
@@ -243,45 +250,43 @@ def test_a_line_that_stalls_for_a_moment_loses_no_cycle() -> None:
         assert cycles(engine, 1)[0].health.dropped > 0
 
 
-def test_a_host_that_was_suspended_goes_on() -> None:
-    with serving("--seed", "1") as (address, _):
-        command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "12B", "--device", address]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as host:
-            assert host.stdout is not None
-            try:
-                first = json.loads(host.stdout.readline())["sequence"]
-                os.kill(host.pid, signal.SIGSTOP)
-                time.sleep(3)  # longer than any time limit of the driver
-                os.kill(host.pid, signal.SIGCONT)
-                lines = [json.loads(host.stdout.readline()) for _ in range(1000)]
-            finally:
-                os.kill(host.pid, signal.SIGCONT)
-                host.terminate()
-                rest = host.communicate(timeout=120)
-            assert host.returncode == 0, rest[1]
+def test_a_host_that_was_suspended_goes_on(served: tuple[str, "subprocess.Popen[str]"]) -> None:
+    command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "12B", "--device", served[0]]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as host:
+        assert host.stdout is not None
+        try:
+            first = json.loads(host.stdout.readline())["sequence"]
+            os.kill(host.pid, signal.SIGSTOP)
+            time.sleep(3)  # longer than any time limit of the driver
+            os.kill(host.pid, signal.SIGCONT)
+            lines = [json.loads(host.stdout.readline()) for _ in range(1000)]
+        finally:
+            os.kill(host.pid, signal.SIGCONT)
+            host.terminate()
+            rest = host.communicate(timeout=120)
+        assert host.returncode == 0, rest[1]
     assert not [line["messages"] for line in lines if line["state"] != "running"]
     assert lines[-1]["sequence"] == first + 1000
     assert not any(frame["contacts"] for frame in lines)
 
 
-def test_json_says_that_the_device_is_lost_and_back() -> None:
-    with lined() as line:
-        command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "12B", "--device", line.url]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as host:
-            assert host.stdout is not None
-            try:
-                told = [json.loads(host.stdout.readline())]
-                line.unplug()
-                while told[-1]["state"] != "lost":
-                    told.append(json.loads(host.stdout.readline()))
-                assert (told[-1]["sequence"], told[-1]["contacts"]) == (None, [])
-                assert "device lost" in " ".join(told[-1]["messages"])
-                line.plugged.set()
-                while told[-1]["state"] != "running":
-                    told.append(json.loads(host.stdout.readline()))
-            finally:
-                host.terminate()
-                host.communicate(timeout=120)
+def test_json_says_that_the_device_is_lost_and_back(line: Line) -> None:
+    command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "12B", "--device", line.url]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as host:
+        assert host.stdout is not None
+        try:
+            told = [json.loads(host.stdout.readline())]
+            line.unplug()
+            while told[-1]["state"] != "lost":
+                told.append(json.loads(host.stdout.readline()))
+            assert (told[-1]["sequence"], told[-1]["contacts"]) == (None, [])
+            assert "device lost" in " ".join(told[-1]["messages"])
+            line.plugged.set()
+            while told[-1]["state"] != "running":
+                told.append(json.loads(host.stdout.readline()))
+        finally:
+            host.terminate()
+            host.communicate(timeout=120)
     assert told[0]["state"] == "running"
     assert any("calibrating" in text for text in told[0]["messages"])
     assert "device is back" in told[-1]["messages"]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from command_line import ohmskin
 
 from ohmskin.cli import app
 from ohmskin.errors import OhmskinError
@@ -214,8 +215,7 @@ def test_a_mistake_is_told_in_one_line(options, message, tmp_path, monkeypatch) 
 
 
 def test_a_mistake_on_the_command_line_has_no_traceback(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "ohmskin", "reproduce", "--only", "fig9", "--output", str(tmp_path / "new")]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = ohmskin("reproduce", "--only", "fig9", "--output", str(tmp_path / "new"))
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "choose from fig3" in done.stderr
     assert not (tmp_path / "new").exists()

@@ -141,7 +141,7 @@ LONG = {
     "test_package.py::test_wheel_and_sdist": "what is public, from the sources",
     "test_patches.py::test_a_robot_feels": "the body file, the merged stream and its page in one process",
     "test_policies.py::test_a_second_run": "the cache in test_reproduce.py",
-    "test_policies.py::test_contact_impedances*[[]1": "another seed",
+    "test_policies.py::test_contact_impedances": "a change of all contact impedances in test_sensing.py",
     "test_policies.py::test_in_equal_time*[[]multiplexed": "the same of parallel converters",
     "test_policies.py::test_the_command_runs": "experiments in test_trouble.py",
     "test_policies.py::test_the_report_has": "experiments in test_trouble.py",
