@@ -1,4 +1,4 @@
-"""Draws the pictures of build-a-skin.md: electrode map, wiring and layers.
+"""Draws the pictures of build-a-skin.md: electrode map, wiring, layers, and the template to cut patches by.
 
 python docs/build_a_skin.py [FOLDER]
 """
@@ -114,11 +114,35 @@ def layers(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def patches(skin: ohm.Skin, path: Path) -> None:
+    """The template to cut the patches by, 1:1: closed paths in millimetres, and a bar to measure."""
+    layer = skin.contact_layer
+    columns, rows = layer.counts(skin.domain)
+    width, height, side = 1e3 * skin.sheet.width, 1e3 * skin.sheet.height, 1e3 * layer.patch
+    corners = [
+        ((column + 0.5) * width / columns - side / 2, (row + 0.5) * height / rows - side / 2)
+        for row in range(rows)
+        for column in range(columns)
+    ]
+    cuts = "".join(f"M{x:.3f} {y:.3f}h{side:g}v{side:g}h{-side:g}z" for x, y in corners)
+    path.write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width + 20:g}mm" height="{height + 35:g}mm" '
+        f'viewBox="-10 -10 {width + 20:g} {height + 35:g}">\n<g fill="none" stroke-width="0.1">\n'
+        f'<path id="foam" stroke="blue" d="M0 0h{width:g}v{height:g}h{-width:g}z"/>\n'
+        f'<path id="patches" stroke="red" d="{cuts}"/>\n'
+        f'<path id="bar" stroke="black" d="M0 {height + 10:g}h100"/>\n</g>\n'
+        f'<text x="0" y="{height + 16:g}" font-size="4">100 mm: measure it. {columns} x {rows} patches of {side:g} mm '
+        f"(red), foam (blue)</text>\n</svg>\n",
+        encoding="utf-8",
+    )
+
+
 def main(folder: Path) -> None:
-    """Draw all three."""
+    """Draw all of them."""
     electrode_map(ohm.Skin.load("paper"), folder / "electrodes.png")
     wiring(folder / "wiring")
     layers(folder / "layers.png")
+    patches(ohm.Skin.load("paper"), folder / "patches.svg")
 
 
 if __name__ == "__main__":

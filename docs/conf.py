@@ -18,13 +18,19 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_design",
+    "sphinx_gallery.gen_gallery",
     "reference_pages",  # docs/reference_pages.py
 ]
-exclude_patterns = ["_build", "**/.ipynb_checkpoints"]
+exclude_patterns = [
+    "_build",
+    *(f"gallery/*.{kind}" for kind in ("ipynb", "json", "md5", "py", "zip")),
+    "**/.ipynb_checkpoints",
+]
 default_role = "py:class"  # a class in backticks is a link
 
 html_theme = "furo"
 html_title = f"ohmskin {version}"
+html_show_sourcelink = html_copy_source = False
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
@@ -35,3 +41,17 @@ nb_execution_timeout = 300
 autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_typehints = "none"
 napoleon_numpy_docstring = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/\d\d_",
+    "within_subsection_order": "FileNameSortKey",
+    "image_scrapers": "gallery_pictures.take",
+    "reset_argv": "gallery_pictures.arguments",
+    "reset_modules": "gallery_pictures.strict",
+    "reset_modules_order": "both",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_signature": False,
+}

@@ -9,6 +9,7 @@ lacks, is a warning, which `make docs` takes for an error.
 import importlib
 import inspect
 import pkgutil
+import re
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -87,11 +88,18 @@ def summary(package: ModuleType, name: str) -> str:
     return text
 
 
+def heading(found: "re.Match[str]") -> str:
+    """What stands in place of a heading of cyclopts: it lists all commands twice."""
+    return "# Commands" if found[0] == "# ohmskin" else ""
+
+
 def write(app: Sphinx) -> None:
     """Write the pages; those that have not changed are left alone, so that Sphinx need not read them again."""
     folder = Path(app.srcdir) / "reference"
     pages = {folder / "api" / f"{package.__name__}.rst": page(package) for package in packages()}
-    pages[folder / "commands.md"] = commands.generate_docs(output_format="markdown", recursive=True)
+    told = commands.generate_docs(output_format="markdown", recursive=True)
+    contents = r"^# ohmskin$|^## Table of Contents\n(\n|- .*\n)*"
+    pages[folder / "commands.md"] = re.sub(contents, heading, told, flags=re.MULTILINE)
     for path, text in pages.items():
         path.parent.mkdir(exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:

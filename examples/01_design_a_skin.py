@@ -1,6 +1,9 @@
-"""Design a skin and see where it feels well: the summed sensitivity of one scan, for electrodes on the rim and inside.
+"""
+Design a skin
+=============
 
-python examples/01_design_a_skin.py [FOLDER]
+See where a skin feels well: the summed sensitivity of one scan, for electrodes on the rim and inside.
+Run it with ``python examples/01_design_a_skin.py [FOLDER]``.
 """
 
 import sys

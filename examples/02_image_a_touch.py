@@ -1,6 +1,9 @@
-"""Press the virtual skin in two places, image it, and find the contacts.
+"""
+Image a touch
+=============
 
-python examples/02_image_a_touch.py [FOLDER]
+Press the virtual skin in two places, image it, and find the contacts.
+Run it with ``python examples/02_image_a_touch.py [FOLDER]``.
 """
 
 import sys

@@ -1,6 +1,9 @@
-"""Compare all drive methods of the paper on one touch under the same noise: images and figures of merit.
+"""
+Compare drive methods
+=====================
 
-python examples/03_compare_drive_modes.py [FOLDER]
+All drive methods of the paper on one touch under the same noise: images and figures of merit.
+Run it with ``python examples/03_compare_drive_modes.py [FOLDER]``.
 """
 
 import sys

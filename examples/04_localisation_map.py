@@ -1,6 +1,9 @@
-"""Map how well touches are localised over the sheet by adjacent and adaptive drive, with medians over noise seeds.
+"""
+Map the localisation error
+==========================
 
-python examples/04_localisation_map.py [FOLDER]
+How well adjacent and adaptive drive localise touches over the sheet: medians over noise seeds.
+Run it with ``python examples/04_localisation_map.py [FOLDER]``.
 """
 
 import sys

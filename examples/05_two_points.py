@@ -1,6 +1,9 @@
-"""Tell two contacts from one, with statistics: how far chi-square falls from one fitted disc to two.
+"""
+Tell two contacts from one
+==========================
 
-python examples/05_two_points.py [FOLDER]
+How far chi-square falls from one fitted disc to two, and how often that tells two contacts apart.
+Run it with ``python examples/05_two_points.py [FOLDER]``.
 """
 
 import sys

@@ -1,6 +1,9 @@
-"""Learn what lies on a skin (a ball, a rod or a box) from its voltages, simulated by MuJoCo and the virtual skin.
+"""
+Learn from touch
+================
 
-python examples/06_learn_from_touch.py [FOLDER]        (needs MuJoCo: pip install 'ohmskin[robot]')
+Tell a ball, a rod and a box from the voltages of a skin, simulated by MuJoCo and the virtual skin.
+Needs MuJoCo: ``pip install 'ohmskin[robot]'``. Run it with ``python examples/06_learn_from_touch.py [FOLDER]``.
 """
 
 import sys

@@ -1,14 +1,17 @@
-"""A driver for a multiplexer board and a separate National Instruments card: the paper's arrangement, as a plug-in.
+"""
+A driver of your own
+====================
 
-python examples/mux_and_daq.py            checks the driver on a simulated board and card
+For a multiplexer board and a separate National Instruments card, the paper's arrangement, as a plug-in.
+``python examples/mux_and_daq.py`` checks the driver on a simulated board and card.
 
-Copy it, change the two classes at the top to your own parts, and name `open_rig` as an entry point in your package's
-pyproject.toml; every command then takes `--device rig:/dev/ttyUSB0,Dev1`:
+Copy it, change the two classes at the top to your own parts, and name ``open_rig`` as an entry point in your package's
+pyproject.toml; every command then takes ``--device rig:/dev/ttyUSB0,Dev1``::
 
     [project.entry-points."ohmskin.devices"]
     rig = "my_package.mux_and_daq:open_rig"
 
-Tested on the simulated parts below. `SerialMux` and `NiCard` show where real ones go; they were not run on hardware
+Tested on the simulated parts below. ``SerialMux`` and ``NiCard`` show where real ones go; they were not run on hardware
 here.
 """
 

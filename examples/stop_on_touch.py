@@ -1,10 +1,14 @@
-"""Stop a robot arm when it is touched. Run in two terminals:
+"""
+Stop when touched
+=================
+
+Stop a robot arm when it is touched. Run in two terminals::
 
     ohmskin live --publish shm
     python examples/stop_on_touch.py
 
 An imaginary arm swings at 100 steps a second. It stops when the skin is touched, and as well when the skin has been
-silent for 0.1 s, whatever the reason: no news is not good news. It goes on when it is free again. Give it an address
+silent for 0.1 s, whatever the reason. It goes on when it is free again. Give it an address
 and a number of seconds to look at another skin (``shm:NAME``, ``zenoh:NAME@tcp/HOST:PORT``) or to end.
 """
 
