@@ -57,7 +57,7 @@ def compile_ahead(tell: Callable[[str, float], None]) -> None:
             module, _, function = name.partition(":")
             try:
                 getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
-            except NumbaError:  # it is called otherwise by now, and compiled then
+            except (AttributeError, TypeError, NumbaError):  # it has changed since, and is compiled when it is called
                 continue
 
 
