@@ -48,11 +48,9 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
     ran = []
     for words in commands(page.read_text(encoding="utf-8")):
         if words[0] not in ELSEWHERE:
+            words += [] if "--headless" in words else BESIDE.get(words[0], [])
             words = [word.replace("tcp://127.0.0.1:7155", device) for word in words]
-            words = [
-                re.sub(r"^\d+$", "1", word) if before == "--seconds" else word
-                for before, word in zip(["", *words], words, strict=False)
-            ]
+            words = ["1" if before == "--seconds" else word for before, word in zip(["", *words], words, strict=False)]
             done = ohmskin(*words, cwd=folder)
             assert done.returncode == 0, f"{words}: {done.stderr}"
             ran.append(words[0])
