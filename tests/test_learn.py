@@ -37,7 +37,7 @@ def taught(given: Flawed, found: Floats, changes: Floats, count: int) -> Positio
 def test_known_presses_make_unseen_ones_better_the_more_the_better_and_few_no_worse() -> None:
     ratios: dict[int, list[float]] = {20: [], 100: [], 300: []}
     inside = []
-    for seed in (31, 32, 33):
+    for seed in (31, 32):
         given = flawed_skin(seed, 400)
         skin, found, changes = physics(given, 300)
         unseen = slice(300, 400)

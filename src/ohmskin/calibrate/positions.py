@@ -1,16 +1,18 @@
-"""A map of positions from presses of known places: a similarity, and a Gaussian process on what it leaves.
+"""A map of positions from presses of known places: a similarity, and on what it leaves a Gaussian process and networks.
 
 What it is worth is told by cross-validation of the whole of it: presses are never judged by what was learned from them.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from ohmskin.arrays import Bools, Floats, Ints
+from ohmskin.calibrate.networks import can_train, trained
 from ohmskin.drive import Fixed
 from ohmskin.errors import DataError
 from ohmskin.scan import DrivePattern, Frame
@@ -21,6 +23,9 @@ _LEAST = 8  # presses
 _FEATURES, _TUNED = 24, 500  # features; presses that hyperparameters are tuned on
 _INDUCING = 200, 400  # inducing points of positions alone, and with features
 _FOLDS = 5
+_MANY = 80  # presses from which networks are trained, too
+_KNOWN, _RATE = 500, 0.01  # presses kept to tell what is unlike them, and the share of false alarms
+_LIMITS = 1e-3, 0.9  # of distances; changes that have nothing to do with presses are some 1.3 away
 _COUNTS = (20, 50, 100, 200, 500, 1000)  # presses of a learning curve
 _OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
 _NINETY = 4.605  # squared Mahalanobis distance within which are 90 % of a plane's normal distribution
@@ -59,6 +64,10 @@ class PositionReport:
         if self.curve:
             fewer = ", ".join(f"{count} {1e3 * error:.2f} mm" for count, error in self.curve)
             lines.append(f"learned from fewer presses: {fewer}")
+        networks = "a Gaussian process and networks" if self.map.networks is not None else "a Gaussian process alone"
+        missing = "" if can_train() else "; networks need scikit-learn: pip install 'ohmskin[learn]'"
+        lines.append(f"the map is {networks}{missing}")
+        lines.append(f"of presses like these {100 * self.map.rate:g} % are taken for unlike, and told by physics")
         if not self.map.own:
             linear = self.map.registration.linear
             turn = np.rad2deg(np.arctan2(linear[1, 0], linear[0, 0]))
@@ -121,25 +130,27 @@ def learn_positions(
         raise DataError(f"{told}; to learn positions press {_LEAST} places or more, spread over the sheet")
     found, changes, places = found[known], np.nan_to_num(changes[known]), places[known]
     own = _is_own(similarity(found, places), found.mean(axis=0), size)
+    learn = partial(_learn, pattern, size=size, own=own)
     order = np.random.default_rng(0).permutation(len(found))
-    after, whole, variances = np.empty_like(places), np.empty_like(places), np.empty((len(places), 2))
-    near_only = np.empty_like(places)
+    after, whole, near_only = np.empty_like(places), np.empty_like(places), np.empty_like(places)
+    variances, away = np.empty((len(places), 2)), np.empty(len(places))
     folds = min(_FOLDS, len(found))
     for number in range(folds):
         test = np.sort(order[number::folds])
         train = np.setdiff1d(order, test)
-        one = _learn(pattern, found[train], changes[train], places[train], size, own)
+        one = learn(found[train], changes[train], places[train])
         after[test] = one.registration(found[test])
         near_only[test], variances[test, 0] = one.registered(found[test])
         whole[test], variances[test, 1] = one.registered(found[test], one.features(changes[test]))
-        progress((number + 1) / (folds + 1))
-    final = _learn(pattern, found, changes, places, size, own)
+        away[test] = one.distances(changes[test])
+        progress((number + 1) / (folds + 2))
+    final = learn(found, changes, places)
     trust = [
         max(float(np.quantile(((one - places) ** 2).sum(axis=1) / variance, 0.9)) / _NINETY, 0.1)
         for one, variance in ((near_only, variances[:, 0]), (whole, variances[:, 1]))
     ]
-    final.trust[:] = trust
-    progress(1.0)
+    final = replace(final, trust=np.array(trust), limit=float(np.clip(np.quantile(away, 1 - _RATE), *_LIMITS)))
+    progress((folds + 1) / (folds + 2))
     # each fold by the trust that the others give, so that the share held is not of what it was set by
     ratio = ((whole - places) ** 2).sum(axis=1) / variances[:, 1]
     held = np.empty(len(places), bool)
@@ -152,9 +163,10 @@ def learn_positions(
     curve = list[tuple[int, float]]()
     for count in (count for count in _COUNTS if count < 0.7 * (len(order) - len(test))):
         train = np.random.default_rng(1).permutation(np.setdiff1d(order, test))[:count]
-        fewer = _learn(pattern, found[train], changes[train], places[train], size, own)
+        fewer = learn(found[train], changes[train], places[train])
         reached, _ = fewer.registered(found[test], fewer.features(changes[test]))
         curve.append((count, float(np.linalg.norm(reached - places[test], axis=1).mean())))
+    progress(1.0)
     return PositionReport(final, physics, registered, mapped, float(held.mean()), tuple(curve))
 
 
@@ -181,9 +193,12 @@ def _learn(
     _, _, directions = np.linalg.svd(changes[:: -(-len(changes) // 1000)], full_matrices=False)
     basis = directions[:_FEATURES]
     features = changes @ basis.T
-    near = _regress(found, left, size)
-    full = _regress(np.hstack([found, features]), left, size)
-    return PositionMap(registration, own, basis, pattern.quadruples.astype(float), near, full, np.ones(2))
+    at = np.hstack([found, features])
+    near, full = _regress(found, left, size), _regress(at, left, size)
+    sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
+    known = (features / sizes)[np.random.default_rng(2).permutation(len(features))[:_KNOWN]]
+    quadruples, networks = pattern.quadruples.astype(float), trained(at, left) if len(at) >= _MANY else None
+    return PositionMap(registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, networks)
 
 
 def _regress(at: Floats, offsets: Floats, size: float) -> Regression:

@@ -88,7 +88,8 @@ def learn(
     for one in (judged, report):
         print("\n".join(one.report() if one is not None else ()), end="\n" if one is not None else "")
     write(path, replace(description, calibration=found).dump())
-    print(f"wrote {path}; use it with --skin {path}")
+    mode = "" if report is None else f", in mode {len(description.electrodes)}L or any whose contacts are fitted"
+    print(f"wrote {path}; use it with --skin {path}{mode}")
     if picture is not None:
         from ohmskin.plot.learned import save_learned  # here: it needs the extra `plot`
 

@@ -131,7 +131,7 @@ class ContactFitter(DiscFitter):
                 one = self.added(data, score, power, found.params)
                 away = (self.table.offsets(one.params[:-1, :2], one.params[-1, :2]) ** 2).sum(axis=1)
                 apart = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
-                more += [one] if apart and (sure or self._clear(found, one, self.bar**2)) else []
+                more += [one] if apart and (sure or self.clear(found, one, self.bar**2)) else []
             better = [self._cleared(data, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
             strong = bool((np.abs(found.params[:, 2]) > STRONG * np.pi * self.table.radius**2).any())
@@ -307,9 +307,9 @@ class ContactFitter(DiscFitter):
         """
         if self.gained(told, one, two) > share * bar:
             return True
-        return self._clear(one, two, bar, share)
+        return self.clear(one, two, bar, share)
 
-    def _clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
+    def clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether one contact more, the last one, explains most of what is left, and is apart from all others."""
         gaps = [self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1)]
         return few.cost > max(share * _CLEAR, 1) * max(many.cost, bar) and min(gaps, default=np.inf) > _APART

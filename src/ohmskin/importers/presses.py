@@ -12,6 +12,7 @@ among them or not. Lines of a table that begin with ``#`` may hold ``first``, ``
 is not recorded); a MATLAB file may have texts ``skin`` and ``values``.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,12 +24,23 @@ from ohmskin.errors import DataError, shown
 from ohmskin.forward import TransferModel
 from ohmskin.importers.eidors import pattern_of
 from ohmskin.importers.matfile import numbers
+from ohmskin.importers.orders import likeliest
 from ohmskin.importers.parts import Recording
 from ohmskin.importers.pattern import ImportedPattern, from_list
 from ohmskin.scan import Frame
 
 VALUES = ("voltages", "magnitudes", "differences")
-_PLACES = {"x": 1.0, "y": 1.0, "x_mm": 1e-3, "y_mm": 1e-3, "force": 1.0}
+_COLUMN = re.compile(r"(?:pos(?:ition)?_?|p)?([xyz])(?:_?pos(?:ition)?)?(?:[ _]*[\[(]?(mm|cm|m)[\])]?)?")
+_FORCE = re.compile(r"(?:force|load|fz?|normal_force)(?:[ _]*[\[(]?n[\])]?)?")
+_ASIDE = {"index", "id", "time", "timestamp", "t", "sample", "frame", "press", "trial", "label", "depth", ""}
+_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_WIDEST = 2.0  # span of the presses (m) beyond which places without a unit are millimetres
+_NAMES = {  # of the arrays of a MATLAB file, in small letters, the documented one first
+    "voltages": ("voltages", "voltage", "v", "measurements", "data"),
+    "positions": ("positions", "position", "pos", "xy", "locations", "places", "labels", "targets"),
+    "forces": ("forces", "force", "f", "fz", "loads"),
+    "reference": ("reference", "references", "baseline", "homogeneous", "vref", "v0", "rest", "quiet"),
+}
 _MOST_QUIET = 40
 _WEAK, _STRONG, _USUAL = 1e-3, 0.3, 0.02  # share of the quiet voltages that differences have: least, most, taken
 _UNTOLD = 0.02  # share of a usual change that is taken for noise where nothing tells it
@@ -37,12 +49,25 @@ _MIXED = 0.1  # share of the quiet voltages that is negative on the model, from 
 
 def is_press_table(header: tuple[str, ...]) -> bool:
     """Whether a table with such a header holds presses."""
-    return any({f"x{unit}", f"y{unit}"} <= set(header) for unit in ("", "_mm"))
+    return {"x", "y"} <= set(_places_in(header))
 
 
 def is_press_file(variables: Mapping[str, Any]) -> bool:
     """Whether a MATLAB file with such variables holds presses."""
-    return {"voltages", "positions"} <= set(variables)
+    return {"voltages", "positions"} <= set(_arrays_in(variables))
+
+
+def _places_in(header: tuple[str, ...]) -> dict[str, tuple[int, str]]:
+    """Column and unit of each coordinate that a header names."""
+    found = ((k, _COLUMN.fullmatch(name)) for k, name in enumerate(header))
+    return {match[1]: (k, match[2] or "") for k, match in reversed([*found]) if match}
+
+
+def _arrays_in(variables: Mapping[str, Any]) -> dict[str, str]:
+    """The names that a file has for our arrays; documented ones count before others."""
+    small = {name.lower(): name for name in reversed([*variables])}
+    told = ((ours, [small[one] for one in names if one in small]) for ours, names in _NAMES.items())
+    return {ours: names[0] for ours, names in told if names}
 
 
 def read_table(
@@ -53,13 +78,27 @@ def read_table(
     Raises:
         DataError: If the values do not fit the pattern, or there is no press.
     """
-    known = {column: k for k, column in enumerate(header) if column in _PLACES}
-    values = cells[:, [k for k in range(len(header)) if k not in known.values()]]
-    unit = "" if "x" in known else "_mm"
-    places = np.column_stack([_PLACES[axis + unit] * cells[:, known[axis + unit]] for axis in "xy"])
-    pressed = np.isfinite(places).all(axis=1)
-    forces = cells[pressed, known["force"]] if "force" in known else None
-    return _recording(values[pressed], places[pressed], forces, values[~pressed], pattern, settings, name)
+    known = _places_in(header)
+    force = [k for k, column in enumerate(header) if _FORCE.fullmatch(column)]
+    aside = [k for k, column in enumerate(header) if column in _ASIDE]
+    used = {*(k for k, _ in known.values()), *force[:1], *aside}
+    values = cells[:, [k for k in range(len(header)) if k not in used]]
+    given = np.column_stack([cells[:, known[axis][0]] for axis in "xy"])
+    pressed = np.isfinite(given).all(axis=1)
+    places, notes = _in_metres(given[pressed], known["x"][1])
+    left_out = ", ".join(repr(header[k]) for k in [*aside, *(k for axis, (k, _) in known.items() if axis == "z")])
+    notes += (f"columns {left_out} are left out",) if left_out else ()
+    forces = cells[pressed, force[0]] if force else None
+    found = _recording(values[pressed], places, forces, values[~pressed], pattern, settings, name)
+    return replace(found, notes=(*notes, *found.notes))
+
+
+def _in_metres(places: Floats, unit: str) -> tuple[Floats, tuple[str, ...]]:
+    """Places (n, 2) in metres; what is wider than skins are is taken for millimetres where no unit is told."""
+    if not unit and len(places) and max(np.ptp(places, axis=0)) > _WIDEST:
+        wide = f"places span {max(np.ptp(places, axis=0)):g}"
+        return 1e-3 * places, (f"{wide} without a unit: taken for millimetres",)
+    return _METRES[unit or "m"] * places, ()
 
 
 def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Recording:
@@ -68,7 +107,9 @@ def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Rec
     Raises:
         DataError: If arrays do not fit each other or the pattern, or there is no press.
     """
-    voltages, places = (numbers(variables[key], key) for key in ("voltages", "positions"))
+    named = _arrays_in(variables)
+    given = {ours: numbers(variables[theirs], theirs) for ours, theirs in named.items()}
+    voltages, places = given["voltages"], given["positions"]
     places = places if places.shape[1:] in ((2,), (3,)) else places.T
     if places.ndim != 2 or places.shape[1] not in (2, 3):
         raise DataError(f"{name}: positions have shape {places.shape}; need (n_presses, 2), in metres")
@@ -76,12 +117,12 @@ def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Rec
     if len(voltages) != len(places):
         raise DataError(f"{name}: voltages have shape {voltages.shape} for {len(places)} positions; a row for each")
     forces, quiet = None, np.empty((0, voltages.shape[1]))
-    if variables.get("forces") is not None:
-        forces = numbers(variables["forces"], "forces").ravel()
+    if "forces" in given:
+        forces = given["forces"].ravel()
         if len(forces) != len(places):
             raise DataError(f"{name}: {len(forces)} forces for {len(places)} positions; one for each")
-    if variables.get("reference") is not None:
-        quiet = numbers(variables["reference"], "reference")
+    if "reference" in given:
+        quiet = given["reference"]
         quiet = quiet.T if quiet.shape[1] != voltages.shape[1] else quiet
         if quiet.shape[1] != voltages.shape[1]:
             raise DataError(f"{name}: reference has shape {quiet.shape}; need (n, {voltages.shape[1]})")
@@ -92,7 +133,10 @@ def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Rec
     if any(key in variables for key in ("stim_pattern", "stim_meas_list", "stimulation", "fmdl")):
         pattern, _ = pattern_of(dict(variables), driven)
     settings = {key: str(value) for key, value in variables.items() if key in ("skin", "values")}
-    return _recording(voltages, places[:, :2], forces, quiet, pattern, settings, name)
+    places, notes = _in_metres(places[:, :2], "")
+    notes += tuple(f"{theirs!r} is taken for {ours}" for ours, theirs in named.items() if ours != theirs)
+    found = _recording(voltages, places, forces, quiet, pattern, settings, name)
+    return replace(found, notes=(*notes, *found.notes))
 
 
 def _recording(
@@ -109,7 +153,9 @@ def _recording(
         raise DataError(f"{name}: values = {shown(kind)}; choose from {', '.join(VALUES)}")
     if not len(values):
         raise DataError(f"{name} has no press with a place; need rows with x and y")
-    pattern, notes = (pattern, ()) if pattern is not None else _adjacent(values.shape[1], settings, name)
+    notes: tuple[str, ...] = ()
+    if pattern is None:
+        values, quiet, pattern, notes = _adjacent(values, quiet, settings, name)
     if kind == "differences":
         quiet = quiet[:0]
     elif not len(quiet):
@@ -121,27 +167,24 @@ def _recording(
     return Recording(rest, frames, skin, (*pattern.notes, *notes), None, places, forces, kind)
 
 
-def _adjacent(count: int, settings: Mapping[str, str], name: str) -> tuple[ImportedPattern, tuple[str, ...]]:
-    """Adjacent drive with n (n - 3) values, or with n^2."""
-    n_elec = round((3 + np.sqrt(9 + 4 * count)) / 2)
-    whole = n_elec * (n_elec - 3) != count
-    n_elec = round(np.sqrt(count)) if whole else n_elec
-    if n_elec < 4 or (whole and n_elec**2 != count):
-        told = f"{name} has {count} values a frame and no pattern; adjacent drive of n electrodes has n (n - 3) or n^2"
+def _adjacent(
+    values: Floats, quiet: Floats, settings: Mapping[str, str], name: str
+) -> tuple[Floats, Floats, ImportedPattern, tuple[str, ...]]:
+    """Values and quiet ones as voltages of adjacent drive, in the order that they seem to be in."""
+    order, doubt = likeliest(quiet if len(quiet) else values)
+    count = values.shape[1]
+    if order is None:
+        told = f"{name} has {count} values a frame and no pattern; adjacent drive of n electrodes has n (n - 3)"
         where = "Put a table with the columns source, sink, plus, minus beside it, or stim_meas_list into a MATLAB file"
-        raise DataError(f"{told}. {where}")
-    listed = [
-        (k, (k + 1) % n_elec, j, (j + 1) % n_elec)
-        for k in range(n_elec)
-        for j in range(n_elec)
-        if whole or not {k, (k + 1) % n_elec} & {j, (j + 1) % n_elec}
-    ]
+        raise DataError(f"{told} to n^2. {where}")
     try:
         current = float(settings.get("current", "1"))
     except ValueError as error:
         raise DataError(f"{name}: {error} in its settings (current = 5e-3)") from error
-    kept = from_list(np.array(listed), np.full(len(listed), current), False)
-    return kept, (f"no pattern in the file: adjacent drive of {n_elec} electrodes, in the order of their numbers",)
+    kept = from_list(order.quadruples, np.full(len(order.quadruples), current), False)
+    n_elec = int(order.quadruples.max()) + 1
+    notes = f"no pattern in the file: adjacent drive of {n_elec} electrodes, {order.words}", *([doubt] if doubt else [])
+    return order.volts(values), order.volts(quiet), kept, notes
 
 
 def resolved(recording: Recording, model: TransferModel) -> Recording:

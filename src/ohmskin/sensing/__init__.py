@@ -1,12 +1,13 @@
 """From a mode to contacts: a sensor is a drive and a reader, and knows a skin."""
 
-from ohmskin.sensing.build import build, drive_of, image_misfit, perceive
+from ohmskin.sensing.build import READERS, build, drive_of, image_misfit, perceive
 from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.diagnosis import Cause, Diagnosis, Finding
+from ohmskin.sensing.learned import LearnedReader
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes, recorded_mode
 from ohmskin.sensing.presses import FittedLayer, FittedPress, KnownPress, PressFitter
-from ohmskin.sensing.readers import READERS, Belief, DetectionReader, FilterReader, FitReader, Reader
+from ohmskin.sensing.readers import Belief, DetectionReader, FilterReader, FitReader, Reader
 from ohmskin.sensing.sensor import Percept, Scan, Sensor, SensorState, Thresholds
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "FittedLayer",
     "FittedPress",
     "KnownPress",
+    "LearnedReader",
     "Percept",
     "PressFitter",
     "Reader",

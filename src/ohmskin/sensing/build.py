@@ -1,6 +1,7 @@
 """From a mode to a sensor: its parts by their names, gamma_0 learned from the quiet frames, compiled where possible."""
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -10,14 +11,25 @@ import numpy as np
 from ohmskin.contacts import ContactFinder, learn_threshold
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, Target, WithDriven
 from ohmskin.errors import DataError, ModelError
+from ohmskin.inverse.estimators import Estimator
+from ohmskin.registry import Registry
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.forces import forces_of
+from ohmskin.sensing.learned import learned
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import recorded_mode
-from ohmskin.sensing.readers import READERS
+from ohmskin.sensing.readers import Reader, centroid, fit, tracked
 from ohmskin.sensing.sensor import Locator, Percept, Sensor, Thresholds
 from ohmskin.skin import Mode, Skin
+
+READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(
+    "reader",
+    "ohmskin.readers",
+    {"centroid": centroid, "fit": fit, "tracked": tracked, "learned": learned},
+    ModelError,
+)
+"""Readers by name."""
 
 _LEAST_QUIET = 8  # images, below which a threshold learned from them would be luck
 _SIGMAS = 5.0  # height of a threshold above the largest predicted noise, where it cannot be learned

@@ -46,6 +46,15 @@ MODES = (
 )
 """The modes that ship; ``{rim}`` and ``{all}`` stand for numbers of electrodes."""
 
+LEARNED = Mode(
+    "{all}L",
+    drive="rim",
+    reader="learned",
+    title="Learned",
+    summary="Adjacent drive on the rim; one contact as presses taught it, contacts fitted to the data for all else.",
+)
+"""Of skins that have learned from presses (`ohmskin learn`)."""
+
 RECORDED = Mode(
     "recorded", drive="recorded", reader="centroid", title="As recorded", summary="The recording's pattern."
 )
@@ -59,7 +68,8 @@ def modes(skin: Skin) -> dict[str, Mode]:
     """The modes of a skin by name: those that ship and its electrodes allow, then those of its own file."""
     own = {mode.name: mode for mode in skin.modes}
     inner = len(skin.electrodes.rings) > 1
-    shipped = [_named(mode, skin) for mode in MODES if inner or mode.drive != "rings"]
+    learned = (LEARNED,) if skin.calibration.position_map else ()
+    shipped = [_named(mode, skin) for mode in MODES + learned if inner or mode.drive != "rings"]
     return {**{mode.name: mode for mode in shipped if mode.name not in own}, **own}
 
 
@@ -69,8 +79,10 @@ def default_mode(skin: Skin) -> str:
 
 
 def recorded_mode(skin: Skin, fitted: bool = False) -> Mode:
-    """What reads recordings with a pattern of their own: contacts fitted if asked for, or if learned."""
-    return replace(RECORDED, reader="fit") if fitted or skin.calibration.position_map else RECORDED
+    """What reads recordings with a pattern of their own: contacts fitted if asked for, or as was learned."""
+    if fitted:
+        return replace(RECORDED, reader="fit")
+    return replace(RECORDED, reader="learned") if skin.calibration.position_map else RECORDED
 
 
 def mode_named(skin: Skin, name: str) -> Mode:

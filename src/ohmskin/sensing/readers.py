@@ -14,10 +14,8 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import nothing
-from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
-from ohmskin.registry import Registry
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.model import SkinModel
@@ -48,6 +46,8 @@ class Belief:
         unlearned: How long drift of single pairs has not been told (s).
         suspects: Electrodes that alone told of a contact that others should have seen, too.
         unexplained: Share of what the data say that the contacts do not explain.
+        novel: How long contacts have been told by physics because data are unlike those that the reader learned
+            from (s).
     """
 
     estimate: Estimate
@@ -58,6 +58,7 @@ class Belief:
     unlearned: float = 0.0
     suspects: tuple[int, ...] = ()
     unexplained: float = 0.0
+    novel: float = 0.0
 
     @property
     def image(self) -> Image:
@@ -266,9 +267,3 @@ def tracked(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:
     """Contacts tracked from frame to frame on the data."""
     follow = ContactFilter(known.fitter, repeats=known.baseline.repeats)
     return FilterReader(estimator, follow, known.skin.imaging.pairs)
-
-
-READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(
-    "reader", "ohmskin.readers", {"centroid": centroid, "fit": fit, "tracked": tracked}, ModelError
-)
-"""Readers by name."""

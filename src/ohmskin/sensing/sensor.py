@@ -18,7 +18,7 @@ from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.places import placed
+from ohmskin.sensing.places import placed, placement_of
 from ohmskin.sensing.readers import Belief, Reader, params_of, undriven
 from ohmskin.sensing.total import TotalForce
 
@@ -27,6 +27,9 @@ Scan = Callable[[DrivePattern], Frame]
 
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
 _SPIKES = Cause("spikes")
+_NOVEL = Finding(
+    Cause("novel"), "the data are unlike the presses that the reader learned from: contacts are told by physics"
+)
 _LONGEST = 1.0  # s between two frames, beyond which nothing more is forgotten
 
 
@@ -76,8 +79,8 @@ class Percept:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the data."""
-        return self.diagnosis.findings
+        """What is wrong with the data, or unlike what was learned from."""
+        return self.diagnosis.findings + ((_NOVEL,) if self.belief.novel > HELD else ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +211,7 @@ class Sensor:
         self.known, self.drive, self.reader, self.locator = known, drive, reader, locator
         self.thresholds, self.fuse, self.window, self.forces = thresholds, fuse, window, forces
         self.detector, self.total = FaultDetector(known, window), TotalForce(known)
+        self._placement = placement_of(known)
         self.implementation: Implementation | None = None
         self.seconds = 0.0
 
@@ -262,7 +266,7 @@ class Sensor:
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
-        reported = placed(self.known, replace(belief, contacts=contacts), scans)
+        reported = placed(self._placement, replace(belief, contacts=contacts), scans)
         return after, Percept(measured.frames, reported, measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:

@@ -1,18 +1,18 @@
-"""Where contacts really are: a map learned from presses of known places, kept as text in a skin's calibration."""
+"""Where contacts really are: a map learned from presses of known places, kept as text in a skin's calibration.
 
-import base64
-import io
-import zipfile
-import zlib
+A Gaussian process, and from some hundred presses on an ensemble of networks beside it: what both tell is averaged.
+"""
+
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Bools, Floats
 from ohmskin.errors import SkinError
+from ohmskin.skin.packed import UNREADABLE, pack, unpack
 
-_MOST_BYTES = 2**25  # of a map, unpacked
+_RIDGE = 1e-3  # beside 1 of a direction that is wholly measured: what is hardly measured counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +91,38 @@ def _squares(these: Floats, those: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
+class Networks:
+    """An ensemble of networks with rectified linear units: offsets of places and features.
+
+    Args:
+        layers: Weights (n_networks, n_in, n_out) and offsets (n_networks, 1, n_out) of each layer.
+        middle, spread: (2 + n_features + 1,) of what they are given: places, features as shares of their size, and
+            the logarithm of that.
+        scale: Of what they tell (m).
+    """
+
+    layers: tuple[tuple[Floats, Floats], ...]
+    middle: Floats
+    spread: Floats
+    scale: float
+
+    def __call__(self, at: Floats) -> Floats:
+        """Offsets (n, 2) at positions and features (n, 2 + n_features) (m)."""
+        values = ((inputs(at) - self.middle) / self.spread)[None]
+        for number, (weights, offsets) in enumerate(self.layers):
+            values = values @ weights + offsets
+            if number + 1 < len(self.layers):
+                values = np.maximum(values, 0.0)
+        return np.asarray(self.scale * values.mean(axis=0))
+
+
+def inputs(at: Floats) -> Floats:
+    """What networks are given (n, 2 + n_features + 1), of positions and features (n, 2 + n_features)."""
+    size = np.maximum(np.linalg.norm(at[:, 2:], axis=1, keepdims=True), 1e-300)
+    return np.hstack([at[:, :2], at[:, 2:] / size, np.log(size)])
+
+
+@dataclass(frozen=True, eq=False)
 class PositionMap:
     """From the place that physics tells to the place pressed.
 
@@ -102,6 +134,11 @@ class PositionMap:
         near: Tells offsets of places from places alone.
         full: Tells them from the changes, too.
         trust: By what variances are multiplied, so that ellipses hold what they should of presses not learned from (1).
+        known: (n_known, n_features) features of some presses learned from, as shares of the size of their changes.
+        limit: Distance of such shares from the closest known ones beyond which changes are unlike those learned from,
+            and
+        rate: share of presses not learned from, but like those, that are beyond it (1).
+        networks: Tell offsets, too; None: `full` alone does.
     """
 
     registration: Similarity
@@ -111,10 +148,28 @@ class PositionMap:
     near: Regression
     full: Regression
     trust: Floats
+    known: Floats
+    limit: float
+    rate: float
+    networks: Networks | None = None
 
     def features(self, changes: Floats) -> Floats:
         """(n, n_features) of changes (n, n_meas) in units of their error; what is not known counts as none."""
         return np.asarray(np.nan_to_num(changes) @ self.basis.T)
+
+    def completed(self, changes: Floats, missing: Bools) -> Floats:
+        """Changes (n_meas,) with those that are missing as the others have them, by what presses have in common."""
+        rows = self.basis[:, ~missing]
+        normal = rows @ rows.T + _RIDGE * np.eye(len(rows))
+        found = np.linalg.solve(normal, rows @ changes[~missing])
+        return np.where(missing, found @ self.basis, changes)
+
+    def distances(self, changes: Floats) -> Floats:
+        """Distances (n,) of changes (n, n_meas), as shares of their size, from those learned from (1)."""
+        sizes = np.maximum(np.linalg.norm(np.nan_to_num(changes), axis=1, keepdims=True), 1e-300)
+        alike = (self.features(changes) / sizes) @ self.known.T
+        lengths = (self.known**2).sum(axis=1)
+        return np.asarray(np.sqrt(np.maximum(1 - 2 * alike + lengths, 0.0).min(axis=1)))
 
     def registered(self, positions: Floats, features: Floats | None = None) -> tuple[Floats, Floats]:
         """Places (n, 2) of contacts in the frame of the presses (m), and variances (n,) along each axis (m2).
@@ -124,7 +179,10 @@ class PositionMap:
             features: (n, n_features); None: not known.
         """
         regression, trust = (self.near, self.trust[0]) if features is None else (self.full, self.trust[1])
-        offsets, variances = regression(positions if features is None else np.hstack([positions, features]))
+        at = positions if features is None else np.hstack([positions, features])
+        offsets, variances = regression(at)
+        if self.networks is not None and features is not None:
+            offsets = (offsets + self.networks(at)) / 2
         return self.registration(positions) + offsets, trust * variances
 
     def __call__(self, positions: Floats, features: Floats | None = None) -> tuple[Floats, Floats]:
@@ -144,7 +202,14 @@ class PositionMap:
             "basis": self.basis.astype(np.float32),
             "quadruples": self.quadruples.astype(np.int16),
             "trust": self.trust,
+            "known": self.known.astype(np.float32),
+            "novelty": np.array([self.limit, self.rate]),
         }
+        if self.networks is not None:
+            told = self.networks
+            arrays |= {"network_inputs": np.array([told.middle, told.spread]), "network_scale": np.array(told.scale)}
+            for k, layer in enumerate(told.layers):
+                arrays |= {f"network_{part}{k}": a.astype(np.float32) for part, a in zip("wb", layer, strict=True)}
         for name, one in (("near", self.near), ("full", self.full)):
             rows, columns = np.tril_indices(len(one.inducing))
             arrays |= {
@@ -153,9 +218,7 @@ class PositionMap:
                 f"{name}_factor": one.factor[rows, columns].astype(np.float32),
                 f"{name}_kernel": np.array([*one.amplitudes, *one.lengths, one.noise]),
             }
-        packed = io.BytesIO()
-        np.savez_compressed(packed, allow_pickle=False, **arrays)
-        return base64.b64encode(packed.getvalue()).decode()
+        return pack(arrays)
 
     @classmethod
     def parse(cls, text: str) -> "PositionMap":
@@ -170,16 +233,10 @@ class PositionMap:
 @lru_cache(maxsize=8)
 def _parse(text: str) -> PositionMap:
     try:
-        packed = io.BytesIO(base64.b64decode(text, validate=True))
-        with zipfile.ZipFile(packed) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
-                raise ValueError(f"it has more than {_MOST_BYTES} bytes")
-        with np.load(packed, allow_pickle=False) as arrays:
-            given = {name: np.asarray(arrays[name], float) for name in arrays.files}
-        if not all(np.isfinite(one).all() for one in given.values()):
-            raise ValueError("a value is not finite")
+        given = unpack(text)
         features, n_meas = given["basis"].shape
-        shapes = {"linear": (2, 2), "shift": (2,), "quadruples": (n_meas, 4), "trust": (2,), "own": ()}
+        shapes = {"linear": (2, 2), "shift": (2,), "quadruples": (n_meas, 4), "trust": (2,), "own": (), "novelty": (2,)}
+        shapes["known"] = len(given["known"]), features
         if wrong := [name for name, shape in shapes.items() if given[name].shape != shape]:
             raise ValueError(f"{wrong[0]} has shape {given[wrong[0]].shape}")
         near, full = (_regression(given, name, width) for name, width in (("near", 2), ("full", 2 + features)))
@@ -188,20 +245,42 @@ def _parse(text: str) -> PositionMap:
         registration = Similarity(given["linear"], given["shift"])
         if not 1e-6 < registration.scale < 1e6:
             raise ValueError(f"its scale is {registration.scale:g}")
+        limit, rate = given["novelty"].tolist()
+        if not (len(given["known"]) and limit > 0 and 0 <= rate <= 1):
+            raise ValueError(f"{len(given['known'])} presses and a limit of {limit:g} tell no novelty")
         return PositionMap(
-            registration, bool(given["own"]), given["basis"], given["quadruples"], near, full, given["trust"]
+            registration,
+            bool(given["own"]),
+            given["basis"],
+            given["quadruples"],
+            near,
+            full,
+            given["trust"],
+            given["known"],
+            limit,
+            rate,
+            _networks(given, 3 + features),
         )
-    except (
-        ValueError,
-        KeyError,
-        OSError,
-        EOFError,
-        MemoryError,
-        zipfile.BadZipFile,
-        zlib.error,
-        NotImplementedError,
-    ) as error:
+    except UNREADABLE as error:
         raise SkinError(f"calibration.position_map cannot be read: {error}; learn it again") from None
+
+
+def _networks(given: dict[str, Floats], width: int) -> Networks | None:
+    if "network_inputs" not in given:
+        return None
+    (middle, spread), scale = given["network_inputs"], float(given["network_scale"])
+    count = sum(name.startswith("network_w") for name in given)
+    layers = tuple((given[f"network_w{k}"], given[f"network_b{k}"]) for k in range(count))
+    if middle.shape != (width,) or not ((spread > 0).all() and scale > 0 and layers):
+        raise ValueError(f"networks are given {middle.shape[0]} values")
+    for weights, offsets in layers:
+        wanted = len(layers[0][0]), width
+        if weights.ndim != 3 or weights.shape[:2] != wanted or offsets.shape != (wanted[0], 1, weights.shape[2]):
+            raise ValueError(f"a layer of networks has shapes {weights.shape} and {offsets.shape}")
+        width = weights.shape[2]
+    if width != 2:
+        raise ValueError(f"networks tell {width} values")
+    return Networks(layers, middle, spread, scale)
 
 
 def _regression(given: dict[str, Floats], name: str, width: int) -> Regression:

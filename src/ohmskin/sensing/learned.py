@@ -1,0 +1,82 @@
+"""The learned reader: one contact where presses taught that it is; physics for all that is unlike those presses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ohmskin.contacts import Contact
+from ohmskin.errors import ModelError
+from ohmskin.inverse.estimators import Estimator
+from ohmskin.scan import Difference
+from ohmskin.sensing.model import SkinModel
+from ohmskin.sensing.places import Placement, placement_of
+from ohmskin.sensing.readers import Belief, FitReader, fit, undriven
+from ohmskin.tracking import Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedReader:
+    """Tells one contact by what was learned; contacts fitted to the data where those are unlike what was learned from.
+
+    Args:
+        physics: Reads what is unlike that, and follows drift while nothing touches.
+        placement: What was learned.
+    """
+
+    physics: FitReader
+    placement: Placement
+
+    @property
+    def estimator(self) -> Estimator:
+        """What makes the image."""
+        return self.physics.estimator
+
+    def start(self, before: Belief | None = None) -> Belief:
+        """Nothing touches the skin."""
+        return self.physics.start(before)
+
+    def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
+        """What is believed after one frame more; data unlike those learned from are read by physics."""
+        found = self.told(before.without_drift(recent))
+        if found is None:
+            belief = self.physics.update(before, new, recent, elapsed)
+            return replace(belief, novel=before.novel + elapsed if belief.detections else 0.0)
+        assert isinstance(before.tracks, Tracks)
+        fresh, lately = (undriven(before.without_drift(scans)) for scans in (new, recent))
+        estimate = self.estimator.update(before.estimate, fresh, lately, elapsed)
+        tracks, contacts = self.physics.tracker.update(before.tracks, [found])
+        return Belief(estimate, (found,), contacts, tracks, before.drift, before.unlearned + elapsed)
+
+    def told(self, scans: Sequence[Difference]) -> Contact | None:
+        """The contact that scans tell of, drift taken off; None if they are unlike what was learned from, or if another
+        contact, apart from it, explains most of what it leaves."""
+        fitter = self.physics.fitter
+        changes = self.placement.changes(scans)
+        if changes is None:
+            return None
+        told, wary = fitter.information(*scans)
+        one = fitter.added(wary, *fitter.scores(wary))
+        left = told.less(one.caused).beside(one.slopes)
+        two = fitter.added(wary, *fitter.scores(left), one.params)
+        if fitter.clear(one, two, fitter.bar**2):
+            return None
+        physics = fitter.contact(one.params[0], one.covariances[0])
+        (contact,) = self.placement.moved([physics], changes)
+        x, y = fitter.onto(np.array([contact.position]))[0].tolist()
+        sure = (1 - told.unexplained(one.caused)) * contact.confidence
+        return replace(contact, position=(x, y), confidence=sure, radius=None)  # no radius: it is where it is
+
+
+def learned(known: SkinModel, estimator: Estimator, threshold: float) -> LearnedReader:
+    """One contact where presses taught that it is, and fitted contacts for all else.
+
+    Raises:
+        ModelError: If the skin has learned nothing.
+    """
+    placement = placement_of(known)
+    if placement is None:
+        raise ModelError("this skin has no position map; learn one from presses: ohmskin learn PRESSES --skin SKIN")
+    physics = fit(known, estimator, threshold)
+    assert isinstance(physics, FitReader)
+    return LearnedReader(physics, placement)
