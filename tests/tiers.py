@@ -156,6 +156,7 @@ LONG = {
     "test_reproduce.py::test_the_report_needs": "the experiments in test_evaluate_*.py",
     "test_reproduce.py::test_the_report_opens": "the experiments in test_evaluate_*.py",
     "test_ros_node.py::test_a_node": "the same topics read by DDS and zenoh, and joint states of a DDS writer",
+    "test_instrumented.py::test_known_presses": "the load cell, whose samples are fitted alike",
     "test_robot.py::test_a_robot_in_curved": "the arm that is poked, skins on links, and self-touch, each by itself",
     "test_robot.py::test_command_line_draws": "the same command without pictures",
     "test_robot.py::test_same_seed_same_run": "the seeds of the virtual skin",

@@ -2,6 +2,7 @@
 
 from ohmskin.calibrate.channels import ChannelJudgement, judge_channels
 from ohmskin.calibrate.force import ForceCurve, PressSample, fit_auxiliary, fit_force
+from ohmskin.calibrate.instrumented import ForceSampler, LoadCell, read_table
 from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
@@ -15,6 +16,8 @@ __all__ = [
     "Diagnosis",
     "Finding",
     "ForceCurve",
+    "ForceSampler",
+    "LoadCell",
     "PositionReport",
     "PressGuide",
     "PressSample",
@@ -30,6 +33,7 @@ __all__ = [
     "learn_positions",
     "press_plan",
     "read_places",
+    "read_table",
     "self_test",
     "terminal_pattern",
 ]

@@ -4,20 +4,38 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from rich.console import Console
 
 import ohmskin
-from ohmskin.calibrate import GRAVITY, PressGuide, PressStep, calibrate_quiet, fit_auxiliary, fit_force, press_plan
-from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, write
+from ohmskin.calibrate import (
+    GRAVITY,
+    ForceCurve,
+    ForceSampler,
+    LoadCell,
+    PressGuide,
+    PressStep,
+    calibrate_quiet,
+    fit_auxiliary,
+    fit_force,
+    press_plan,
+    read_table,
+)
+from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, watched, write
+from ohmskin.device import Device
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
-from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, mode_named
+from ohmskin.outlets.load_cell import open_load_cell
+from ohmskin.recording.player import reimage
+from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, SkinModel, mode_named
 from ohmskin.skin import Calibration, Press, Skin
 
+_Presses: TypeAlias = PressGuide | ForceSampler
 _TIP = 8e-3  # m, radius of the virtual finger
 _EXPLAINED = 0.2  # share of presses that a contact layer may leave unexplained
+_IDLE = 30_000  # cycles without a steady press, some minutes, after which we give up
 _PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
 
 
@@ -30,9 +48,16 @@ def calibrate(
     mode: str = "",
     weights: tuple[float, ...] = (100.0, 200.0, 400.0, 700.0, 1000.0),
     places: int = 5,
+    presses: Path | None = None,
+    force_from: str = "",
+    force_topic: str = "/wrench",
+    samples: int = 10,
     force: bool = True,
 ) -> None:
     """Calibrate a skin and write its description with what was measured. A virtual skin presses itself.
+
+    Newtons are told from weights on a small foot, from known presses, or, with --force-from, from a force that
+    something else measures while you press anywhere.
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
@@ -41,56 +66,142 @@ def calibrate(
         mode: Drive mode to calibrate; the skin's best unless given.
         weights: Weights to place (g), all on the same small foot.
         places: Number of places to press.
+        presses: Presses to make instead, in that order: a .csv file with columns x_mm, y_mm and force_N.
+        force_from: Where the force of a press comes from: serial://PORT (with ?baud=9600, say; lines that end with
+            newtons), zenoh[:PLACE] or dds[:INTERFACE] (a WrenchStamped of ROS 2); or, with --device replay:FILE, a .csv
+            file with columns time_s (from the first frame behind the calibration) and force_N.
+        force_topic: With zenoh and dds, the topic.
+        samples: With --force-from, how many steady presses are wanted.
         force: Whether to calibrate newtons, too; --no-force measures the quiet skin only.
     """
     if picture is not None:
         check_picture(picture)
+    if not 2 <= samples <= 1000:
+        raise OhmskinError(f"--samples is {samples}; choose 2 to 1000")
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin)
-    description = replace(description, calibration=Calibration())
     path = output or Path(f"{description.name}-calibrated.toml")
+    curve, sampler = None, ForceSampler(samples)
+    guide: _Presses = sampler
     with opened:
         check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
-        plan = press_plan(description, [GRAVITY * grams * 1e-3 for grams in weights], places) if force else ()
-        console.print("measuring the quiet skin; keep it untouched")
-        found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
-        if ohms := found.contact_impedances:
-            contacts = f"contacts about {np.median(ohms):.2g} ohm"
+        if device.startswith("replay:"):
+            calibrated, known = description, _replayed(device.removeprefix("replay:"), force_from, sampler, mode, skin)
+            found = description.calibration
         else:
-            contacts = f"contacts {found.contact_resistance:.2g} ohm more than described"
-        console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square; {contacts}")
-        console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
-        calibrated, guide, curve = replace(description, calibration=found), PressGuide(plan), None
-        if force:
-            with Engine(lambda: opened, calibrated, mode) as engine:
-                console.print(f"calibrating mode {engine.mode.name}")
-                engine.calibrate()
-                _walk(engine, guide, calibrated)
-                curve = fit_force(guide.samples)
-                found = curve.put_into(replace(found, mode=engine.mode.name))
-                assert engine.known is not None  # it saw the presses
-                found = fit_auxiliary(guide.samples, engine.known.quiet.rest, found)
-                layer, why = _layer(PressFitter(engine.known), _felt(guide))
-            console.print(
-                f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
-                f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
-                f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
-            )
-            found = found if layer is None else layer.put_into(found)
-            if found.auxiliary_gain:
-                off = f"{100 * found.auxiliary_error:.2g} % off from press to press"
-                console.print(f"auxiliary channel: {found.auxiliary_gain:.4g} for each newton, {off}")
-            console.print(why)
-            if curve.flat:
-                flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
-                console.print(f"note: {flat} N cannot be distinguished from smaller forces; the skin is saturated")
+            description = replace(description, calibration=Calibration())
+            plan = () if force_from or not force else _plan(description, presses, weights, places)
+            found = _quiet(opened, description, console)
+            calibrated, known = replace(description, calibration=found), None
+            if force:
+                with Engine(lambda: opened, calibrated, mode) as engine:
+                    console.print(f"calibrating mode {engine.mode.name}")
+                    engine.calibrate()
+                    if force_from:
+                        _listen(engine, sampler, force_from, force_topic)
+                    else:
+                        guide = asked = PressGuide(plan)
+                        _walk(engine, asked, calibrated)
+                    known, mode = engine.known, engine.mode.name
+        if known is not None:
+            curve = fit_force(guide.samples)
+            found = _newtons(replace(found, mode=mode), curve, guide, known, console)
     write(path, replace(description, calibration=found).dump())
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
         from ohmskin.plot.calibration import save_calibration  # here: it needs the extra `plot`
 
         save_calibration(picture, calibrated, guide.samples, curve)
+
+
+def _quiet(opened: Device, description: Skin, console: Console) -> Calibration:
+    """What the untouched skin tells."""
+    console.print("measuring the quiet skin; keep it untouched")
+    found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
+    if ohms := found.contact_impedances:
+        contacts = f"contacts about {np.median(ohms):.2g} ohm"
+    else:
+        contacts = f"contacts {found.contact_resistance:.2g} ohm more than described"
+    console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square; {contacts}")
+    console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
+    return found
+
+
+def _newtons(found: Calibration, curve: ForceCurve, guide: _Presses, known: SkinModel, console: Console) -> Calibration:
+    """What the presses tell beside that."""
+    found = fit_auxiliary(guide.samples, known.quiet.rest, curve.put_into(found))
+    layer, why = _layer(PressFitter(known), _felt(guide))
+    console.print(
+        f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
+        f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
+        f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
+    )
+    found = found if layer is None else layer.put_into(found)
+    if found.auxiliary_gain:
+        off = f"{100 * found.auxiliary_error:.2g} % off from press to press"
+        console.print(f"auxiliary channel: {found.auxiliary_gain:.4g} for each newton, {off}")
+    console.print(why)
+    if curve.flat:
+        flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
+        console.print(f"note: {flat} N cannot be distinguished from smaller forces; the skin is saturated")
+    return found
+
+
+def _plan(skin: Skin, table: Path | None, weights: Sequence[float], places: int) -> tuple[PressStep, ...]:
+    """The presses to make."""
+    if table is None:
+        return press_plan(skin, [GRAVITY * grams * 1e-3 for grams in weights], places)
+    steps: list[PressStep] = []
+    for x, y, force in read_table(table, ("x_mm", "y_mm", "force_N")).tolist():
+        at = (1e-3 * x, 1e-3 * y)
+        if not force > 0 or skin.domain.depth([at])[0] <= 0:
+            raise OhmskinError(f"{table}: {force:g} N at x {x:g} mm, y {y:g} mm is no press on this skin")
+        steps.append(PressStep(at, force, not (steps and steps[-1].at == at and force < steps[-1].force)))
+    return tuple(steps)
+
+
+def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin: str) -> SkinModel:
+    """Samples of a recording, with the forces of a table; what was known of its quiet skin."""
+    if not force_from.endswith(".csv"):
+        raise OhmskinError("a recording tells no forces; give them with --force-from FILE.csv (time_s, force_N)")
+    times, forces = read_table(Path(force_from), ("time_s", "force_N")).T
+    known = None
+    for cycle in watched(reimage(file, mode=mode, skin=skin)):
+        known = cycle.known
+        scans = tuple(map(known.difference, cycle.touch.percept.frames))
+        beside = cycle.touch.percept.frames[-1].auxiliary
+        force = abs(float(np.interp(cycle.time, times, forces, left=np.nan, right=np.nan)))
+        sampler.see(cycle.touch.contacts, scans, force, np.nan if beside is None else beside)
+    if known is None:
+        raise OhmskinError(f"{file} has no frame behind its calibration")
+    return known
+
+
+def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> None:
+    """Take samples while somebody presses, until there are enough."""
+    cell = LoadCell()
+    end = open_load_cell(source, topic, cell.tell)
+    say(f"press anywhere with the load cell, one finger at a time, each force for a moment; {sampler.count} are wanted")
+    idle = 0
+    try:
+        while not sampler.done:
+            touch = engine.step()
+            idle += 1
+            if touch is None or (known := engine.known) is None:
+                continue
+            scans = tuple(map(known.difference, touch.percept.frames))
+            beside = touch.percept.frames[-1].auxiliary
+            if sampler.see(touch.contacts, scans, cell.force, np.nan if beside is None else beside):
+                one, idle = sampler.samples[-1], 0
+                x, y = one.at
+                place = f"{one.force:.2f} N at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
+                say(f"    [{len(sampler.samples)} of {sampler.count}] {place}: strength {1e6 * one.strength:.3g} mm2")
+            elif idle > _IDLE:
+                why = "no force was told" if np.isnan(cell.force) else "no steady press was felt"
+                raise DeviceError(f"{why} in {_IDLE} cycles; {source} tells {cell.force:.3g} N now")
+    finally:
+        end()
 
 
 def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLayer | None, str]:
@@ -109,7 +220,7 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
     return None, f"note: {told}, would leave {left} unexplained; the layer stays as described"
 
 
-def _felt(guide: PressGuide) -> list[KnownPress]:
+def _felt(guide: _Presses) -> list[KnownPress]:
     """The presses that were felt; those that eased off only where one that rose was felt, too."""
     felt, risen = list[KnownPress](), None
     for one, peak in zip(guide.samples, guide.peaks, strict=True):

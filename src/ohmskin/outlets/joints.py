@@ -100,15 +100,17 @@ class JointsProcess(Closing):
         self._child.close()
 
 
-def hear(place: str, topic: str, token: str | None, take: Callable[[bytes], None]) -> tuple[str, Callable[[], None]]:
+def hear(
+    place: str, topic: str, kind: str, token: str | None, take: Callable[[bytes], None]
+) -> tuple[str, Callable[[], None]]:
     """Call `take` with every message of a topic, in a thread of the library's; where that is, and what ends it.
 
     Raises:
         PublishError: If the place cannot be used.
     """
-    kind, _, where = place.partition(":")
-    listen = import_module(f"ohmskin.outlets.{kind}").listen
-    address, end = listen(where, f"/{topic.strip('/')}", _TYPE, token, take)
+    protocol, _, where = place.partition(":")
+    listen = import_module(f"ohmskin.outlets.{protocol}").listen
+    address, end = listen(where, f"/{topic.strip('/')}", kind, token, take)
     return str(address), end
 
 
@@ -119,7 +121,7 @@ def main() -> None:
         try:
             states = stack.enter_context(JointStates(settings["name"]))
             follower = Follower(states, settings["joints"])
-            address, end = hear(settings["place"], settings["topic"], settings["token"], follower.take)
+            address, end = hear(settings["place"], settings["topic"], _TYPE, settings["token"], follower.take)
         except OhmskinError as error:
             answer(failed=str(error))
             return

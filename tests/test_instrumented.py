@@ -1,0 +1,211 @@
+"""Newtons from what something else measures: a load cell on a line, a force sensor of ROS 2, tables."""
+
+import csv
+import os
+import pty
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import ohmskin
+from direct import DirectDevice
+from waiting import until
+
+from ohmskin.calibrate import ForceSampler, LoadCell, read_table
+from ohmskin.client.cdr import Encoder
+from ohmskin.device import connect
+from ohmskin.engine import Engine
+from ohmskin.errors import DataError, OhmskinError, PublishError
+from ohmskin.outlets.load_cell import open_load_cell
+from ohmskin.outlets.outlet import open_outlet
+from ohmskin.outlets.topics import Topic
+from ohmskin.recording import Recorder
+from ohmskin.skin import Calibration, Press, Skin, VirtualSkin
+
+PAPER = Skin.load("paper")
+FOAM = PAPER.contact_layer.foam_spread
+TABLE = ((60.0, 60.0, 1.5), (140.0, 130.0, 3.0), (60.0, 140.0, 6.0), (60.0, 140.0, 2.5), (100.0, 100.0, 9.0))
+WRONG = replace(PAPER, contact_layer=replace(PAPER.contact_layer, conductance=1.5 * PAPER.contact_layer.conductance))
+
+
+def of_force(x: float, y: float, force: float) -> Press:
+    """A press of 8 mm, x and y in mm."""
+    at = (1e-3 * x, 1e-3 * y)
+    return Press(at, 8e-3, force / Press(at, 8e-3, 1.0).force(FOAM))
+
+
+@pytest.fixture
+def line() -> Iterator[tuple[int, str]]:
+    """The load cell's end of a serial line, and the name of ours."""
+    ours, theirs = pty.openpty()
+    yield ours, os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_a_line_tells_the_last_number_of_each_line_and_grows_old(line: tuple[int, str]) -> None:
+    cell = LoadCell()
+    assert np.isnan(cell.force)
+    end = open_load_cell(f"serial://{line[1]}?baud=9600", "", cell.tell)
+    os.write(line[0], b"rubbish\r\nST,GS, -  12.5\n+3.25 N\r\n")
+    until(lambda: cell.force == 3.25)
+    os.write(line[0], b"t=17 F=-4.5e0 N")  # not ended yet
+    until(lambda: np.isnan(cell.force))
+    os.write(line[0], b"\n")
+    until(lambda: cell.force == 4.5)
+    end()
+
+
+@pytest.mark.parametrize("place", ["zenoh", "dds"])
+def test_a_force_sensor_of_ros_is_heard(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "79")
+    topic = Topic("/ft/wrench", "geometry_msgs/msg/WrenchStamped", True, 10)
+    cell, where = (
+        LoadCell(),
+        ("zenoh:listen/tcp/127.0.0.1:7459", "zenoh:tcp/127.0.0.1:7459") if place == "zenoh" else ("dds",) * 2,
+    )
+    sender = open_outlet(where[0], [topic], "sensor", None)
+    end = open_load_cell(where[1], "ft/wrench", cell.tell)
+    wrench = Encoder().stamp(time.time_ns()).text("tool").put("dddddd", 0.0, 3.0, -4.0, 9.0, 9.0, 9.0).done()
+    try:
+
+        def heard() -> bool:
+            sender.send(topic, time.time_ns(), wrench)
+            sender.send(topic, time.time_ns(), wrench[:20])  # cut short
+            return cell.force == 5.0
+
+        until(heard)
+    finally:
+        end()
+        sender.close()
+
+
+@pytest.mark.parametrize("source", ["file.txt", "serial://", "shm", "serial://a?rate=3"])
+def test_a_source_that_is_none_is_refused(source: str) -> None:
+    with pytest.raises(PublishError, match="serial://PORT"):
+        open_load_cell(source, "", print)
+
+
+def contact(number: int, x: float, strength: float = 1e-4) -> Any:
+    return SimpleNamespace(id=number, position=(x, 0.1), strength=strength)
+
+
+def test_samples_are_of_steady_presses_and_know_whether_they_rise() -> None:
+    sampler = ForceSampler(3, settle=2, cycles=3)
+    for force in (1.0, 2.0, 3.0, 4.0, 5.0, *[6.0] * 20):  # held longer than a sample needs
+        sampler.see([contact(1, 0.05)], [], force)
+    for force in (5.0, 4.0, *[3.0] * 6):
+        sampler.see([contact(1, 0.05)], [], force)
+    for _ in range(6):
+        assert not sampler.see([contact(2, 0.05), contact(3, 0.15)], [], 3.0)  # whose force is it?
+        assert not sampler.see([contact(2, 0.05)], [], float("nan"))
+    for _ in range(6):
+        sampler.see([contact(4, 0.15)], [], 3.0)
+    assert sampler.done
+    assert [(one.force, one.loading, peak) for one, peak in zip(sampler.samples, sampler.peaks, strict=True)] == [
+        (6.0, True, 0.0),
+        (3.0, False, 6.0),
+        (3.0, True, 0.0),
+    ]
+
+
+def test_a_load_cell_calibrates_the_layer(
+    line: tuple[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The layer is described with half as much conductance again; the cell tells what presses the true one."""
+
+    class Finger(DirectDevice):
+        """Presses one after the other, each for 48 scans, and lifts for 12; the line tells each force."""
+
+        pressing, scans = False, 0
+
+        def _scan(self, pattern: Any, timeout: float) -> Any:
+            if self.pressing:
+                turn, moment = divmod(self.scans, 60)
+                press = of_force(*TABLE[turn % len(TABLE)])
+                self.virtual.press(0, *press.position, press.radius, press.pressure if moment < 48 else 0.0)
+                os.write(line[0], b"%.4f\n" % (press.force(FOAM) if moment < 48 else 0.0))
+                self.scans += 1
+            return super()._scan(pattern, timeout)
+
+    device = Finger(VirtualSkin(PAPER, 3))
+    monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda *_: (device, WRONG))
+    monkeypatch.setattr("ohmskin.cli.calibrate.calibrate_quiet", lambda *_, **__: Calibration())  # which takes long
+    real = open_load_cell
+
+    def opened(*given: Any) -> Any:
+        device.pressing = True
+        return real(*given)
+
+    monkeypatch.setattr("ohmskin.cli.calibrate.open_load_cell", opened)
+    words = ["calibrate", "--force-from", f"serial://{line[1]}", "--samples", "5", "--output", "mine.toml"]
+    done = ohmskin(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = Skin.load(tmp_path / "mine.toml").calibration
+    assert found.layer_conductance == pytest.approx(PAPER.contact_layer.conductance, rel=0.25)
+    assert found.forces[-1] == pytest.approx(9.0, rel=0.01)
+    assert done.stdout.count(" of 5] ") == 5
+
+
+def test_known_presses_of_a_table_are_made_and_forces_beside_a_recording_are_used(tmp_path: Path) -> None:
+    (tmp_path / "presses.csv").write_text("note,x_mm,y_mm,force_N\n" + "".join(f"a,{x},{y},{f}\n" for x, y, f in TABLE))
+    (tmp_path / "wrong.toml").write_text(WRONG.dump(), encoding="utf-8")
+    words = ["calibrate", "--skin", "wrong.toml", "--presses", "presses.csv", "--mode", "16I", "--output", "a.toml"]
+    done = ohmskin(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("in all (2.50 N)") == 1
+    assert "leave 255 g in all (2.50 N) at x 60 mm, y 140 mm" in done.stdout
+    assert Skin.load(tmp_path / "a.toml").calibration.forces[0] == pytest.approx(1.5)
+
+    rows: list[tuple[float, float]] = []
+    with (
+        Recorder(tmp_path / "b.mcap", WRONG) as recorder,
+        Engine(lambda: recorder.tee(connect("virtual:", skin=PAPER, seed=2)), WRONG, "16I") as engine,
+    ):
+        recorder.watch(engine)
+        engine.calibrate()
+        began = None
+        for x, y, force in TABLE:
+            press = of_force(x, y, force)
+            for pressure in (press.pressure, 0.0):
+                engine.press(0, press.position, press.radius, pressure)
+                for _ in range(24 if pressure else 6):
+                    touch = engine.step()
+                    assert touch is not None
+                    recorder.publish(touch)
+                    began = began or touch.time
+                    rows.append((touch.time - began, force if pressure else 0.0))
+    with (tmp_path / "forces.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([("time_s", "force_N"), *rows])
+    words = [
+        "calibrate",
+        "--device",
+        "replay:b.mcap",
+        "--force-from",
+        "forces.csv",
+        "--samples",
+        "5",
+        "--output",
+        "b.toml",
+    ]
+    done = ohmskin(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = Skin.load(tmp_path / "b.toml").calibration
+    assert found.layer_conductance == pytest.approx(PAPER.contact_layer.conductance, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "x_mm,force_N\n1,2\n", "x_mm,y_mm,force_N\n", "x_mm,y_mm,force_N\n1,2\n", "x_mm,y_mm,force_N\n1,2,nan\n"],
+)
+def test_a_table_that_makes_no_sense_is_told(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(DataError, match=r"a\.csv"):
+        read_table(tmp_path / "a.csv", ("x_mm", "y_mm", "force_N"))
+    with pytest.raises(OhmskinError):
+        read_table(tmp_path / "none.csv", ("x_mm",))
