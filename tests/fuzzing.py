@@ -18,7 +18,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -95,16 +95,28 @@ class Outcome:
 
 def tried(kind: str, seed: int, count: int, seconds: float = float("inf"), first: int = 0) -> Outcome:
     """Try cases of a kind, as many as there is time for; a child that dies is replaced."""
-    outcome, end, number = Outcome(), time.monotonic() + seconds, first
-    while number < first + count and time.monotonic() < end:
-        number = _child(kind, seed, number, first + count, end, outcome)
-    return outcome
+    return all_tried([kind], seed, count, seconds, first)[kind]
 
 
-def _child(kind: str, seed: int, number: int, last: int, end: float, outcome: Outcome) -> int:
-    """Let a child try cases from `number` on; where to go on."""
+def all_tried(
+    kinds: Sequence[str], seed: int, count: int, seconds: float = float("inf"), first: int = 0
+) -> dict[str, Outcome]:
+    """Likewise of several kinds, in one child as long as it lives; the first begins at `first`, the others at 0."""
+    outcomes, end = {kind: Outcome() for kind in kinds}, time.monotonic() + seconds
+    ahead, number = list(kinds), first
+    while ahead and time.monotonic() < end:
+        number = _child(ahead, seed, number, first + count, end, outcomes)
+        if number >= first + count:
+            del ahead[0]
+            number = 0
+    return outcomes
+
+
+def _child(ahead: list[str], seed: int, number: int, last: int, end: float, outcomes: dict[str, Outcome]) -> int:
+    """Let a child try the kinds ahead, of the first one cases from `number` on; what it ends with stays ahead."""
     left = 1e9 if end == float("inf") else end - time.monotonic()
-    command = [sys.executable, __file__, kind, "--seed", str(seed), "--first", str(number), "--count"]
+    command = [sys.executable, __file__, ",".join(ahead), "--seed", str(seed), "--first", str(number), "--count"]
+    outcome = outcomes[ahead[0]]
     with tempfile.TemporaryFile("w+") as errors:
         told = [*command, str(last - number), "--child", str(left)]
         child = subprocess.Popen(told, stdout=subprocess.PIPE, stderr=errors, text=True)
@@ -113,6 +125,10 @@ def _child(kind: str, seed: int, number: int, last: int, end: float, outcome: Ou
         with child.stdout:
             for line in child.stdout:
                 said = json.loads(line)
+                if "kind" in said:
+                    del ahead[: ahead.index(said["kind"])]
+                    outcome, number = outcomes[ahead[0]], said["first"]
+                    continue
                 outcome.peak = max(outcome.peak, said.get("peak", 0))
                 if "begins" in said:
                     running = said["begins"]
@@ -226,24 +242,29 @@ def _peak() -> int:
     return _memory("VmHWM") - _BEFORE[0]
 
 
-def _serve(name: str, seed: int, numbers: range, seconds: float) -> None:
+def _serve(names: Sequence[str], seed: int, numbers: range, seconds: float) -> None:
     end = time.monotonic() + seconds
     logging.disable()
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        faulthandler.dump_traceback_later(_START, exit=True)
-        kind = _kind(name, Path(folder))
-        faulthandler.cancel_dump_traceback_later()
-        _BEFORE.append(_memory("VmHWM"))
-        resource.setrlimit(resource.RLIMIT_AS, (_memory("VmSize") + MEMORY, resource.RLIM_INFINITY))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (MEMORY, resource.RLIM_INFINITY))
-        for said in _cases(kind, name, seed, numbers):
-            print(json.dumps(said), file=out, flush=True)
-            if "case" in said and time.monotonic() > end:
-                break
-    os.chdir("/")
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
+            faulthandler.dump_traceback_later(_START, exit=True)
+            resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+            kind = _kind(name, Path(folder))
+            faulthandler.cancel_dump_traceback_later()
+            Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here on
+            _BEFORE[:] = [_memory("VmHWM")]
+            resource.setrlimit(resource.RLIMIT_AS, (_memory("VmSize") + MEMORY, resource.RLIM_INFINITY))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (MEMORY, resource.RLIM_INFINITY))
+            own = numbers if name == names[0] else range(numbers.stop)
+            print(json.dumps({"kind": name, "first": own.start}), file=out, flush=True)
+            for said in _cases(kind, name, seed, own):
+                print(json.dumps(said), file=out, flush=True)
+                if "case" in said and time.monotonic() > end:
+                    break
+        os.chdir("/")
     out.close()
     os._exit(0)  # threads of a device that hangs must not keep it
 
@@ -264,7 +285,7 @@ def main() -> None:
             given.keep.write_bytes(kind.make(_dice(given.kind, given.seed, given.first)))
         return
     if given.child is not None:
-        _serve(given.kind, given.seed, range(given.first, given.first + given.count), given.child)
+        _serve(given.kind.split(","), given.seed, range(given.first, given.first + given.count), given.child)
     outcome = tried(given.kind, given.seed, given.count, given.seconds, given.first)
     for words in outcome.failures:
         print(words, end="\n\n")

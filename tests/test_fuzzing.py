@@ -4,7 +4,7 @@
 """
 
 import pytest
-from fuzzing import MEMORY, Outcome, tried
+from fuzzing import MEMORY, Outcome, all_tried, tried
 
 KINDS = ("mcap", "mat", "csv", "toml", "requests", "replies", "commands")
 
@@ -20,9 +20,17 @@ def stands(outcome: Outcome, seed: int) -> None:
     assert outcome.peak < MEMORY
 
 
+@pytest.fixture(scope="module")
+def some() -> dict[str, Outcome]:
+    """What becomes of forty of each kind."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FUZZ_SECONDS", "60")
+        return all_tried(KINDS, seed=0, count=40)
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_some_mutations_are_read_or_refused(kind: str) -> None:
-    outcome = tried(kind, seed=0, count=40)
+def test_some_mutations_are_read_or_refused(kind: str, some: dict[str, Outcome]) -> None:
+    outcome = some[kind]
     stands(outcome, 0)
     assert outcome.cases > 20
     assert outcome.read > 0

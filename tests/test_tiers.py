@@ -58,19 +58,19 @@ def test_what_is_missing_is_skipped_with_its_package_and_fails_in_ci(monkeypatch
 def test_each_worker_keeps_what_it_compiles_in_a_folder_of_its_own() -> None:
     """Two processes that write one index would mix up each other's entries."""
 
-    def folder(**given: str) -> str:
-        kept = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", WORKER)}
-        script = "import conftest, os; print(os.environ['NUMBA_CACHE_DIR'])"
-        done = subprocess.run(
-            [sys.executable, "-c", script], env=kept | given, cwd=FOLDER, capture_output=True, text=True
-        )
-        return done.stdout.strip()
-
-    parent = folder()
+    kept = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", WORKER)}
+    script = f"""if True:
+        import importlib, os, conftest
+        print(parent := os.environ["NUMBA_CACHE_DIR"])
+        for place, worker in ((parent, "gw0"), (parent, "gw1"), ("/elsewhere", "gw0")):
+            os.environ.update(NUMBA_CACHE_DIR=place, {WORKER}=worker)
+            print(importlib.reload(conftest).os.environ["NUMBA_CACHE_DIR"])
+        """
+    done = subprocess.run([sys.executable, "-c", script], env=kept, cwd=FOLDER, capture_output=True, text=True)
+    parent, *workers, elsewhere = done.stdout.split()
     assert parent.endswith("numba-main")
-    workers = [folder(NUMBA_CACHE_DIR=parent, PYTEST_XDIST_WORKER=name) for name in ("gw0", "gw1")]
     assert len({parent, *workers}) == 3
-    assert folder(NUMBA_CACHE_DIR="/elsewhere", PYTEST_XDIST_WORKER="gw0") == "/elsewhere"
+    assert elsewhere == "/elsewhere"
 
 
 def test_a_run_ends_after_a_failed_set_up_and_takes_its_children_with_it(tmp_path: Path) -> None:

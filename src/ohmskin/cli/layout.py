@@ -3,7 +3,9 @@
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -107,11 +109,16 @@ def layout(
 
 def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) -> tuple[str, dict[str, Any], ErrorMap]:
     """What a skin can do, in a line, as figures and as a map."""
-    table = ContactTable(skin.transfer_model(), radius, pitch=0.45 * skin.imaging.mesh_size)
-    currents, electrodes = skin.pair_currents(), skin.electrodes
+    electrodes = skin.electrodes
     complete = complete_pattern(electrodes)
-    candidates = Candidates.at_currents(complete, len(electrodes), noise, currents)
-    name, count, scheme = _scheme(skin, mode, injections, table, candidates)
+
+    @cache
+    def design() -> tuple[ContactTable, Candidates]:  # made when it is used: what cannot be is refused before
+        table = ContactTable(skin.transfer_model(), radius, pitch=0.45 * skin.imaging.mesh_size)
+        return table, Candidates.at_currents(complete, len(electrodes), noise, skin.pair_currents())
+
+    name, count, scheme = _scheme(skin, mode, injections, design)
+    (table, _), currents = design(), skin.pair_currents()
     places = spread_places(table, _PLACES)
     errors = position_bound(table, places, scheme, noise, currents)
     title = f"{skin.name}: {'best fixed set' if name == _BEST else name}, {count} injections"
@@ -128,24 +135,24 @@ def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) 
 
 
 def _scheme(
-    skin: Skin, mode: str, injections: int, table: ContactTable, candidates: Candidates
+    skin: Skin, mode: str, injections: int, design: Callable[[], tuple[ContactTable, Candidates]]
 ) -> tuple[str, int, Scheme]:
     """The name, the injections of a frame, and what drives them."""
     if injections < 0:
         raise PatternError(f"--injections {injections}; it must be positive, or 0 for the mode's own number")
     if mode == _BEST:
-        count = injections or 28
+        count, (table, candidates) = injections or 28, design()
         return _BEST, count, part_of(candidates.pattern, best_fixed(table, candidates, count))
     choices = modes(skin)
     name = mode or default_mode(skin)
     if name not in choices:
         possible = ", ".join([*choices, _BEST])
         raise PatternError(f"mode {name!r} is not possible with skin {skin.name!r}; choose from {possible}")
-    settings = DriveSettings(skin.electrodes, lambda: (table, candidates), skin.imaging.pairs)
+    settings = DriveSettings(skin.electrodes, design, skin.imaging.pairs)
     drive = DRIVES[choices[name].drive](settings, 0)
     if drive.adjustable:  # of a contact that rests while frames add up to so many injections
         frames = -(-(injections or 28) // drive.injections)
-        target = ContactPrior.usual(table.radius).at
+        target = ContactPrior.usual(design()[0].radius).at
 
         def tracked(place: Any) -> list[DrivePattern]:
             return [drive.next(target(np.asarray(place)[None]), turn) for turn in range(frames)]
