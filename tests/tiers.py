@@ -210,6 +210,7 @@ TABLE = (
     Row("test_view_states.py", "browser", (CHROMIUM,)),
     Row("test_live_browser.py", "browser", (CHROMIUM,)),
     Row("test_guide.py", "browser", (CHROMIUM,)),
+    Row("test_accessible.py", "browser", (CHROMIUM,)),
     Row("test_screens.py::test_states*", "browser", (CHROMIUM,)),
     Row("test_body_page.py::test_a_finger_on_the_page*", "browser", (CHROMIUM,)),
     Row("test_body_page.py::test_clicking_the_skin*", "browser", (CHROMIUM,)),

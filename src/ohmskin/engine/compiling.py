@@ -57,7 +57,7 @@ def compile_ahead(tell: Callable[[str, float], None]) -> None:
             module, _, function = name.partition(":")
             try:
                 getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
-            except (AttributeError, TypeError, NumbaError):  # it has changed since, and is compiled when it is called
+            except (AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
                 continue
 
 

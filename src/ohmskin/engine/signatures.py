@@ -1,38 +1,94 @@
 """What a loop that fits contacts has compiled, with the types that it calls it with.
 
-`tests/test_compiling.py` tells those that are missing.
+`tools/signatures.py` writes this file; `tests/test_compiling.py` says when that is due.
 """
 
 from typing import Any
 
 from numba import types
 
-_N, _F, _B = types.int64, types.float64, types.bool_
-_N1, _N2, _B1 = _N[::1], _N[:, ::1], _B[::1]
-_I1, _I2, _S1 = types.int32[::1], types.int32[:, ::1], types.float32[::1]
-_F1, _F2, _F3, _F4 = _F[::1], _F[:, ::1], _F[:, :, ::1], _F[:, :, :, ::1]
-_F2_TURNED = _F[::1, :]
-_FIXED_N2, _FIXED_F2, _FIXED_F3 = (
-    types.Array(kind, dimensions, "C", readonly=True) for kind, dimensions in ((_N, 2), (_F, 2), (_F, 3))
-)
 _tuple: Any = types.Tuple
-_SCATTERED = _tuple((_F1, _F1, _F1, _F3, _F, _F))
-_TABLE = _tuple((_F4, _F1, _F1, _N1, _F, _F1, _F3))
+_FLOAT64 = types.float64
+_FLOAT64_2 = types.Array(_FLOAT64, 2, "C")
+_FLOAT64_1 = types.Array(_FLOAT64, 1, "C")
+_FLOAT64_3 = types.Array(_FLOAT64, 3, "C")
+_T1 = _tuple((_FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_3, _FLOAT64, _FLOAT64))
+_INT64 = types.int64
+_UINT64 = types.uint64
+_UINT64_2 = types.Array(_UINT64, 2, "C")
+_INT64_1 = types.Array(_INT64, 1, "C")
+_T2 = _tuple((_UINT64_2, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64_1))
+_FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
+_T3 = _tuple((_FLOAT64_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64_3))
+_INT64_2 = types.Array(_INT64, 2, "C")
+_BOOL = types.bool_
+_BOOL_1 = types.Array(_BOOL, 1, "C")
+_INT64_2_FIXED = types.Array(_INT64, 2, "C", readonly=True)
+_FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
+_FLOAT32 = types.float32
+_FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
+_INT32 = types.int32
+_INT32_2 = types.Array(_INT32, 2, "C")
+_INT32_1 = types.Array(_INT32, 1, "C")
+_FLOAT64_3_FIXED = types.Array(_FLOAT64, 3, "C", readonly=True)
+_FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
 
 SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
-    ("contacts.information:_products", (_N2, _N1, _B1, _F1, _F1, _F1, _F1, _FIXED_N2, _F1, _F2, _F2)),
-    ("contacts.kernels:all_onto", (_F2, _SCATTERED)),
-    ("contacts.kernels:expected", (_F1, _F, _F1, _F1, _F)),
-    ("contacts.kernels:peaks", (_F1, _F2, _N, _F, _F, _F)),
-    ("contacts.kernels:refined", (_F2, _F2, _F1, _F, _F1, _F2, _N, _F, _F, _F, _F, _SCATTERED, _TABLE, _F)),
-    ("contacts.misfit:_taken_off", (_F2, _F2, _F1)),
-    ("contacts.regions:join_peaks", (_S1, _I2, _N1, _F, _I1, _I1)),
-    ("contacts.solution:inverse", (_F2,)),
-    ("drive.design:_gains", (_F4, _F4, _F3)),
-    ("forward.response:_respond_at", (_F2, _TABLE, _F3)),
-    ("forward.sensitivity:fill_pairs", (_FIXED_N2, _FIXED_F3, _F1, _FIXED_F2, _F2)),
-    ("geometry.overlap:_areas", (_F3, _F)),
-    ("inverse.modes:combined", (_N2, _F2, _N)),
-    ("scan.coherence:_coherence", (_N2, _F2_TURNED, _F2, _N1, _F1, _F1, _F1, _F, _N)),
+    ("contacts.kernels:all_onto", (_FLOAT64_2, _T1)),
+    ("contacts.kernels:expected", (_FLOAT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64_1, _FLOAT64)),
+    ("contacts.kernels:peaks", (_FLOAT64_1, _FLOAT64_2, _INT64, _FLOAT64, _FLOAT64, _FLOAT64)),
+    (
+        "contacts.kernels:refined",
+        (
+            _FLOAT64_2,
+            _T2,
+            _FLOAT64_2,
+            _FLOAT64_1,
+            _FLOAT64,
+            _FLOAT64_1,
+            _FLOAT64_2,
+            _INT64,
+            _FLOAT64,
+            _FLOAT64,
+            _FLOAT64,
+            _FLOAT64,
+            _T1,
+            _T3,
+            _FLOAT64,
+        ),
+    ),
+    ("contacts.measured:beside_errors", (_T2, _FLOAT64_1, _FLOAT64_2, _FLOAT64, _FLOAT64)),
+    (
+        "contacts.measured:measured",
+        (
+            _INT64_2,
+            _INT64_1,
+            _BOOL_1,
+            _FLOAT64_1,
+            _FLOAT64_1,
+            _FLOAT64_1,
+            _FLOAT64_1,
+            _INT64_2_FIXED,
+            _INT64,
+            _BOOL,
+            _FLOAT64,
+            _FLOAT64,
+        ),
+    ),
+    ("contacts.measured:powers", (_T2, _FLOAT64_2_F)),
+    ("contacts.misfit:_taken_off", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
+    ("contacts.misfit:seen", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
+    ("contacts.misfit:sizes", (_T2, _FLOAT64_2, _FLOAT64_2)),
+    ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),
+    ("contacts.solution:inverse", (_FLOAT64_2,)),
+    ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
+    ("forward.response:_respond_at", (_FLOAT64_2, _T3, _FLOAT64_3)),
+    ("forward.sensitivity:fill_pairs", (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _FLOAT64_2)),
+    ("geometry.overlap:_areas", (_FLOAT64_3, _FLOAT64)),
+    ("inverse.modes:combined", (_INT64_2, _FLOAT64_2, _INT64)),
+    (
+        "scan.coherence:_coherence",
+        (_INT64_2, _FLOAT64_2_F, _FLOAT64_2, _INT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64, _INT64),
+    ),
 )
-"""Module and name of each function, and the types of its arguments; none that the virtual skin has compiled."""
+"""Module, name and argument types of each function; none that the virtual skin has compiled."""
