@@ -27,6 +27,11 @@ def sheet(electrodes: str = "mixed") -> TransferModel:
     )
 
 
+def bent(places: np.ndarray) -> np.ndarray:
+    """Places on a sheet in space."""
+    return np.column_stack([places, places[:, 0] ** 2])
+
+
 def lattice(pitch: float = 0.02, samples: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """Points of square patches of 0.9 of the pitch, and the patch of each; some lie off the sheet."""
     centres = np.stack(np.meshgrid(np.arange(0, 0.22, pitch), np.arange(0, 0.22, pitch)), axis=-1).reshape(-1, 2)
@@ -109,14 +114,57 @@ def test_a_thick_skin_can_be_pressed_on_its_face() -> None:
     )
 
 
-def test_means_of_the_logarithm_are_integrals() -> None:
-    """Against a midpoint rule; targets inside, on an edge of, near and far from rectangles."""
+@pytest.mark.parametrize("sides", [((1.0, 0.0), (0.0, 2.0)), ((0.9, 0.4), (-1.1, 1.5)), ((0.9, 0.4), (1.1, -1.5))])
+def test_means_of_the_logarithm_are_integrals(sides: tuple[tuple[float, float], ...]) -> None:
+    """Against a midpoint rule; targets inside, on an edge of, near and far from parallelograms."""
     steps = (np.arange(1500) + 0.5) / 1500 - 0.5
-    for target in [(0.0, 0.0), (0.1, -0.2), (0.5, 0.1), (0.5, 1.0), (0.9, -1.3), (3.9, 2.0), (4.5, 4.0)]:
-        x, y = target[0] - steps[:, None], target[1] - 2 * steps
+    for target in [(0.0, 0.0), (0.1, -0.2), (0.5, 0.1), (0.5, 1.0), (0.9, -1.3), (3.9, 2.0), (6.5, 5.0)]:
+        x, y = (target[axis] - sides[0][axis] * steps[:, None] - sides[1][axis] * steps for axis in range(2))
         expected = 0.5 * np.log(x**2 + y**2).mean()
-        found = log_means(np.array([target]), np.zeros((1, 2)), np.array([[1.0, 2.0]]))[0, 0]
-        assert found == pytest.approx(expected, abs=2e-5)
+        found = log_means(np.array([target]), np.zeros((1, 2)), np.array([sides]))[0, 0]
+        assert found == pytest.approx(expected, abs=3e-5)
+
+
+def squares(pitch: float = 0.02, samples: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contacts of square patches of 0.9 of the pitch that cover them, on the sheet, and their sides."""
+    points, owner = lattice(pitch, samples)
+    on = ((points > 0) & (points < 0.2)).all(axis=1)
+    return points[on], owner[on], np.full((on.sum(), 2), 0.9 * pitch / samples)
+
+
+def test_patches_on_an_anisotropic_sheet_are_those_on_a_stretched_isotropic_one() -> None:
+    stretch = np.diag([1.3, 1 / 1.3])
+    points, owner, sizes = squares()
+    electrodes = GRID.with_points()
+    mesh = mesh_domain(SHEET, 0.008, electrodes.positions)
+    even = FloatingPatches(TransferModel(mesh, electrodes, S), points, owner, sizes)
+
+    def move(places: np.ndarray) -> np.ndarray:
+        return np.asarray(places @ stretch)
+
+    model = TransferModel(mesh.mapped(move), electrodes.mapped(move), S * stretch @ stretch)
+    uneven = FloatingPatches(model, move(points), owner, move(sizes))
+    joint = 0.1 * (np.linalg.norm(points - [0.07, 0.12], axis=1) < 0.025)
+    change, expected = (one.transfer_resistance(joint) - one.model.transfer_resistance for one in (uneven, even))
+    np.testing.assert_allclose(change, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_a_hard_press_on_an_anisotropic_sheet_does_not_depend_on_the_mesh() -> None:
+    """It conducts twice as well along a diagonal; by the mesh alone a press differs by ten per cent and more."""
+    turn = np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2)
+    tensor = S * turn.T @ np.diag([np.sqrt(2), np.sqrt(0.5)]) @ turn
+    points, owner, sizes = squares(0.0075, 8)
+    near = np.linalg.norm(points - [0.07, 0.12], axis=1) < 0.012
+    points, owner, sizes = points[near], owner[near], sizes[near]
+    changes: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    for size in (0.0028, 0.002):
+        model = TransferModel(mesh_domain(SHEET, size, GRID.positions), GRID, tensor)
+        for exact in changes:
+            patches = FloatingPatches(model, points, owner, sizes if exact else None)
+            changes[exact].append(patches.transfer_resistance(np.full(len(points), 2e-3)) - model.transfer_resistance)
+    off = {exact: np.linalg.norm(one - other) / np.linalg.norm(other) for exact, (one, other) in changes.items()}
+    assert off[True] < 0.02
+    assert off[False] > 3 * off[True]
 
 
 @pytest.mark.parametrize("electrodes", ["mixed", "points"])
@@ -186,7 +234,9 @@ def test_thousands_of_presses_take_a_second() -> None:
             r"patch points have shape \(3, 3\); this mesh needs",
         ),
         (
-            lambda m: FloatingPatches(TransferModel(m.mesh, GRID, np.diag([S, 2 * S])), [[0.1, 0.1]], [0], 1e-3),
+            lambda m: FloatingPatches(
+                TransferModel(m.mesh.mapped(bent), GRID.mapped(bent), S), [[0.1, 0.1, 0.01]], [0], 1e-3
+            ),
             "sizes need a flat sheet",
         ),
         (lambda m: FloatingPatches(m, *lattice()).transfer_resistance(np.ones(3)), r"conductances have shape \(3,\)"),

@@ -49,8 +49,7 @@ class FloatingPatches:
         update: The local update it makes.
 
     Raises:
-        ModelError: If shapes do not fit, no point lies on the mesh, or there are sizes on a skin that is not flat or
-            does not conduct alike in all directions.
+        ModelError: If shapes do not fit, no point lies on the mesh, or there are sizes on a skin that is not flat.
     """
 
     def __init__(
@@ -193,9 +192,10 @@ class _NearField:
         self, model: TransferModel, points: Floats, patches: Ints, sizes: Floats, corners: Ints, weights: Floats
     ) -> None:
         mesh = model.mesh
-        if mesh.nodes.shape[1] != 2 or model.tensors.ndim > 1:
-            raise ModelError("contacts with sizes need a flat sheet that conducts alike in all directions; leave sizes")
+        if mesh.nodes.shape[1] != 2:
+            raise ModelError("contacts with sizes need a flat sheet; leave sizes")
         self.model, self.points, self.patches, self.sizes = model, points, patches, sizes
+        self._tensors = model.tensors
         self.corners, self.weights = corners, weights
         self._element = mesh.locate(points)[0]
         order = np.argsort(patches, kind="stable")
@@ -246,14 +246,17 @@ class _NearField:
     def _missed(self, slot: int) -> tuple[Ints, Floats]:
         """Contacts (n_near,) near a patch, and what the mesh misses there (n_near, n_own) of the patch's contacts."""
         mesh, own, middle = self.model.mesh, self._own[slot], self._middles[slot]
-        places, points = (middle + shortest(some - middle, mesh.period) for some in (mesh.nodes, self.points))
+        even = self._even(self._element[own[0]])
+        turn = np.linalg.inv(even).T
+        places, points = (shortest(some - middle, mesh.period) @ turn for some in (mesh.nodes, self.points))
+        sides = self.sizes[own, :, None] * turn
         reach = 2 * self._half + _NEAR * self._edge
         near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, reach))])
         inside = np.zeros(mesh.n_nodes, bool)
         inside[self._nodes.query_ball_point(middle, self._half + _AROUND * self._edge)] = True
         count = inside[mesh.elements].sum(axis=1)
         part, cut = np.flatnonzero(count == 3), (count > 0) & (count < 3)
-        nodes, matrix = local_stiffness(mesh.gradients[part], mesh.measures[part], mesh.elements[part])
+        nodes, matrix = local_stiffness(mesh.gradients[part] @ even, mesh.measures[part], mesh.elements[part])
         held = np.zeros(mesh.n_nodes, bool)
         held[mesh.elements[cut]] = True
         held = held[nodes]
@@ -261,15 +264,16 @@ class _NearField:
         row[nodes] = np.arange(len(nodes))
         near = near[(row[self.corners[near]] >= 0).all(axis=1)]
         rim = mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]
-        images = [points[own], *self._mirrored(points[own], places[rim], middle)]
+        mirrored = self._mirrored(points[own], places[rim])
+        images = [points[own], *(one for one in mirrored if (mesh.locate(middle + one @ even.T)[0] < 0).all())]
         load = np.zeros((len(nodes), len(own)))
         for corner, weight in zip(row[self.corners[own]].T, self.weights[own].T, strict=True):
             load[corner, np.arange(len(own))] += weight
         exact, there = np.zeros((len(near), len(own))), np.zeros((held.sum(), len(own)))
         for image in images:
-            exact -= log_means(points[near], image, self.sizes[own]) / (2 * np.pi)
-            there -= log_means(places[nodes[held]], image, 1e-9 * self.sizes[own]) / (2 * np.pi)
-            add_flux(load, row[rim], places[rim], image, middle)
+            exact -= log_means(points[near], image, sides) / (2 * np.pi)
+            there -= log_means(places[nodes[held]], image, 1e-9 * sides) / (2 * np.pi)
+            add_flux(load, row[rim], places[rim], image, np.zeros(2))
         free = ~held
         values = np.empty((len(nodes), len(own)))
         values[held] = there
@@ -277,44 +281,71 @@ class _NearField:
         meshed = np.einsum("pk,pko->po", self.weights[near], values[row[self.corners[near]]])
         return near, (exact - meshed) / self.model.conductivity[self._element[own]]
 
-    def _mirrored(self, sources: Floats, ends: Floats, middle: Floats) -> list[Floats]:
-        """Mirror images (n, 2) of contacts beyond the edges of the rim closest to a patch: of a corner, all three."""
+    def _even(self, element: int) -> Floats:
+        """Directions (2, 2), as columns, of coordinates in which the sheet there conducts alike in all directions."""
+        if self._tensors.ndim == 1:
+            return np.eye(2)
+        root = np.linalg.cholesky(self._tensors[element])
+        return np.asarray(root / np.sqrt(np.linalg.det(root)))
+
+    @staticmethod
+    def _mirrored(sources: Floats, ends: Floats) -> list[Floats]:
+        """Mirror images (n, 2) of contacts about the origin beyond the edges of the rim closest to it: of a corner, all
+        three."""
         mirrors = list[tuple[Floats, Floats]]()
-        order = np.argsort(np.linalg.norm(ends.mean(axis=1) - middle, axis=1))
-        for start, end in ends[order]:
+        for start, end in ends[np.argsort(np.linalg.norm(ends.mean(axis=1), axis=1))]:
             normal = np.array([end[1] - start[1], start[0] - end[0]]) / np.linalg.norm(end - start)
             if all(abs(normal @ other) < 0.5 for _, other in mirrors) and len(mirrors) < 2:
                 mirrors.append((start, normal))
         images = [sources]
         for start, normal in mirrors:
             images += [image - 2 * ((image - start) @ normal)[:, None] * normal for image in images]
-        return [image for image in images[1:] if (self.model.mesh.locate(image)[0] < 0).all()]
+        return images[1:]
 
 
 @njit(cache=True, nogil=True)
-def log_means(targets: Floats, sources: Floats, sizes: Floats) -> Floats:
-    """Mean (n_targets, n_sources) of the logarithm of the distance (m) of targets from rectangles of sides (n, 2)."""
+def log_means(targets: Floats, sources: Floats, sides: Floats) -> Floats:
+    """Mean (n_targets, n_sources) of the logarithm of the distance (m) of targets from parallelograms.
+
+    By Gauss's theorem: the logarithm of r is the divergence of (log r - 1/2) r / 2.
+
+    Args:
+        targets: (n_targets, 2) (m).
+        sources: (n_sources, 2) middles of the parallelograms (m).
+        sides: (n_sources, 2, 2) two sides of each, as rows (m).
+    """
     means = np.empty((len(targets), len(sources)))
-    for i in range(len(targets)):
-        for j in range(len(sources)):
-            x, y = abs(targets[i, 0] - sources[j, 0]), abs(targets[i, 1] - sources[j, 1])
-            a, b = sizes[j, 0] / 2, sizes[j, 1] / 2
+    corner = np.empty((5, 2))
+    for j in range(len(sources)):
+        p, q = sides[j, 0], sides[j, 1]
+        area, span = p[0] * q[1] - p[1] * q[0], p[0] ** 2 + p[1] ** 2 + q[0] ** 2 + q[1] ** 2
+        for i in range(len(targets)):
+            x, y = sources[j, 0] - targets[i, 0], sources[j, 1] - targets[i, 1]
             square = x * x + y * y
-            if square > 4 * _SMALL**2 * (a * a + b * b):
-                means[i, j] = 0.5 * np.log(square) + (a * a - b * b) * (y * y - x * x) / (6 * square * square)
-            else:
-                whole = _log_integral(x + a, y + b) - _log_integral(x - a, y + b)
-                means[i, j] = (whole - _log_integral(x + a, y - b) + _log_integral(x - a, y - b)) / (4 * a * b)
+            if square > _SMALL**2 * span:
+                along = (p[0] * x + p[1] * y) ** 2 + (q[0] * x + q[1] * y) ** 2
+                means[i, j] = 0.5 * np.log(square) + (span * square - 2 * along) / (24 * square * square)
+                continue
+            for k in range(5):
+                a, b = (0.5 if k in (1, 2) else -0.5), (0.5 if k in (2, 3) else -0.5)
+                corner[k, 0], corner[k, 1] = x + a * p[0] + b * q[0], y + a * p[1] + b * q[1]
+            flux = 0.0
+            for k in range(4):
+                dx, dy = corner[k + 1, 0] - corner[k, 0], corner[k + 1, 1] - corner[k, 1]
+                length = np.hypot(dx, dy)
+                off = (corner[k, 0] * dy - corner[k, 1] * dx) / length
+                low = (corner[k, 0] * dx + corner[k, 1] * dy) / length
+                flux += off * (_log_integral(low + length, off) - _log_integral(low, off))
+            means[i, j] = flux / (2 * area)
     return means
 
 
 @njit(cache=True, nogil=True)
-def _log_integral(x: float, y: float) -> float:
-    """Integral of the logarithm of the distance from the origin over the rectangle from there to (x, y)."""
-    if x == 0.0 or y == 0.0:
-        return 0.0
-    square = x * x + y * y
-    return float(0.5 * (x * y * (np.log(square) - 3) + x * x * np.arctan(y / x) + y * y * np.arctan(x / y)))
+def _log_integral(along: float, off: float) -> float:
+    """Integral of log r - 1/2 along a straight line that passes the origin at `off`, from there on."""
+    if off == 0.0:
+        return 0.0  # it is weighed by `off`
+    return float(along * (0.5 * np.log(along * along + off * off) - 1.5) + off * np.arctan(along / off))
 
 
 @njit(cache=True, nogil=True)

@@ -243,10 +243,10 @@ class Demonstration:
 
     def _placed(self, touches: Sequence[Touch], pushes: Sequence[Push]) -> Iterator[Sensed]:
         """All contacts as the body tells them: in the world, by what the joints tell, with self-touch."""
+        if not any(touch.contacts for touch in touches):
+            return  # most of the time
         robot = self.wearer.posed()
         for number, (placed, touch) in enumerate(zip(self.body.patches, touches, strict=True)):
-            if not touch.contacts:
-                continue
             told = self._self_touch.told(robot, in_frame(touch.contacts, placed.skin.chart, placed.patch))
             for on_map, contact in zip(touch.contacts, robot.place(told), strict=True):
                 alone = Sensed(number, on_map.position, contact, None)
