@@ -10,7 +10,7 @@ import pytest
 from ohmskin.errors import ModelError
 from ohmskin.forward import FloatingPatches, LocalUpdate, TransferModel, fit_background
 from ohmskin.forward.assembly import assemble
-from ohmskin.forward.patches import log_means
+from ohmskin.forward.logarithm import log_means
 from ohmskin.geometry import Electrodes, Rectangle, mesh_domain, thicken
 from ohmskin.scan import DrivePattern, all_pairs, measure_others
 

@@ -355,11 +355,11 @@ def test_a_cone_unrolls_to_a_sector_of_a_ring(tmp_path: Path) -> None:
 
 
 def test_what_wrapping_a_dome_stretches_is_told() -> None:
-    """No flat disc lies on a cap: seen from its rim of 1.2 rad, its pole is too large or its rim too small."""
+    """No flat disc lies on a cap: its rim is pressed together, its middle is stretched, see test_wrapped.py."""
     pattern = Pattern.of(Skin.load("dome"))
     assert not pattern.developable
-    exact = Skin.load("dome").chart.scale(np.array([[0.0, 0.0], [Skin.load("dome").domain.bounds[2], 0.0]]))
-    assert sorted([pattern.stretch.min(), pattern.stretch.max()]) == pytest.approx(sorted(exact), rel=0.02)
+    assert -0.18 < pattern.stretch.min() - 1 < -0.14
+    assert 0.09 < pattern.stretch.max() - 1 < 0.13
     assert "wrapping changes its lengths by -" in str(pattern)
 
 

@@ -132,6 +132,7 @@ LONG = {
     "test_hostile.py::test_live_stands": "the loop against a dozen of the same tricks",
     "test_import.py::test_the_example_of": "what these examples call",
     "test_layout.py::test_a_better_layout": "the search itself",
+    "test_layout.py::test_layouts_of_curved*[[]cone": "the same on a sleeve and on a triangle with a hole",
     "test_learn.py::test_known_presses": "the same on one skin with fewer presses",
     "test_live_browser.py::test_a_finger": "presses on the same page",
     "test_meshed.py::test_a_press_on_a_skin_cut*[[]ring": "a patch, and a sleeve in test_curved.py",

@@ -83,8 +83,8 @@ def layout(
     if optimise:
         used, count = found[0][1]["mode"], found[0][1]["injections"]
         current = float(np.median(described.pair_currents()))
-        sheet = described.domain, described.sheet.conductivity, 0.75 * described.imaging.mesh_size
-        search = LayoutSearch(*sheet, size, volts, count, current)
+        sheet = described.domain, described.conductivity_on, 0.75 * described.imaging.mesh_size
+        search = LayoutSearch(*sheet, size, volts, count, current, described.chart.scale)
         places = tuple((x, y) for x, y in np.round(search.best(optimise).positions, 9).tolist())
         kept = described.electrode
         electrode = ElectrodeLayout(
@@ -109,18 +109,19 @@ def layout(
 
 def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) -> tuple[str, dict[str, Any], ErrorMap]:
     """What a skin can do, in a line, as figures and as a map."""
-    electrodes = skin.electrodes
+    electrodes, metres = skin.electrodes, skin.chart.scale
     complete = complete_pattern(electrodes)
 
     @cache
     def design() -> tuple[ContactTable, Candidates]:  # made when it is used: what cannot be is refused before
-        table = ContactTable(skin.transfer_model(), radius, pitch=0.45 * skin.imaging.mesh_size)
+        usual = radius / float(np.median(metres(skin.mesh().centroids)))
+        table = ContactTable(skin.transfer_model(), usual, pitch=0.45 * skin.imaging.mesh_size)
         return table, Candidates.at_currents(complete, len(electrodes), noise, skin.pair_currents())
 
     name, count, scheme = _scheme(skin, mode, injections, design)
     (table, _), currents = design(), skin.pair_currents()
     places = spread_places(table, _PLACES)
-    errors = position_bound(table, places, scheme, noise, currents)
+    errors = position_bound(table, places, scheme, noise, currents, ContactPrior.usual(radius), metres(places))
     title = f"{skin.name}: {'best fixed set' if name == _BEST else name}, {count} injections"
     mean, median, worst = float(errors.mean()), float(np.median(errors)), float(errors.max())
     x, y = 1e3 * places[int(np.argmax(errors))]

@@ -51,6 +51,11 @@ class ContactPrior:
         """A contact of a radius (m) that changes conductivity by a half, its place known to so many radii."""
         return cls(0.5 * np.pi * radius**2, radius, position * radius, effect_spread)
 
+    def scaled(self, factor: float) -> "ContactPrior":
+        """The same with lengths that are so many times as long, as on a map."""
+        lengths = self.effect * factor**2, self.radius * factor, self.position * factor
+        return ContactPrior(*lengths, self.effect_spread, self.radius_spread)
+
     def covariance(self, targets: Sequence[Target] | None = None) -> Floats:
         """Of one contact (4, 4), or of several (4 n, 4 n) whose positions are known as well as `targets` say."""
         places = [np.eye(2) * self.position**2] if targets is None else [target.covariance for target in targets]
@@ -83,6 +88,7 @@ def position_bound(
     noise: float,
     currents: ArrayLike = CURRENT,
     prior: ContactPrior | None = None,
+    scale: ArrayLike = 1.0,
 ) -> Floats:
     """Least root-mean-square error (n,) of the position of one contact at each place (m), by Cramer and Rao.
 
@@ -96,24 +102,27 @@ def position_bound(
         noise: Standard deviation of a voltage (V).
         currents: One value, or one for each electrode pair (n_pairs,) in amperes.
         prior: What is known before; `ContactPrior.usual` of the table's radius unless given.
+        scale: Metres on the skin for one on its map, where the skin is curved: one value, or one for each place. The
+            prior and the error are in metres on the skin.
 
     Raises:
         ModelError: If noise or currents are not positive.
         PatternError: If an electrode is not there.
     """
     prior = prior or ContactPrior.usual(table.radius)
-    targets = prior.at(places)
-    inverse = np.linalg.inv(prior.covariance())
+    metres = np.broadcast_to(np.asarray(scale, float), len(np.reshape(places, (-1, 2))))
+    priors = [prior.scaled(1 / one) for one in metres.tolist()]
+    targets = [own.at(place)[0] for own, place in zip(priors, np.reshape(places, (-1, 2)), strict=True)]
     known: dict[DrivePattern, sp.csr_array] = {}
     errors = np.empty(len(targets))
     for k, column in enumerate(contact_columns(table, targets)):
-        information = inverse.copy()
+        information = np.linalg.inv(priors[k].covariance())
         for pattern in _driven(scheme, targets[k]):
             if pattern not in known:
                 known[pattern] = whitened(pattern, table.n_elec, noise, currents)
             rows = known[pattern] @ column
             information += rows.T @ rows
-        errors[k] = np.sqrt(np.trace(np.linalg.inv(information)[:2, :2]))
+        errors[k] = metres[k] * np.sqrt(np.trace(np.linalg.inv(information)[:2, :2]))
     return errors
 
 

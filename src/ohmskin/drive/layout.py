@@ -2,9 +2,10 @@
 
 All places where an electrode may be are electrodes of one finite-element model, factorised once. What a contact does
 to a two-terminal resistance is the mean of |grad u_i - grad u_j|^2 over it, so with the means of all products grad u_i
-. grad u_j kept, any layout is looked up. Layouts and their errors are mirror-symmetric about both middle lines.
+. grad u_j kept, any layout is looked up. Layouts are mirror-symmetric about those middle lines about which the skin is.
 """
 
+from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
@@ -15,13 +16,17 @@ from ohmskin.drive.design import CURRENT, whitened
 from ohmskin.drive.patterns import complete_pattern
 from ohmskin.errors import GeometryError
 from ohmskin.forward import TransferModel
-from ohmskin.geometry import Disc, Electrodes, Rectangle, mesh_domain
+from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
 from ohmskin.geometry.domain import Domain
+from ohmskin.geometry.electrodes import to_corners
+from ohmskin.geometry.mesh import folded, shortest
 from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.scan import all_pairs
 
 _STEPS = 12  # candidates along the shorter side
-_PLACES = 7  # of contacts, along each side of a quarter of the sheet
+_PLACES = 7  # of contacts, along each half of a side of the sheet
+_ALIKE = 0.02  # by which the scale of a map may differ from its mirror image
+_MOST = 60  # places of contacts
 _LEAST_ON_RIM = 4  # electrodes; fewer have no base scan
 _POWER = 8.0  # of the squared errors before their mean: close to the worst, but with a slope where others can gain
 _SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the triangles
@@ -61,41 +66,45 @@ class LayoutSearch:
     electrode pairs: a layout is judged before its policy.
 
     Args:
-        domain: The sheet, a rectangle or a disc.
-        conductivity: In siemens per square.
+        domain: The sheet, of a curved skin its map.
+        conductivity: In siemens per square; or what tells it on a mesh, as `Skin.conductivity_on`.
         mesh_size: Edge length of the finite elements (m).
         radius: Of a contact (m); contacts lie wholly on the sheet.
         noise: Standard deviation of a voltage (V).
         injections: Per frame.
         current: Of each (A).
+        scale: Metres on the skin for one on the map, at places of it (n, 2), of a curved skin.
 
     Attributes:
         sites: (n_sites, 2) where electrodes may be (m).
         on_rim: (n_sites,) whether that is on the rim.
-        places: (n_places, 2) of contacts, in one quarter of the sheet (m).
-
-    Raises:
-        GeometryError: If the sheet is neither a rectangle nor a disc.
+        places: (n_places, 2) of contacts, of mirror images one (m).
     """
 
     def __init__(
         self,
         domain: Domain,
-        conductivity: float,
+        conductivity: float | Callable[[Mesh], Floats],
         mesh_size: float,
         radius: float,
         noise: float,
         injections: int,
         current: float = CURRENT,
+        scale: Callable[[Floats], Floats] = lambda places: np.ones(len(places)),
     ) -> None:
         self.domain = domain
         self.sites, self.on_rim = _sites(domain)
-        self.orbits = _orbits(domain, self.sites)
-        self.places = _quarter(domain, radius)
-        model = TransferModel(mesh_domain(domain, mesh_size, self.sites), Electrodes.at(self.sites), conductivity)
+        mirrors = _mirrors(domain, self.sites, scale)
+        self.orbits = _orbits(domain, self.sites, mirrors)
+        on_map = radius / float(np.median(scale(self.sites)))
+        self.places = _places(domain, on_map, mirrors)
+        mesh = mesh_domain(domain, mesh_size, self.sites)
+        known = conductivity(mesh) if callable(conductivity) else conductivity
         self._prior = ContactPrior.usual(radius)
         self._noise, self._share, self._current = noise, injections, current
-        self._products = _mean_products(model, self.places, radius)
+        self._products = _mean_products(TransferModel(mesh, Electrodes.at(self.sites), known), self.places, on_map)
+        metres = scale(self.places)[:, None]  # an effect is so many square metres of the skin, a place metres of it
+        self._products /= metres ** np.array([3, 3, 2, 2])
         self._grams: dict[int, Floats] = {}
 
     def errors(self, chosen: Ints) -> Floats:
@@ -120,7 +129,8 @@ class LayoutSearch:
 
     def _numbered(self, chosen: Ints) -> Ints:
         electrodes = arranged(self.domain, self.sites[chosen])
-        order = np.linalg.norm(self.sites[chosen][None] - electrodes.positions[:, None], axis=2).argmin(axis=1)
+        away = shortest(self.sites[chosen][None] - electrodes.positions[:, None], self.domain.period)
+        order = np.linalg.norm(away, axis=2).argmin(axis=1)
         return np.asarray(chosen[order], np.int64)
 
     def _gram(self, n_elec: int) -> Floats:
@@ -139,10 +149,8 @@ class LayoutSearch:
     def _starts(self, count: int) -> list[list[int]]:
         """Orbits that add up to `count` electrodes, far apart; several numbers of pairs on the middle lines."""
         size = np.array([len(orbit) for orbit in self.orbits])
-        ones = count % 2
         starts = []
-        for twos in range((count - ones) // 2 % 2, 8, 2):
-            wanted = ((4, (count - ones - 2 * twos) // 4), (2, twos), (1, ones))
+        for wanted in _shares(count, set(size.tolist())):
             if any(not 0 <= k <= (size == n).sum() for n, k in wanted):
                 continue
             start: list[int] = []
@@ -157,7 +165,8 @@ class LayoutSearch:
 
         def apart(k: int) -> float:
             points = self.sites[np.concatenate([self.orbits[m] for m in [*taken, k]])]
-            gaps = np.linalg.norm(points[:, None] - points, axis=2) + np.diag(np.full(len(points), np.inf))
+            gaps = np.linalg.norm(shortest(points[:, None] - points, self.domain.period), axis=2)
+            gaps += np.diag(np.full(len(points), np.inf))
             return float(gaps.min(initial=1e9)) + (1e-6 if self.on_rim[self.orbits[k][0]] else 0.0)
 
         return max((int(k) for k in among if k not in taken), key=apart)
@@ -176,49 +185,86 @@ class LayoutSearch:
 
 
 def check_count(count: int, domain: Domain) -> None:
-    """Raise GeometryError if so many electrodes cannot be placed on a sheet: there are fewer sites, or fewer than four.
-
-    Raises:
-        GeometryError: Also if the sheet is neither a rectangle nor a disc.
-    """
+    """Raise GeometryError if so many electrodes cannot be placed on a sheet: fewer than four, or fewer sites."""
     most = len(_sites(domain)[0]) // 2
     if not _LEAST_ON_RIM <= count <= most:
         raise GeometryError(f"{count} electrodes to place; between {_LEAST_ON_RIM} and {most}")
+
+
+def _shares(count: int, sizes: set[int]) -> Iterator[tuple[tuple[int, int], ...]]:
+    """How many orbits of each size may make up `count` electrodes."""
+    ones = count % 2
+    if 4 in sizes:
+        yield from (((4, (count - ones - 2 * t) // 4), (2, t), (1, ones)) for t in range((count - ones) // 2 % 2, 8, 2))
+    elif 2 in sizes:
+        yield from (((2, (count - k) // 2), (1, k)) for k in range(ones, 6, 2))
+    else:
+        yield ((1, count),)
 
 
 def _sites(domain: Domain) -> tuple[Floats, np.ndarray]:
     """Where electrodes may be (n, 2), mirror images included, and which of these (n,) are on the rim."""
     x0, y0, x1, y1 = domain.bounds
     pitch = min(x1 - x0, y1 - y0) / _STEPS
-    if isinstance(domain, Rectangle):
-        x, y = (np.linspace(a, b, 2 * round((b - a) / pitch / 2) + 1) for a, b in ((x0, x1), (y0, y1)))
-        sites = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    elif isinstance(domain, Disc):
+    if isinstance(domain, Disc):
         steps = range(1, _STEPS // 2 + 1)
         rings = [(0.0, 1)] + [(domain.radius * 2 * k / _STEPS, 4 * round(np.pi * k / 2)) for k in steps]
         angles = [(radius, 2 * np.pi * np.arange(count) / count) for radius, count in rings]
         sites = np.vstack([np.column_stack([r * np.cos(angle), r * np.sin(angle)]) for r, angle in angles])
     else:
-        raise GeometryError("electrodes can be placed on rectangles and discs only")
+        x, y = (np.linspace(a, b, 2 * round((b - a) / pitch / 2) + 1) for a, b in ((x0, x1), (y0, y1)))
+        sites = np.stack(np.meshgrid(x[:-1] if domain.period else x, y), axis=-1).reshape(-1, 2)
+        if not isinstance(domain, Rectangle) and not domain.period:
+            inner = sites[domain.depth(sites) > pitch / 2]
+            sites = np.vstack([*(_along(loop, pitch) for loop in (domain, *domain.holes)), inner])
     return sites, np.abs(domain.depth(sites)) < 1e-6
 
 
-def _orbits(domain: Domain, sites: Floats) -> list[Ints]:
-    """The sites that are mirror images of each other, by their numbers."""
+def _along(loop: Domain, pitch: float) -> Floats:
+    """Places (n, 2) along a rim, about so far apart (m)."""
+    arcs = loop.perimeter * np.arange(count := max(4, round(loop.perimeter / pitch))) / count
+    return loop.rim(np.unique(to_corners(loop, arcs)))
+
+
+def _mirrors(domain: Domain, sites: Floats, scale: Callable[[Floats], Floats]) -> list[Floats]:
+    """The signs (2,) about the middle with which the skin is its own mirror image; that of all it is first."""
+    kept = []
+    for signs in product((1.0, -1.0), repeat=2):
+        image = _image(domain, sites, np.array(signs))
+        gaps = np.linalg.norm(shortest(image[:, None] - sites, domain.period), axis=2).min(axis=1)
+        if gaps.max() < 1e-6 and np.abs(scale(image) / scale(sites) - 1).max() < _ALIKE:
+            kept.append(np.array(signs))
+    return kept if len(kept) != 2 or (kept[1] != -1).any() else kept[:1]
+
+
+def _image(domain: Domain, places: Floats, signs: Floats) -> Floats:
+    """The mirror images (n, 2) of places about the middle."""
     x0, y0, x1, y1 = domain.bounds
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-    mirrored = (middle + (sites - middle) * sign for sign in product((1, -1), repeat=2))
-    images = [np.linalg.norm(image - sites[:, None], axis=2).argmin(axis=0) for image in mirrored]
+    return folded(middle + (places - middle) * signs, domain.period)
+
+
+def _orbits(domain: Domain, sites: Floats, mirrors: list[Floats]) -> list[Ints]:
+    """The sites that are mirror images of each other, by their numbers."""
+    images = [
+        np.linalg.norm(shortest(_image(domain, sites, signs) - sites[:, None], domain.period), axis=2).argmin(axis=0)
+        for signs in mirrors
+    ]
     found = {tuple(sorted({int(image[k]) for image in images})) for k in range(len(sites))}
     return [np.array(orbit, np.int64) for orbit in sorted(found)]
 
 
-def _quarter(domain: Domain, radius: float) -> Floats:
-    """Places of contacts (n, 2) in one quarter of the sheet, wholly on it."""
+def _places(domain: Domain, radius: float, mirrors: list[Floats]) -> Floats:
+    """Places of contacts (n, 2), wholly on the sheet, of mirror images one."""
     x0, y0, x1, y1 = domain.bounds
-    x, y = (np.linspace(a + radius, (a + b) / 2, _PLACES) for a, b in ((x0, x1), (y0, y1)))
-    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return np.asarray(places[domain.depth(places) > radius * (1 - 1e-9)])
+    halves = [any(signs[axis] < 0 for signs in mirrors) for axis in range(2)]
+    axes = [
+        np.linspace(a + radius, (a + b) / 2 if half else b - radius, _PLACES if half else 2 * _PLACES - 1)
+        for a, b, half in ((x0, x1, halves[0]), (y0, y1, halves[1]))
+    ]
+    places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    places = places[domain.depth(places) > radius * (1 - 1e-9)]
+    return np.asarray(places[:: -(-len(places) // _MOST)])
 
 
 def _mean_products(model: TransferModel, places: Floats, radius: float) -> Floats:
@@ -227,7 +273,7 @@ def _mean_products(model: TransferModel, places: Floats, radius: float) -> Float
     Derivatives are by x, y (per m), and by the logarithm of the radius; in the order x, y, value, radius.
     """
     mesh, step = model.mesh, _SHIFT * radius
-    density = np.einsum("ekd,ekl->led", mesh.gradients, model.potentials[mesh.elements])
+    density = np.einsum("ekd,ekl->led", model.shorted.gradients, model.potentials[mesh.elements])
     density *= np.sqrt(model.conductivity)[:, None]
     parts = []
     shifts = (0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0, 0), (0, 0)

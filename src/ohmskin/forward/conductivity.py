@@ -51,7 +51,9 @@ def conductivity_of(mesh: Mesh, given: ArrayLike) -> tuple[Floats, Floats | None
         tensor = f"conductivity tensor of {mesh.noun} {bad[0]} is {sigma[bad[0]].tolist()}"
         raise ModelError(f"{tensor}; it must be symmetric positive definite ({_unit(mesh)})")
     values = np.exp(np.log(principal).mean(axis=1))
-    return values, frames @ (directions * np.sqrt(principal / values[:, None])[:, None])
+    turned = frames @ directions
+    roots = turned * np.sqrt(principal / values[:, None])[:, None]
+    return values, roots @ turned.transpose(0, 2, 1) if dim == edges.shape[1] else roots  # symmetric: alike throughout
 
 
 def _unit(mesh: Mesh) -> str:

@@ -89,6 +89,7 @@ class ContactTable:
         counts = self._steps + np.array([self.period == 0, 1])  # the last place round a closed band is the first
         axes = [low[k] + self._pitch[k] * np.arange(counts[k]) for k in range(2)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        model = model.shorted
         density = (model.pair_sensitivity * (model.conductivity / mesh.measures)).T
         layers, covered = [], []
         for share in _SPREAD:

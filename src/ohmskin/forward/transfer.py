@@ -101,6 +101,19 @@ class TransferModel(ReadOnly):
         return other
 
     @property
+    def shorted(self) -> "TransferModel":
+        """The same model, its sensitivities those to round spots that conduct far better than the sheet.
+
+        Of a sheet alike in all directions both are the same. Else such a spot's dipole, that of an ellipse where the
+        sheet is stretched to be alike, is along each direction as the root of the conductivity, not as that itself.
+        """
+        if self._root is None or self._root.shape[1:] != (2, 2):
+            return self
+        values, directions = np.linalg.eigh(self._root)
+        fourth = (directions * np.sqrt(values)[:, None]) @ directions.swapaxes(1, 2)
+        return self._with(gradients=self.mesh.gradients @ fourth)
+
+    @property
     def tensors(self) -> Floats:
         """Conductivity (n_elem,), or (n_elem, dim, dim) if the skin conducts better in some directions."""
         if self._root is None:

@@ -161,7 +161,7 @@ def flat_ring(surface: Mesh) -> Mesh:
     """
     rims = (walk[:-1] for walk in closed_walks(surface.boundary))
     low, high = sorted(rims, key=lambda walk: float(surface.nodes[walk, 2].mean()))
-    stiffness = _matrix(surface, _stiffness(surface))
+    stiffness = stiffness_matrix(surface)
     y = np.zeros(surface.n_nodes)
     y[high] = 1.0
     free = np.setdiff1d(np.arange(surface.n_nodes), np.concatenate([low, high]))
@@ -177,6 +177,11 @@ def flat_ring(surface: Mesh) -> Mesh:
     unit = float(np.sqrt(surface.measures.sum() / around))
     places = folded(unit * np.column_stack([x - x[low[surface.nodes[low, 0].argmin()]], y]), unit * around)
     return _unfolded(places, surface.elements, unit * around)
+
+
+def stiffness_matrix(surface: Mesh) -> sp.csc_array:
+    """Integrals (n_nodes, n_nodes) of the products of the slopes of linear shape functions."""
+    return _matrix(surface, _stiffness(surface))
 
 
 def _matrix(surface: Mesh, own: NDArray) -> sp.csc_array:

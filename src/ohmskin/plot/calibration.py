@@ -37,7 +37,7 @@ def save_calibration(path: Path, skin: Skin, samples: Sequence[PressSample], cur
 def _draw_sheet(axes: Axes, skin: Skin) -> None:
     """Conductivity against its mean, and how electrodes are displaced, `_LONGER` times as far."""
     raster = Raster(skin.mesh(), 80)
-    values = skin.conductivity_on(skin.mesh())
+    values = skin.transfer_model().conductivity
     change = 100 * raster(values / values.mean() - 1)
     x0, y0, x1, y1 = (1e3 * bound for bound in skin.domain.bounds)
     most = max(float(np.nanmax(np.abs(change))), 1.0)

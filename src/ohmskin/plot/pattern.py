@@ -11,9 +11,9 @@ from matplotlib.tri import Triangulation
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
-from ohmskin.geometry import Band, Mesh, Rectangle, flat_patch, mesh_domain
-from ohmskin.geometry.raster import node_means
+from ohmskin.geometry import Mesh, mesh_domain
 from ohmskin.geometry.surface import closed_walks
+from ohmskin.geometry.wrap import cut_open, laid_flat, node_stretches
 from ohmskin.skin import Skin
 
 _FINE = 60  # edges along the root of the area
@@ -29,7 +29,7 @@ class Pattern:
 
     Args:
         mesh: Triangles of the flat material (m).
-        stretch: Metres on the skin for a metre of the material, at each node (n_nodes,).
+        stretch: Metres on the skin for a metre of the material, the least and the most at each node (n_nodes, 2).
         electrodes: Numbers and places (2,) on the material (m); those on a seam are there twice, half on either side.
         radius: Of an electrode (m).
         seam: The two edges (n, 2) of a sleeve that are joined (m); none of other skins.
@@ -43,20 +43,23 @@ class Pattern:
 
     @classmethod
     def of(cls, skin: Skin) -> "Pattern":
-        """The pattern of a skin. A sleeve is cut open where x = 0; a surface that is developable unrolls exactly."""
+        """The pattern of a skin: what it takes least to wrap.
+
+        A sleeve is cut open where x = 0; a surface that is developable unrolls exactly.
+        """
         chart, domain, places = skin.chart, skin.domain, skin.electrodes.positions
-        sheet = Rectangle(domain.circumference, domain.height) if isinstance(domain, Band) else domain
         places = np.vstack([places, places[places[:, 0] < 1e-9] + [domain.period, 0]]) if domain.period else places
-        mesh = mesh_domain(sheet, float(np.sqrt(domain.area)) / _FINE, places, closest=0.02)
-        stretch, laid = np.ones(mesh.n_nodes), mesh
+        mesh = mesh_domain(cut_open(domain), float(np.sqrt(domain.area)) / _FINE, places, closest=0.02)
+        stretch, laid = np.ones((mesh.n_nodes, 2)), mesh
         if not chart.flat:
             surface = mesh.mapped(chart.points)
-            unrolled = flat_patch(surface).nodes * np.sqrt(domain.area / surface.measures.sum())
+            unrolled = laid_flat(surface)
+            stretch = np.exp(np.linalg.eigvalsh(node_stretches(mesh, surface, unrolled)))
+            unrolled = unrolled * np.sqrt(domain.area / surface.measures.sum())  # triangles are chords
             z, map_ = (nodes - nodes.mean(axis=0) for nodes in (unrolled, mesh.nodes))
             turn = np.conj(z @ [1, 1j]) @ (map_ @ [1, 1j])
             turned = (z @ [1, 1j]) * turn / abs(turn)  # as the map lies
             laid = Mesh(np.column_stack([turned.real, turned.imag]), mesh.elements)
-            stretch = node_means(laid) @ np.sqrt(surface.measures / laid.measures)
         numbers = [*range(len(skin.electrodes)), *np.flatnonzero(skin.electrodes.positions[:, 0] < 1e-9)]
         at = laid.nodes[mesh.nodes_at(places)]
         seam = []
@@ -76,8 +79,11 @@ class Pattern:
         size = f"{width:.1f} x {height:.1f} mm"
         if self.developable:
             return f"{size}, developable: it lies on the skin without being stretched"
-        low, high = 100 * (self.stretch.min() - 1), 100 * (self.stretch.max() - 1)
-        return f"{size}, not developable: wrapping changes its lengths by {low:+.1f} % to {high:+.1f} %"
+        lengths, areas = (
+            f"{100 * (found.min() - 1):+.1f} % to {100 * (found.max() - 1):+.1f} %"
+            for found in (self.stretch, self.stretch.prod(axis=1))
+        )
+        return f"{size}, not developable: wrapping changes its lengths by {lengths}, areas (in colours) by {areas}"
 
 
 def save_pattern(path: Path, pattern: Pattern, name: str) -> None:
@@ -97,7 +103,7 @@ def save_pattern(path: Path, pattern: Pattern, name: str) -> None:
     nodes, halo = 1e3 * pattern.mesh.nodes, [withStroke(linewidth=2.5, foreground="white")]
     if not pattern.developable:
         about = Triangulation(nodes[:, 0], nodes[:, 1], pattern.mesh.elements)
-        per_cent = 100 * (pattern.stretch - 1)
+        per_cent = 100 * (pattern.stretch.prod(axis=1) - 1)
         most = float(np.abs(per_cent).max())
         axes.tripcolor(about, per_cent, cmap="RdBu_r", vmin=-1.6 * most, vmax=1.6 * most, shading="gouraud")
         lines = axes.tricontour(about, per_cent, 9, colors="0.45", linewidths=0.4)

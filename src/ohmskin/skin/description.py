@@ -286,9 +286,13 @@ class Skin:
         return mesh_domain(self.domain, size, points, closest=_CLOSEST)
 
     def conductivity_on(self, mesh: Mesh) -> Floats:
-        """The conductivity (n_elem,) of the untouched sheet on a mesh, as calibrated, if it is (S per square)."""
+        """The conductivity (n_elem,) of the untouched sheet on a mesh, as calibrated, if it is (S per square).
+
+        Of a sheet that is stretched over a surface perhaps tensors (n_elem, 2, 2).
+        """
         level, uneven = self.calibration.conductivity or self.sheet.conductivity, self.calibration.log_conductivity
-        return level * np.exp(cosines(mesh.centroids, self.domain, uneven or (0.0,)))
+        even = level * np.exp(cosines(mesh.centroids, self.domain, uneven or (0.0,)))
+        return np.asarray((self.sheet.strained(mesh.centroids).T * even).T)
 
     def transfer_model(self) -> TransferModel:
         """The estimator's forward model of the untouched sheet, factorised; made once."""

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError, SkinError
 from ohmskin.geometry import Chart, Disc, FlatChart, MeshChart, Rectangle, RevolutionChart, read_surface
+from ohmskin.geometry.wrap import Wrap
 from ohmskin.skin.checks import beside, check_table, choice, number, places, rows
 from ohmskin.skin.surface import surface_of, surface_text
 
@@ -28,6 +30,11 @@ class Sheet:
     A ``mesh`` is cut from the triangles of a `file` (STL, OBJ, ...; `scale` metres per unit of it) that lies beside the
     skin file: what is left of them where nx x + ny y + nz z >= d (m) for each [nx, ny, nz, d] of `cut`. It is kept as
     `surface`, the same in text, so that a skin does not depend on the file; see `MeshChart`.
+
+    A sheet in space is sprayed on, alike everywhere, or, if `wrapped`, a flat one cut to its pattern and stretched
+    over the surface. It keeps its volume, so that it conducts less where it is thinner; along a stretch by a factor its
+    resistivity grows with the power `gauge_factor` - 2 of it, so that a strip's resistance grows with the power
+    `gauge_factor`.
     """
 
     shape: str = choice("rectangle", "rectangle", "disc", "cylinder", "cone", "sphere", "revolution", "mesh")
@@ -41,6 +48,8 @@ class Sheet:
     scale: float = number(1.0, 1e-6, 1e3, "m per unit")
     cut: tuple[tuple[float, ...], ...] = rows("[nx, ny, nz, d], a plane")
     surface: str = ""
+    wrapped: bool = False
+    gauge_factor: float = number(2.0, -100, 100)
     conductivity: float = number(1.83e-3, 1e-9, 1e6, "S per square")
 
     def __post_init__(self) -> None:
@@ -72,6 +81,26 @@ class Sheet:
             return _chart(self)
         except GeometryError as error:
             raise SkinError(f"sheet: {error}") from None
+
+    def strained(self, places: Floats) -> Floats:
+        """The conductivity at places (n, 2) of the map over that of the unstretched sheet.
+
+        It is (n,) or, where the sheet conducts better in some directions than in others, (n, 2, 2).
+        """
+        if not self.wrapped or self.chart.flat:
+            return np.ones(len(places))
+        stretch = _wrap(self).log_stretch(places)
+        thinner = np.exp(-np.trace(stretch, axis1=1, axis2=2))
+        if self.gauge_factor == 2.0:
+            return np.asarray(thinner)
+        along, directions = np.linalg.eigh(stretch)
+        less = np.exp((2.0 - self.gauge_factor) * along)
+        return np.asarray(thinner[:, None, None] * (directions * less[:, None]) @ directions.transpose(0, 2, 1))
+
+
+@lru_cache(maxsize=16)
+def _wrap(sheet: Sheet) -> Wrap:
+    return Wrap(sheet.chart)
 
 
 @lru_cache(maxsize=64)
