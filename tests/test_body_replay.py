@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -24,7 +24,7 @@ from ohmskin.errors import DataError, PublishError
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.outlets.relay import RelayProcess
-from ohmskin.outlets.topics import Topic
+from ohmskin.outlets.topics import Topic, wrench_topic
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SKIN = "[imaging]\nmesh_size = 20e-3\n[contact_layer]\ncolumns = 4\nrows = 4\npatch = 0.02\n"
@@ -213,21 +213,28 @@ def test_damaged_messages_are_left_out(body: Body, tmp_path: Path) -> None:
             pass
 
 
-def test_the_layouts_of_rviz_and_foxglove_name_topics_links_and_files_that_are_there() -> None:
-    folder = Path(__file__).parents[1] / "examples" / "body"
+@pytest.mark.parametrize("example", ["body", "humanoid"])
+def test_the_layouts_of_rviz_and_foxglove_name_topics_links_and_files_that_are_there(example: str) -> None:
+    """After a change: python tools/layouts.py examples/.../body.toml. RViz's reader knows no merged keys."""
+    folder = Path(__file__).parents[1] / "examples" / example
     body, text = Body.load(folder / "body.toml"), (folder / "body.rviz").read_text(encoding="utf-8")
     assert body.robot is not None
-    own = f"/ohmskin/{body.name}"
-    points = {f"{own}/{placed.patch.name}/points" for placed in body.patches}
-    rviz = set(re.findall(r"Value: ([^,}]+)", text))
-    assert rviz == points | {f"{own}/markers"}
+    own, patches = f"/ohmskin/{body.name}", [placed.patch for placed in body.patches]
+    links = list(dict.fromkeys(patch.frame for patch in patches if patch.newtons))
+    published = {f"{own}/{patch.name}/points" for patch in patches} | {f"{own}/markers"}
+    published |= {wrench_topic(body.name, link, links).name for link in links}
+    assert len(links) == (6 if example == "humanoid" else 0)
+    displays = yaml.safe_load(text)["Visualization Manager"]
+    assert {one["Topic"]["Value"] for one in displays["Displays"][1:]} == published
+    assert all("Class" in one and "Name" in one for one in displays["Displays"])
+    assert "<<" not in text
+    assert "*" not in text
     assert f"/tf:={own}/tf" in text
-    assert (folder / re.findall(r"Description File: (\S+)", text)[0]).exists()
-    assert re.findall(r"Fixed Frame: (\S+)", text) == [body.robot.root]
-    assert len(re.findall(r"Name: (?:Upper arm|Forearm|Head)$", text, re.MULTILINE)) == len(body.patches)
+    assert (folder / displays["Displays"][0]["Description File"]).exists()
+    assert displays["Global Options"]["Fixed Frame"] == body.robot.root
     layout = json.loads((folder / "foxglove-layout.json").read_text(encoding="utf-8"))["configById"]
-    assert set(layout["3D!half"]["topics"]) == points | {f"{own}/markers", f"{own}/tf"}
-    assert layout["3D!half"]["followTf"] == body.robot.root
-    assert layout["RawMessages!half"]["topicPath"] == f"{own}/contacts"
-    urdf = layout["3D!half"]["layers"]["robot"]
-    assert urdf["layerId"] == "foxglove.Urdf"
+    space = layout[f"3D!{body.name}"]
+    assert set(space["topics"]) == published | {f"{own}/tf"}
+    assert space["followTf"] == body.robot.root
+    assert layout[f"RawMessages!{body.name}"]["topicPath"] == f"{own}/contacts"
+    assert space["layers"]["robot"]["layerId"] == "foxglove.Urdf"
