@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,22 +16,23 @@ import pytest
 from command_line import ohmskin
 from matplotlib.image import imread
 
-from ohmskin import Skin
 from ohmskin.body import Body
 from ohmskin.errors import ModelError
 from ohmskin.robot import Demonstration, Encounter, OwnTouch, Wearer, arm, engines, summary
+from ohmskin.robot.demonstration import Sensed
 from ohmskin.robot.film import snapshot
 from ohmskin.robot.scene import FINGER
 from ohmskin.robot.wearer import above
+from ohmskin.skin import Calibration, Skin
 
 SKIN = Skin.load("paper")
 HUMANOID = Path(__file__).parents[1] / "examples" / "humanoid" / "body.toml"
 
 
-def poke_arm(yielding: bool = True, pokes: int = 3, skin: Skin = SKIN) -> list[Encounter]:
+def poke_arm(manner: str = "yield", pokes: int = 3, skin: Skin = SKIN) -> list[Encounter]:
     body = arm(skin)
     with engines(body, seed=2, mode="16O") as loops:
-        return list(Demonstration(body, loops, seed=4, yielding=yielding).pokes(pokes))
+        return list(Demonstration(body, loops, seed=4, manner=manner).pokes(pokes))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_reaction_is_at_least_the_frames_that_it_takes(yielded: list[Encounter])
 
 
 def test_yielding_spares_the_arm_most_of_the_force(yielded: list[Encounter]) -> None:
-    stubborn = poke_arm(yielding=False)
+    stubborn = poke_arm("stiff")
     for soft, hard in zip(yielded, stubborn, strict=True):
         assert np.hypot(*np.subtract(soft.position, hard.position)) < 5e-3  # the same pokes
         assert soft.peak_force < 2 / 3 * hard.peak_force  # of a hand that pushes with some 20 N at most
@@ -268,3 +270,58 @@ def test_command_line_mistakes(tmp_path: Path) -> None:
         assert done.returncode == 2
         assert done.stderr.strip().splitlines()[-1].startswith("ohmskin:")
         assert "Traceback" not in done.stderr
+
+
+def test_each_manner_answers_as_it_says() -> None:
+    """One cycle's command, of a touch of 6 N: where the joints go, and whether the robot's own movement goes on."""
+    skin, layer = Skin.load("paper"), Skin.load("paper").contact_layer
+    known = Calibration(layer_conductance=layer.conductance, layer_exponent=layer.exponent)
+    body = arm(replace(skin, calibration=known))
+    device: Any = SimpleNamespace(device=SimpleNamespace(capabilities=SimpleNamespace(virtual=True)))
+    place = (0.1, 0.1)
+
+    def commanded(manner: str, force: float | None, cycles: int = 20) -> tuple[float, float]:
+        """How far (m) the touched place is to go inwards, and for how long (s) all else stood still."""
+        demonstration = Demonstration(body, [device], manner=manner)
+        demonstration._elapsed = 5e-3
+        contact: Any = SimpleNamespace(self_touch=False, force=force)
+        for _ in range(cycles):
+            demonstration._command([Sensed(0, place, contact, None)])
+        inwards = demonstration._offset @ demonstration.wearer.yielding(0, np.array(place))
+        unit = demonstration.wearer.yielding(0, np.array(place))
+        return float(inwards / (unit @ unit)), demonstration._halted
+
+    for manner, force, metres, halted in (
+        ("stiff", 6.0, 0.0, 0.0),
+        ("stop", 6.0, 0.0, 0.1),
+        ("guide", 6.0, 0.012, 0.1),
+        ("guide", None, 0.010, 0.1),
+        ("guide", 60.0, 0.025, 0.1),  # no quicker than 0.25 m/s
+        ("follow", 6.0, 0.008, 0.1),
+        ("follow", 2.0, 0.0, 0.1),
+        ("follow", 0.5, -0.003, 0.1),
+        ("follow", None, 0.0, 0.1),
+    ):
+        assert commanded(manner, force) == pytest.approx((metres, halted), abs=1e-6)
+    for manner, force, metres, halted in (("yield", 6.0, 0.012, 0.0), ("retract", 1.0, 0.025, 0.1)):
+        far, stood = commanded(manner, force)
+        assert 0.9 * metres < far < metres  # on its way back already
+        assert stood == pytest.approx(halted)
+    with pytest.raises(ModelError, match="choose from yield, stiff, stop"):
+        Demonstration(body, [device], manner="bite")
+    with pytest.raises(ModelError, match="calibrate skin 'skin'"):
+        Demonstration(arm(skin), [device], manner="follow")
+
+
+def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    felt = Encounter("skin", "forearm", (0.1, 0.1), "forearm", 0.02, 5.0, (1e-3,))
+    missed = replace(felt, reaction=np.nan, peak_force=21.0)
+    monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
+    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], own_touches=lambda *_: [], free=lambda *_: 0)
+    monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
+    told = ohmskin("robot", "--most-force", "20", "--most-reaction", "0.05")
+    assert told.returncode == 1
+    assert "poke 2: 21.0 N exceeds the limit of 20 N" in told.stderr
+    assert "poke 2: no answer exceeds the limit of 0.05 s" in told.stderr
+    assert "poke 1" not in told.stderr
+    assert ohmskin("robot", "--most-force", "25").returncode == 0

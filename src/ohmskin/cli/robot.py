@@ -1,8 +1,12 @@
 """``ohmskin robot``: a robot in skins yields when it is poked."""
 
 import json as json_module
+import math
+import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import track
@@ -11,6 +15,9 @@ from ohmskin.body import Body
 from ohmskin.cli.options import Flag, check_seed
 from ohmskin.errors import OhmskinError
 from ohmskin.skin import Skin
+
+if TYPE_CHECKING:
+    from ohmskin.robot import Encounter
 
 
 def robot(
@@ -22,12 +29,16 @@ def robot(
     skin: str = "",
     mode: str = "",
     seed: int = 0,
-    yielding: bool = True,
+    manner: str = "yield",
+    most_force: float = math.inf,
+    most_reaction: float = math.inf,
     video: Path | None = None,
     picture: Path | None = None,
     json: Flag = False,
 ) -> None:
-    """Poke a robot that wears skins: MuJoCo's contacts press them, the loops sense them, the robot yields.
+    """Poke a robot that wears skins: MuJoCo's contacts press them, the loops sense them, the robot answers.
+
+    The exit status is 1 if a limit was exceeded.
 
     Args:
         body: Body file (TOML) of a robot with a URDF file, such as examples/humanoid/body.toml; an arm unless given.
@@ -38,7 +49,10 @@ def robot(
         skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
         mode: Drive mode, such as 16I or 16O; the skin's best unless given.
         seed: Seed of the random places.
-        yielding: Let the robot yield; --no-yielding shows the forces without.
+        manner: How the robot answers a touch: yield, stop, retract, follow, guide, or stiff (not at all).
+        most_force: Limit of the largest force of a poke (N); none unless given.
+        most_reaction: Limit of the time from touch to answer (s), which a poke that is not felt exceeds; none unless
+            given.
         video: MP4 file to write (needs ffmpeg).
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
         json: Print figures as JSON.
@@ -67,7 +81,7 @@ def robot(
     console = Console(stderr=True)
     with ExitStack() as stack:
         poked = loaded if isinstance(loaded, Body) else arm(loaded)
-        demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, yielding)
+        demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, manner)
         shows = []
         if video or picture:
             film = Film(demonstration.wearer)
@@ -87,17 +101,35 @@ def robot(
     if picture and not picture.exists():
         console.print("no poke was felt; no picture was written")
     figures = summary(encounters, touches) | {"free_motion": free, "invented_in_free_motion": invented}
+    over = [sentence for one in enumerate(encounters, 1) for sentence in _exceeded(*one, most_force, most_reaction)]
+    for sentence in over:
+        print(sentence, file=sys.stderr)
     if json:
         print(json_module.dumps(figures))
-        return
-    print(f"{figures['felt']} of {pokes} pokes felt, {figures['on_the_right_link']} on the right link")
-    if touches:
-        print(f"{figures['own_touches_told']} of {own_touches} touches by itself told from others")
-    if free:
-        print(f"{invented} contacts invented in {free:g} s of free motion")
+    else:
+        _tell(figures)
+    if over:
+        sys.exit(1)
+
+
+def _tell(figures: dict[str, Any]) -> None:
+    """The figures, line by line."""
+    print(f"{figures['felt']} of {figures['pokes']} pokes felt, {figures['on_the_right_link']} on the right link")
+    if figures["own_touches"]:
+        print(f"{figures['own_touches_told']} of {figures['own_touches']} touches by itself told from others")
+    if free := figures["free_motion"]:
+        print(f"{figures['invented_in_free_motion']} contacts invented in {free:g} s of free motion")
     units = {"position_error": (1e3, "mm"), "reaction_time": (1e3, "ms"), "peak_force": (1.0, "N")}
     for name, (factor, unit) in (units | {"force_error": (1e2, "%")}).items():
         if (spread := figures[name]) is not None:
-            assert isinstance(spread, dict)
             said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())
             print(f"{name.replace('_', ' '):<15} {said} {unit}")
+
+
+def _exceeded(number: int, poke: "Encounter", most_force: float, most_reaction: float) -> Iterator[str]:
+    """What is told of a poke that goes beyond the limits; NaN, of one that was not felt, does."""
+    if poke.peak_force > most_force:
+        yield f"poke {number}: {poke.peak_force:.1f} N exceeds the limit of {most_force:g} N"
+    if most_reaction < math.inf and not poke.reaction <= most_reaction:
+        answer = "no answer" if math.isnan(poke.reaction) else f"an answer after {poke.reaction:.3f} s"
+        yield f"poke {number}: {answer} exceeds the limit of {most_reaction:g} s"

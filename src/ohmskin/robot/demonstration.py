@@ -15,6 +15,7 @@ from ohmskin.device import connect
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
 from ohmskin.robot.figures import Encounter, OwnTouch
+from ohmskin.robot.manners import MANNERS
 from ohmskin.robot.reach import way_to_itself
 from ohmskin.robot.scene import FINGER
 from ohmskin.robot.wearer import Push, Wearer, above
@@ -22,10 +23,7 @@ from ohmskin.skin import Calibration, Press, Skin
 
 _ABOVE = 0.03  # m: where a poke starts, above the skin
 _APPROACH = 0.08  # m/s
-_RETREAT = 0.25  # m/s, of the skin where it is touched, and of the finger afterwards
-_SOFT = 0.02  # m/s for each newton that is felt: the admittance
-_USUAL = 5.0  # N, taken for the force in the first frames of a contact, which do not tell it
-_STILL = 0.75  # s in which the robot comes back
+_RETREAT = 0.25  # m/s, of the finger afterwards
 _PUSH = 0.02  # m beyond the first touch that the finger wants to go
 _HARDEST = 20.0  # N that the hand pushes with at most
 _HOLD = 0.25  # s at the end of a push
@@ -89,26 +87,31 @@ class Demonstration:
         body: The robot.
         engines: The loops on virtual skins, calibrated, in the order of its patches.
         seed: Chooses the places of the pokes.
-        yielding: Whether the robot yields; without, forces show what the sense of touch is worth.
+        manner: How the robot answers, of `MANNERS`; a stiff one shows what the sense of touch is worth.
         computing: Time for computing in each cycle (s).
 
     Raises:
-        ModelError: If a skin is not virtual.
+        ModelError: If a skin is not virtual, there is no such manner, or it needs newtons and a skin tells none.
     """
 
     def __init__(
-        self, body: Body, engines: Sequence[Engine], seed: int = 0, yielding: bool = True, computing: float = 2e-3
+        self, body: Body, engines: Sequence[Engine], seed: int = 0, manner: str = "yield", computing: float = 2e-3
     ) -> None:
         if not all(engine.device.capabilities.virtual for engine in engines) or len(engines) != len(body.patches):
             raise ModelError("the demonstration needs a skin on the device virtual: for each patch")
-        self.body, self.engines, self.yielding, self.computing = body, tuple(engines), yielding, computing
+        if manner not in MANNERS:
+            raise ModelError(f"no manner {manner!r}; choose from {', '.join(MANNERS)}")
+        self.body, self.engines, self.manner, self.computing = body, tuple(engines), MANNERS[manner], computing
+        untold = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
+        if self.manner.needs_force and untold:
+            raise ModelError(f"manner {manner!r} needs newtons; calibrate skin {untold[0]!r} with `ohmskin calibrate`")
         self.wearer = Wearer(body)
         self._self_touch = SelfTouch(body)
         self._links = {placed.patch.name: placed.patch.frame for placed in body.patches}
         self._random = np.random.default_rng(seed)
         self._offset = np.zeros_like(self.wearer.target)
         self._pressed: list[int] = [0] * len(engines)
-        self._elapsed = 0.0
+        self._elapsed = self._halted = 0.0  # s, of the last cycle; that its own movement stood still
         self._reach: Floats | None = None  # joint positions in place of the robot's own movement
 
     def pokes(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[Encounter]:
@@ -138,7 +141,7 @@ class Demonstration:
         names = [placed.patch.name for placed in self.body.patches]
         while gone >= 0:
             if held >= _HOLD:  # and back again
-                gone, start = gone - self._elapsed, self.wearer.rest(self.wearer.time)
+                gone, start = gone - self._elapsed, self._rest()
             elif gone < seconds and push < _FIRM and not held:
                 gone += self._elapsed
             else:
@@ -254,19 +257,26 @@ class Demonstration:
                 best = min(near, key=lambda one: one.error, default=alone)
                 yield best if best.error < _NEAR else alone
 
+    def _rest(self) -> Floats:
+        """Joint positions of the robot's own movement, which may have stood still."""
+        return self.wearer.rest(self.wearer.time - self._halted)
+
     def _scanning(self, engine: Engine, touch: Touch) -> float:
         return sum(engine.device.capabilities.scan_time(frame.pattern) for frame in touch.percept.frames)
 
     def _command(self, sensed: Sequence[Sensed]) -> None:
-        """Where others touch it goes inwards, the faster the more force is felt; what was given way comes back."""
-        self._offset *= np.exp(-self._elapsed / _STILL)
-        for one in sensed:
-            if self.yielding and not one.contact.self_touch:
-                force = _USUAL if one.contact.force is None else one.contact.force
-                telling = self.body.patches[one.patch].patch.newtons
-                speed = min(_RETREAT, _SOFT * force) if telling else _RETREAT
-                self._offset += self.wearer.yielding(one.patch, np.array(one.place)) * speed * self._elapsed
-        own = self.wearer.rest(self.wearer.time) if self._reach is None else self._reach
+        """Answer where others touch, by the robot's manner; without newtons a place that gives way withdraws."""
+        touched = [one for one in sensed if not one.contact.self_touch]
+        if self.manner.returns is not None:
+            self._offset *= np.exp(-self._elapsed / self.manner.returns)
+        for one in touched:
+            speed = self.manner.speed(one.contact.force)
+            if speed and not self.body.patches[one.patch].patch.newtons:
+                speed = _RETREAT
+            self._offset += self.wearer.yielding(one.patch, np.array(one.place)) * speed * self._elapsed
+        if touched and self.manner.halts:
+            self._halted += self._elapsed
+        own = self._rest() if self._reach is None else self._reach
         self.wearer.aim(own + self._offset)
 
 

@@ -1,0 +1,48 @@
+"""How a robot answers a touch: how quickly the touched place gives way, what stands still, what stays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+_USUAL = 5.0  # N, taken for the force where none is told, as in the first frames of a contact
+_FASTEST = 0.25  # m/s, of a place that is touched
+_SOFT = 0.02  # m/s for each newton that is felt: the admittance
+_WANTED = 2.0  # N, kept by a robot that follows
+_STILL = 0.75  # s in which a robot comes back
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a robot answers.
+
+    Args:
+        title: In words.
+        speed: Speed (m/s) inwards along the skin's normal, of the force that is felt (N); None: it is not told.
+        halts: Whether its own movement stands still while it is touched.
+        returns: Time (s) within which it comes back to where it was; None: it stays.
+        needs_force: Whether the skin must be calibrated to newtons.
+    """
+
+    title: str
+    speed: Callable[[float | None], float]
+    halts: bool = True
+    returns: float | None = None
+    needs_force: bool = False
+
+
+def _admitted(force: float | None) -> float:
+    return min(_FASTEST, _SOFT * (_USUAL if force is None else force))
+
+
+def _following(force: float | None) -> float:
+    return 0.0 if force is None else min(_FASTEST, max(-_FASTEST / 5, _SOFT * (force - _WANTED)))
+
+
+MANNERS = {
+    "yield": Manner("goes on and gives way, the faster the more force is felt", _admitted, halts=False, returns=_STILL),
+    "stiff": Manner("does not answer", lambda _: 0.0, halts=False),
+    "stop": Manner("stands still while it is touched", lambda _: 0.0),
+    "retract": Manner("withdraws at once, and comes back", lambda _: _FASTEST, returns=_STILL),
+    "follow": Manner("keeps a touch of 2 N, to and fro", _following, needs_force=True),
+    "guide": Manner("goes where it is pushed, and stays there", _admitted),
+}
+"""By name, for `ohmskin robot --manner`."""
