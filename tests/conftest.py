@@ -41,6 +41,14 @@ hypothesis.settings.register_profile("patient", deadline=None)  # others on the 
 hypothesis.settings.load_profile("patient")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """A worker begins with what was compiled before there were workers."""
+    compiled = Path(os.environ["NUMBA_CACHE_DIR"])
+    before = compiled.with_name("numba-main")
+    if hasattr(config, "workerinput") and before.is_dir() and not compiled.exists():
+        shutil.copytree(before, compiled)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give each test the markers of the table; the files that take longest come first, so that workers end together."""
     for item in items:
