@@ -55,7 +55,8 @@ $(VENV)/bin/python:
 
 $(VENV)/.ready: $(VENV)/bin/python pyproject.toml constraints.txt
 	@echo "set-up: installing ohmskin and what it needs (a minute the first time)"
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[plot]'
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[plot]' & \
+		install=$$!; while kill -0 $$install 2>/dev/null; do printf .; sleep 2; done; echo; wait $$install
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready

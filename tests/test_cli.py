@@ -40,7 +40,9 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
         (["live", "--estimator", "nosuch"], "no estimator 'nosuch'; choose from gauss-newton, positive, kalman"),
         (["record", "x.mcap", "--prior", "nosuch"], "no prior 'nosuch'; choose from paper, laplacian"),
         (["replay", "nosuch.mcap", "--rule", "nosuch"], "no rule 'nosuch'; choose from physical, noise figure"),
-        (["live", "--device", "replay:nosuch.csv"], "cannot read recording nosuch.csv"),
+        (["live", "--device", "replay:nosuch.csv"], "there is no file nosuch.csv; `ohmskin examples` writes two"),
+        (["live", "--mode", "99Z"], "'99Z' is not possible"),
+        (["export", "nosuch.mcap", "--to", "csv"], "there is no file nosuch.mcap"),
         (["live", "--host", "0.0.0.0"], "token"),
         (["live", "--device", NOBODY, "--host", "0.0.0.0"], "give a token"),
         (["live", "--device", NOBODY, "--host", "192.0.2.1", "--token", "12345678"], "cannot listen on 192.0.2.1"),
@@ -61,11 +63,14 @@ NOBODY = "tcp://127.0.0.1:1"  # a device that would be missed if it were asked f
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_no_traceback(arguments: list[str], says: str) -> None:
-    is_one_line(command_line.ohmskin(*arguments), says)
+    refused = command_line.ohmskin(*arguments)
+    is_one_line(refused, says)
+    if "tcp://127.0.0.1:1" not in arguments:  # which only who connects knows
+        assert "open http" not in refused.stdout, "a page was opened that is good for nothing"
 
 
 def test_a_mistake_gets_one_clear_line_in_a_process_of_its_own() -> None:
-    is_one_line(ohmskin("image", "nosuch.csv"), "cannot read recording nosuch.csv")
+    is_one_line(ohmskin("image", "nosuch.csv"), "there is no file nosuch.csv")
 
 
 def is_one_line(result: "subprocess.CompletedProcess[str]", says: str) -> None:

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ohmskin.cli.options import check_plot, watched
+from ohmskin.cli.options import check_plot, check_recording, watched
 from ohmskin.errors import DataError, OhmskinError
 from ohmskin.mcap import Tape, is_tape
 from ohmskin.recording import export as exporting
@@ -40,6 +40,7 @@ def export(
         skin: png, mp4: skin to use instead of the recorded one.
         rate: mp4: pictures per second.
     """
+    check_recording(file)
     if (start is not None and not start >= 0) or (seconds is not None and not seconds > 0):
         raise OhmskinError("--start must be 0 or more and --seconds positive")
     if not 0 < rate <= 240:

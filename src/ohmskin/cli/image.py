@@ -4,7 +4,7 @@ import sys
 from itertools import islice
 from pathlib import Path
 
-from ohmskin.cli.options import check_picture, watched
+from ohmskin.cli.options import check_picture, check_recording, watched
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
@@ -48,6 +48,7 @@ def image(
     """
     target = output or Path(file.stem + ".png")
     check_picture(target)
+    check_recording(file)
     if is_tape(file):
         cycles = reimage(file, estimator, prior, rule, skin=skin)
         if frame is None:

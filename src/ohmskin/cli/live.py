@@ -24,6 +24,7 @@ from ohmskin.cli.options import (
     SkinName,
     Stop,
     check_publishing,
+    check_source,
     say,
 )
 from ohmskin.client import Patch
@@ -70,6 +71,7 @@ def live(
         check_publishing(publish, page)
     if not (headless or json):
         page.check()
+    check_source(device, skin, mode)
     stop = Stop()
     lines = _Lines()
     tell = lines.tell if json else say

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from ohmskin.child import when_input_ends
 from ohmskin.device import Device, connect
+from ohmskin.device.registry import scheme_of
 from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
 from ohmskin.skin import Fault, Skin
 from ohmskin.view.live import check_address
@@ -190,6 +191,26 @@ def open_skin(
     except BaseException:
         opened.close()
         raise
+
+
+def check_source(device: str, skin: str, mode: str) -> None:
+    """Raise OhmskinError if it is plain before a device is opened that it, its skin or the mode of a virtual one cannot
+    be."""
+    rest = device.partition(":")[2]
+    virtual = scheme_of(device) == "virtual"
+    if scheme_of(device) == "replay":
+        check_recording(Path(rest.partition("?")[0]))
+    described = Skin.load(skin or rest or "paper") if virtual else Skin.load(skin) if skin else None
+    if virtual and described and mode:
+        from ohmskin.sensing import mode_named  # here: help does not need it
+
+        mode_named(described, mode)
+
+
+def check_recording(file: Path) -> None:
+    """Raise DataError if there is no such file."""
+    if not file.exists():
+        raise DataError(f"there is no file {file}; `ohmskin examples` writes two recordings to try")
 
 
 def check_publishing(outlets: Sequence[str], page: _Page) -> None:

@@ -6,7 +6,17 @@ from pathlib import Path
 import numpy as np
 
 from ohmskin.cli.live import live
-from ohmskin.cli.options import AS_THE_MODE, HERE, Flag, Imaging, Page, Seconds, check_picture, watched
+from ohmskin.cli.options import (
+    AS_THE_MODE,
+    HERE,
+    Flag,
+    Imaging,
+    Page,
+    Seconds,
+    check_picture,
+    check_recording,
+    watched,
+)
 from ohmskin.errors import OhmskinError
 from ohmskin.inverse.estimators import image_of
 
@@ -46,6 +56,7 @@ def replay(
         headless: No page: contacts as a table on the terminal.
         json: No page: a line of JSON for every frame.
     """
+    check_recording(file)
     if compare:
         if headless or json or loop:
             raise OhmskinError("--compare makes a picture; leave --headless, --json and --loop out")

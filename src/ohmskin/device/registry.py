@@ -22,6 +22,16 @@ def drivers() -> dict[str, str]:
     return {**{entry.name: entry.value for entry in entry_points(group=GROUP)}, **DRIVERS}
 
 
+def scheme_of(url: str) -> str:
+    """What an address begins with; raises DeviceError if there is no driver for it."""
+    scheme, colon, _ = url.partition(":")
+    known = drivers()
+    if not colon or scheme not in known:
+        schemes = ", ".join(f"{name}:" for name in sorted(known))
+        raise DeviceError(f"no driver for {url!r}; it begins with one of {schemes}")
+    return scheme
+
+
 def connect(url: str, **options: Any) -> Device:
     """Open the device at `url`, e.g. `tcp://127.0.0.1:7155` or `serial:///dev/ttyACM0`.
 
@@ -33,11 +43,7 @@ def connect(url: str, **options: Any) -> Device:
         DeviceError: If there is no such driver, it has no such option, or the address cannot be read.
         DeviceLost: If nothing answers.
     """
-    scheme, colon, _ = url.partition(":")
-    known = drivers()
-    if not colon or scheme not in known:
-        schemes = ", ".join(f"{name}:" for name in sorted(known))
-        raise DeviceError(f"no driver for {url!r}; it begins with one of {schemes}")
+    known, scheme = drivers(), scheme_of(url)
     opener: Callable[..., Device] = EntryPoint(scheme, known[scheme], GROUP).load()
     parameters = list(inspect.signature(opener).parameters.values())[1:]
     if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):

@@ -111,6 +111,7 @@ export class Guide {
     this._helped = false;
     this._enter("quiet");
     byId("guide-on").focus();
+    if (matchMedia("(max-width: 760px)").matches) byId("map").scrollIntoView(); // the guide covers the rest
   }
 
   close() {
