@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.calibrate.networks import can_train, trained
-from ohmskin.drive import Fixed
 from ohmskin.errors import DataError
 from ohmskin.scan import DrivePattern, Frame
-from ohmskin.sensing import SkinModel, build, recorded_mode
+from ohmskin.sensing import SkinModel
+from ohmskin.sensing.learned import one_contact
 from ohmskin.skin.positions import PositionMap, Regression, Similarity, kernel
 
 _LEAST = 8  # presses
@@ -82,7 +82,7 @@ class PositionReport:
 def read_places(
     known: SkinModel, frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
 ) -> tuple[Floats, Floats]:
-    """Where physics sees the strongest contact of each frame, and what `learn_positions` needs beside.
+    """Where physics sees the contact of each frame, one in each, and what `learn_positions` needs beside.
 
     Args:
         known: What is known of the skin.
@@ -92,13 +92,15 @@ def read_places(
     Returns:
         Places (n, 2) (m), NaN where nothing was felt; changes (n, n_meas) of the voltages, in units of their error.
     """
-    sensor = build(recorded_mode(known.skin, fitted=True), known, Fixed(frames[0].pattern))
+    fitter = known.fitter
     found, changes = np.full((len(frames), 2), np.nan), np.zeros((len(frames), frames[0].pattern.n_meas))
     for k, frame in enumerate(frames):
-        changes[k] = known.difference(frame).volts / known.noise
-        felt = sensor.step(sensor.start(), lambda _, frame=frame: frame)[1].detections  # type: ignore[misc]
-        if felt:
-            found[k] = max(felt, key=lambda contact: abs(contact.strength)).position
+        scan = known.difference(frame)
+        changes[k] = scan.volts / known.noise
+        if np.isfinite(scan.volts * scan.currents).any():
+            told, _, one = one_contact(fitter, [scan])
+            if fitter.heights(*fitter.scores(told)).max() >= fitter.bar:
+                found[k] = one.params[0, :2]
         progress((k + 1) / len(frames))
     return found, changes
 

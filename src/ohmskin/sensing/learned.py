@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ohmskin.contacts import Contact
+from ohmskin.contacts import Contact, ContactFitter, Solution
+from ohmskin.contacts.information import Information
 from ohmskin.errors import ModelError
 from ohmskin.inverse.estimators import Estimator
 from ohmskin.scan import Difference
@@ -13,6 +14,12 @@ from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import Placement, placement_of
 from ohmskin.sensing.readers import Belief, FitReader, fit, undriven
 from ohmskin.tracking import Tracks
+
+
+def one_contact(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Information, Information, Solution]:
+    """What scans say, the same wary of the model's error, and the one contact that explains most of it."""
+    told, wary = fitter.information(*scans)
+    return told, wary, fitter.added(wary, *fitter.scores(wary))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +62,7 @@ class LearnedReader:
         changes = self.placement.changes(scans)
         if changes is None:
             return None
-        told, wary = fitter.information(*scans)
-        one = fitter.added(wary, *fitter.scores(wary))
+        told, wary, one = one_contact(fitter, scans)
         left = told.less(one.caused).beside(one.slopes)
         two = fitter.added(wary, *fitter.scores(left), one.params)
         if fitter.clear(one, two, fitter.bar**2):
