@@ -11,9 +11,8 @@ import numpy as np
 
 from ohmskin.arrays import Bools, Floats, Ints
 
-_BETTER = 0.005  # by which another order must correlate better than the usual one
-_RARE = 0.08  # by which voltages of single electrodes must correlate better
-_LEAST = 0.5  # correlation below which none is believed
+_BETTER = 0.005  # by which another order must be more alike than the usual one
+_LEAST = 0.25  # likeness below which none is believed
 _LEAST_ELECTRODES, _MOST_ELECTRODES = 4, 128
 
 # electrodes at which no voltage is taken, counted from the driven source; of neighbours the first of each pair
@@ -57,8 +56,9 @@ class Order:
         a, b, c, d = self.quadruples.T
         return np.asarray((a != c) & (a != d) & (b != c) & (b != d))
 
-    def correlation(self, sizes: Floats) -> float:
-        """How the logarithms of sizes (n,) of voltages follow those of a round even sheet (1)."""
+    def likeness(self, sizes: Floats) -> float:
+        """How sizes (n,) of voltages follow those of a round even sheet (1): the correlation of their logarithms, less
+        where they vary more or less than there."""
         n_elec = self.quadruples.max() + 1
         source, sink, plus, minus = (np.exp(2j * np.pi * column / n_elec) for column in self.quadruples[self.idle].T)
         ratio = np.abs((plus - source) * (minus - sink) / ((minus - source) * (plus - sink)))
@@ -66,7 +66,9 @@ class Order:
         known = np.isfinite(here) & (here > 0)
         if known.sum() < 3 or not (there[known].std() and np.ptp(here[known])):
             return 0.0
-        return float(np.corrcoef(np.log(here[known]), there[known])[0, 1])
+        here, there = np.log(here[known]), there[known]
+        slope = float(here.std() / there.std())
+        return float(np.corrcoef(here, there)[0, 1]) * min(slope, 1 / slope)
 
 
 def orders(count: int) -> list[Order]:
@@ -88,12 +90,12 @@ def likeliest(values: Floats) -> tuple[Order | None, str]:
     known = orders(values.shape[1])
     if not known:
         return None, ""
-    correlations = [one.correlation(_sizes(one.volts(values))) - _RARE * one.single for one in known]
-    best = int(np.argmax(correlations))
-    if correlations[best] < correlations[0] + _BETTER:
+    likenesses = [one.likeness(_sizes(one.volts(values))) for one in known]
+    best = int(np.argmax(likenesses))
+    if likenesses[best] < likenesses[0] + _BETTER:
         best = 0
-    if correlations[best] < _LEAST - _RARE * known[best].single:
-        found = f"correlation {max(correlations):.2f} with a round even sheet"
+    if likenesses[best] < _LEAST:
+        found = f"likeness {max(likenesses):.2f} with a round even sheet"
         return known[0], f"the voltages are not largest beside the driven electrodes ({found}): is it adjacent drive?"
     return known[best], ""
 

@@ -273,7 +273,11 @@ class SkinModel:
         known = np.isfinite(measured) & (~self._first.driven | self._first.driven.all())
         if not known.any():
             raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
-        return float(modelled[known] @ modelled[known] / (modelled[known] @ measured[known]))
+        alike = float(modelled[known] @ measured[known])
+        if alike <= 0:
+            what = "the quiet voltages are unlike the model's, or the other way round"
+            raise DataError(f"{what}; check the drive pattern, the wires, and which skin it is")
+        return float(modelled[known] @ modelled[known] / alike)
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:
