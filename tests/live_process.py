@@ -26,7 +26,7 @@ def live(*arguments: str, port: int = 0) -> Iterator[tuple[str, "subprocess.Pope
             raise AssertionError(f"ohmskin live ended: {''.join(seen)}")
         yield found[0], process, "".join(seen)
         process.send_signal(signal.SIGTERM)
-        rest = process.communicate(timeout=120)[0]
+        rest = process.communicate(timeout=300)[0]
         assert process.returncode == 0, rest
         assert "Traceback" not in rest
     finally:

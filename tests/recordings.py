@@ -1,6 +1,5 @@
 """Recordings for tests: short, of a virtual skin without a process of its own."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -68,11 +67,3 @@ def some_frames(count: int, seed: int = 0) -> list[Frame]:
         voltages[:2] = [np.nan, np.inf] if k % 3 == 0 else voltages[:2]
         frames.append(Frame(pattern, voltages, rng.normal(size=pattern.n_inj), time=0.1 * k, sequence=k + 1))
     return frames
-
-
-def wait_until(true: object, seconds: float = 20.0) -> None:
-    """Wait until a function returns true."""
-    end = time.monotonic() + seconds
-    while not true():  # type: ignore[operator]
-        assert time.monotonic() < end, "it did not happen in time"
-        time.sleep(0.01)

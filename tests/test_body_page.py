@@ -289,4 +289,4 @@ def test_clicking_the_skin_of_a_robot_is_felt_there(tmp_path: Path, chromium: An
         page.close()
     finally:
         command.terminate()
-        command.communicate(timeout=60)
+        command.communicate(timeout=300)

@@ -64,7 +64,7 @@ def test_a_child_that_does_not_listen_is_killed() -> None:
 def test_a_child_ends_with_its_parent_however_that_ends() -> None:
     code = f"from ohmskin.child import Child; import sys, os; c = Child([sys.executable, '-c', {ECHO!r}], 'x', {{}})\n"
     code += "c.ready(60, OSError); print(c.process.pid, flush=True); os.kill(os.getpid(), 9)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     pid = int(done.stdout)
     end = time.monotonic() + 60
     while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:

@@ -177,7 +177,7 @@ def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:
         assert process.stdout is not None
         process.stdout.readline()  # calibrating
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=300)
     assert process.returncode == 130
     assert re.sub("compiling, once.*\n", "", err) == ""
     assert "recording to" not in out

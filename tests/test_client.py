@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from waiting import until as until_within
+from waiting import until
 
 from ohmskin.client import Board, BoardReader, Client, Contact, Felt, Patch, Sighting
 from ohmskin.client.board import board_path
@@ -39,10 +39,6 @@ def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "boards"
     monkeypatch.setenv("OHMSKIN_BOARDS", str(folder))
     return folder
-
-
-def until(condition: Callable[[], Any], seconds: float = 10.0) -> Any:
-    return until_within(condition, seconds)
 
 
 def touched(sequence: int = 1, count: int = 1, ago: float = 0.0) -> Felt:
@@ -397,7 +393,7 @@ def hear(outlet: Any, client: Client, sequence: int) -> Felt:
         outlet.send(contacts_topic("skin"), what.stamp, encode_contacts(what))
         return client.wait(0.02)
 
-    return until(say, 20)
+    return until(say)
 
 
 def test_a_client_far_away_hears_the_same_and_again_after_a_restart(place: str) -> None:

@@ -129,7 +129,7 @@ def test_what_is_read_while_it_is_written_is_whole_and_never_older_than_before(r
     assert writer.stdout is not None
     with writer:
         assert writer.stdout.readline() == "ready\n"
-        listener = subprocess.run([str(reader), "flood", "flood"], stdout=subprocess.PIPE, text=True, timeout=60)
+        listener = subprocess.run([str(reader), "flood", "flood"], stdout=subprocess.PIPE, text=True, timeout=300)
         assert listener.returncode == 0, "1: older than before or of another length; 2: torn"
         last, seen = map(int, listener.stdout.split())
         assert seen > 20
@@ -203,7 +203,7 @@ def test_a_board_of_another_version_is_told_once_and_clearly(reader: Path) -> No
 
 @pytest.mark.parametrize("name", ["", "../x", "/etc/passwd", ".x", "a\n", "1a", "_a", "x" * 99])
 def test_no_name_leads_out_of_the_folder(reader: Path, name: str) -> None:
-    done = subprocess.run([str(reader), "client", name], capture_output=True, text=True, timeout=60, input="newest\n")
+    done = subprocess.run([str(reader), "client", name], capture_output=True, text=True, timeout=300, input="newest\n")
     assert done.returncode == 3
     assert "cannot name what a skin publishes" in done.stdout
 
@@ -223,7 +223,7 @@ def test_the_loop_of_the_guide_compiles_and_runs(tmp_path: Path) -> None:
 
     def lines() -> list[Any]:
         return subprocess.run(
-            [str(program)], capture_output=True, text=True, timeout=60, check=True
+            [str(program)], capture_output=True, text=True, timeout=300, check=True
         ).stdout.splitlines()
 
     assert lines() == ["the skin is silent: stop"] * 2

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from direct import DirectDevice
+from waiting import until
 
 from ohmskin.device import Capabilities, Device, DeviceServer, Feature, Press, connect, drivers, registry
 from ohmskin.device.instrument import SharedInstrument
@@ -68,13 +69,6 @@ def voltages(pattern: DrivePattern) -> np.ndarray:
 def some_pattern(seed: int, injections: int = 6) -> DrivePattern:
     rng = np.random.default_rng(seed)
     return measure_others([rng.choice(16, 2, replace=False) for _ in range(injections)], range(16))
-
-
-def eventually(true: Callable[[], bool], seconds: float = 30.0) -> bool:
-    end = time.monotonic() + seconds
-    while not true() and time.monotonic() < end:
-        time.sleep(0.01)
-    return true()
 
 
 def waited(told: "pytest.ExceptionInfo[DeviceLost]") -> float:
@@ -135,7 +129,7 @@ def line(server_url: str, spoil: Callable[[bytes, bool], bytes]) -> Iterator[str
         thread = threading.Thread(target=accept)
         thread.start()
         yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-        thread.join(30)
+        thread.join(120)
         assert not thread.is_alive()
 
 
@@ -152,7 +146,7 @@ def stub(behave: Callable[[socket.socket], None]) -> Iterator[str]:
         thread = threading.Thread(target=accept)
         thread.start()
         yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-        thread.join(30)
+        thread.join(120)
         assert not thread.is_alive()
 
 
@@ -333,7 +327,7 @@ def test_a_pseudo_terminal_survives_hosts_that_come_and_go(skin: FakeSkin) -> No
                 device.press(1, (0.1, 0.1), 0.01, 1e4)
                 device.scan(RIM)
                 assert len(skin.down) == 1
-            assert eventually(lambda: not skin.down)
+            until(lambda: not skin.down)
 
 
 def test_stale_bytes_of_an_earlier_host_do_no_harm(skin: FakeSkin) -> None:
@@ -495,7 +489,7 @@ def test_two_hosts_do_not_clash(server: DeviceServer, skin: FakeSkin) -> None:
         one.press(0, (0.25, 0.5), 0.0078125, 0.0)
         assert len(skin.down) == 1
         one.press(0, (0.25, 0.5), 0.0078125, 0.0)  # lifting twice is no error
-    assert eventually(lambda: not skin.down)
+    until(lambda: not skin.down)
 
 
 def test_a_connection_is_a_session_also_without_a_greeting(server: DeviceServer, skin: FakeSkin) -> None:
@@ -514,7 +508,7 @@ def test_a_connection_is_a_session_also_without_a_greeting(server: DeviceServer,
                 packets += decoder.feed(line.recv(65536))
         assert isinstance(packets[-1].message, kind)
         assert kind is FrameData or packets[-1].message.code == ErrorCode.UNKNOWN_SLOT
-        assert eventually(lambda: not skin.down)
+        until(lambda: not skin.down)
 
 
 def test_the_virtual_device_flags_the_first_frame_since_its_start_and_no_other() -> None:
@@ -559,7 +553,7 @@ def test_a_press_waits_for_the_scan_of_another_thread() -> None:
     class Slow(DirectDevice):
         def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
             scanning.set()
-            assert go_on.wait(30)
+            assert go_on.wait(120)
             order.append("scan")
             return FakeSkin().scan(pattern)
 
@@ -570,13 +564,13 @@ def test_a_press_waits_for_the_scan_of_another_thread() -> None:
     scan = threading.Thread(target=device.scan, args=(SMALL, 60))
     press = threading.Thread(target=device.press, args=(1, (0.1, 0.1), 0.01, 1e4))
     scan.start()
-    assert scanning.wait(30)
+    assert scanning.wait(120)
     press.start()
     press.join(0.2)
     assert press.is_alive()  # it waits
     go_on.set()
-    scan.join(30)
-    press.join(30)
+    scan.join(120)
+    press.join(120)
     assert order == ["scan", "press"]
 
 

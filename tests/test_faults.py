@@ -263,7 +263,7 @@ def test_a_host_that_was_suspended_goes_on(served: tuple[str, "subprocess.Popen[
         finally:
             os.kill(host.pid, signal.SIGCONT)
             host.terminate()
-            rest = host.communicate(timeout=120)
+            rest = host.communicate(timeout=300)
         assert host.returncode == 0, rest[1]
     assert not [line["messages"] for line in lines if line["state"] != "running"]
     assert lines[-1]["sequence"] == first + 1000
@@ -286,7 +286,7 @@ def test_json_says_that_the_device_is_lost_and_back(line: Line) -> None:
                 told.append(json.loads(host.stdout.readline()))
         finally:
             host.terminate()
-            host.communicate(timeout=120)
+            host.communicate(timeout=300)
     assert told[0]["state"] == "running"
     assert any("calibrating" in text for text in told[0]["messages"])
     assert "device is back" in told[-1]["messages"]

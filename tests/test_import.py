@@ -453,7 +453,7 @@ def test_a_page_shows_the_code_that_runs(page: str, code: str) -> None:
 
 def run_guide(code: str, *arguments: Path) -> list[str]:
     command = [sys.executable, "-W", "error", str(GUIDE / code), *map(str, arguments)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert result.returncode == 0, result.stderr
     return result.stdout.splitlines()
 

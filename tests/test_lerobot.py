@@ -61,7 +61,7 @@ def test_lerobot_finds_the_package_by_its_name(tmp_path: Path) -> None:
     """LeRobot imports distributions by name: it must begin so, and be that of the module, underscores and all."""
     pytest.importorskip("hatchling")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
-    subprocess.run(command, cwd=PACKAGE, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, cwd=PACKAGE, check=True, capture_output=True, timeout=300)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()

@@ -312,7 +312,7 @@ def test_the_page_is_guarded_as_the_live_page_is(shown: Any) -> None:
                 connect(address, **options).close()
         with connect(f"{where}?token=open-sesame") as browser:
             for _ in range(3):
-                assert read(browser.recv(10))[0]["name"] == "torso"  # type: ignore[arg-type]
+                assert read(browser.recv(60))[0]["name"] == "torso"  # type: ignore[arg-type]
                 browser.send("drawn")
             browser.send("x" * 97)  # more than a browser has to say
             with pytest.raises(ConnectionClosed):
@@ -350,7 +350,7 @@ def torso(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
         yield process
         family = psutil.Process(process.pid).children(recursive=True)
         process.send_signal(signal.SIGTERM)
-        rest = process.communicate(timeout=30)[0]
+        rest = process.communicate(timeout=300)[0]
         assert process.returncode == 0, rest
         assert "Traceback" not in rest
         until(lambda: not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in family), 10)

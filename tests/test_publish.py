@@ -346,7 +346,7 @@ def test_sockets_of_dds_hear_one_interface_only() -> None:
         "        print(own.getsockname()[1], device.rstrip(b'\\0').decode())\n"
         "outlet.close()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     sockets = [line.split() for line in done.stdout.splitlines()]
     assert len(sockets) >= 2, done.stderr
     assert all(entry[1:] == ["lo"] for entry in sockets), sockets
@@ -437,7 +437,7 @@ def test_the_publishing_process_ends_with_the_loop() -> None:
         "r = RelayProcess('skin', [], [], ['foxglove:127.0.0.1:0'], None, 30.0)\n"
         "print(r.pid, flush=True)\nos.kill(os.getpid(), signal.SIGKILL)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     pid = int(done.stdout)
     until(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE, 10)
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings import SKIN, Bench, record_press, some_frames, wait_until
+from recordings import SKIN, Bench, record_press, some_frames
+from waiting import until
 
 import ohmskin as ohm
 from ohmskin.errors import DataError, PatternError
@@ -65,7 +66,7 @@ while True:
 def found_when_killed_at_500_frames_a_second(path: Path, count: int) -> int:
     """Frames in the file of a program that was killed together with its writer right after frame number `count`."""
     command = [sys.executable, "-c", FLOOD, str(path), str(count)]
-    ended = subprocess.run(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[1], timeout=60)
+    ended = subprocess.run(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[1], timeout=300)
     assert ended.returncode == -signal.SIGKILL
     done = recover(path)
     with Tape(done.path) as tape:
@@ -97,7 +98,7 @@ def test_when_only_the_loop_is_killed_the_file_is_finished(tmp_path: Path) -> No
         process.kill()
         process.wait()
         rest = [int(line) for line in lines if line.endswith("\n")]
-    wait_until(lambda: not _alive(writer))
+    until(lambda: not _alive(writer))
     with Tape(path) as tape:
         assert tape.notes == ()
         assert len(tape.frames) >= max([sent, *rest])
@@ -158,7 +159,7 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
     patterns, frames = set(), some_frames(1000)
     for number, frame in enumerate(frames):
         _send(pipe, patterns, frame, number)
-    wait_until(lambda: pipe.progress.trouble)
+    until(lambda: pipe.progress.trouble)
     assert "large" in pipe.progress.trouble.lower()  # EFBIG; ENOSPC takes the same way
     size = path.stat().st_size
     assert 0 < size <= 300_000
@@ -168,7 +169,7 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
         assert "cut short" in tape.notes[0]
         assert "damaged" not in "".join(tape.notes)  # what is there is whole
     resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    wait_until(lambda: not pipe.progress.trouble)  # room was made: it goes on, with what was kept meanwhile
+    until(lambda: not pipe.progress.trouble)  # room was made: it goes on, with what was kept meanwhile
     pipe.close()
     with Tape(path) as tape:
         assert tape.notes == ()
@@ -186,7 +187,7 @@ def test_room_that_comes_back_is_used_bit_by_bit_and_the_frames_told_are_those_i
     sizes = [0]
     for room in (200_000, 300_000, 400_000):  # never enough for all
         resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
-        wait_until(lambda most=room: pipe.progress.trouble and pipe.progress.written > most - 50_000)
+        until(lambda most=room: pipe.progress.trouble and pipe.progress.written > most - 50_000)
         sizes.append(path.stat().st_size)
         with Tape(path) as tape:
             assert "damaged" not in "".join(tape.notes)
@@ -214,9 +215,9 @@ def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patt
     _send(
         pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent
     )  # its pattern comes now
-    wait_until(lambda: not pipe._size or pipe._push())
+    until(lambda: not pipe._size or pipe._push())
     resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    wait_until(lambda: not pipe.progress.trouble)
+    until(lambda: not pipe.progress.trouble)
     sent += 1
     _send(pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent)
     progress = pipe.close()
@@ -237,7 +238,7 @@ def test_the_writer_goes_on_though_nobody_asks_how_it_goes(tmp_path: Path) -> No
         pipe.send(LOG, 0, 0, b"\0\1\0\0")
         return "written" in pipe._said
 
-    wait_until(heard)
+    until(heard)
     pipe.close()
 
 
@@ -274,7 +275,7 @@ def test_a_writer_that_dies_is_told_and_the_loop_goes_on(tmp_path: Path) -> None
         tee.scan(pattern)
         assert recorder._pipe is not None
         os.kill(recorder._pipe.pid, signal.SIGKILL)
-        wait_until(lambda: recorder.progress.trouble)
+        until(lambda: recorder.progress.trouble)
         for _ in range(5):
             assert tee.scan(pattern).voltages.shape == (108,)
         assert "process has ended (exit status -9)" in recorder.progress.trouble
@@ -301,8 +302,8 @@ def test_record_says_what_it_does_and_ends_cleanly(tmp_path: Path) -> None:
         if "MB/s" in line:
             break
     process.send_signal(signal.SIGINT)
-    rest, complaints = process.communicate(timeout=20)
-    assert (process.returncode, complaints) == (0, "")
+    rest, complaints = process.communicate(timeout=300)
+    assert (process.returncode, re.sub("compiling, once.*\n", "", complaints)) == (0, "")
     assert "a.mcap:" in rest.splitlines()[-1]
     with Tape(tmp_path / "a.mcap") as tape:
         assert tape.notes == ()
@@ -318,7 +319,7 @@ def test_live_records_too(tmp_path: Path) -> None:
     with Tape(tmp_path / "a.mcap") as tape:
         assert [touch.sequence for touch in tape.touches] == cycles
         assert np.count_nonzero(tape.roles == Role.BASE) == len(cycles)
-    again = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    again = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert (again.returncode, again.stdout) == (2, "")
     assert again.stderr == "ohmskin: a.mcap exists, and a recording is never overwritten; choose another name\n"
 
@@ -344,7 +345,7 @@ GUIDE = Path(__file__).parents[1] / "docs" / "guide"
 
 def test_the_guides_example_runs_and_its_page_shows_it(tmp_path: Path) -> None:
     command = [sys.executable, "-W", "error", str(GUIDE / "recording.py"), str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "(ohmskin_msgs/msg/Frame): 1800 voltages" in done.stdout  # the first frame of calibration
     assert (tmp_path / "recording.png").read_bytes().startswith(b"\x89PNG")

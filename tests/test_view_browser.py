@@ -201,7 +201,7 @@ class Reader:
         self.page.goto(loop.view.url)
         self.until(lambda: self.page.evaluate("Boolean(window.ohmskin?.ready)"))
 
-    def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+    def until(self, condition: Callable[[], Any], seconds: float = 120.0) -> Any:
         end = time.monotonic() + seconds
         while not (value := condition()):
             assert time.monotonic() < end, f"this did not happen in time; heard {self.loop.heard}, errors {self.errors}"
@@ -246,7 +246,7 @@ def reader(chromium: Browser, sheet: SyntheticLoop) -> Iterator[Reader]:
     reader = Reader(chromium, sheet)
     yield reader
     reader.close()
-    reader_gone = time.monotonic() + 5
+    reader_gone = time.monotonic() + 60
     while sheet.presses and time.monotonic() < reader_gone:
         time.sleep(0.01)
     assert not sheet.presses, "the presses of a page that is closed are lifted"

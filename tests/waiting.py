@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 
-def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+def until(condition: Callable[[], Any], seconds: float = 120.0) -> Any:
     """What the condition gives once that is true; fails if it takes longer."""
     end = time.monotonic() + seconds
     while not (value := condition()):
