@@ -2,11 +2,11 @@
 
 All places where an electrode may be are electrodes of one finite-element model, factorised once. What a contact does
 to a two-terminal resistance is the mean of |grad u_i - grad u_j|^2 over it, so with the means of all products grad u_i
-. grad u_j kept, any layout is looked up. Layouts are mirror-symmetric about those middle lines about which the skin is.
+. grad u_j kept, any layout is looked up. Layouts are mirror-symmetric about both middle lines, if the skin is.
 """
 
 from collections.abc import Callable, Iterator
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from ohmskin.errors import GeometryError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
 from ohmskin.geometry.domain import Domain
-from ohmskin.geometry.electrodes import to_corners
 from ohmskin.geometry.mesh import folded, shortest
 from ohmskin.geometry.overlap import disc_overlap
+from ohmskin.geometry.spread import spread
 from ohmskin.scan import all_pairs
 
 _STEPS = 12  # candidates along the shorter side
@@ -101,7 +101,7 @@ class LayoutSearch:
         mesh = mesh_domain(domain, mesh_size, self.sites)
         known = conductivity(mesh) if callable(conductivity) else conductivity
         self._prior = ContactPrior.usual(radius)
-        self._noise, self._share, self._current = noise, injections, current
+        self._noise, self._share, self._current, self._scale = noise, injections, current, scale
         self._products = _mean_products(TransferModel(mesh, Electrodes.at(self.sites), known), self.places, on_map)
         metres = scale(self.places)[:, None]  # an effect is so many square metres of the skin, a place metres of it
         self._products /= metres ** np.array([3, 3, 2, 2])
@@ -158,6 +158,10 @@ class LayoutSearch:
                 for _ in range(k):
                     start.append(self._farthest(start, np.flatnonzero(size == n)))
             starts.append(start)
+        if (size == 1).all():
+            away = shortest(self.sites - spread(self.domain, count, self._scale)[:, None], self.domain.period)
+            even = np.unique(np.linalg.norm(away, axis=2).argmin(axis=1))
+            starts += [even.tolist()] if len(even) == count else []
         return starts
 
     def _farthest(self, taken: list[int], among: Ints) -> int:
@@ -196,8 +200,6 @@ def _shares(count: int, sizes: set[int]) -> Iterator[tuple[tuple[int, int], ...]
     ones = count % 2
     if 4 in sizes:
         yield from (((4, (count - ones - 2 * t) // 4), (2, t), (1, ones)) for t in range((count - ones) // 2 % 2, 8, 2))
-    elif 2 in sizes:
-        yield from (((2, (count - k) // 2), (1, k)) for k in range(ones, 6, 2))
     else:
         yield ((1, count),)
 
@@ -221,20 +223,21 @@ def _sites(domain: Domain) -> tuple[Floats, np.ndarray]:
 
 
 def _along(loop: Domain, pitch: float) -> Floats:
-    """Places (n, 2) along a rim, about so far apart (m)."""
-    arcs = loop.perimeter * np.arange(count := max(4, round(loop.perimeter / pitch))) / count
-    return loop.rim(np.unique(to_corners(loop, arcs)))
+    """The corners of a rim (n, 2), and places between them, about so far apart (m)."""
+    knots = np.append(loop.corners, loop.corners[0] + loop.perimeter)
+    sides = (np.linspace(a, b, max(1, round((b - a) / pitch)), endpoint=False) for a, b in pairwise(knots))
+    return loop.rim(np.concatenate(list(sides)))
 
 
 def _mirrors(domain: Domain, sites: Floats, scale: Callable[[Floats], Floats]) -> list[Floats]:
-    """The signs (2,) about the middle with which the skin is its own mirror image; that of all it is first."""
+    """The signs (2,) about the middle with which the skin is its own mirror image: all four, or the first alone."""
     kept = []
     for signs in product((1.0, -1.0), repeat=2):
         image = _image(domain, sites, np.array(signs))
         gaps = np.linalg.norm(shortest(image[:, None] - sites, domain.period), axis=2).min(axis=1)
         if gaps.max() < 1e-6 and np.abs(scale(image) / scale(sites) - 1).max() < _ALIKE:
             kept.append(np.array(signs))
-    return kept if len(kept) != 2 or (kept[1] != -1).any() else kept[:1]
+    return kept if len(kept) == 4 else kept[:1]
 
 
 def _image(domain: Domain, places: Floats, signs: Floats) -> Floats:
@@ -257,10 +260,10 @@ def _orbits(domain: Domain, sites: Floats, mirrors: list[Floats]) -> list[Ints]:
 def _places(domain: Domain, radius: float, mirrors: list[Floats]) -> Floats:
     """Places of contacts (n, 2), wholly on the sheet, of mirror images one."""
     x0, y0, x1, y1 = domain.bounds
-    halves = [any(signs[axis] < 0 for signs in mirrors) for axis in range(2)]
+    half = len(mirrors) > 1
     axes = [
         np.linspace(a + radius, (a + b) / 2 if half else b - radius, _PLACES if half else 2 * _PLACES - 1)
-        for a, b, half in ((x0, x1, halves[0]), (y0, y1, halves[1]))
+        for a, b in ((x0, x1), (y0, y1))
     ]
     places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     places = places[domain.depth(places) > radius * (1 - 1e-9)]
