@@ -19,7 +19,7 @@ from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import recorded_mode
-from ohmskin.sensing.readers import Reader, centroid, fit, tracked
+from ohmskin.sensing.readers import Reader, centroid, fit, tracked, trust
 from ohmskin.sensing.sensor import Locator, Percept, Sensor, Thresholds
 from ohmskin.skin import Mode, Skin
 
@@ -34,7 +34,6 @@ READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(
 _LEAST_QUIET = 8  # images, below which a threshold learned from them would be luck
 _SIGMAS = 5.0  # height of a threshold above the largest predicted noise, where it cannot be learned
 _REHEARSED = (1, 1, 1, 2, 2)  # contacts there in each frame
-_USUAL, _STRANGE = 0.1, 0.5  # share of a frame's change that an image leaves: of real skins, and of other data
 _PATIENCE = 2.0  # s to learn thresholds in, of slow estimators
 
 
@@ -109,9 +108,10 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
     if not percept.detections:
         return percept
     left = max(image_misfit(known, frame), percept.belief.unexplained)
-    trust = min(max((_STRANGE - left) / (_STRANGE - _USUAL), 0.0), 1.0)
+    believed = trust(percept.belief.unexplained)  # already counted
+    share = trust(left) / believed if believed > 0 else 0.0
     detections, contacts = (
-        tuple(replace(contact, confidence=trust * contact.confidence) for contact in some)
+        tuple(replace(contact, confidence=share * contact.confidence) for contact in some)
         for some in (percept.detections, percept.contacts)
     )
     belief = replace(percept.belief, detections=detections, contacts=contacts, unexplained=left)

@@ -12,7 +12,7 @@ from ohmskin.inverse.estimators import Estimator
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import Placement, placement_of
-from ohmskin.sensing.readers import Belief, FitReader, fit, undriven
+from ohmskin.sensing.readers import Belief, FitReader, fit, trust, undriven
 from ohmskin.tracking import Tracks
 
 
@@ -70,7 +70,7 @@ class LearnedReader:
         physics = fitter.contact(one.params[0], one.covariances[0])
         (contact,) = self.placement.moved([physics], changes)
         x, y = fitter.onto(np.array([contact.position]))[0].tolist()
-        sure = (1 - told.unexplained(one.caused)) * contact.confidence
+        sure = trust(told.unexplained(one.caused)) * contact.confidence
         return replace(contact, position=(x, y), confidence=sure, radius=None)  # no radius: it is where it is
 
 

@@ -24,6 +24,7 @@ from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 _FOLLOWED = (
     2.0  # s in which a change of contact impedances, or of anything that no contact explains, is followed to 1/e
 )
+_USUAL, _STRANGE = 0.1, 0.5  # share of a frame's change that is left unexplained: of real skins, and of other data
 _LEARNED = 0.1  # s between frames that tell of the latter, and in which contacts are looked for afresh
 _DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
 _SURE, _LITTLE = (
@@ -206,8 +207,14 @@ class FitReader:
 
 
 def _doubted(contacts: Sequence[Contact], unexplained: float) -> tuple[Contact, ...]:
-    """Contacts as sure as the share of the data that they explain."""
-    return tuple(replace(contact, confidence=(1 - unexplained) * contact.confidence) for contact in contacts)
+    """Contacts less sure where they leave more of the data unexplained than is usual."""
+    return tuple(replace(contact, confidence=trust(unexplained) * contact.confidence) for contact in contacts)
+
+
+def trust(unexplained: float) -> float:
+    """How far contacts are believed that leave a share of the data unexplained (1): of other data, such as another
+    skin's, half or more."""
+    return min(max((_STRANGE - unexplained) / (_STRANGE - _USUAL), 0.0), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
