@@ -255,6 +255,11 @@ def only_centroids(known: SkinModel, estimator, threshold: float):
     return READERS["centroid"](known, estimator, threshold)
 
 
+def as_described(estimator, *differences, **settings):
+    """The amplitude as it is, registered by another package."""
+    return RULES["physical"](estimator, *differences, **settings)
+
+
 def smooth_prior(model):
     """Smoothness, registered by another package."""
     return graph_laplacian
@@ -266,6 +271,7 @@ def test_other_packages_add_theirs_by_entry_points(monkeypatch: pytest.MonkeyPat
         "ohmskin.readers": "only_centroids",
         "ohmskin.estimators": "twice_the_noise",
         "ohmskin.priors": "smooth_prior",
+        "ohmskin.rules": "as_described",
     }
 
     def entry_points(group: str) -> list[EntryPoint]:
@@ -277,11 +283,14 @@ def test_other_packages_add_theirs_by_entry_points(monkeypatch: pytest.MonkeyPat
         (READERS, "Centroids"),
         (ESTIMATORS, "Gauss-Newton"),
         (PRIORS, "Smooth"),
+        (RULES, "The amplitude as it is"),
     ):
         assert "theirs" in table
         assert list(table)[-1] == "theirs"
         assert table.title("theirs").startswith(title)
     used = build(Mode("mine", "theirs", "theirs", "theirs", "theirs"), known())
+    assert max(misses(used, PLACES[:1], 4)) < 15e-3
+    used = build(Mode("ruled", "theirs", "theirs", "gauss-newton", "theirs", "theirs"), known())
     assert max(misses(used, PLACES[:1], 4)) < 15e-3
     with pytest.raises(PatternError, match=r"no drive 'x'; choose from .*, theirs"):
         DRIVES["x"]

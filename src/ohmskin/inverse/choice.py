@@ -17,6 +17,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.modes import ImageModes, check_positive
+from ohmskin.registry import Registry
 from ohmskin.scan import Difference
 
 
@@ -196,15 +197,20 @@ def small_target(mesh: Mesh) -> Floats:
     return change
 
 
-RULES: dict[str, Callable[..., Choice]] = {
-    "physical": physical,
-    "noise figure": noise_figure,
-    "cross-validation": cross_validation,
-    "l-curve": l_curve,
-    "discrepancy": discrepancy,
-    "evidence": evidence,
-}
-"""Rules for the regularisation parameter, by name."""
+RULES: Registry[Callable[..., Choice]] = Registry(
+    "rule",
+    "ohmskin.rules",
+    {
+        "physical": physical,
+        "noise figure": noise_figure,
+        "cross-validation": cross_validation,
+        "l-curve": l_curve,
+        "discrepancy": discrepancy,
+        "evidence": evidence,
+    },
+    ModelError,
+)
+"""Rules for the regularisation parameter, by name; other packages add theirs as entry points of ``ohmskin.rules``."""
 
 
 def choose(rule: str, estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
@@ -213,6 +219,4 @@ def choose(rule: str, estimator: GaussNewton, *differences: Difference, amplitud
     Raises:
         ModelError: If there is no such rule; the message lists those there are.
     """
-    if rule not in RULES:
-        raise ModelError(f"no rule {rule!r}; choose from {', '.join(RULES)}")
     return RULES[rule](estimator, *differences, amplitudes=amplitudes)
