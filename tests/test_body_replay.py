@@ -163,7 +163,7 @@ def test_a_recording_replays_the_body(body: Body, tmp_path: Path) -> None:
 
 
 def test_a_replay_can_be_recorded_again_and_says_the_same(body: Body, tmp_path: Path) -> None:
-    recorded(body, tmp_path / "a.mcap", cycles=6)
+    recorded(body, tmp_path / "a.mcap", cycles=20)
     with Patches(body, [f"mcap:{tmp_path / 'b.mcap'}"], images=1000.0, replay=str(tmp_path / "a.mcap")) as patches:
         while not patches.ended:
             patches.step()
