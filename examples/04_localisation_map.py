@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ohmskin import evaluate
+from ohmskin.plot.colours import AMOUNT
 
 
 def main(folder: Path) -> Path:
@@ -27,9 +28,9 @@ def main(folder: Path) -> Path:
     figure = Figure(figsize=(9, 4.2), layout="constrained")
     for axes, key, values in zip(figure.subplots(1, 2), keys, median, strict=True):
         shown = axes.imshow(
-            values.reshape(side, side), origin="lower", extent=reach, vmin=0, vmax=median.max(), cmap="viridis"
+            values.reshape(side, side), origin="lower", extent=reach, vmin=0, vmax=median.max(), cmap=AMOUNT
         )
-        axes.plot(*(1e3 * result["truth"].T), ".", color="white", markersize=3)
+        axes.plot(*(1e3 * result["truth"].T), ".", color="0.3", markersize=3)
         axes.set(xlabel="x / mm", ylabel="y / mm", title=f"{key}: median over the sheet {np.median(values):.1f} mm")
     figure.colorbar(shown, ax=figure.axes, label="median localisation error / mm")
     for key, values in zip(keys, error, strict=True):

@@ -433,7 +433,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         plan = import_module("ohmskin.evaluate.policies.plan")
         patch.setattr(plan, "FLAWS", {name: FLAWS[name] for name in list(FLAWS)[:2]})
         patch.setattr(plan, "MODES", ("16P",))
-        assert policies.compare(folder, TINY, jobs=1) == folder / "report.md"
+        assert policies.compare(folder, TINY, jobs=1) == folder / "report.html"
     return folder
 
 
@@ -518,7 +518,7 @@ def test_the_command_runs_and_says_where_the_report_is(tmp_path: Path) -> None:
     ]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, re.sub("compiling, once.*\n", "", done.stderr)) == (0, "")
-    assert "report: new/report.md" in done.stdout
+    assert "report: new/report.html" in done.stdout
     assert "Choosing the next pattern" in (tmp_path / "new" / "report.md").read_text(encoding="utf-8")
 
 

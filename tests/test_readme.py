@@ -54,5 +54,5 @@ def test_every_command_exists() -> None:
         assert command in app
     targets = re.findall(r"^make (\w+)", README, re.MULTILINE)
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    assert targets == ["live", "test"]
+    assert targets == ["live", "test", "docs"]
     assert all(f"\n{target}:" in makefile for target in targets)

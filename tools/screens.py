@@ -51,6 +51,14 @@ def running(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
         process.communicate()
 
 
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """The browser of this machine, without a window."""
+    path = next(path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name)))
+    with sync_playwright() as play:
+        yield play.chromium.launch(executable_path=path, args=["--no-sandbox"])
+
+
 class Screens:
     """Two browsers at a page, a desktop and a phone: the desktop presses, both are photographed.
 
@@ -228,9 +236,7 @@ SCENES: dict[Callable[[Screens, ExitStack, Path], None], set[str]] = {
 def main(folder: Path, wanted: set[str], widths: list[int]) -> list[Path]:
     """The pictures that were made."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = next(path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name)))
-    with sync_playwright() as play, tempfile.TemporaryDirectory() as scratch:
-        browser = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
+    with chromium() as browser, tempfile.TemporaryDirectory() as scratch:
         screens = Screens(browser, folder, wanted, widths)
         for scene, states in SCENES.items():
             needed = scene is live and wanted & SCENES[replay]  # which it records

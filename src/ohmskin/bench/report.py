@@ -1,4 +1,4 @@
-"""What a run of the benchmark leaves behind: JSON, a page of tables in Markdown, and a plot of cost against size."""
+"""What a run of the benchmark leaves behind: JSON, its tables in HTML and Markdown, a plot of cost against size."""
 
 import json
 import os
@@ -13,37 +13,40 @@ import scipy
 from ohmskin.bench.figure import Figure
 from ohmskin.bench.run import GROUPS
 from ohmskin.errors import OhmskinError
+from ohmskin.plot.report import Image, Picture, Section, Table
+from ohmskin.plot.report import write_report as write_sections
 
-_PREFACE = """\
-# Benchmarks
+_PREFACE = (
+    "Made by `ohmskin bench`; run it to see these figures on your own machine (`--quick` takes two minutes).",
+    "Everything is measured in one run, in turns, on one thread, in CPU time unless a wall clock is named. A "
+    "value is the median over the rounds, the spread its quartiles. Unless a figure names another, and but for "
+    "the live loop, which has the paper's skin as it ships, the sheet is the paper's square with 12 electrodes on "
+    "the rim and 4 inside, its mesh regular, and the same for all programs. pyEIT is used as its own examples use "
+    "it. Compiled code is loaded before the clock starts: the very first run on a machine compiles it, which "
+    "takes half a minute. Set-up means from nodes and triangles to the first image; making the mesh is not part "
+    "of it.",
+)
 
-Made by `ohmskin bench`; run it to see these figures on your own machine (`--quick` takes two minutes).
 
-Everything is measured in one run, in turns, on one thread, in CPU time unless a wall clock is named. A value is the
-median over the rounds, the spread its quartiles. Unless a figure names another, and but for the live loop, which has
-the paper's skin as it ships, the sheet is the paper's square with 12 electrodes on the rim and 4 inside, its mesh
-regular, and the same for all programs. pyEIT is used as its own examples use it. Compiled code is loaded before the
-clock starts: the very first run on a machine compiles it, which takes half a minute. Set-up means from nodes and
-triangles to the first image; making the mesh is not part of it.
-"""
+_TALLY = {"pass": "targets met", "short": "short", "not run": "not run"}
 
 
 def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: bool) -> list[Path]:
-    """Write benchmarks.json, benchmarks.md and, where sizes were measured, images/scale.png.
+    """Write benchmarks.json, benchmarks.html, benchmarks.md and, where sizes were measured, images/scale.png.
 
     Raises:
         OhmskinError: If the folder cannot be written.
     """
     try:
         (folder / "images").mkdir(parents=True, exist_ok=True)
-        written = [folder / "benchmarks.json", folder / "benchmarks.md"]
+        written = [folder / "benchmarks.json"]
         groups = {name: [figure.as_dict() for figure in figures] for name, figures in found.items()}
         content = json.dumps({"machine": _machine(), "quick": quick, "groups": groups}, indent=1)
         written[0].write_text(content + "\n", encoding="utf-8")
         grown = [figure for figure in found.get("scale", ()) if figure.data]
-        if grown:
-            written.append(_plot(grown[0], folder / "images" / "scale.png"))
-        written[1].write_text(_page(found, quick, bool(grown)), encoding="utf-8")
+        plots = [_plot(figure, folder / "images" / "scale.png") for figure in grown[:1]]
+        sections = _sections(found, quick, plots)
+        written += [write_sections(sections, folder / f"benchmarks.{kind}") for kind in ("html", "md")] + plots
     except OSError as error:
         raise OhmskinError(f"cannot write the report to {folder}: {error}; choose another with --output") from error
     return written
@@ -62,22 +65,19 @@ def _machine() -> dict[str, str]:
     }
 
 
-def _page(found: Mapping[str, Sequence[Figure]], quick: bool, plot: bool) -> str:
+def _sections(found: Mapping[str, Sequence[Figure]], quick: bool, plots: Sequence[Path]) -> list[Section]:
     told = _machine()
-    lines = [_PREFACE, f"Machine: {told['processor']}, {told['cores']} cores, {told['system']}; {told['versions']}."]
-    figures = [figure for group in found.values() for figure in group]
-    counts = {verdict: sum(f.verdict == verdict for f in figures) for verdict in ("pass", "short", "not run")}
-    counted = f"{counts['pass']} targets met, {counts['short']} short, {counts['not run']} not run"
-    lines.append(f"\n{counted}{'; --quick' if quick else ''}.")
+    machine = f"Machine: {told['processor']}, {told['cores']} cores, {told['system']}; {told['versions']}."
+    verdicts = [figure.verdict for group in found.values() for figure in group]
+    counted = ", ".join(f"{verdicts.count(name)} {words}" for name, words in _TALLY.items())
+    sections = [Section("Benchmarks", [*_PREFACE, machine, f"{counted}{'; --quick' if quick else ''}."], "#")]
     for name, group in found.items():
-        lines.append(f"\n## {(GROUPS[name].__doc__ or name).splitlines()[0].rstrip('.')}\n")
-        lines.append("| figure | value | spread | target | | behind it |\n|---|---|---|---|---|---|")
-        for f in group:
-            verdict = f"**{f.verdict}**" if f.verdict in ("short", "not run") else f.verdict
-            lines.append(f"| {' | '.join(f.row(verdict))} |")
-    if plot:
-        lines.append("\n![CPU seconds of the set-up against the number of triangles](images/scale.png)")
-    return "\n".join(lines) + "\n"
+        title = (GROUPS[name].__doc__ or name).splitlines()[0].rstrip(".")
+        head = ("figure", "value", "spread", "target", "", "behind it")
+        sections.append(Section(title, [Table(head, [figure.row(figure.verdict) for figure in group])]))
+    caption = "CPU seconds of the set-up against the number of triangles"
+    pictures = [Image(caption, Picture(plot.stem, plot, f"{caption}, one thread.")) for plot in plots]
+    return [*sections, *([Section("Cost against size", pictures)] if pictures else [])]
 
 
 def _plot(figure: Figure, path: Path) -> Path:

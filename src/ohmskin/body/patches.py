@@ -37,7 +37,7 @@ class PatchProcess:
         report: Called with every message for the user.
 
     Attributes:
-        status: What it told last: state, rate (1/s), p50 and p99 of the latency (s), message.
+        status: Its last report: state, rate (1/s), p50 and p99 of the latency (s), message.
     """
 
     def __init__(self, placed: PlacedSkin, name: str, demo: bool, report: Callable[[str], None]) -> None:
@@ -161,7 +161,7 @@ class Patches(Closing):
 
     @property
     def status(self) -> dict[str, dict[str, Any]]:
-        """What each patch told last; see `PatchProcess`."""
+        """The last report of each patch; see `PatchProcess`."""
         names = [placed.patch.name for placed in self.body.patches]
         if self._replay is not None:
             return {name: {"state": "running"} for name in names}
@@ -202,7 +202,7 @@ class Merger(Closing):
         name: The board that is written.
         patches: All patches.
         boards: Their boards.
-        posture: How the robot stands, by which contacts with itself are told; None: that is not known.
+        posture: How the robot stands, from which self-touch is determined; None: that is not known.
 
     Raises:
         PublishError: If the name is taken.
@@ -222,7 +222,7 @@ class Merger(Closing):
     def step(self) -> Felt | None:
         """Write what all patches feel, if one of them felt anew.
 
-        The contacts of a patch that has fallen silent stay as they were; how long it has been silent is told with them.
+        The contacts of a patch that has fallen silent stay as they were, with the time since its last frame.
         """
         if self._posture is not None:
             self._posture.step()

@@ -18,7 +18,7 @@ _STALE = 0.2  # s without joint states, after which the robot may stand otherwis
 
 
 class Posture(Closing):
-    """Follows the joint states of a body (`ohmskin.client.JointStates`) and tells where its links are, on a board.
+    """Follows the joint states of a body (`ohmskin.client.JointStates`) and publishes where its links are, on a board.
 
     Args:
         body: The body, which names a URDF file.
@@ -53,7 +53,7 @@ class Posture(Closing):
                 self._report(f"joint states are not taken: {error}")
 
     def told(self, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
-        """Contacts with their `self_touch`; None while nobody tells how the joints stand."""
+        """Contacts with their `self_touch`; None while the joint states are not known."""
         if time.monotonic() - self._time > _STALE:
             return tuple(replace(contact, self_touch=None) for contact in contacts)
         return self._self_touch.told(self.robot, contacts)

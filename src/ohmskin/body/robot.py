@@ -37,7 +37,7 @@ class Joint:
         kind: As URDF has it: revolute, continuous, prismatic; fixed, floating, planar, which stand still here.
         origin: Pose (4, 4) of the child in the parent at position zero (m).
         axis: Unit vector (3,) in the child.
-        limits: Least and greatest position (rad, m); infinite where the file tells none.
+        limits: Least and greatest position (rad, m); infinite where the file gives none.
     """
 
     parent: str
@@ -140,7 +140,7 @@ class Robot:
         )
 
     def told(self) -> dict[str, Any]:
-        """What a page is told of it, as JSON has it; poses row by row."""
+        """Its description for a page, as JSON has it; poses row by row."""
         visuals = [visual | {"pose": visual["pose"].ravel().tolist()} for visual in self.visuals]
         return {"links": {name: pose.ravel().tolist() for name, pose in self.links.items()}, "visuals": visuals}
 

@@ -1,4 +1,4 @@
-"""Self-touch told from touch by others: whether another link of the robot is where a contact is."""
+"""Self-touch distinguished from touch by others: whether another link of the robot is where a contact is."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from ohmskin.client.felt import Contact
 from ohmskin.errors import SkinError
 
 _GAP = 6e-3  # m between a skin and what touches it: a skin's thickness, and what the shapes of links leave out
-_UNKNOWN = 5e-3  # m, standard deviation of a contact's position where the mode does not tell it
+_UNKNOWN = 5e-3  # m, standard deviation of a contact's position where the mode gives none
 _SURE = 3.0  # standard deviations
 
 
@@ -34,7 +34,7 @@ class SelfTouch:
 
     def __init__(self, body: Body) -> None:
         if body.robot is None:
-            raise SkinError(f"body {body.name!r} names no URDF file, without which self-touch cannot be told")
+            raise SkinError(f"body {body.name!r} names no URDF file, without which self-touch cannot be determined")
         self._body, self._rigid = body, _rigid(body.robot)
         self._sure = not body.robot.unseen
 

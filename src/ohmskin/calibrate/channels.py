@@ -1,4 +1,4 @@
-"""Which channels follow the model: told from many presses of unknown places, without labels.
+"""Which channels follow the model: estimated from many presses of unknown places, without labels.
 
 Each press is taken for one contact at the place of the model's that explains it best; what the channels then measure
 is held against what the model says they should. Gains and errors of the channels found so weigh the next search. A
@@ -16,15 +16,15 @@ from ohmskin.scan import Channels, DrivePattern, Frame
 from ohmskin.sensing import SkinModel
 from ohmskin.skin import Calibration, Skin
 
-_LEAST, _MOST = 30, 2000  # presses from which channels are judged; more tell little more
+_LEAST, _MOST = 30, 2000  # presses from which channels are judged; more add little
 _FELT = 2.0  # times its noise by which a frame has changed that shows a press
 _ROUNDS, _EVEN = 10, 2  # of the search, and of those the first with equal gains
 _SPACING = 0.75  # usual radii of a contact between the places that are searched
 _FLOOR = 0.02  # of the usual variance and power, added to each channel's: one alone must not decide
 _SHAPED = 2.0  # parameters of a press beside its strength
-_REPEATS = 4  # quiet frames that tell the noise of each channel
+_REPEATS = 4  # quiet frames from which the noise of each channel is estimated
 _LEAST_NOISE = 1e-4  # of the largest voltage, as of a `SkinModel`
-_NOISY = 3.0  # times the usual noise, from which a channel does not tell whether there is a press
+_NOISY = 3.0  # times the usual noise, above which a channel does not show whether there is a press
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class ChannelJudgement:
 
     @property
     def doubtful(self) -> Bools:
-        """(n_meas,) whether a channel tells nothing or little."""
+        """(n_meas,) whether a channel carries little or no information."""
         return self.channels.doubtful(self.pattern)
 
     @property
@@ -64,14 +64,16 @@ class ChannelJudgement:
         share = np.bincount(which, doubtful) / np.bincount(which)
         lines = [
             f"{len(self.places)} presses, {self.skipped} frames without one left out",
-            f"{doubtful.sum()} of {len(doubtful)} channels tell little or nothing, "
+            f"{doubtful.sum()} of {len(doubtful)} channels carry little or no information, "
             f"{self.reversed.sum()} are the other way round",
             f"one contact each leaves {100 * self.unexplained:.0f} % unexplained; "
             f"{100 * self.unexplained_before:.0f} % with all channels alike",
         ]
         for injection in np.flatnonzero(share > 0.5):
             source, sink = self.pattern.injections[injection]
-            lines.append(f"injection {source} to {sink}: {100 * share[injection]:.0f} % of its channels tell little")
+            lines.append(
+                f"injection {source} to {sink}: {100 * share[injection]:.0f} % of its channels: little information"
+            )
         return lines
 
     def put_into(self, calibration: Calibration) -> Calibration:
@@ -129,7 +131,7 @@ def judge_channels(
 
 
 def _noise(pattern: DrivePattern, quiet: Sequence[Frame], usual: float) -> Floats:
-    """Standard deviation (n_meas,) of each channel's change (V); `usual` where quiet frames are too few to tell."""
+    """Standard deviation (n_meas,) of each channel's change (V); `usual` where quiet frames are too few."""
     repeats = [frame.voltages for frame in quiet if frame.pattern == pattern]
     if len(repeats) < _REPEATS:
         return np.full(pattern.n_meas, usual)

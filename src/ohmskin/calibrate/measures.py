@@ -90,7 +90,7 @@ class Settling:
 
     @property
     def settled(self) -> bool:
-        """Whether what is left cannot be told from noise, or is a thousandth at most."""
+        """Whether what is left cannot be distinguished from noise, or is a thousandth at most."""
         return abs(self.left) < max(3 * self.noise, 1e-3)
 
 

@@ -36,7 +36,7 @@ def calibrate_quiet(
         device: A device that can drive any pattern.
         skin: What it should be; its own calibration, if any, is not used.
         version: Of ohmskin, to be noted down.
-        scans: Scans of all pairs, 3 at least. The longer they take, the better is drift told from noise.
+        scans: Scans of all pairs, 3 at least. The longer they take, the better drift is separated from noise.
         report: Told what the skin is like, and if electrodes and sheet cannot be told and stay as described.
 
     Raises:
@@ -131,7 +131,7 @@ def _rounded(values: Floats) -> tuple[float, ...]:
 
 
 def _drift(frames: list[Frame]) -> float:
-    """Growth of a voltage's standard deviation with the root of time (V / s^0.5); 0 if it cannot be told from noise."""
+    """Growth of a voltage's standard deviation with the root of time (V / s^0.5); 0 if it is lost in noise."""
     volts = np.stack([frame.voltages for frame in frames])
     times = np.array([frame.time for frame in frames])
     volts = volts[:, np.isfinite(volts).all(axis=0)]

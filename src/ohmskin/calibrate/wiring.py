@@ -27,7 +27,7 @@ from ohmskin.skin import Skin
 _IDLE = 0.01  # share of the described current below which a pair carries none, whatever voltages its wires pick up
 _SILENT = 0.1  # share of the typical signal below which nothing is connected
 _CONTRADICTS = 0.03  # share of the typical voltage that may contradict every resistive network
-_NONSENSE = 0.5  # the same from which on nothing more is told of the wiring
+_NONSENSE = 0.5  # the same above which the wiring is not diagnosed
 _SHORT = 0.1  # share of a pair's modelled resistance below which a bridge is called a short
 _POOR = 0.03  # series resistance above the others', as a share of a typical pair's, that makes a contact poor
 _SPREAD = 5.0  # the same relative to what the sheet adds round the electrode, in standard deviations of the others
@@ -97,7 +97,7 @@ def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
     """
     n_elec = len(skin.electrodes)
     if frame.pattern != terminal_pattern(n_elec):
-        raise DataError(f"the wiring is told from terminal_pattern({n_elec}); this frame has another pattern")
+        raise DataError(f"the wiring is diagnosed from terminal_pattern({n_elec}); this frame has another pattern")
     findings = _unreached(frame, skin)
     nothing, nowhere, nan = np.full(n_pairs(n_elec), np.nan), np.full(n_elec, np.nan), float("nan")
     if findings and findings[0].kind == "silent":

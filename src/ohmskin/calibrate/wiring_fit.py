@@ -99,7 +99,7 @@ class WiringSearch:
         """The wiring that explains the measured resistances best without inventing faults."""
         best = self._fit(self._with_shorts())
         if len(self.pairs) < self._columns.shape[1] + 2 * self.n:
-            return best  # too few electrodes to tell one fault from another
+            return best  # too few electrodes to distinguish faults
         for _ in range(MOST_FAULTS):
             if best.misfit <= _SEARCH:
                 break

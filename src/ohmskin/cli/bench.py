@@ -22,7 +22,7 @@ def bench(
 
     Args:
         quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
-        output: Folder for benchmarks.json, benchmarks.md and the plot.
+        output: Folder for benchmarks.html, the same as benchmarks.md, benchmarks.json and the plot.
         only: Parts to measure: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes,
             accuracy, start.
     """

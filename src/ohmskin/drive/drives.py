@@ -35,7 +35,7 @@ class DriveSettings:
         electrodes: Electrode layout.
         design: Gives the responses of contacts, and all pairs of electrodes with their currents and noise, such as
             `Skin.design`; only called by drives that need it.
-        pairs: Injections of a second scan, unless a drive is told otherwise (K).
+        pairs: Injections of a second scan, unless a drive gets another number (K).
         period: Of a closed band, 0 of others (m).
     """
 

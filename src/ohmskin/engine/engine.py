@@ -345,6 +345,6 @@ class Engine(Closing):
 
 
 def _lost(error: OhmskinError) -> str:
-    """What a user is told of a lost device, which the loop connects to again by itself."""
+    """The message for a lost device, to which the loop reconnects by itself."""
     why = str(error).removesuffix("; connect again")
     return f"device lost: {why} Reconnecting" if why.endswith("?") else f"device lost: {why}; reconnecting"

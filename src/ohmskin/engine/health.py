@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_WINDOW = 1000  # cycles over which latencies are told
-_SPAN = 1.0  # seconds over which rates are told
+_WINDOW = 1000  # cycles over which latencies are reported
+_SPAN = 1.0  # seconds over which rates are reported
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Health:
 
 
 class HealthMonitor:
-    """Collects times of cycles and tells `Health` a few times a second."""
+    """Collects times of cycles and reports `Health` a few times a second."""
 
     def __init__(self) -> None:
         self._latencies: deque[float] = deque(maxlen=_WINDOW)

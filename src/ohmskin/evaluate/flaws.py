@@ -25,7 +25,7 @@ class Flaw:
         misplaced: Distance between where an electrode is and where it is believed to be (m); in a random direction, on
             the rim along it.
         uneven: Standard deviation of the believed conductivity, as a share; smooth, of bumps of some 30 mm.
-        calibrated: Whether places of electrodes and conductivity are then told from quiet voltages, see `fit_sheet`.
+        calibrated: Whether places of electrodes and conductivity are then fitted to quiet voltages, see `fit_sheet`.
         draw: Which random directions and bumps.
     """
 

@@ -1,4 +1,4 @@
-"""From the success rates of Fig. 8 to a distance: how close two contacts may be and still be told apart."""
+"""From the success rates of Fig. 8 to a distance: how close two contacts may be and still be distinguished."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -8,10 +8,10 @@ from typing import Any, Generic, TypeVar
 
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.cache import Cache, describe, fingerprint
-from ohmskin.evaluate.figures.drawing import Drawn, Picture, save_pictures
-from ohmskin.evaluate.report import Section, write_report
+from ohmskin.evaluate.figures.drawing import Drawn, save_pictures
 from ohmskin.evaluate.result import Experiment, Groups, Outcome, Progress, plain
 from ohmskin.evaluate.runner import run_experiments
+from ohmskin.plot.report import Picture, Section, write_report
 
 S = TypeVar("S")
 V = TypeVar("V")
@@ -33,10 +33,10 @@ class Study(Generic[S, V]):
         assess: Verdicts from the outcome.
         painters: What draws the pictures of a group.
         sections: The sections of the report: first an introduction, then one for each group.
-        report: File name of the report, ``*.html`` or ``*.md``.
+        reports: File names of the report, ``*.html`` or ``*.md``; the first is the one to look at.
         verdicts: What the verdicts are called: they go to a JSON file of that name.
         dpi: Of the pictures.
-        alone: Groups that tell how long something takes: they run last, in this process, nothing beside them, and are
+        alone: Groups that measure time: they run last, in this process, nothing beside them, and are
             not kept.
         record: The fields of a verdict, as JSON can hold them.
     """
@@ -46,7 +46,7 @@ class Study(Generic[S, V]):
     assess: Callable[[Outcome[S]], Sequence[V]]
     painters: Mapping[str, Callable[[Outcome[S]], Sequence[Drawn]]]
     sections: Callable[[Outcome[S], Sequence[V], Pictures], Sequence[Section]]
-    report: str
+    reports: tuple[str, ...]
     verdicts: str
     dpi: int = 200
     alone: tuple[str, ...] = ()
@@ -80,7 +80,7 @@ class Study(Generic[S, V]):
             OhmskinError: If something cannot be written, or see `run_experiments`.
         """
         settings, folder = settings or self.settings(), Path(output)
-        experiments = self.plan(settings, only)  # a mistake in the options is told before folders are made
+        experiments = self.plan(settings, only)  # a mistake in the options is reported before folders are made
         try:
             (folder / "figures").mkdir(parents=True, exist_ok=True)
             (folder / "data").mkdir(exist_ok=True)
@@ -109,6 +109,8 @@ class Study(Generic[S, V]):
             summary = {"ohmskin": fingerprint(), "settings": asdict(settings)}  # type: ignore[call-overload]
             summary[self.verdicts] = [self.record(verdict) for verdict in verdicts]
             (folder / f"{self.verdicts}.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
-            return write_report(self.sections(done, verdicts, pictures), folder / self.report)
+            sections = self.sections(done, verdicts, pictures)
+            written = [write_report(sections, folder / name) for name in self.reports]
+            return written[0]
         except OSError as error:
             raise OhmskinError(f"cannot write the report to {folder}: {error}") from error

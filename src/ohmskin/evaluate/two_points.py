@@ -1,4 +1,4 @@
-"""One contact or two? What `ContactFitter` finds when it is told to find one, or two, and how far they differ."""
+"""One contact or two? What `ContactFitter` finds when it is asked for one, or two, and how far they differ."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from ohmskin.calibrate import ForceCurve, PressSample, SelfTest
 from ohmskin.geometry import Raster
+from ohmskin.plot.colours import SIGNED
 from ohmskin.plot.picture import outline, save_figure
 from ohmskin.scan import all_pairs
 from ohmskin.skin import Calibration, Skin
@@ -41,7 +42,7 @@ def _draw_sheet(axes: Axes, skin: Skin) -> None:
     change = 100 * raster(values / values.mean() - 1)
     x0, y0, x1, y1 = (1e3 * bound for bound in skin.domain.bounds)
     most = max(float(np.nanmax(np.abs(change))), 1.0)
-    shown = axes.imshow(change, origin="lower", extent=(x0, x1, y0, y1), cmap="RdBu_r", vmin=-most, vmax=most)
+    shown = axes.imshow(change, origin="lower", extent=(x0, x1, y0, y1), cmap=SIGNED, vmin=-most, vmax=most)
     label = "conductivity against its mean / %"
     axes.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.04, 1.0)), label=label)
     axes.plot(*outline(skin.domain).T, color="0.4", linewidth=0.8)

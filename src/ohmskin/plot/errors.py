@@ -12,6 +12,7 @@ from matplotlib.tri import TriContourSet
 
 from ohmskin.arrays import Floats
 from ohmskin.geometry import Domain, Electrodes
+from ohmskin.plot.colours import AMOUNT
 from ohmskin.plot.picture import outline, save_figure
 
 _LEVELS = 24
@@ -50,11 +51,11 @@ def draw_error_map(axes: Axes, shown: ErrorMap, limits: tuple[float, float] | No
     low, high = limits or (float(shown.errors.min()), float(shown.errors.max()))
     levels = 1e3 * np.geomspace(low * (1 - 1e-3), high * (1 + 1e-3), _LEVELS)
     x, y = 1e3 * shown.places.T
-    colours: TriContourSet = axes.tricontourf(x, y, 1e3 * shown.errors, levels=levels, cmap="viridis", norm=LogNorm())
+    colours: TriContourSet = axes.tricontourf(x, y, 1e3 * shown.errors, levels=levels, cmap=AMOUNT, norm=LogNorm())
     axes.plot(*outline(shown.domain).T, color="0.15", linewidth=1)
     axes.plot(*1e3 * shown.electrodes.positions.T, "o", color="0.15", markersize=5, clip_on=False)
     worst = int(np.argmax(shown.errors))
-    axes.plot(*1e3 * shown.places[worst], "x", color="white", markersize=8, markeredgewidth=2)
+    axes.plot(*1e3 * shown.places[worst], "x", color="0.15", markersize=8, markeredgewidth=2)
     mean, most = 1e3 * shown.errors.mean(), 1e3 * shown.errors[worst]
     axes.set_title(
         f"{shown.title}\nbound: mean {mean:.3g} mm, worst {most:.3g} mm (cross)", fontsize=10, parse_math=False

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from ohmskin.arrays import Floats
 from ohmskin.calibrate.channels import ChannelJudgement
 from ohmskin.calibrate.positions import PositionReport
+from ohmskin.plot.colours import AMOUNT
 from ohmskin.plot.picture import outline, save_figure
 from ohmskin.skin import Skin
 
@@ -51,7 +52,7 @@ def _draw_channels(axes: Axes, found: ChannelJudgement) -> None:
     table = np.full((row.max() + 1, found.pattern.n_inj), np.nan)
     table[row, which] = np.where(np.abs(gains) > 0, errors / np.median(errors), np.inf)
     table[row[found.doubtful], which[found.doubtful]] = _MOST
-    shown = axes.imshow(np.minimum(table, _MOST), origin="lower", aspect="auto", cmap="cividis_r", vmin=0, vmax=_MOST)
+    shown = axes.imshow(np.minimum(table, _MOST), origin="lower", aspect="auto", cmap=AMOUNT, vmin=0, vmax=_MOST)
     axes.figure.colorbar(shown, ax=axes, label="error over the usual one", extend="max")
     axes.plot(which[found.reversed], row[found.reversed], "x", color="#c51b22", markersize=6, label="other way round")
     if found.reversed.any():
@@ -88,7 +89,7 @@ def _draw_errors(axes: Axes, skin: Skin, found: PositionReport, places: Floats) 
         axes.plot(*1e3 * skin.electrodes.positions.T, "o", color="0.3", markersize=4, clip_on=False)
     errors = 1e3 * found.mapped[known]
     x, y = 1e3 * places[known].T
-    shown = axes.scatter(x, y, s=14, c=errors, cmap="viridis_r", vmin=0, vmax=float(np.quantile(errors, 0.95)))
+    shown = axes.scatter(x, y, s=14, c=errors, cmap=AMOUNT, vmin=0, vmax=float(np.quantile(errors, 0.95)))
     axes.figure.colorbar(shown, ax=axes, label="error at presses not learned from / mm", extend="max")
     axes.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")
     physics = f"physics {1e3 * np.nanmean(found.physics):.2f} mm, " if found.map.own else ""

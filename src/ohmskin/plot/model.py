@@ -16,8 +16,8 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Mesh
+from ohmskin.plot.colours import AMOUNT
 
-_SHADES = "viridis"
 _DENSITY = 1.2  # of lines of current, as Matplotlib counts
 _GRID = 120  # points along the longer side of the grid on which lines of current are followed
 
@@ -54,7 +54,7 @@ def draw_mesh(
         shifts = 1e3 * np.array([[-mesh.period, 0], [0, 0], [mesh.period, 0]])
         corners = (1e3 * mesh.corners + shifts[:, None, None]).reshape(-1, 3, 2)
         colours = None if colours is None else np.tile(colours, 3)
-    made: PolyCollection = (Poly3DCollection if in_space else PolyCollection)(corners, cmap=_SHADES, **style)
+    made: PolyCollection = (Poly3DCollection if in_space else PolyCollection)(corners, cmap=AMOUNT, **style)
     if colours is None:
         made.set_facecolor("white" if edges else "0.9")
     else:

@@ -14,6 +14,7 @@ from ohmskin.errors import DataError
 from ohmskin.geometry import Mesh, mesh_domain
 from ohmskin.geometry.surface import closed_walks
 from ohmskin.geometry.wrap import cut_open, laid_flat, node_stretches
+from ohmskin.plot.colours import SIGNED
 from ohmskin.skin import Skin
 
 _FINE = 60  # edges along the root of the area
@@ -105,7 +106,7 @@ def save_pattern(path: Path, pattern: Pattern, name: str) -> None:
         about = Triangulation(nodes[:, 0], nodes[:, 1], pattern.mesh.elements)
         per_cent = 100 * (pattern.stretch.prod(axis=1) - 1)
         most = float(np.abs(per_cent).max())
-        axes.tripcolor(about, per_cent, cmap="RdBu_r", vmin=-1.6 * most, vmax=1.6 * most, shading="gouraud")
+        axes.tripcolor(about, per_cent, cmap=SIGNED, vmin=-1.6 * most, vmax=1.6 * most, shading="gouraud")
         lines = axes.tricontour(about, per_cent, 9, colors="0.45", linewidths=0.4)
         axes.clabel(lines, fmt=lambda value: f"{value:+.3g} %", fontsize=6)
     for walk in closed_walks(pattern.mesh.boundary):

@@ -16,12 +16,12 @@ from ohmskin.contacts import Contact
 from ohmskin.errors import DataError
 from ohmskin.geometry import Domain, Electrodes, Mesh, Raster
 from ohmskin.inverse import Image
+from ohmskin.plot.colours import SIGNED
 from ohmskin.sensing import Percept
 
 FORMATS = frozenset(FigureCanvasBase.filetypes)
 """Endings of the files that pictures can be saved to, without the dot."""
 
-_SHADES = "RdBu_r"  # red conducts better, blue worse, white is unchanged
 PIXELS = 256
 _PALE = 20.0  # standard deviations of noise that full colour is, where there is no contact
 
@@ -53,7 +53,7 @@ def draw_image(
     half = raster.pitch / 2
     x, y = raster.x, raster.y
     edges = tuple(1e3 * edge for edge in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
-    shown = axes.imshow(pixels, origin="lower", extent=edges, cmap=_SHADES, vmin=-full, vmax=full, interpolation="none")
+    shown = axes.imshow(pixels, origin="lower", extent=edges, cmap=SIGNED, vmin=-full, vmax=full, interpolation="none")
     axes.plot(*1e3 * electrodes.positions.T, "o", color="0.15", markersize=4, clip_on=False)
     middle = 0.5e3 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
     size = 1e3 * float(np.ptp(mesh.nodes, axis=0).max())

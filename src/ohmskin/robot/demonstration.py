@@ -43,7 +43,7 @@ class Sensed:
     Args:
         patch: Number of the skin.
         place: (x, y) on its map (m).
-        contact: As the body tells it, in the frame of the root link, which is the world.
+        contact: As the body reports it, in the frame of the root link, which is the world.
         push: What MuJoCo presses there; None if nothing is near.
     """
 
@@ -245,7 +245,7 @@ class Demonstration:
         return touch
 
     def _placed(self, touches: Sequence[Touch], pushes: Sequence[Push]) -> Iterator[Sensed]:
-        """All contacts as the body tells them: in the world, by what the joints tell, with self-touch."""
+        """All contacts as the body reports them: in the world, by the joints as measured, with self-touch."""
         if not any(touch.contacts for touch in touches):
             return  # most of the time
         robot = self.wearer.posed()

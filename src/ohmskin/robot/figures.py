@@ -45,7 +45,7 @@ class OwnTouch:
         patches: The skins that took part.
         peak_force: Largest force (N).
         frames: Contacts of it that were reported, in all frames.
-        told: Those of them that were told to be self-touch.
+        told: Those of them that were reported as self-touch.
     """
 
     patches: tuple[str, ...]

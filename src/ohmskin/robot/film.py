@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -18,6 +17,7 @@ from ohmskin.arrays import Floats
 from ohmskin.body import PlacedSkin
 from ohmskin.errors import ModelError
 from ohmskin.geometry import Raster
+from ohmskin.plot.colours import GLOWING
 from ohmskin.robot.demonstration import Moment
 from ohmskin.robot.display import mujoco, renderer
 from ohmskin.robot.wearer import Wearer
@@ -45,7 +45,7 @@ class SkinMap:
         x, y, half = self._raster.x, self._raster.y, self._raster.pitch / 2
         extent = (1e3 * (x[0] - half), 1e3 * (x[-1] + half), 1e3 * (y[0] - half), 1e3 * (y[-1] + half))
         empty = np.zeros(self._raster.inside.shape)
-        self._picture = axes.imshow(empty, origin="lower", extent=extent, cmap="magma", vmin=0)
+        self._picture = axes.imshow(empty, origin="lower", extent=extent, cmap=GLOWING, vmin=0)
         axes.plot(*(1e3 * skin.electrodes.positions.T), ".", color="#9aa5b5", markersize=7 if alone else 3)
         size = 1.0 if alone else 0.5
         truth: dict[str, Any] = {"color": _TRUE, "markersize": 26 * size}
@@ -79,7 +79,7 @@ class SkinMap:
         """Points (3,) of the skin in the world where it feels something, and their colours (RGBA)."""
         body = wearer.data.body(link)
         turn, shown = body.xmat.reshape(3, 3), self.values > _SHOWN
-        colours = colormaps["magma"](self.values[shown] / max(_SCALE, float(self.values.max(initial=0.0))))
+        colours = GLOWING(self.values[shown] / max(_SCALE, float(self.values.max(initial=0.0))))
         for point, colour in zip(self._points[shown], colours, strict=True):
             yield body.xpos + turn @ point, colour
 

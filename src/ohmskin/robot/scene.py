@@ -54,7 +54,7 @@ _SCENE = """
 
 
 def scene(body: Body) -> str:
-    """MuJoCo's description (MJCF) of a body whose URDF file tells what it looks like; bodies are called as links are.
+    """MuJoCo's description (MJCF) of a body whose URDF file gives its shapes; bodies are called as links are.
 
     Skins collide as the convex hulls of their surfaces, `skin 0`, `skin 1`, ...; links as their simple shapes.
 
@@ -112,7 +112,7 @@ def _link(parent: Element, link: str, name: str, joint: Joint | None, servos: El
 
 
 def _shell(link: Element, visual: dict[str, Any]) -> None:
-    """A simple shape of a link; URDF tells lengths, MuJoCo halves of them."""
+    """A simple shape of a link; URDF gives lengths, MuJoCo half-lengths."""
     size = np.array(visual["size"])
     half = size / 2 if visual["shape"] == "box" else size * ([1, 0.5][: len(size)])
     bits = {"contype": str(_SHELL), "conaffinity": "0", "density": "300"}

@@ -87,7 +87,7 @@ class Wearer:
         return float(self.data.time)
 
     def posed(self) -> Robot:
-        """The robot with its joints as its encoders tell them now."""
+        """The robot with its joints as its encoders read now."""
         return self.robot.posed(dict(zip(self._names, self.data.qpos.tolist(), strict=True)))
 
     def surface(self, patch: int, place: Floats) -> tuple[Floats, Floats]:

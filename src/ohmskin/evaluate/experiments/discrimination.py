@@ -1,4 +1,4 @@
-"""Figure 8: how close two contacts may be and still be told from one."""
+"""Figure 8: how close two contacts may be and still be distinguished."""
 
 from dataclasses import dataclass
 from typing import Any

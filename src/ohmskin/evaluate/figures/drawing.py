@@ -1,7 +1,7 @@
 """What all pictures have in common: how they look, how they are drawn and saved."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.statistics import Estimate
 from ohmskin.evaluate.worlds import LAYOUTS
+from ohmskin.plot.report import Picture
 from ohmskin.skin import Skin
 
 Drawn = tuple[str, Figure, str]  # file name, figure, caption
@@ -28,15 +29,6 @@ RC |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7
 RC |= dict.fromkeys(("axes.linewidth", "xtick.major.width", "ytick.major.width"), 0.6)
 RC |= {"axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "figure.facecolor": "white"}
 RC |= {"grid.linewidth": 0.3, "grid.color": "0.85"}
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture and the caption that makes it stand alone."""
-
-    name: str
-    path: Path
-    caption: str
 
 
 def save_pictures(

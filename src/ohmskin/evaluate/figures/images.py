@@ -19,8 +19,8 @@ from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.shapes import SHAPES, Shape
 from ohmskin.evaluate.statistics import median
 from ohmskin.evaluate.worlds import WORLD_NAMES, Contacts
+from ohmskin.plot.colours import SIGNED
 
-_MAP = "RdBu_r"  # as in ohmskin.plot: red conducts better, white is unchanged
 _NOTE: Any = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0}
 
 
@@ -100,7 +100,7 @@ def _images(
     layout = ConstrainedLayoutEngine(h_pad=0.02, w_pad=0.02, hspace=0.02, wspace=0.02)
     canvas = Figure(figsize=(panel * columns + 1.05, panel * rows + 0.5), layout=layout)
     grid, limit = canvas.subplots(rows, columns, squeeze=False), float(np.nanmax(np.abs(pixels)))
-    look: Any = {"origin": "lower", "extent": (0, SIDE, 0, SIDE), "cmap": _MAP, "interpolation": "bilinear"}
+    look: Any = {"origin": "lower", "extent": (0, SIDE, 0, SIDE), "cmap": SIGNED, "interpolation": "bilinear"}
     centres = (np.arange(pixels.shape[-1]) + 0.5) * SIDE / pixels.shape[-1]
     dotted = {"colors": "black", "linewidths": 0.8, "linestyles": "dotted", "zorder": 4}
     for (row, column), axes in np.ndenumerate(grid):

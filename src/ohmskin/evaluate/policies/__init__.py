@@ -6,6 +6,7 @@ task = policies.Static("discs", decibels=40, seeds=20, schemes=("best", "16P"))
 print(policies.static_errors(task.run()).mean(axis=-1))  # (n_schemes, n_readers), metres
 """
 
+import ohmskin.plot  # noqa: F401 (which says what to install if Matplotlib is missing)
 from ohmskin.evaluate.flaws import Flaw
 from ohmskin.evaluate.policies.comparison import compare
 from ohmskin.evaluate.policies.goals import assess, static_errors

@@ -11,7 +11,6 @@ import ohmskin
 from ohmskin.arrays import Floats
 from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.figures.drawing import Picture
 from ohmskin.evaluate.policies import doubt, goals
 from ohmskin.evaluate.policies.figures import PAINTERS
 from ohmskin.evaluate.policies.goals import WITHIN, Done
@@ -20,12 +19,12 @@ from ohmskin.evaluate.policies.plan import Settings, plan
 from ohmskin.evaluate.policies.presses import FOOT, KNOWN, LAYERS, WRONG
 from ohmskin.evaluate.policies.schemes import NAMES, SCHEMES, instrument_cost
 from ohmskin.evaluate.policies.tracked import MISS, SETTLE, moving_errors
-from ohmskin.evaluate.report import Block, Image, Section, Table
 from ohmskin.evaluate.setup import PERIOD, QUIET
 from ohmskin.evaluate.statistics import mean
 from ohmskin.evaluate.study import Study
 from ohmskin.evaluate.verdict import MET, MISSED, OPEN, Goal
 from ohmskin.evaluate.worlds import CURRENT, LAYOUTS, described
+from ohmskin.plot.report import Block, Image, Picture, Section, Table
 from ohmskin.skin import Skin
 
 _TESTS = "ideal test", "ideal test, contacts uncertain"
@@ -48,7 +47,7 @@ def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
         "What to measure next: fixed patterns, the best fixed set among them; the paper's scheme (16O fused: a base "
         "scan, then pairs by eq. 7, both used); choice by position information (16P); and tracking with a few "
         "injections per frame (16T), on virtual skins, with the same absolute noise for all. The sensors are those of "
-        "the loop, made by name. What a choice of injections gains is told against the best fixed set of as many, with "
+        "the loop, made by name. Each choice of injections is held against the best fixed set of as many, with "
         "the same reader."
     )
     rule = (
@@ -129,7 +128,7 @@ def _driven(done: Done) -> list[Block]:
     text = (
         "*Driven*: source and sink of each injection are measured, too. Contact impedances are not known for sure; "
         "those that differ do so since the calibration. *Self-calibrated*: places of electrodes and conductivity are "
-        "told from the quiet scans. Discs have point electrodes, without contact impedance. "
+        "estimated from the quiet scans. Discs have point electrodes, without contact impedance. "
         f"{task.corners} places lie in the corners, 10 to 18 mm from both sides. Mean errors in mm (95 %); how "
         "often the true place is within the ellipse that is to hold it so often; the error's root mean square as "
         "stated and as it is, in mm:"
@@ -293,5 +292,6 @@ SECTIONS = {
     "robust": ("With a flawed model, or a worn skin", _robust),
     "cost": ("What choosing costs", _cost),
 }
-POLICIES = Study(Settings, plan, goals.assess, PAINTERS, sections, "report.md", "goals", 160, ("cost",), Goal.record)
+REPORTS = "report.html", "report.md"
+POLICIES = Study(Settings, plan, goals.assess, PAINTERS, sections, REPORTS, "goals", 160, ("cost",), Goal.record)
 compare = POLICIES.run

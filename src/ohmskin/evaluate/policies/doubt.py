@@ -12,10 +12,11 @@ from ohmskin.evaluate.policies.adaptivity import WAYS
 from ohmskin.evaluate.policies.schemes import NAMES
 from ohmskin.evaluate.policies.tracked import moving_errors
 from ohmskin.evaluate.policies.trouble import MODES, NONE, WIRE
-from ohmskin.evaluate.report import Block, Table
 from ohmskin.evaluate.result import Outcome, Result
 from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means
 from ohmskin.evaluate.verdict import Goal
+from ohmskin.plot.colours import AMOUNT
+from ohmskin.plot.report import Block, Table
 
 FALSE, SOON, GONE = 5, 1.0, 3  # frames with a false contact, s, and frames that a fault, its name and a lift may take
 LIGHT = 850.0  # Pa, of a light press
@@ -37,7 +38,7 @@ def troubles(done: Outcome[Any]) -> dict[tuple[str, str], Result]:
 
 
 def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
-    """None false, told at once, as exact as before, and well again."""
+    """No false contacts, reported at once, as accurate as before, and recovered afterwards."""
     frames = {trouble: task.frames for _, task, _ in done.of("trouble", "troubled/") for trouble in task.troubles}
     for (mode, trouble), result in troubles(done).items():
         cases, wire = len(result["false"]), trouble == "an electrode opens"
@@ -48,7 +49,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             quiet = next(count for name, count in frames.items() if name == trouble or (wire and name.startswith(WIRE)))
             yield Goal("trouble", text, FALSE if wire else 0, True, most, "", f"{cases} x {quiet} frames", key=True)
             told = _exactly(result["named"] <= SOON)
-            yield Goal("trouble", f"Told within {SOON:g} s by {mode}: {trouble}", 1.0, False, told, "%", data)
+            yield Goal("trouble", f"Reported within {SOON:g} s by {mode}: {trouble}", 1.0, False, told, "%", data)
         if wire:
             well = _exactly(result["well"] <= SOON)
             yield Goal(
@@ -108,11 +109,11 @@ def trouble_tables(done: Outcome[Any]) -> list[Block]:
     text = (
         "The loop itself (`Engine`) on the paper's virtual skin with its own instrument, calibrated as a user's is. "
         "Something goes wrong while nothing touches, then presses of 8 mm and 20 kPa are made, then it is "
-        "mended. *False*: most quiet frames with a contact in any case; *told*: the longest time until it is said; "
+        "mended. *False*: most quiet frames with a contact in any case; *reported*: the longest time until that; "
         "*well*: the longest time from the mend until no electrode is left out. Errors of presses are medians in mm; "
         "one counts as lost unless each of its frames shows exactly one contact."
     )
-    head = ("mode", "what goes wrong", "false", "told / s", "well / s", "before", "meanwhile", "after it")
+    head = ("mode", "what goes wrong", "false", "reported / s", "well / s", "before", "meanwhile", "after it")
     drift = (
         "*Drift*: each two-terminal resistance drifts by itself for a minute; a finger comes after half of it, rests, "
         "and leaves at its end. Frames with more contacts than fingers, or fewer, and mean errors in mm, without the "
@@ -222,7 +223,7 @@ def sensitivity_picture(done: Outcome[Any]) -> list[Drawn]:
     half = 100 / (task.side + 1)
     seen = np.median(np.nan_to_num(result["least"], posinf=1e6), axis=1)
     low, high = float(seen.min()), float(np.quantile(seen, 0.99))
-    style = {"origin": "lower", "extent": (half, 200 - half, half, 200 - half), "cmap": "viridis_r", "norm": "log"}
+    style = {"origin": "lower", "extent": (half, 200 - half, half, 200 - half), "cmap": AMOUNT, "norm": "log"}
     for axes, (key, reading), values in zip(maps, WAYS, seen, strict=True):
         image = axes.imshow(values.reshape(task.side, task.side), clim=(low, high), **style)
         draw_sheet(axes, left=axes is maps[0])

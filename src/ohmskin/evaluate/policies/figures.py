@@ -18,6 +18,7 @@ from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
 from ohmskin.evaluate.policies.schemes import NAMES
 from ohmskin.evaluate.policies.tracked import APART, NEAR, SETTLE, moving_errors
 from ohmskin.evaluate.statistics import mean
+from ohmskin.plot.colours import AMOUNT
 
 COLOURS = {"12B": "#8c8c8c", "16I": "#0072b2", "best": "#e69f00", "16O fused": "#d55e00"}
 COLOURS |= {"16P": "#00735c", "16T": "#a6267a", "rotating": "#cc79a7", "rotating best": "#56b4e9"}
@@ -58,7 +59,7 @@ def static(done: Done) -> list[Drawn]:
     maps, shown = lower.subplots(1, 3), ("best", "16O fused", "16P")
     seen = [1e3 * result["bound"][task.schemes.index(key)].mean(axis=0)[: task.side**2] for key in shown]
     half, top = 100 / (task.side + 1), float(np.quantile(np.concatenate(seen), 0.97))
-    style = {"origin": "lower", "extent": (half, 200 - half, half, 200 - half), "cmap": "viridis_r"}
+    style = {"origin": "lower", "extent": (half, 200 - half, half, 200 - half), "cmap": AMOUNT}
     for axes, key, values in zip(maps, shown, seen, strict=True):
         image = axes.imshow(values.reshape(task.side, task.side), vmin=0, vmax=top, **style)
         draw_sheet(axes, left=key == shown[0])
@@ -132,7 +133,7 @@ def pairs(done: Done) -> list[Drawn]:
         axes.grid()
     grid[-1, -1].legend(*grid[0, -1].get_legend_handles_labels(), frameon=False, loc="lower right")
     caption = (
-        f"Two discs of 6 mm radius told from one; ideal tests take {100 * ALPHA:g} % of single contacts for two. "
+        f"Two discs of 6 mm radius, or one; ideal tests take {100 * ALPHA:g} % of single contacts for two. "
         f"{right.shape[3]} noise seeds at each of {right.shape[2]} places, drawn at random. Solid: contacts "
         "counted and placed by the fit; bands are 95 % bootstrap intervals over seeds. "
         "Dotted: the ideal test on the same injections, which knows both hypotheses in every number, and all contact "

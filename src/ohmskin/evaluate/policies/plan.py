@@ -64,8 +64,8 @@ class Settings:
         random: Random places beside it.
         levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts, of detection,
             and of what adapting gains with other numbers of injections and contacts.
-        noises: Noise levels at which it is told what adapting gains (dB).
-        counts: Injections a frame with which it is told, beside 28.
+        noises: Noise levels at which the gain of adapting is measured (dB).
+        counts: Injections a frame for which it is measured, beside 28.
         frames: Length of a moving contact's path.
         fine: Noise levels of pairs (dB).
         where: Places of pairs.

@@ -10,10 +10,21 @@ from importlib import resources
 from pathlib import Path
 
 import ohmskin
-from ohmskin.evaluate.figures.drawing import Picture
-from ohmskin.evaluate.verdict import MET, MISSED, NO, OPEN, YES
 
-_CLASS = {YES: "yes", MET: "yes", OPEN: "open", NO: "no", MISSED: "no"}
+_CLASS = {
+    **dict.fromkeys(("confirmed", "met", "pass"), "yes"),
+    **dict.fromkeys(("undecided", "not run"), "open"),
+    **dict.fromkeys(("not confirmed", "missed", "short"), "no"),
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture and the caption that makes it stand alone."""
+
+    name: str
+    path: Path
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,7 @@ class Folded:
     blocks: Sequence["Block"]
 
 
-# a text is a paragraph of Markdown: *emphasis*, **strong**, > quotation, ### heading
+# a text is a paragraph of Markdown: *emphasis*, **strong**, `code`, > quotation, ### heading
 Block = str | Table | Image | Folded
 
 
@@ -52,7 +63,7 @@ class Section:
     Args:
         title: Its heading.
         blocks: What it shows.
-        label: Stands before the title.
+        label: Stands before the title; ``#``: the section opens the report, and its title is the report's.
         anchor: Its address within the page (HTML).
     """
 
@@ -65,10 +76,11 @@ class Section:
 def write_report(sections: Sequence[Section], path: Path) -> Path:
     """Write a report, in HTML if the file is called so, otherwise in Markdown; returns its path."""
     if path.suffix == ".html":
-        page = (resources.files("ohmskin.evaluate") / "page.html").read_text(encoding="utf-8")
+        page = (resources.files("ohmskin.plot") / "page.html").read_text(encoding="utf-8")
         links = " ".join(f"<a href='#{s.anchor}'>{s.label}</a>" for s in sections if s.anchor)
-        body = f"<nav>{links}</nav>" + "\n".join(_html_section(section) for section in sections)
-        for name, text in (("version", ohmskin.__version__), ("body", body)):
+        parts = [_html_section(section) for section in sections]
+        body = "\n".join([parts[0], f"<nav>{links}</nav>", *parts[1:]])
+        for name, text in (("title", sections[0].title), ("version", ohmskin.__version__), ("body", body)):
             page = page.replace("{{" + name + "}}", text)
     else:
         page = "\n\n".join(part for section in sections for part in _markdown_section(section, path.parent)) + "\n"
@@ -77,6 +89,8 @@ def write_report(sections: Sequence[Section], path: Path) -> Path:
 
 
 def _html_section(section: Section) -> str:
+    if section.label == "#":
+        return f"<h1>{section.title}</h1>{''.join(map(_html, section.blocks))}"
     title = f"<span>{section.label}</span> {section.title}" if section.label else section.title
     anchor = f" id='{section.anchor}'" if section.anchor else ""
     return f"<section{anchor}><h2>{title}</h2>{''.join(map(_html, section.blocks))}</section>"
@@ -95,7 +109,9 @@ def _html(block: Block) -> str:
         return f"<figure>{image}<figcaption><b>{block.label}.</b> {caption}</figcaption></figure>"
     if isinstance(block, Folded):
         return f"<details><summary>{block.summary}</summary>{''.join(map(_html, block.blocks))}</details>"
-    text = re.sub(r"\*(.+?)\*", r"<i>\1</i>", re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(block, quote=False)))
+    text = escape(block, quote=False)
+    for mark, tag in ((r"`(.+?)`", "code"), (r"\*\*(.+?)\*\*", "b"), (r"\*(.+?)\*", "i")):
+        text = re.sub(mark, rf"<{tag}>\1</{tag}>", text)
     if text.startswith("### "):
         return f"<h3>{text[4:]}</h3>"
     return f"<blockquote>{text[5:]}</blockquote>" if text.startswith("&gt; ") else f"<p>{text}</p>"

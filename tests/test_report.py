@@ -1,0 +1,47 @@
+"""Reports in HTML and in Markdown say the same, and all pictures take their colours from the live page."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ohmskin.bench import Figure, write_report
+from ohmskin.plot import colours
+
+SCRIPT = Path(colours.__file__).parents[1] / "view" / "static" / "colour.js"
+
+
+def test_the_benchmark_is_written_as_a_page_and_as_markdown(tmp_path: Path) -> None:
+    figure = Figure("time & space", 2.0, "s", most=1.0, low=1.5, high=2.5)
+    write_report({"machine": [figure]}, tmp_path, quick=True)
+    page = (tmp_path / "benchmarks.html").read_text(encoding="utf-8")
+    text = (tmp_path / "benchmarks.md").read_text(encoding="utf-8")
+    assert "<h1>Benchmarks</h1>" in page
+    assert "<td>time &amp; space</td>" in page
+    assert "chip no'>short" in page
+    assert "| time & space | 2 s | 1.5 to 2.5 | at most 1 | **short** |" in text
+    assert "0 targets met, 1 short, 0 not run; --quick" in page
+    assert "0 targets met, 1 short, 0 not run; --quick" in text
+
+
+@pytest.mark.parametrize(
+    ("theme", "sign", "stops"),
+    [
+        ("light", "positive", colours.POSITIVE),
+        ("light", "negative", colours.NEGATIVE),
+        ("dark", "positive", colours.DARK),
+    ],
+)
+def test_colours_are_those_of_the_page(theme: str, sign: str, stops: colours.Stops) -> None:
+    script = SCRIPT.read_text(encoding="utf-8")
+    (block,) = re.findall(rf"{sign}: \[(.*?)\n    \]", script[script.index(f"  {theme}: {{") :], re.DOTALL)[:1]
+    assert re.findall(r"\[(\S+), (\S+), (\S+)\]", block) == [tuple(f"{v:g}" for v in stop) for stop in stops]
+
+
+def test_more_is_always_darker_and_on_dark_ground_brighter() -> None:
+    weights = np.array([0.2126, 0.7152, 0.0722])  # luminance of linear sRGB
+    for shades, way in ((colours.AMOUNT, -1), (colours.GLOWING, 1)):
+        light = shades(np.linspace(0, 1, 256))[:, :3] ** 2.2 @ weights
+        assert (way * np.diff(light) > -1e-3).all()
+        assert way * (light[-1] - light[0]) > 0.5
