@@ -1,5 +1,5 @@
 # make live       set up and touch a virtual skin in the browser
-# make test       set up and run the everyday tests: all that a change can break, in some ten minutes on two cores
+# make test       set up and run the everyday tests: all that a change can break, in some minutes on two cores
 # make test-long  the tests that take long and are seldom broken
 # make test-all   both
 # make test-versions  the shortest tests with the lowest versions that pyproject.toml allows, and with the newest
