@@ -49,6 +49,7 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
     for words in commands(page.read_text(encoding="utf-8")):
         if words[0] not in ELSEWHERE:
             words += [] if "--headless" in words else BESIDE.get(words[0], [])
+            words += ["--name", "documentation"] if "--publish" in words else []  # "skin" may be another test's
             words = [word.replace("tcp://127.0.0.1:7155", device) for word in words]
             words = ["1" if before == "--seconds" else word for before, word in zip(["", *words], words, strict=False)]
             done = ohmskin(*words, cwd=folder)
