@@ -14,6 +14,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.bench import peers, pyeit_alone, sheets
 from ohmskin.bench.clock import Effort, Job, duration, in_turns, ratio, read, seconds_of
 from ohmskin.bench.figure import Figure
+from ohmskin.bench.fits import fitting
 from ohmskin.bench.frames import accuracy, changing, framing
 from ohmskin.bench.live import living
 from ohmskin.bench.tasks import apart
@@ -211,6 +212,7 @@ GROUPS: dict[str, Group] = {
     "pattern": changing,
     "solver": solving,
     "frame": framing,
+    "fits": fitting,
     "live": living,
     "touches": touching,
     "scale": scaling,

@@ -23,7 +23,7 @@ def bench(
     Args:
         quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
         output: Folder for benchmarks.html, the same as benchmarks.md, benchmarks.json and the plot.
-        only: Parts to measure: machine, setup, fields, pattern, solver, frame, live, touches, scale, electrodes,
+        only: Parts to measure: machine, setup, fields, pattern, solver, frame, fits, live, touches, scale, electrodes,
             accuracy, start.
     """
     check_plot()

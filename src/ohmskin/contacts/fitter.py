@@ -16,6 +16,7 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts.discs import DiscFitter, cost_of
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
+from ohmskin.contacts.misfit import paired
 from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
@@ -39,6 +40,8 @@ NEAR = 4.0  # radii, within which two contacts may be one
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _ANGLES = np.arange(4) * np.pi / 4
 _AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
+
+_Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes covered, what is left beside, contacts
 
 
 class ContactFitter(DiscFitter):
@@ -87,9 +90,9 @@ class ContactFitter(DiscFitter):
         self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        alone = in_series(range(table.n_elec), table.n_elec).T
-        # (2 n_elec, n_pairs): in series with each electrode, of contacts there
-        self._at_electrodes = np.concatenate([alone, table(table.electrodes).values])
+        alone = np.ascontiguousarray(in_series(range(table.n_elec), table.n_elec).T)
+        # (n_elec, n_pairs) each: in series with each electrode, of contacts there
+        self._at_electrodes = alone, table(table.electrodes).values.copy()
 
     @staticmethod
     def split_threshold(rate: float) -> float:
@@ -111,15 +114,16 @@ class ContactFitter(DiscFitter):
         return self.explained(*self.information(*scans))
 
     def explained(
-        self, told: Information, data: Information, bar: float | None = None, before: Floats | None = None
+        self, told: Information, data: Information, bar: float | None = None, before: Solution | None = None
     ) -> Solution:
         """The contacts that explain what is measured, given as `information` gives it; `bar` as for `split`.
 
-        Contacts that were there a moment `before` (n, 4) need not be looked for, where that makes no difference.
+        What was there a moment `before` need not be looked for, where that makes no difference.
         """
         told, data = everything = told.beside_common(), data.beside_common()
-        found = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant)
-        found, covered = self._still(told, data, before) or found, tuple[int, ...]()
+        found, covered = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant), tuple[int, ...]()
+        if before is not None and (still := self._still(everything, before)) is not None:
+            covered, told, data, found = still
         while len(found.params) < self.most:
             left = told.less(found.caused) if len(found.params) else told
             beside = left.beside(found.slopes) if len(found.params) else left
@@ -147,19 +151,20 @@ class ContactFitter(DiscFitter):
                 break
         return replace(found, covered=covered)
 
-    def _still(self, told: Information, data: Information, before: Floats | None) -> Solution | None:
-        """The contacts that were there `before` (n, 4) as they are now, if they would be found afresh, too.
+    def _still(self, everything: tuple[Information, Information], before: Solution) -> _Over | None:
+        """The contacts that were there `before` as they are now, if they would be found afresh, too.
 
         They are if each stands out by itself as one that is new must, none may be a part of another, and together they
         leave no more than is usual.
         """
-        if before is None or not 0 < len(before) <= self.most:
+        params = self.within(before.params)
+        away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
+        away[np.diag_indices(len(params))] = np.inf
+        if not 0 < len(params) <= self.most or away.min() < NEAR * self.table.radius:
             return None
-        away = np.linalg.norm(self.table.offsets(before[:, None, :2], before[:, :2]), axis=2)
-        if (away + np.diag(np.full(len(before), np.inf)) < NEAR * self.table.radius).any():
-            return None
-        found = self.refine(data, self.within(before))
-        if self.poor(told, found.cost):
+        told, data = (self._uncovered(one, before.covered) for one in everything)
+        found = self.refine(data, params)
+        if self.poor(told, found.cost) or not {*before.covered} <= {*self.covered(found.params)}:
             return None
         for k, covariance in enumerate(found.covariances):
             effect = found.params[k, 2]
@@ -168,7 +173,11 @@ class ContactFitter(DiscFitter):
             sure = height > self.bar + self.model_error * told.size(others)
             if not sure and found.cost + height**2 < _CLEAR * max(found.cost, self.bar**2):
                 return None
-        return found
+        return before.covered, told, data, found
+
+    def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
+        """Data of which nothing that the resistances of some electrodes do is taken to be known."""
+        return data.leaving_out(in_series(covered, self.table.n_elec)) if covered else data
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""
@@ -186,7 +195,7 @@ class ContactFitter(DiscFitter):
 
     def _over_an_electrode(
         self, everything: tuple[Information, Information], found: Solution, covered: tuple[int, ...], better: bool
-    ) -> tuple[tuple[int, ...], Information, Information, Solution] | None:
+    ) -> _Over | None:
         """The data explained by a contact that covers one electrode more, if that explains them significantly better.
 
         A contact changes the resistance of an electrode under it by less than its response, singular there, says; so
@@ -207,7 +216,7 @@ class ContactFitter(DiscFitter):
             looks += [(number, [found.params, found.params[:0]]) for number in self._likely(told, found, covered)]
         for number, replaced in looks:
             under = *covered, int(number)
-            told, data = (one.leaving_out(in_series(under, self.table.n_elec)) for one in everything)
+            told, data = (self._uncovered(one, under) for one in everything)
             for others in replaced if len(replaced[0]) else replaced[:1]:
                 rest = self.refine(data, others) if len(others) else nothing(len(found.caused))
                 score, power = self.scores(told.less(rest.caused).beside(rest.slopes))
@@ -224,13 +233,12 @@ class ContactFitter(DiscFitter):
         That is told by what the contact does beside the electrode's own resistance.
         """
         left = data.less(found.caused).told if len(found.params) else data.told
-        electrodes = self._at_electrodes
-        (alone, over), many = electrodes.reshape(2, -1, electrodes.shape[1]), electrodes.shape[1]
-        seen, through = left.seen(electrodes)[:, :many].reshape(2, -1, many)
-        own, mixed, vector = (seen * alone).sum(axis=1), (seen * over).sum(axis=1), left.vector[:-1]
+        alone, over = self._at_electrodes
+        own, power, mixed = paired(left.rows, left.lost, alone, over).T
         told = np.divide(mixed, own, np.zeros(len(own)), where=own > 1e-12 * np.max(own))  # of driven ones alone
+        vector = left.vector[:-1]
         score = over @ vector - told * (alone @ vector)
-        power = (through * over).sum(axis=1) - told * mixed
+        power = power - told * mixed
         height = self.heights(score, np.maximum(power, 1e-9 * np.max(power)))
         height[list(covered)] = -np.inf
         enough = height.max() > self.bar + self.model_error * data.size(found.caused)

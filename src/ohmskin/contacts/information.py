@@ -52,7 +52,7 @@ class Errors:
         """
         assert self.contacts is not None
         seen = data.white.seen(self.contacts.T)[:, :-1]
-        volts = self.contacts.T @ data.white.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
+        volts = self.contacts.T @ data.white_left.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
         return np.asarray(self.contacts @ np.linalg.solve(seen @ self.contacts + np.eye(len(seen)), volts))
 
 
@@ -62,13 +62,15 @@ class Information:
 
     Args:
         told: The misfit, errors of all kinds at their best.
-        white: The same if voltages erred by white noise alone.
+        white: The same if voltages erred by white noise alone, and nothing were known.
         count: Data.
+        known: (n_pairs + 1,) changes that are known; None: nothing is.
     """
 
     told: Misfit
     white: Misfit
     count: int
+    known: Floats | None = None
 
     @classmethod
     def of(cls, n_elec: int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
@@ -116,21 +118,29 @@ class Information:
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
         """What several say whose errors are their own."""
-        told, white = (_summed(each) for each in ([part.told for part in parts], [part.white for part in parts]))
+        told, white = (_summed(each) for each in ([part.told for part in parts], [part.white_left for part in parts]))
         return cls(told, white, sum(part.count for part in parts))
 
     @property
     def signal(self) -> float:
         """Root mean square of the data over their noise (1)."""
-        return sqrt(max(self.white.constant, 0.0) / self.count)
+        return sqrt(max(self.white_left.constant, 0.0) / self.count)
+
+    @property
+    def white_left(self) -> Misfit:
+        """What is left, if voltages erred by white noise alone."""
+        return self.white if self.known is None else self.white.less(self.known)
 
     def less(self, known: Floats) -> "Information":
         """What is left to say once changes (n_pairs or n,) are known to be a part of it."""
-        return Information(self.told.less(known), self.white.less(known), self.count)
+        known = np.ascontiguousarray(known)
+        together = np.zeros(len(self.told.vector)) if self.known is None else self.known.copy()
+        together[: len(known)] += known
+        return Information(self.told.less(known), self.white, self.count, together)
 
     def without(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        return Information(self.told.without(directions), self.white, self.count)
+        return Information(self.told.without(directions), self.white, self.count, self.known)
 
     def beside_common(self, variance: float = _COMMON**2) -> "Information":
         """What is said beside a common relative change of all resistances, of which the variance is known (1)."""
@@ -150,7 +160,7 @@ class Information:
 
     def drift(self) -> Floats:
         """Change (n_pairs,) of each two-terminal resistance that explains what is said; none where nothing is (ohm)."""
-        matrix, ridge = self.told.matrix[:-1, :-1], _RIDGE * np.trace(self.white.matrix[:-1, :-1]) / self.count
+        matrix, ridge = self.told.matrix[:-1, :-1], _RIDGE * self.white.trace / self.count
         return np.asarray(np.linalg.solve(matrix + ridge * np.eye(len(matrix)), self.told.vector[:-1]))
 
     def beside(self, directions: Floats) -> "Information":
@@ -160,7 +170,7 @@ class Information:
     def leaving_out(self, directions: Floats) -> "Information":
         """What is said if changes (n_pairs or n, k) count for nothing, not in the size of others either."""
         unknown = self._unknown(directions)
-        return Information(self.told.without(unknown), self.white.without(unknown), self.count)
+        return Information(self.told.without(unknown), self.white.without(unknown), self.count, self.known)
 
     def _unknown(self, directions: Floats) -> Floats:
         """Changes (n_pairs or n, k) as large as they are where nothing is known of them."""
@@ -171,7 +181,7 @@ class Information:
         """The same with all errors larger: `share` of what is known."""
         told, rows = self.told, fainter(self.told.rows, share)
         less = Misfit(rows, share * told.vector, share * told.constant, sqrt(share) * told.lost, told.errors)
-        return Information(less, self.white, self.count)
+        return Information(less, self.white, self.count, self.known)
 
     def size(self, changes: Floats) -> float:
         """How large changes (n_pairs or n,) are in the data, in standard deviations of white noise."""

@@ -171,6 +171,34 @@ def powers(rows: Rows, changes: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
+def gram(rows: Rows, pairs: int) -> Floats:
+    """Products (n_pairs + 1, n_pairs + 1) of the columns of data beside errors of currents, the common change last."""
+    columns, sizes, loading, quiet, starts, weights = rows
+    whole, inner = np.zeros((pairs + 2, pairs + 2)), np.zeros(pairs + 2)  # that before the last is of no pair
+    at, value = np.empty(6, np.int64), np.zeros(6)
+    for k in range(len(weights)):
+        inner[:] = 0.0
+        for m in range(starts[k], starts[k + 1]):
+            for t in range(6):
+                at[t] = columns[m, t] if t < 5 else pairs + 1
+                value[t] = sizes[m] * (1.0 if t < 2 else -1.0)
+            value[4], value[5] = -loading[m] if len(loading) else 0.0, quiet[m]
+            for t in range(6):
+                inner[at[t]] += quiet[m] * value[t]
+                for u in range(6):
+                    whole[at[t], at[u]] += value[t] * value[u]
+        for p in range(pairs + 2):
+            if inner[p] != 0.0:
+                add(-weights[k] * inner[p], inner, whole[p])
+    out = np.empty((pairs + 1, pairs + 1))
+    for p in range(pairs + 1):
+        row = whole[p if p < pairs else pairs + 1]
+        for q in range(pairs + 1):
+            out[p, q] = row[q if q < pairs else pairs + 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
 def beside_errors(
     rows: Rows, data: Floats, contacts: Floats, gain: float, variance: float
 ) -> tuple[Rows, Floats, Floats, float]:

@@ -59,8 +59,15 @@ class Misfit:
     @cached_property
     def matrix(self) -> Floats:
         """(n, n) its curvature, halved."""
-        matrix = self.seen(np.eye(len(self.vector)))
-        return (matrix + matrix.T) / 2
+        whole = measured.gram(self.rows, len(self.vector) - 1)
+        return np.asarray(whole - self.lost.T @ self.lost)
+
+    @property
+    def trace(self) -> float:
+        """What single resistances do to the data, all together, whatever is lost: the sum of its squares."""
+        columns, sizes, loading, *_ = self.rows
+        terms = (columns[:, :4] < len(self.vector) - 1).sum(axis=1)
+        return float(terms @ sizes**2 + loading @ loading)
 
     @property
     def sums(self) -> Sums:
@@ -69,9 +76,8 @@ class Misfit:
 
     def less(self, known: Floats) -> "Misfit":
         """What is left once changes (n_pairs or n,) are known."""
-        many, seen = len(known), self.seen(known[None])[0]
-        constant = self.constant - float(known @ (2 * self.vector[:many] - seen[:many]))
-        return Misfit(self.rows, self.vector - seen, constant, self.lost, self.errors, self.powers)
+        vector, constant = _less(self.rows, self.lost, self.vector, self.constant, known)
+        return Misfit(self.rows, vector, constant, self.lost, self.errors, self.powers)
 
     def without(self, directions: Floats) -> "Misfit":
         """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
@@ -96,12 +102,12 @@ class Misfit:
         """
         if id(changes) not in self.powers:
             whole = measured.powers(self.rows, changes)
-            self.powers[id(changes)] = _less(whole, self.lost[: self.errors], changes), _ROUNDED * whole.max()
+            self.powers[id(changes)] = _less_lost(whole, self.lost[: self.errors], changes), _ROUNDED * whole.max()
         known, least = self.powers[id(changes)]
-        return np.maximum(_less(known, self.lost[self.errors :], changes), least)
+        return np.maximum(_less_lost(known, self.lost[self.errors :], changes), least)
 
 
-def _less(power: Floats, lost: Floats, changes: Floats) -> Floats:
+def _less_lost(power: Floats, lost: Floats, changes: Floats) -> Floats:
     """Powers of changes (n, m) beside rows (k, n) that are lost."""
     return np.asarray(power - ((lost @ changes) ** 2).sum(axis=0)) if len(lost) else power
 
@@ -124,6 +130,17 @@ def seen(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _less(rows: Rows, lost: Floats, vector: Floats, constant: float, known: Floats) -> tuple[Floats, float]:
+    """Vector (n,) and constant of what is left once a change (n_pairs or n,) is known."""
+    left = np.empty((1, len(vector)))
+    seen(rows, lost, known.reshape((1, len(known))), left)
+    constant += measured.dot(left[0], known) - 2 * measured.dot(vector, known)
+    for k in range(len(vector)):
+        left[0, k] = vector[k] - left[0, k]
+    return left[0], constant
+
+
+@njit(cache=True, nogil=True)
 def products(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
     """What changes (m, n_pairs or n) have in common in the data, into `out` (m, m)."""
     pairs, many, injections = lost.shape[1] - 1, len(rows[3]), len(rows[5])
@@ -137,6 +154,18 @@ def products(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
             less[k, injections + i] = measured.dot(lost[i], changes[k])
         for i in range(k + 1):
             out[i, k] = out[k, i] = measured.dot(data[i], data[k]) - measured.dot(less[i], less[k])
+
+
+@njit(cache=True, nogil=True)
+def paired(rows: Rows, lost: Floats, ones: Floats, others: Floats) -> Floats:
+    """Squares and product (m, 3) in the data of changes (m, n_pairs or n) and another (m, n_pairs or n) for each."""
+    out, both, common = np.empty((len(ones), 3)), np.empty((2, ones.shape[1])), np.empty((2, 2))
+    for k in range(len(ones)):
+        measured.copy(ones[k], both[0])
+        measured.copy(others[k], both[1])
+        products(rows, lost, both, common)
+        out[k, 0], out[k, 1], out[k, 2] = common[0, 0], common[1, 1], common[0, 1]
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -1,14 +1,15 @@
 """The untouched skin: reference data and noise, learned from quiet frames."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from math import sqrt
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats, Ints, Remembered, real
+from ohmskin.arrays import Floats, Ints, Remembered, changed, real
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Frame
 from ohmskin.scan.pairs import pair_index, pair_numbers
@@ -65,14 +66,14 @@ class Difference:
 
     def caused_by(self, changes: Floats) -> Floats:
         """What changes (n_pairs,) of the two-terminal resistances (ohm) cause of it (n_meas,) (V)."""
-        pairs = np.append(changes, 0.0)[pair_numbers(round((1 + np.sqrt(1 + 8 * len(changes))) / 2))]
-        a, b, c, d = self.pattern.quadruples.T
-        own = 0.0 if self.source_loading is None else self.source_loading * pairs[a, b]
-        return np.asarray(self.currents * (0.5 * (pairs[a, d] + pairs[b, c] - pairs[a, c] - pairs[b, d]) - own))
+        n_elec = round((1 + sqrt(1 + 8 * len(changes))) / 2)
+        ad, bc, ac, bd, ab = np.append(changes, 0.0)[terms_of(self.pattern, n_elec)]
+        own = 0.0 if self.source_loading is None else self.source_loading * ab
+        return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
     def less(self, changes: Floats) -> "Difference":
         """What is left of it once changes (n_pairs,) of the two-terminal resistances (ohm) are known to be a part."""
-        return replace(self, volts=self.volts - self.caused_by(changes))
+        return changed(self, volts=self.volts - self.caused_by(changes))
 
     def times(self, shares: Floats | float) -> "Difference":
         """The same data with voltage and current of each measurement, one value or (n_meas,), times a share (1).
@@ -80,7 +81,7 @@ class Difference:
         Estimators' noise is then that of these: a measurement whose share is smaller counts less.
         """
         reference = None if self.reference is None else self.reference * shares
-        return replace(self, currents=self.currents * shares, volts=self.volts * shares, reference=reference)
+        return changed(self, currents=self.currents * shares, volts=self.volts * shares, reference=reference)
 
     def weighted(self, noise: ArrayLike) -> "Difference":
         """In units of the noise of each measurement, one value or (n_meas,) (V): give estimators a noise of 1.
@@ -208,6 +209,15 @@ class Baseline:
         reference = currents * self.reference(frame.pattern)
         volts = frame.voltages - reference
         return Difference(frame.pattern, currents, np.where(np.isfinite(volts), volts, np.nan), reference=reference)
+
+
+@lru_cache(maxsize=1024)
+def terms_of(pattern: DrivePattern, n_elec: int) -> Ints:
+    """The numbers (5, n_meas) of the two-terminal resistances F_ad, F_bc, F_ac, F_bd and F_ab of each measurement; of
+    no pair n_pairs."""
+    a, b, c, d = pattern.quadruples.T
+    numbers: Ints = pair_numbers(n_elec)[np.array([a, b, a, b, a]), np.array([d, c, c, d, b])]
+    return numbers
 
 
 def _reciprocity_error(frame: Frame) -> float:

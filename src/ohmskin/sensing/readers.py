@@ -25,7 +25,8 @@ _FOLLOWED = (
     2.0  # s in which a change of contact impedances, or of anything that no contact explains, is followed to 1/e
 )
 _USUAL, _STRANGE = 0.1, 0.5  # share of a frame's change that is left unexplained: of real skins, and of other data
-_LEARNED = 0.1  # s between frames that tell of the latter, and in which contacts are looked for afresh
+_LEARNED = 0.1  # s between frames that tell of the latter
+_AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
 _DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
 _SURE, _LITTLE = (
     2.0,
@@ -49,6 +50,8 @@ class Belief:
         unexplained: Share of what the data say that the contacts do not explain.
         novel: How long contacts have been told by physics because data are unlike those that the reader learned
             from (s).
+        solution: What was fitted to the frame, if contacts are.
+        searched: How long ago contacts were looked for afresh (s).
     """
 
     estimate: Estimate
@@ -60,6 +63,8 @@ class Belief:
     suspects: tuple[int, ...] = ()
     unexplained: float = 0.0
     novel: float = 0.0
+    solution: Solution | None = field(default=None, repr=False)
+    searched: float = 0.0
 
     @property
     def image(self) -> Image:
@@ -100,11 +105,6 @@ class Reader(Protocol):
             DataError: If no finite datum is left.
         """
         ...
-
-
-def params_of(contacts: Sequence[Contact]) -> Floats:
-    """Parameters (n, 4) of contacts that were fitted: x, y (m), effect (m2), squared radius (m2)."""
-    return np.array([(*one.position, one.strength, one.extent / np.pi) for one in contacts]).reshape(-1, 4)
 
 
 def undriven(scans: Sequence[Difference]) -> list[Difference]:
@@ -172,9 +172,9 @@ class FitReader:
             new, recent = ([less[id(scan)] for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
-        unlearned = before.unlearned + elapsed
-        afresh = unlearned >= _LEARNED  # now and then, lest a wrong place be kept
-        solution = self.fitter.explained(told, wary, before=None if afresh else params_of(before.detections))
+        unlearned, searched = before.unlearned + elapsed, before.searched + elapsed
+        known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
+        solution = self.fitter.explained(told, wary, before=known)
         if solution.covered:
             told = told.leaving_out(in_series(solution.covered, self.fitter.table.n_elec))
         unexplained = told.unexplained(solution.caused)
@@ -184,11 +184,12 @@ class FitReader:
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
             drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
-        if afresh:
+        if unlearned >= _LEARNED:
             learned = -np.expm1(-unlearned / _FOLLOWED) * self._drift(told, solution)
             drift, unlearned = learned if drift is None else drift + learned, 0.0
         tracks, contacts = self.tracker.update(before.tracks, found)
-        return Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
+        belief = Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
+        return replace(belief, solution=solution, searched=searched)
 
     @staticmethod
     def _drifted(told: Information, solution: Solution) -> bool:

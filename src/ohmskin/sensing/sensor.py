@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions, on_skin
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution, find_regions, on_skin
 from ohmskin.drive import Drive, Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
@@ -19,7 +19,7 @@ from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import placed, placement_of
-from ohmskin.sensing.readers import Belief, Reader, params_of, undriven
+from ohmskin.sensing.readers import Belief, Reader, undriven
 from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
@@ -146,15 +146,15 @@ class Locator:
         """The image of scans."""
         return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
 
-    def targets(self, scans: Sequence[Difference], look: Estimate, before: Sequence[Contact] = ()) -> list[Target]:
+    def targets(self, scans: Sequence[Difference], look: Estimate, before: Solution | None = None) -> list[Target]:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
 
-        Those that the last frame showed are seen more quickly.
+        Those that were fitted to the last frame are seen more quickly.
         """
         if self.fitter is None:
             return self._regions(look.image)
         told, wary = self.fitter.information(*scans)
-        found = targets_of(self.fitter.contacts(self.fitter.explained(told, wary, before=params_of(before))))
+        found = targets_of(self.fitter.contacts(self.fitter.explained(told, wary, before=before)))
         if found:
             return found
         height = self.fitter.heights(*self.fitter.scores(told))
@@ -326,7 +326,7 @@ class Sensor:
                     _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
                 if _any_known(sound):
                     look = self.locator.look(sound)
-                    targets = self.locator.targets(sound, look, state.belief.detections)
+                    targets = self.locator.targets(sound, look, state.belief.solution)
         return Measured(tuple(frames), tuple(scans), look)
 
 

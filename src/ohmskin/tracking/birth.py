@@ -1,12 +1,11 @@
 """Births: new contacts, where one more explains what is left of the last frames significantly better."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
@@ -31,7 +30,7 @@ def scored(residuals: Residuals, fitter: ContactFitter) -> Residuals:
     score, power = fitter.scores(residuals.unforeseen)
     if residuals.told_by is not None:
         score, power = np.zeros_like(score), _NOTHING * power
-    return replace(residuals, score=score, power=power)
+    return changed(residuals, score=score, power=power)
 
 
 def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: float, speed: float) -> TrackState:
@@ -51,16 +50,16 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         if (told := _told_by_one(state, fitter, found, used)) is not None:
             suspect, frame = told
             history = [*state.history]
-            history[frame] = scored(replace(history[frame], told_by=suspect), fitter)
+            history[frame] = scored(changed(history[frame], told_by=suspect), fitter)
             blamed = [residuals.told_by for residuals in history].count(suspect) >= _BLAMED
-            state = replace(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
+            state = changed(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
             continue
         covariance = found.covariance
         moved = speed * (state.time - used[-1].time) / 2
         covariance[[0, 1], [0, 1]] += moved**2
         state = state.with_contact(found.params[0], covariance, speed)
         variance = state.common_drift[1]
-        state = replace(
+        state = changed(
             state, history=tuple(_reviewed(residuals, fitter, found.params, variance) for residuals in state.history)
         )
     return state
@@ -116,7 +115,7 @@ def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, varia
     """The residuals after one contact more (1, 4) has been found in them, given the variance of the common change."""
     caused, slopes = fitter.responses(params)
     innovation = residuals.innovation.less(caused).beside(slopes)
-    reviewed = replace(
+    reviewed = changed(
         residuals,
         innovation=innovation,
         residual=residuals.residual.less(caused),

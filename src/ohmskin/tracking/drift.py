@@ -1,9 +1,8 @@
 """Drift: what changes beside contacts, all resistances together (temperature) or pairs one by one."""
 
-from dataclasses import replace
-
 import numpy as np
 
+from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
@@ -21,7 +20,7 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
     volts = difference.volts - difference.caused_by(state.drift)
     if difference.reference is not None:
         volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
-    corrected = replace(difference, volts=volts)
+    corrected = changed(difference, volts=volts)
     data, wary = fitter.information(corrected)
     if state.covered:
         data, wary = (each.leaving_out(in_series(state.covered, fitter.table.n_elec)) for each in (data, wary))
@@ -40,9 +39,9 @@ def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:
     variance = 1 / (1 / state.common_drift[1] + share * curvature)
     rise = variance * share * float(told.vector[-1])
     change[-1] = rise
-    newest = replace(newest, residual=newest.residual.less(change))
+    newest = changed(newest, residual=newest.residual.less(change))
     common_drift = (state.common_drift[0] + rise, variance)
-    return replace(state, common_drift=common_drift, history=(newest, *state.history[1:]))
+    return changed(state, common_drift=common_drift, history=(newest, *state.history[1:]))
 
 
 def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
@@ -54,7 +53,7 @@ def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: f
     ):  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
         left = left.beside(fitter.responses(state.params)[1])
         share /= 1 + fitter.model_error**2 * newest.energy / left.count
-    return replace(state, drift=state.drift + share * left.drift())
+    return changed(state, drift=state.drift + share * left.drift())
 
 
 def _time(state: TrackState, motion: Motion) -> float:

@@ -6,11 +6,9 @@ before). What the contacts do not explain is kept for a dozen frames and searche
 is learned as drift. The rules are told in docs/guide/tracking.md.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
@@ -56,7 +54,7 @@ class ContactFilter:
         """The state with nothing on the skin; what is known of its drift is kept."""
         common_drift = state.common_drift[0], _WARM**2
         start = self.start()
-        return replace(start, common_drift=common_drift, drift=state.drift, echo=state.echo, next_id=state.next_id)
+        return changed(start, common_drift=common_drift, drift=state.drift, echo=state.echo, next_id=state.next_id)
 
     def update(self, state: TrackState, difference: Difference, elapsed: float) -> TrackState:
         """What is believed after one frame more.
@@ -76,7 +74,7 @@ class ContactFilter:
         fitter, motion = self.fitter, self.motion
         before = moved(state, fitter, motion, elapsed)
         under = set(fitter.covered(before.params[before.pressing]))
-        before = replace(before, suspects=(), covered=tuple(e for e in state.covered if e in under))
+        before = changed(before, suspects=(), covered=tuple(e for e in state.covered if e in under))
         reading = without_drift(before, fitter, difference)
         state, seen = self._corrected(before, reading)
         state = self._remembered(before, state, reading, seen, elapsed)
@@ -87,7 +85,7 @@ class ContactFilter:
         if state.turn % _LEARN_EVERY == 0 and state.history:
             state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
         unexplained = reading.data.unexplained(fitter.responses(state.params)[0]) if state.pressing else 0.0
-        return replace(state, contacts=self._contacts(state), unexplained=unexplained)
+        return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
         """The state after a frame, its contacts being those that it holds, and how they explain it."""
@@ -95,12 +93,13 @@ class ContactFilter:
         if not state.tracks:
             return state, nothing(len(state.drift))
         before = state.covariance[np.ix_(measured, measured)]
-        seen = self.fitter.refine(reading.wary, state.params, state.params.ravel(), inverse(before), rounds=3)
-        gain = np.linalg.solve(before, state.covariance[measured]).T
+        known = inverse(before)
+        seen = self.fitter.refine(reading.wary, state.params, state.params.ravel(), known, rounds=3)
+        gain = state.covariance[:, measured] @ known
         mean = state.mean + (gain @ (seen.params - state.params).ravel()).reshape(state.mean.shape)
         mean[:, :PER_CONTACT] = seen.params
         covariance = state.covariance - gain @ (before - inverse(seen.normal)) @ gain.T
-        return replace(state, mean=mean, covariance=(covariance + covariance.T) / 2), seen
+        return changed(state, mean=mean, covariance=(covariance + covariance.T) / 2), seen
 
     def _remembered(
         self, before: TrackState, after: TrackState, reading: Reading, seen: Solution, elapsed: float
@@ -115,7 +114,7 @@ class ContactFilter:
         residual = reading.data.less(seen.caused)
         newest = Residuals(reading, innovation, residual, energy, effects, after.time, unforeseen)
         history = (scored(newest, self.fitter), *after.history[: LONGEST - 1])
-        return replace(after, history=history, echo=energy, turn=after.turn + 1)
+        return changed(after, history=history, echo=energy, turn=after.turn + 1)
 
     def _common(self, elapsed: float) -> float:
         """Share of the noise's variance that all frames share: of the reference and its learned drift."""
@@ -127,7 +126,7 @@ class ContactFilter:
         for k in state.pressing:
             contact = self.fitter.contact(state.params[k], state.covariance_of(k))
             velocity = float(state.mean[k, 4]), float(state.mean[k, 5])
-            found.append(replace(contact, id=state.tracks[k].id, velocity=velocity))
+            found.append(changed(contact, id=state.tracks[k].id, velocity=velocity))
         return tuple(sorted(found, key=lambda contact: -abs(contact.strength)))
 
 

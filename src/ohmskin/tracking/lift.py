@@ -1,9 +1,8 @@
 """Lifts: which contacts are lifted, which are there again, and what becomes of what is left of them."""
 
-from dataclasses import replace
-
 import numpy as np
 
+from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import FAINT, NEAR, ContactFitter
 from ohmskin.tracking.state import STATE, Track, TrackState
 
@@ -27,21 +26,21 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
     for k, one in enumerate(state.tracks):
         effect, std = state.effect(k)
         if not one.lifted:
-            one = replace(one, peak=max(one.peak, effect))
+            one = changed(one, peak=max(one.peak, effect))
             if _faint(effect, std, one):
-                one = replace(one, lifted=max(elapsed, 1e-9))
+                one = changed(one, lifted=max(elapsed, 1e-9))
                 mean[k, 4:] = 0.0
         elif effect > max(_AGAIN * one.peak, bar * std):
             one = Track(next_id, effect, state.time)
             next_id += 1
         else:
-            one = replace(one, lifted=one.lifted + elapsed)
+            one = changed(one, lifted=one.lifted + elapsed)
             if effect > FAINT * std:
                 response = fitter.table(mean[k, None, :2], np.sqrt(mean[k, 3])).values[0]
                 drift = drift + share * mean[k, 2] * response
                 mean[k, 2] *= 1 - share
         tracks.append(one)
-    state = replace(state, tracks=tuple(tracks), mean=mean, drift=drift, next_id=next_id)
+    state = changed(state, tracks=tuple(tracks), mean=mean, drift=drift, next_id=next_id)
     return state.without([k for k, one in enumerate(tracks) if one.lifted > _SETTLED * settling])
 
 
@@ -62,8 +61,8 @@ def _without_double(state: TrackState, fitter: ContactFitter) -> TrackState:
             tracks = list(state.tracks)
             if not one.lifted:
                 heir = min(beside, key=lambda j: float(apart[k, j]))
-                tracks[heir] = replace(tracks[heir], id=min(one.id, tracks[heir].id))
-            return _known_gone(replace(state, tracks=tuple(tracks)), fitter, k)
+                tracks[heir] = changed(tracks[heir], id=min(one.id, tracks[heir].id))
+            return _known_gone(changed(state, tracks=tuple(tracks)), fitter, k)
     return state
 
 
@@ -73,4 +72,4 @@ def _known_gone(state: TrackState, fitter: ContactFitter, k: int) -> TrackState:
     gain = state.covariance[:, at] / state.covariance[at, at]
     mean = fitter.within(state.mean - (gain * state.mean[k, 2]).reshape(state.mean.shape))
     covariance = state.covariance - np.outer(gain, state.covariance[at])
-    return replace(state, mean=mean, covariance=covariance).without([k])
+    return changed(state, mean=mean, covariance=covariance).without([k])

@@ -1,9 +1,10 @@
 """Motion: how contacts and the skin may change, and what is believed some time later with nothing measured since."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.kernels import SQUARE_STD
 from ohmskin.inverse.modes import check_positive
@@ -44,7 +45,7 @@ def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: flo
     """The state some time later (s): contacts go on, ever more slowly, and are known less and less well."""
     n, square = len(state.tracks), fitter.table.radius**2
     common_drift = (state.common_drift[0], state.common_drift[1] + motion.warming**2 * elapsed)
-    state = replace(state, common_drift=common_drift, time=state.time + elapsed)
+    state = changed(state, common_drift=common_drift, time=state.time + elapsed)
     if not n:
         return state
     kept, sized = np.exp(-elapsed / motion.memory), np.exp(-elapsed / motion.widening)
@@ -61,4 +62,4 @@ def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: flo
     steps = np.zeros((n, STATE, n, STATE))
     steps[np.arange(n), :, np.arange(n)] = one
     step = steps.reshape(n * STATE, n * STATE)
-    return replace(state, mean=mean, covariance=step @ state.covariance @ step.T + np.diag(added.ravel()))
+    return changed(state, mean=mean, covariance=step @ state.covariance @ step.T + np.diag(added.ravel()))

@@ -1,12 +1,12 @@
 """Revisions: a contact is moved elsewhere, two are taken for one, or one for two, where the last frames say so."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 
+from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import NEAR, ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import PER_CONTACT
@@ -78,7 +78,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     for n, (params, covariance) in enumerate(zip(there.params, there.covariances, strict=True)):
         name = state.tracks[pressing[named[n]]].id if n in named else None
         after = after.with_contact(params, covariance, speed, name)
-    return replace(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})))
+    return changed(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})))
 
 
 def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
@@ -92,7 +92,7 @@ def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> T
     mean[k, :PER_CONTACT], mean[k, PER_CONTACT:] = there.params[0], 0.0
     covariance[at], covariance[:, at] = 0.0, 0.0
     covariance[at, at] = block_diag(there.covariance, speed**2 * np.eye(2))
-    return replace(state, mean=mean, covariance=covariance, history=())
+    return changed(state, mean=mean, covariance=covariance, history=())
 
 
 def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k: int) -> TrackState:
@@ -104,7 +104,7 @@ def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k
     closer, farther = np.argsort(np.linalg.norm(fitter.table.offsets(two.params[:, :2], state.mean[k, :2]), axis=1))
     rest, covariances = state.without([k]), two.covariances
     kept = rest.with_contact(two.params[closer], covariances[closer], speed, state.tracks[k].id)
-    return replace(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
+    return changed(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
 
 
 def _merged(
@@ -121,7 +121,7 @@ def _merged(
     if fitter.several(told, one, two, bar + error, _HYSTERESIS):
         return None
     kept = min(state.tracks[k].id for k in both)
-    return replace(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
+    return changed(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
 def _resting(

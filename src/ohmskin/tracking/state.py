@@ -1,11 +1,11 @@
 """Track state: what is believed to touch the skin, from one frame to the next."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.solution import PER_CONTACT, effect_std
 from ohmskin.scan import Difference
@@ -117,7 +117,7 @@ class TrackState:
         track = Track(self.next_id if name is None else name, abs(float(params[2])), self.time)
         mean = np.vstack([self.mean, [*params, 0.0, 0.0]])
         next_id = self.next_id + (name is None)
-        return replace(self, tracks=(*self.tracks, track), mean=mean, covariance=whole, next_id=next_id)
+        return changed(self, tracks=(*self.tracks, track), mean=mean, covariance=whole, next_id=next_id)
 
     def without(self, gone: Sequence[int]) -> "TrackState":
         """The state without some of its contacts."""
@@ -126,4 +126,4 @@ class TrackState:
         kept = np.array([k for k in range(len(self.tracks)) if k not in gone], int)
         state = (kept[:, None] * STATE + np.arange(STATE)).ravel()
         tracks = tuple(self.tracks[k] for k in kept)
-        return replace(self, tracks=tracks, mean=self.mean[kept], covariance=self.covariance[np.ix_(state, state)])
+        return changed(self, tracks=tracks, mean=self.mean[kept], covariance=self.covariance[np.ix_(state, state)])
