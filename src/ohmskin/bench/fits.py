@@ -1,6 +1,7 @@
 """What fits and tracking cost: frames of the paper's virtual skin, read again and again; and their arithmetic."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -35,8 +36,8 @@ def fitting(effort: Effort) -> Iterator[Figure]:
 
         jobs[f"read {count}"] = read
         if count == 1:
-            jobs["afresh"] = lambda scans=scans: known.fitter.fit(*scans)  # type: ignore[misc]
-            jobs["test"] = lambda told=told, wary=wary, found=found: known.fitter.split(told, wary, found, 0)  # type: ignore[misc]
+            jobs["afresh"] = partial(known.fitter.fit, *scans)
+            jobs["test"] = partial(known.fitter.split, told, wary, found, 0)
     for count in (1, 3):
         jobs[f"track {count}"] = _tracked(tracking, device, count)
     spent = in_turns(jobs, 3 * effort.seconds, least=5)
