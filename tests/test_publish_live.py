@@ -153,7 +153,7 @@ def test_diagnostics_tell_how_the_loop_is(published: dict[str, Any], store: Any)
 
 
 def test_attachments_count_stamp_and_name_the_sender(published: dict[str, Any]) -> None:
-    senders = set()
+    senders, steps = set(), list[int]()
     for key, messages in list(published["ears"].heard.items()):
         numbers = []
         for data, attachment, _ in messages:
@@ -163,10 +163,10 @@ def test_attachments_count_stamp_and_name_the_sender(published: dict[str, Any]) 
                 assert stamp == stamped(data)
             numbers.append(number)
         senders.add(sender)
-        steps = np.diff(numbers)  # more than 1 where this busy process did not read in time: such messages are dropped
-        assert (steps >= 1).all()
-        assert np.mean(steps == 1) > 0.5
+        steps += np.diff(numbers).tolist()
     assert len(senders) == len(PUBLISHED)
+    assert min(steps) >= 1  # more than 1 where this busy process did not read in time: such messages are dropped
+    assert np.mean(np.array(steps) == 1) > 0.5
 
 
 def test_liveliness_tokens_tell_nodes_what_there_is(published: dict[str, Any], store: Any) -> None:
