@@ -117,7 +117,7 @@ LONG = {
     "test_firmware.py::test_ten_seconds_of_fuzzing": "requests by hypothesis",
     "test_firmware_loop.py::test_a_late_sample": "a bad line in the same emulator",
     "test_firmware_loop.py::test_a_session_finds": "frames of the same board in the same emulator",
-    "test_foam.py::test_forces_are_followed*[[]3": "the same of one finger",
+    "test_foam.py::test_forces_are_followed": "forces that change in test_forces.py, and what foam adds in this file",
     "test_fuzzing.py::test_a_minute": "some mutations of each kind",
     "test_guides.py::test_a_drive_an_estimator": "modes of a skin's own, and what others register, in test_sensing.py",
     "test_guides.py::test_example_runs*[[]curved": "curved skins in test_curved.py, and the text of all",
