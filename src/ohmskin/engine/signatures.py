@@ -58,6 +58,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         ),
     ),
     ("contacts.measured:beside_errors", (_T2, _FLOAT64_1, _FLOAT64_2, _FLOAT64, _FLOAT64)),
+    ("contacts.measured:gram", (_T2, _INT64)),
     (
         "contacts.measured:measured",
         (
@@ -76,8 +77,9 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         ),
     ),
     ("contacts.measured:powers", (_T2, _FLOAT64_2_F)),
+    ("contacts.misfit:_less", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:_taken_off", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
-    ("contacts.misfit:seen", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
+    ("contacts.misfit:paired", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
     ("contacts.misfit:sizes", (_T2, _FLOAT64_2, _FLOAT64_2)),
     ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),
     ("contacts.solution:inverse", (_FLOAT64_2,)),
