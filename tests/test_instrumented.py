@@ -76,7 +76,8 @@ def test_a_force_sensor_of_ros_is_heard(place: str, monkeypatch: pytest.MonkeyPa
 
         def heard() -> bool:
             sender.send(topic, time.time_ns(), wrench)
-            sender.send(topic, time.time_ns(), wrench[:20])  # cut short
+            if place == "zenoh":  # DDS sends nothing that is no message of its type
+                sender.send(topic, time.time_ns(), wrench[:20])  # cut short
             return cell.force == 5.0
 
         until(heard)

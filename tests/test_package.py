@@ -85,6 +85,7 @@ def test_without_matplotlib_pictures_say_what_to_install_before_anything_is_done
         "reproduce --quick",
         "bench --quick",
     )
+    (tmp_path / "a.mcap").touch()
     code = "import sys; sys.modules['matplotlib'] = None; from command_line import ohmskin\n"  # as if it were not there
     code += (
         "for told in map(str.split, sys.argv[1:]): done = ohmskin(*told); print(done.returncode, done.stderr, end='')"
@@ -94,7 +95,7 @@ def test_without_matplotlib_pictures_say_what_to_install_before_anything_is_done
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment, timeout=300)
     told = "2 ohmskin: pictures need Matplotlib; install it: pip install 'ohmskin[plot]'"
     assert ran.stdout.splitlines() == [told] * len(commands), ran.stderr
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
 # --- what is built ----------------------------------------------------------------------------------------------------

@@ -377,7 +377,7 @@ def test_pictures_and_films(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["replay", "nosuch.mcap"], "cannot read recording nosuch.mcap"),
+        (["replay", "nosuch.mcap"], "there is no file nosuch.mcap"),
         (["replay", "press.mcap", "--speed", "0"], "--speed is 0"),
         (["replay", "press.mcap", "--start", "1e6"], "the recording has 0 to"),
         (["replay", "press.mcap", "--mode", "16I", "--headless"], "mode '16I' was not recorded; choose from 12B, 16O"),

@@ -110,7 +110,7 @@ def test_a_run_writes_what_it_measured(tmp_path) -> None:  # type: ignore[no-unt
         "stages": [dict.fromkeys(("check mesh", "fields", "pixels", "modes"), s) for s in (1e-3, 1e-2, 1e-1)],
     })]  # fmt: skip
     paths = write_report(found, tmp_path / "out", quick=True)
-    assert {path.name for path in paths} == {"benchmarks.json", "benchmarks.md", "scale.png"}
+    assert {path.name for path in paths} == {"benchmarks.json", "benchmarks.md", "benchmarks.html", "scale.png"}
     page = (tmp_path / "out" / "benchmarks.md").read_text()
     assert "2 targets met, 0 short" in page
     assert "| growth | 1.1 power of n |" in page

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Any
+from weakref import WeakValueDictionary
 from xml.sax.saxutils import quoteattr
 
 from cyclonedds.core import DDSException, Listener
@@ -32,6 +33,7 @@ log = logging.getLogger(__name__)
 
 _AT_ONCE = 100  # messages
 _INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,32}")
+_DOMAINS: WeakValueDictionary[tuple[int, str], Domain] = WeakValueDictionary()
 
 
 class DdsOutlet:
@@ -103,7 +105,9 @@ def _joined(place: str) -> tuple[str, Domain, DomainParticipant]:
     """The address of an interface, and our part in its domain."""
     interface = place or "lo"
     try:
-        here = Domain(domain(), domain_config(interface))
+        here = _DOMAINS.get((domain(), interface))
+        if here is None:  # a process may configure a domain once
+            here = _DOMAINS[domain(), interface] = Domain(domain(), domain_config(interface))
         participant = DomainParticipant(domain())
         _stay_on(interface)
     except DDSException as error:
