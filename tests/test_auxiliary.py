@@ -168,29 +168,32 @@ def felt(engine: Engine, *presses: Press) -> list[float]:
     return found
 
 
-def test_single_contacts_are_within_a_tenth_and_each_of_three_within_a_fifth(engine: Engine) -> None:
-    """Found, of 24 single presses and 20 times three, 1 to 30 N: 0.5 to 0.8 % and 10 to 11 % in the median."""
+def some_press(random: np.random.Generator) -> Press:
+    """A press of 1 to 30 N somewhere."""
+    x, y = random.uniform(0.02, 0.18, 2)
+    radius = random.uniform(6e-3, 11e-3)
+    force = np.exp(random.uniform(np.log(1.0), np.log(30.0)))
+    return Press((x, y), radius, force / Press((x, y), radius, 1.0).force(FOAM))
+
+
+def test_single_contacts_are_within_a_tenth(engine: Engine) -> None:
+    """Found, of 24 presses: 0.5 to 0.8 % in the median."""
     random = np.random.default_rng(12)
-
-    def press() -> Press:
-        x, y = random.uniform(0.02, 0.18, 2)
-        radius = random.uniform(6e-3, 11e-3)
-        force = np.exp(random.uniform(np.log(1.0), np.log(30.0)))
-        return Press((x, y), radius, force / Press((x, y), radius, 1.0).force(FOAM))
-
-    single = []
-    for _ in range(6):
-        one = press()
-        single += [felt(engine, one)[0] / one.force(FOAM) - 1]
+    single = [felt(engine, one)[0] / one.force(FOAM) - 1 for one in (some_press(random) for _ in range(6))]
     assert np.median(np.abs(single)) < 0.1
-    three, errors = [press() for _ in range(12)], []
-    for k in range(0, 12, 3):
-        some = three[k : k + 3]
-        some = [
-            replace(one, position=(0.04 + 0.06 * n, y))
-            for n, (one, y) in enumerate(zip(some, random.uniform(0.03, 0.17, 3), strict=True))
-        ]
-        errors += [told / one.force(FOAM) - 1 for told, one in zip(felt(engine, *some), some, strict=True)]
+
+
+def test_each_of_three_is_within_a_fifth_in_the_median(engine: Engine) -> None:
+    """Found, of 36 times three: 18 % (11 to 27 %) in the median, half of them within 20 %."""
+    errors = []
+    for seed in (21, 22, 23):
+        random = np.random.default_rng(seed)
+        for _ in range(4):
+            some = [
+                replace(some_press(random), position=(0.04 + 0.06 * n, y))
+                for n, y in enumerate(random.uniform(0.03, 0.17, 3))
+            ]
+            errors += [told / one.force(FOAM) - 1 for told, one in zip(felt(engine, *some), some, strict=True)]
     assert np.nanmedian(np.abs(errors)) < 0.2
     assert np.isfinite(errors).mean() > 0.9
 
