@@ -17,7 +17,7 @@ def fresh(chromium: Any) -> Iterator[Any]:
         page = chromium.new_page(viewport={"width": 1300, "height": 900})
         page.set_default_timeout(30000)
         page.goto(url)
-        until(page, "window.ohmskin?.frame?.state === 'running'")
+        until(page, "document.getElementById('state').dataset.state === 'running'")  # from when on it can be pressed
         yield page
         page.close()
 
