@@ -46,8 +46,34 @@ def test_a_newcomer_is_led_through_quiet_and_ten_presses(reader: Reader) -> None
     expect(guide.get_by_text("Good")).to_be_visible(timeout=60_000)
     expect(guide.get_by_text("9 of 10 presses felt, 0.0 mm off on average")).to_be_visible()
     assert len(reader.heard("lift")) == 9
+    assert not reader.heard("save")
+    expect(guide.locator("#guide-text")).to_contain_text("Nothing is saved.")
     page.keyboard.press("Escape")
     expect(guide).to_be_hidden()
+
+
+def test_known_weights_calibrate_newtons_and_say_what_is_saved(reader: Reader) -> None:
+    page = reader.page
+    guide, on = page.get_by_role("region", name="Guided calibration"), page.locator("#guide-on")
+    page.get_by_role("button", name="Guide").click()
+    page.get_by_label("Weights / g").fill("500")
+    on.click()
+    assert not reader.heard("calibrate")  # one weight is no curve
+    page.get_by_label("Weights / g").fill("200 500")
+    on.click()
+    reader.until(lambda: reader.heard("calibrate"))
+    reader.loop.header.update(state="calibrating")
+    expect(guide.get_by_text("Measuring. Do not touch the skin.")).to_be_visible()
+    reader.loop.header.update(state="running")
+    expect(guide.get_by_text("Put 200 g at")).to_be_visible()
+    page.get_by_role("button", name="Press for me").click()
+    expect(guide.get_by_text("Put 500 g at")).to_be_visible(timeout=30_000)
+    reader.until(lambda: reader.heard("save"))
+    forces = [command["force"] for command in reader.heard("weigh")]
+    assert forces[:4] == pytest.approx([1.961, 0, 4.903, 0], abs=1e-3)
+    expect(guide.locator("#guide-text")).to_contain_text("Fitting forces.")
+    reader.loop.header.update(guided="Saved: newtons, in paper-calibrated.toml")
+    expect(guide.get_by_text("Saved: newtons, in paper-calibrated.toml")).to_be_visible()
 
 
 def test_places_are_spread_inside_any_outline(reader: Reader) -> None:

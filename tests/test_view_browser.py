@@ -124,8 +124,8 @@ class SyntheticLoop:
 
     def _obey(self, command: dict[str, Any]) -> None:
         match command["type"]:
-            case "press":
-                self.presses[command["id"]] = command
+            case "press" | "push":
+                self.presses[command["id"]] = {"pressure": 2e4} | command
             case "lift":
                 self.presses.pop(command["id"], None)
             case "lift_all":

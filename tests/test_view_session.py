@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -171,6 +172,36 @@ def test_a_slow_estimator_says_what_rate_it_reaches_and_data_without_an_image_do
     looker.send("lift_all")
     last = looker.send("estimator", **AS_USUAL)[-1]
     assert last["estimator"] == "gauss-newton"
+
+
+def test_presses_of_known_weights_are_saved_with_the_skin_as_newtons(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    paper = Skin.load("paper")
+    with (
+        Engine(lambda: DirectDevice(VirtualSkin(paper, seed=3)), paper) as engine,
+        Session(engine, "", Page(), False) as session,
+    ):
+        looker = Looker(session)
+        looker.send("mode", mode="16O")
+        session.calibrate()
+        looker.send("begin")
+        assert looker.send("save")[-1]["guided"].startswith("Newtons are not calibrated: 0 of 0 presses were felt")
+        for k, (x, y) in enumerate([(0.06, 0.13), (0.12, 0.07), (0.14, 0.14), (0.07, 0.06)]):
+            force = (2.0, 6.0)[k % 2]
+            looker.send("weigh", force=force)
+            for _ in range(2):
+                looker.send("push", id="guide", x=x, y=y, radius=8e-3, force=force)
+            looker.send("weigh", force=0.0)
+            looker.send("lift", id="guide")
+        told = looker.send("save")[-1]["guided"]
+        assert f"Saved: newtons, in {tmp_path / 'paper-calibrated.toml'}" in told
+        assert "paper-calibrated-2.toml" in looker.send("save")[-1]["guided"]  # nothing is overwritten
+    found = Skin.load(tmp_path / "paper-calibrated.toml").calibration
+    assert found.mode == "16O"
+    assert found.forces == (2.0, 6.0)
+    assert found.layer_conductance == pytest.approx(paper.contact_layer.conductance, rel=0.3)
 
 
 def test_a_lost_device_takes_no_new_press_and_gets_those_it_had_again() -> None:

@@ -3,6 +3,7 @@
 from ohmskin.calibrate.channels import ChannelJudgement, judge_channels
 from ohmskin.calibrate.force import ForceCurve, PressSample, fit_auxiliary, fit_force
 from ohmskin.calibrate.instrumented import ForceSampler, LoadCell, read_table
+from ohmskin.calibrate.newtons import fit_newtons
 from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places
 from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
@@ -28,6 +29,7 @@ __all__ = [
     "diagnose",
     "fit_auxiliary",
     "fit_force",
+    "fit_newtons",
     "fit_sheet",
     "judge_channels",
     "learn_positions",

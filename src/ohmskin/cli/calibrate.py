@@ -4,7 +4,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -12,14 +11,12 @@ from rich.console import Console
 import ohmskin
 from ohmskin.calibrate import (
     GRAVITY,
-    ForceCurve,
     ForceSampler,
     LoadCell,
     PressGuide,
     PressStep,
     calibrate_quiet,
-    fit_auxiliary,
-    fit_force,
+    fit_newtons,
     press_plan,
     read_table,
 )
@@ -29,12 +26,10 @@ from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
 from ohmskin.outlets.load_cell import open_load_cell
 from ohmskin.recording.player import reimage
-from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, SkinModel, mode_named
+from ohmskin.sensing import SkinModel, mode_named
 from ohmskin.skin import Calibration, Press, Skin
 
-_Presses: TypeAlias = PressGuide | ForceSampler
 _TIP = 8e-3  # m, radius of the virtual finger
-_EXPLAINED = 0.2  # share of presses that a contact layer may leave unexplained
 _IDLE = 30_000  # cycles without a steady press, some minutes, after which we give up
 _PATIENCE = 200  # cycles without a result, such as while the device is lost, after which we give up
 
@@ -56,8 +51,8 @@ def calibrate(
 ) -> None:
     """Calibrate a skin and write its description with what was measured. A virtual skin presses itself.
 
-    Newtons are told from weights on a small foot, from known presses, or, with --force-from, from a force that
-    something else measures while you press anywhere.
+    Newtons come from weights on a small foot, from known presses, or, with --force-from, from another instrument's
+    force readings while you press anywhere.
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
@@ -82,7 +77,7 @@ def calibrate(
     opened, description = open_skin(device, skin)
     path = output or Path(f"{description.name}-calibrated.toml")
     curve, sampler = None, ForceSampler(samples)
-    guide: _Presses = sampler
+    guide: PressGuide | ForceSampler = sampler
     with opened:
         check_writable(path)  # now, rather than after an hour of presses
         mode_named(description, mode)
@@ -105,8 +100,9 @@ def calibrate(
                         _walk(engine, asked, calibrated)
                     known, mode = engine.known, engine.mode.name
         if known is not None:
-            curve = fit_force(guide.samples)
-            found = _newtons(replace(found, mode=mode), curve, guide, known, console)
+            found, curve, words = fit_newtons(replace(found, mode=mode), guide, known)
+            for sentence in words:
+                console.print(sentence)
     write(path, replace(description, calibration=found).dump())
     console.print(f"wrote {path}; use it with --skin {path}")
     if picture is not None:
@@ -116,7 +112,7 @@ def calibrate(
 
 
 def _quiet(opened: Device, description: Skin, console: Console) -> Calibration:
-    """What the untouched skin tells."""
+    """What is measured of the untouched skin."""
     console.print("measuring the quiet skin; keep it untouched")
     found = calibrate_quiet(opened, description, ohmskin.__version__, report=console.print)
     if ohms := found.contact_impedances:
@@ -125,26 +121,6 @@ def _quiet(opened: Device, description: Skin, console: Console) -> Calibration:
         contacts = f"contacts {found.contact_resistance:.2g} ohm more than described"
     console.print(f"sheet {1e3 * found.conductivity:.4g} mS per square; {contacts}")
     console.print(f"noise {1e6 * found.noise:.3g} uV, drift {1e6 * found.drift:.3g} uV per root of a second")
-    return found
-
-
-def _newtons(found: Calibration, curve: ForceCurve, guide: _Presses, known: SkinModel, console: Console) -> Calibration:
-    """What the presses tell beside that."""
-    found = fit_auxiliary(guide.samples, known.quiet.rest, curve.put_into(found))
-    layer, why = _layer(PressFitter(known), _felt(guide))
-    console.print(
-        f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
-        f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
-        f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
-    )
-    found = found if layer is None else layer.put_into(found)
-    if found.auxiliary_gain:
-        off = f"{100 * found.auxiliary_error:.2g} % off from press to press"
-        console.print(f"auxiliary channel: {found.auxiliary_gain:.4g} for each newton, {off}")
-    console.print(why)
-    if curve.flat:
-        flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
-        console.print(f"note: {flat} N cannot be distinguished from smaller forces; the skin is saturated")
     return found
 
 
@@ -164,7 +140,7 @@ def _plan(skin: Skin, table: Path | None, weights: Sequence[float], places: int)
 def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin: str) -> SkinModel:
     """Samples of a recording, with the forces of a table; what was known of its quiet skin."""
     if not force_from.endswith(".csv"):
-        raise OhmskinError("a recording tells no forces; give them with --force-from FILE.csv (time_s, force_N)")
+        raise OhmskinError("a recording has no forces; give them with --force-from FILE.csv (time_s, force_N)")
     times, forces = read_table(Path(force_from), ("time_s", "force_N")).T
     known = None
     for cycle in watched(reimage(file, mode=mode, skin=skin)):
@@ -198,36 +174,10 @@ def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> N
                 place = f"{one.force:.2f} N at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
                 say(f"    [{len(sampler.samples)} of {sampler.count}] {place}: strength {1e6 * one.strength:.3g} mm2")
             elif idle > _IDLE:
-                why = "no force was told" if np.isnan(cell.force) else "no steady press was felt"
-                raise DeviceError(f"{why} in {_IDLE} cycles; {source} tells {cell.force:.3g} N now")
+                why = "no force was received" if np.isnan(cell.force) else "no steady press was felt"
+                raise DeviceError(f"{why} in {_IDLE} cycles; the newest force from {source} is {cell.force:.3g} N")
     finally:
         end()
-
-
-def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLayer | None, str]:
-    """The contact layer, if the presses determine it, and a message; presses that fit no model are kept."""
-    try:
-        layer = fitter.fit_layer(presses)
-    except OhmskinError as error:
-        return None, f"note: the contact layer stays as described: {error}"
-    told = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
-    told += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
-    if layer.hysteresis >= 0:
-        told += f", hysteresis {100 * layer.hysteresis:.2g} %"
-    if layer.unexplained < _EXPLAINED:
-        return layer, told
-    left = f"{100 * layer.unexplained:.2g} % of what the presses change"
-    return None, f"note: {told}, would leave {left} unexplained; the layer stays as described"
-
-
-def _felt(guide: _Presses) -> list[KnownPress]:
-    """The presses that were felt; those that eased off only where one that rose was felt, too."""
-    felt, risen = list[KnownPress](), None
-    for one, peak in zip(guide.samples, guide.peaks, strict=True):
-        risen = one.at if one.contact is not None and not peak else risen
-        if one.contact is not None and one.at == risen:
-            felt.append(KnownPress(one.force, one.contact, one.scans, peak))
-    return felt
 
 
 def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
@@ -258,6 +208,6 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
 
 
 def _press(engine: Engine, step: PressStep, skin: Skin) -> None:
-    """The pressure that makes this force under the foam that the description tells of."""
+    """The pressure that makes this force under the foam of the description."""
     per_pascal = Press(step.at, _TIP, 1.0).force(skin.contact_layer.foam_spread)
     engine.press(0, step.at, _TIP, step.force / per_pascal)

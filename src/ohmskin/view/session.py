@@ -16,7 +16,8 @@ from ohmskin.engine.health import Health
 from ohmskin.errors import DataError, ModelError, OhmskinError
 from ohmskin.geometry import Raster
 from ohmskin.sensing import SkinModel
-from ohmskin.skin import Mode
+from ohmskin.skin import Mode, Press
+from ohmskin.view.forces import GuidedForces
 from ohmskin.view.live import LiveView
 from ohmskin.view.setup import setup_of
 
@@ -49,6 +50,7 @@ class Session(Closing):
         self._sought, self._alone = False, False  # whether a place is not shown yet, and whether the loop pauses there
         self._note, self._note_until = "", 0.0
         self._preparing = ""
+        self._forces, self._outcome = GuidedForces(engine), ""
         self._calibrated: float | None = None  # share of a calibration that is under way
         view.show(setup_of(engine, url, self._raster, self._recording))
 
@@ -89,6 +91,8 @@ class Session(Closing):
         if was_lost and self._engine.state is State.RUNNING:  # a virtual skin started anew has forgotten its presses
             for number, press in self._presses.values():
                 self._press(number, press, press["pressure"])
+        if touch:
+            self._forces.see(touch)
         self._last = touch or self._last
         self._publish()
         return touch
@@ -105,6 +109,10 @@ class Session(Closing):
                 number = used.get(command["id"], free)
                 self._press(number, command, command["pressure"])
                 self._presses[command["id"]] = number, command
+            case "push":
+                x, y, radius = (command[name] for name in ("x", "y", "radius"))
+                per_pascal = Press((x, y), radius, 1.0).force(self._engine.skin.contact_layer.foam_spread)
+                self._obey({**command, "type": "press", "pressure": command["force"] / per_pascal})
             case "lift":
                 self._lift(command["id"])
             case "lift_all":
@@ -120,6 +128,13 @@ class Session(Closing):
                 self._engine.set_injections(command["count"])
             case "calibrate":
                 self.calibrate()
+            case "begin":
+                self._forces.begin()
+                self._outcome = ""
+            case "weigh":
+                self._forces.weigh(command["force"])
+            case "save":
+                self._save()
             case "pause":
                 self._alone = command["paused"] and self._sought  # a place that was sought is shown first
                 if not self._alone:
@@ -141,12 +156,24 @@ class Session(Closing):
         self._note_until = 0.0
         if self._engine.ready(mode):
             return
+        self._say(f"{mode.label}: estimator {mode.estimator}, prior {mode.prior}, rule {mode.rule}")
+
+    def _say(self, preparing: str) -> None:
+        """Say what the loop stands still for, before it does."""
         until = time.monotonic() + _PATIENCE
         while not self.view.wants_frame() and time.monotonic() < until:
             time.sleep(0.005)
-        self._preparing = f"{mode.label}: estimator {mode.estimator}, prior {mode.prior}, rule {mode.rule}"
+        self._preparing = preparing
         self._publish()
         self._preparing = ""
+
+    def _save(self) -> None:
+        """Save the newtons that guided presses say, and tell the page of the outcome."""
+        self._say("newtons from the presses")
+        try:
+            self._outcome = self._forces.save()
+        except OhmskinError as error:
+            self._outcome = f"Newtons are not calibrated: {error}"
 
     def _transport(self, recording: ReplayDevice, command: dict[str, Any]) -> None:
         match command["type"]:
@@ -228,6 +255,7 @@ class Session(Closing):
             "mode": engine.mode.name,
             **{name: getattr(engine.mode, name) for name in ("estimator", "prior", "rule")},
             "preparing": self._preparing,
+            "guided": self._outcome,
             "progress": self._calibrated,
             "contacts": [],
             "bad_electrodes": [],

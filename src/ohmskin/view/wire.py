@@ -101,12 +101,16 @@ def to_json(value: object) -> str:
 
 _COMMANDS: dict[str, tuple[str, ...]] = {
     "press": ("id", "x", "y", "radius", "pressure"),
+    "push": ("id", "x", "y", "radius", "force"),
     "lift": ("id",),
     "lift_all": (),
     "mode": ("mode",),
     "estimator": ("estimator", "prior", "rule"),
     "injections": ("count",),
     "calibrate": (),
+    "begin": (),
+    "weigh": ("force",),
+    "save": (),
     "pause": ("paused",),
     "demo": ("on",),
     "seek": ("position",),
@@ -115,7 +119,9 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "loop": ("on",),
     "ack": ("sequence",),
 }
+_MOST_FORCE = 1e4  # N
 _OF_RECORDINGS = ("seek", "step", "speed", "loop")
+_OF_SKINS = ("begin", "weigh", "save")
 
 
 def read_command(text: str, setup: Mapping[str, Any]) -> dict[str, Any]:
@@ -138,6 +144,8 @@ def read_command(text: str, setup: Mapping[str, Any]) -> dict[str, Any]:
         raise CommandError(f"{kind} needs exactly these fields: {', '.join(fields) or 'none'}")
     if kind in _OF_RECORDINGS and setup.get("recording") is None:
         raise CommandError("this device is not a recording; only a recording has a place, a speed and an end")
+    if kind in _OF_SKINS and setup.get("recording") is not None:
+        raise CommandError("this device is a recording; only a skin can be calibrated")
     return {"type": kind} | {name: _checked(name, message[name], setup) for name in fields}
 
 
@@ -167,6 +175,8 @@ def _checked(name: str, value: object, setup: Mapping[str, Any]) -> object:
             if setup["press"] is None:
                 raise CommandError("this device is not virtual; press it with a finger")
             return _within(name, value, *setup["press"][name][:2])
+        case "force":
+            return _within(name, value, 0.0, _MOST_FORCE)
         case "position":
             return _within(name, value, 0.0, setup["recording"]["length"])
         case "speed" if value is not None:

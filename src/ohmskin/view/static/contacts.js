@@ -82,20 +82,28 @@ export function force(contact) {
   return `${number(contact.force, 1)}${sure}`;
 }
 
+// The longest label that covers nothing taken: place and effect, place alone, or the number alone.
 function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   const id = `#${contact.id}`;
   const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
   const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
   const doubt = doubtful(contact) ? `${number(100 * contact.confidence, 0)} % sure` : "";
-  const short = width < SMALL && !doubt;
   const effect = force(contact) ? `${force(contact)} N` : `strength ${number(1e4 * contact.strength, 2)}`;
+  const below = doubt ? `${effect} · ` : effect;
   c.font = `600 11px ${FONT}`;
   const lead = c.measureText(id).width + 6;
   c.font = `11px ${FONT}`;
-  const second = short ? 0 : c.measureText(doubt ? `${effect} · ` : effect).width;
-  const w = lead + Math.max(c.measureText(where).width, second + c.measureText(doubt).width) + 12;
-  const h = short ? 20 : 34;
-  const [px, py] = freePlace([x, y, size, size], [w, h], taken, width, height);
+  const [wide, second] = [where, below].map((text) => c.measureText(text).width);
+  const forms = [
+    ...(width < SMALL && !doubt ? [] : [[where, below, Math.max(wide, second + c.measureText(doubt).width)]]),
+    ...(doubt ? [] : [[where, "", wide]]),
+    ["", "", -6],
+  ].map(([first, rest, across]) => ({ first, rest, w: lead + across + 12, h: rest ? 34 : 20 }));
+  const places = forms.map(({ w, h }) => freePlace([x, y, size, size], [w, h], taken, width, height));
+  const free = places.findIndex(({ covered }) => !covered);
+  const k = free < 0 ? forms.length - 1 : free;
+  const { first, rest, w, h } = forms[k];
+  const [px, py] = places[k].at;
   taken.push([px, py, w, h]);
   c.fillStyle = ink.pill;
   c.beginPath();
@@ -105,15 +113,15 @@ function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   c.font = `600 11px ${FONT}`;
   c.fillText(id, px + 6, py + 14);
   c.font = `11px ${FONT}`;
-  c.fillText(where, px + 6 + lead, py + 14);
-  if (short) return;
+  c.fillText(first, px + 6 + lead, py + 14);
+  if (!rest) return;
   c.fillStyle = ink.quiet;
-  c.fillText(doubt ? `${effect} · ` : effect, px + 6 + lead, py + 28);
+  c.fillText(rest, px + 6 + lead, py + 28);
   c.fillStyle = ink.doubt;
   c.fillText(doubt, px + 6 + lead + second, py + 28);
 }
 
-// Where beside a box a label of [w, h] covers least of what is taken; near the box rather than far.
+// Where beside a box a label of [w, h] covers least of what is taken, and how much; near the box rather than far.
 function freePlace([x, y, width, height], [w, h], taken, right, bottom) {
   const [cx, cy] = [x + width / 2, y + height / 2];
   let [best, least] = [null, Infinity];
@@ -133,8 +141,8 @@ function freePlace([x, y, width, height], [w, h], taken, right, bottom) {
       const py = cy + dy * ry - ((1 - dy) * h) / 2;
       const across = Math.max(0, 2 - px) + Math.max(0, px + w + 2 - right);
       const off = across + Math.max(0, 2 - py) + Math.max(0, py + h + 2 - bottom);
-      const cost = gap + 50 * off + taken.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
-      if (cost < least) [best, least] = [[px, py], cost];
+      const covered = 50 * off + taken.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
+      if (gap + covered < least) [best, least] = [{ at: [px, py], covered }, gap + covered];
     }
   }
   return best;

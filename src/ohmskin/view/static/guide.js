@@ -1,4 +1,5 @@
-// Guided calibration: the quiet skin, then ten presses where the page says, and how far off they were felt.
+// Guided calibration: the quiet skin, then ten presses where the page says, how far off they were felt, and newtons
+// where the weights that press are known.
 
 import { number } from "./colour.js";
 import { strongest } from "./contacts.js";
@@ -9,6 +10,7 @@ const MARGIN = 0.12; // of the smaller side, that places stay away from the rim
 const HOLD = 0.7; // s that a contact must stay where it is
 const LIFTED = 0.4; // s without a contact, after which the next place is due
 const STILL = 0.004; // m
+const GRAVITY = 9.80665e-3; // N per gram
 const [GOOD, FAIR] = [0.005, 0.01]; // m, mean error
 const MIRRORS = {
   "mirrored left to right": ([x, y]) => [-x, y],
@@ -47,6 +49,13 @@ function halton(k, base) {
   return value;
 }
 
+/** Weights in grams out of a text; null if it is none, or only one. */
+export function weightsOf(text) {
+  const grams = text.split(/[\s,;]+/).filter(Boolean).map(Number);
+  if (!grams.length) return [];
+  return grams.every((g) => g >= 1 && g <= 1e5) && new Set(grams).size > 1 ? grams : null;
+}
+
 /** What presses say: pairs [place, where it was felt or null]. Gives { verdict, text } in plain words. */
 export function judge(pairs, domain) {
   const felt = pairs.filter(([, found]) => found);
@@ -77,7 +86,7 @@ export function judge(pairs, domain) {
     return { verdict: "Check the wiring", text: `${told} ${hint}` };
   }
   if (error > FAIR) return { verdict: "Poor", text: `${told} Test the wiring with “ohmskin self-test”.` };
-  return { verdict: error > GOOD ? "Fair" : "Good", text: `${told} “ohmskin calibrate” calibrates newtons.` };
+  return { verdict: error > GOOD ? "Fair" : "Good", text: told };
 }
 
 export class Guide {
@@ -85,10 +94,12 @@ export class Guide {
   constructor(page) {
     this._page = page;
     this._step = null;
+    this._weights = [];
     byId("guided").onclick = () => (this._step ? this.close() : this._open());
     byId("guide-close").onclick = () => this.close();
     byId("guide-on").onclick = () => this._go();
     byId("guide-other").onclick = () => this._other();
+    byId("guide-grams").oninput = () => byId("guide-grams").setCustomValidity("");
     byId("guide").onkeydown = (event) => {
       if (event.key === "Escape") this.close();
     };
@@ -107,6 +118,7 @@ export class Guide {
 
   _open() {
     this._pairs = [];
+    this._outcome = "";
     this._places = placesOn(this._page.skin().domain);
     this._helped = false;
     this._enter("quiet");
@@ -116,6 +128,7 @@ export class Guide {
 
   close() {
     if (this._helped) this._page.send({ type: "lift", id: "guide" });
+    if (this._weights.length) this._weigh(0);
     this._enter(null);
     byId("guided").focus();
   }
@@ -126,16 +139,37 @@ export class Guide {
     this._reference = null;
     this._show();
     if (step === "press" && this._helped) this._press();
+    if (step === "press" && this._weights.length) this._weigh(this._force);
+    if (step === "done" && this._weights.length) this._page.send({ type: "save" });
     this._page.changed();
   }
 
   _press() {
     const [x, y] = this._places[this._pairs.length];
-    this._page.send({ type: "press", id: "guide", x, y, ...this._page.settings() });
+    const { radius, pressure } = this._page.settings();
+    if (this._weights.length) this._page.send({ type: "push", id: "guide", x, y, radius, force: this._force });
+    else this._page.send({ type: "press", id: "guide", x, y, radius, pressure });
+  }
+
+  /** Force of the press that is due (N). */
+  get _force() {
+    return GRAVITY * this._weights[this._pairs.length % this._weights.length];
+  }
+
+  _weigh(force) {
+    this._page.send({ type: "weigh", force });
   }
 
   _go() {
     if (this._step === "quiet") {
+      const grams = weightsOf(byId("guide-grams").value);
+      if (!grams) {
+        byId("guide-grams").setCustomValidity("Give two weights or more of 1 to 100000 g, such as 200 500, or none.");
+        byId("guide-grams").reportValidity();
+        return;
+      }
+      this._weights = grams;
+      if (grams.length) this._page.send({ type: "begin" });
       this._page.send({ type: "calibrate" });
       this._began = performance.now();
       this._seen = false;
@@ -152,6 +186,7 @@ export class Guide {
   }
 
   _note(found) {
+    if (this._weights.length) this._weigh(0);
     if (this._helped) this._page.send({ type: "lift", id: "guide" });
     this._pairs.push([this._places[this._pairs.length], found]);
     this._enter("lift");
@@ -159,6 +194,10 @@ export class Guide {
 
   /** Look at what is felt now (s); `unknown` if nobody knows. */
   update(now, header, contacts, unknown) {
+    if (this._step === "done" && header.guided !== this._outcome) {
+      this._outcome = header.guided;
+      this._show();
+    }
     if (this._step === "measure") {
       this._seen ||= header.state === "calibrating";
       byId("guide-progress").value = (header.progress ?? 0) * COUNT;
@@ -199,6 +238,7 @@ export class Guide {
       byId(id).hidden = !label;
       byId(id).textContent = label ?? "";
     }
+    byId("guide-weights").hidden = step !== "quiet";
     byId("guide-progress").value = this._pairs.length;
     const now = document.activeElement; // a button that has gone loses the keyboard
     if (focused && (now.hidden || !byId("guide").contains(now))) byId("guide").focus();
@@ -210,11 +250,15 @@ export class Guide {
     if (this._step === "measure") return { title: "1. Quiet", text: "Measuring. Do not touch the skin." };
     if (this._step === "done") {
       const { verdict, text } = judge(this._pairs, this._page.skin().domain);
-      return { title: verdict, text, on: "Again" };
+      const saved = this._weights.length ? this._outcome || "Fitting forces." : "Nothing is saved.";
+      const more = "Electrodes and sheet are measured by “ohmskin calibrate”.";
+      return { title: verdict, text: `${text} ${saved} ${more}`, on: "Again" };
     }
     const title = `2. Press ${this._number} of ${this._places.length}`;
     if (this._step === "lift") return { title, text: this._pairs.at(-1)[1] ? "Felt. Lift." : "Left out. Lift." };
-    const at = `Press at ${millimetres(this._places[this._pairs.length])}, where the map shows the target, and hold.`;
+    const grams = this._weights[this._pairs.length % this._weights.length];
+    const how = this._weights.length ? `Put ${grams} g` : "Press";
+    const at = `${how} at ${millimetres(this._places[this._pairs.length])}, where the map shows the target, and hold.`;
     const help = this._page.virtual() && !this._helped;
     return { title, text: at, on: "Not felt: leave it out", other: help ? "Press for me" : null };
   }

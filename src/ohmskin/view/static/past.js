@@ -6,7 +6,7 @@ import { FONT, INK } from "./ink.js";
 
 const SPAN = 60; // s
 const GAP = 0.6; // s without news, after which another bar begins
-const [LANE, FOOT, LEFT] = [13, 17, 2]; // px
+const [LANE, BAR, FOOT, LEFT] = [13, 11, 17, 2]; // px
 
 export class Past {
   constructor() {
@@ -63,11 +63,13 @@ export class Past {
       const [left, wide] = [x(from), Math.max(3, x(to) - x(from))];
       c.fillStyle = kind === "unsure" ? ink.doubt : ink.accent;
       c.beginPath();
-      c.roundRect(left, y - 4, wide, 8, 3);
+      c.roundRect(left, y - BAR / 2, wide, BAR, 3);
       c.fill();
       if (wide < 24) continue;
       c.fillStyle = ink.paper;
+      c.font = `600 9px ${FONT}`;
       c.fillText(`#${id}`, left + 4, y + 0.5);
+      c.font = `11px ${FONT}`;
     }
     this._drawAxis(c, width, bottom, x, now, ink);
   }

@@ -1,0 +1,73 @@
+"""From presses of known force to all that a calibration says of newtons."""
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+from ohmskin.calibrate.force import ForceCurve, fit_auxiliary, fit_force
+from ohmskin.calibrate.instrumented import ForceSampler
+from ohmskin.calibrate.presses import PressGuide
+from ohmskin.errors import OhmskinError
+from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, SkinModel
+from ohmskin.skin import Calibration
+
+Presses: TypeAlias = PressGuide | ForceSampler
+_EXPLAINED = 0.2  # share of presses that a contact layer may leave unexplained
+
+
+def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple[Calibration, ForceCurve, list[str]]:
+    """A calibration with the force curve, the contact layer and the auxiliary channel, as far as presses show them.
+
+    Args:
+        found: What is known already; its mode is that of the presses.
+        presses: Samples of known force.
+        known: The quiet skin that was pressed.
+
+    Returns:
+        The calibration, the curve, and what was found, in sentences.
+
+    Raises:
+        DataError: If fewer than two forces were felt.
+    """
+    curve = fit_force(presses.samples)
+    found = fit_auxiliary(presses.samples, known.quiet.rest, curve.put_into(found))
+    layer, why = _layer(PressFitter(known), _felt(presses))
+    words = [
+        f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
+        f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
+        f"{100 * curve.scatter:.2g} % between places, {curve.missed} missed"
+    ]
+    found = found if layer is None else layer.put_into(found)
+    if found.auxiliary_gain:
+        off = f"{100 * found.auxiliary_error:.2g} % off from press to press"
+        words.append(f"auxiliary channel: {found.auxiliary_gain:.4g} for each newton, {off}")
+    words.append(why)
+    if curve.flat:
+        flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
+        words.append(f"note: {flat} N cannot be distinguished from smaller forces; the skin is saturated")
+    return found, curve, words
+
+
+def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLayer | None, str]:
+    """The contact layer, if the presses determine it, and a message; presses that fit no model are kept."""
+    try:
+        layer = fitter.fit_layer(presses)
+    except OhmskinError as error:
+        return None, f"note: the contact layer stays as described: {error}"
+    told = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
+    told += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
+    if layer.hysteresis >= 0:
+        told += f", hysteresis {100 * layer.hysteresis:.2g} %"
+    if layer.unexplained < _EXPLAINED:
+        return layer, told
+    left = f"{100 * layer.unexplained:.2g} % of what the presses change"
+    return None, f"note: {told}, would leave {left} unexplained; the layer stays as described"
+
+
+def _felt(presses: Presses) -> list[KnownPress]:
+    """The presses that were felt; those that eased off only where one that rose was felt, too."""
+    felt, risen = list[KnownPress](), None
+    for one, peak in zip(presses.samples, presses.peaks, strict=True):
+        risen = one.at if one.contact is not None and not peak else risen
+        if one.contact is not None and one.at == risen:
+            felt.append(KnownPress(one.force, one.contact, one.scans, peak))
+    return felt
