@@ -6,11 +6,13 @@ import pytest
 from ohmskin.drive import LocalDrive
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate import worlds
+from ohmskin.evaluate.assumptions import assumption
 from ohmskin.evaluate.methods import METHODS, all_methods, bench, method
+from ohmskin.evaluate.setup import Setup
 from ohmskin.evaluate.shapes import SHAPES, Shape, disc
 from ohmskin.geometry import Rectangle, mesh_domain
 from ohmskin.geometry.overlap import disc_overlap
-from ohmskin.scan import adjacent
+from ohmskin.scan import DrivePattern, Frame, adjacent
 from ohmskin.skin import Press, PressedSheet, Skin
 
 
@@ -138,3 +140,59 @@ def test_a_quiet_touch_is_seen_where_it_is() -> None:
         view = bench(world, 70, 0.1).see("16O fused", (worlds.contact(world, 0.07, 0.12),), 0)
         assert np.linalg.norm(view.place - [0.07, 0.12]) < 3e-3
         assert len(view.contacts) == 1
+
+
+# --- what the paper leaves open ---------------------------------------------------------------------------------------
+
+TOUCH = (worlds.contact("pressed", 0.06, 0.13),)
+
+
+def scanned(name: str, pattern: DrivePattern) -> tuple[Frame, Frame]:
+    """A pattern on the twin under an assumption, untouched and touched, almost without noise."""
+    given = Setup("pressed", 200.0, 0.1, assumption=assumption(name))
+    return given.scan((), 1)(pattern), given.scan(TOUCH, 1)(pattern)
+
+
+def test_a_voltage_source_drives_more_current_through_a_touch_and_only_one_that_measures_reports_it() -> None:
+    pattern = adjacent(Skin.load("paper").electrodes.rings[:1])
+    for name, follows in (("stated", False), ("measured", True), ("source", False)):
+        quiet, touched = scanned(name, pattern)
+        assert (touched.currents > quiet.currents).any() == follows
+    flowing, measured = scanned("measured", pattern)
+    assert flowing.currents.mean() == pytest.approx(worlds.CURRENT, rel=0.05)
+    _, unmeasured = scanned("source", pattern)
+    np.testing.assert_allclose(
+        unmeasured.voltages, measured.voltages, rtol=1e-6
+    )  # the same device, less is known of it
+
+
+def test_noise_may_follow_each_scan_or_each_voltage() -> None:
+    pattern = adjacent(Skin.load("paper").electrodes.rings[:1])
+    exact = worlds.voltages(worlds.sheet("discs", "grid").untouched, pattern)
+    spread = {}
+    for name in ("stated", "scan", "voltage"):
+        given = Setup("discs", 45.0, 0.1, assumption=assumption(name))
+        found = np.array([given.scan((), seed)(pattern).voltages for seed in range(300)])
+        spread[name] = found.std(axis=0)
+    usual = worlds.noise_volts("discs", 45.0)
+    assert spread["stated"] == pytest.approx(usual, rel=0.2)
+    assert spread["scan"] == pytest.approx(usual, rel=0.2)  # 12B has the voltage that noise refers to
+    assert spread["voltage"] == pytest.approx(usual * np.abs(exact) / np.abs(exact).max(), rel=0.2)
+
+
+def test_contacts_and_modes_are_as_an_assumption_says() -> None:
+    given = bench("discs", 45.0, 0.1, assumption="small")
+    assert given.usual_contact(0.1, 0.1).radius == worlds.CONTACT_RADIUS["discs"] / 2
+    assert method("16O").assuming("pairs").injections == 12 + 32
+    assert method("16I").assuming("pairs").injections == 16
+    assert method("16I").assuming("noser").prior == "noser"
+    with pytest.raises(OhmskinError, match="no assumption 'other'; choose from stated, driven"):
+        method("16I").assuming("other")
+
+
+def test_driven_electrodes_add_what_they_measured_to_the_image() -> None:
+    found = {
+        name: bench("pressed", 45.0, 0.1, assumption=name).see("16I", TOUCH, 0).differences[0].pattern.n_meas
+        for name in ("stated", "driven")
+    }
+    assert found["driven"] > found["stated"]

@@ -22,7 +22,9 @@ from ohmskin.evaluate.reproduction import reproduce
 from ohmskin.evaluate.runner import run_experiments
 from ohmskin.evaluate.verdict import NO, OPEN, YES
 
-TINY = Settings(noise=(45.0, 50.0), amplitude=(0.1,), seeds=2, distances=(0.04, 0.02), side=3)
+TINY = Settings(
+    noise=(45.0, 50.0), amplitude=(0.1,), seeds=2, distances=(0.04, 0.02), side=3, assumptions=("same mesh",)
+)
 BRIEF = [Localisation("discs", float(db), 0.1, 1, side=2, methods=("12B", "16O")) for db in (40, 60)]
 LONG = [Localisation("discs", float(db), 0.1, 25, side=3, methods=("12B", "16O")) for db in range(40, 56, 2)]
 
@@ -129,7 +131,7 @@ def test_the_report_needs_nothing_else(report: Path) -> None:
     assert not re.search(r"<t[hd]>(SR|R)[<,]", page)  # one name for one quantity
     for figure in FIGURES:
         assert f"id='{figure}'" in page
-    assert page.count("data:image/png;base64,") == len(list((report.parent / "figures").glob("*.png"))) == 11
+    assert page.count("data:image/png;base64,") == len(list((report.parent / "figures").glob("*.png"))) == 12
 
 
 def test_the_report_opens_with_a_tally_and_the_key_claims_best_first(report: Path) -> None:
@@ -153,7 +155,7 @@ def test_every_number_is_there_as_json(report: Path) -> None:
             assert entry["results"]
     claims = json.loads((report.parent / "claims.json").read_text())["claims"]
     assert {claim["verdict"] for claim in claims} <= {YES, NO, OPEN}
-    assert {claim["figure"] for claim in claims} == set(FIGURES) - {"sweep"}
+    assert {claim["figure"] for claim in claims} == set(FIGURES) - {"sweep", "assumptions"}
     assert all(claim["paper"] and claim["here"] for claim in claims)
 
 
@@ -185,7 +187,7 @@ def test_a_second_run_takes_all_results_from_the_cache_of_the_first(report: Path
 
 def test_pictures_are_large_and_captions_stand_alone(report: Path) -> None:
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", report.read_text(encoding="utf-8"), re.S)
-    assert len(captions) == 11
+    assert len(captions) == 12
     assert all(len(caption) > 150 and ("seed" in caption) for caption in captions)
     for picture in (report.parent / "figures").glob("*.png"):
         width = int.from_bytes(picture.read_bytes()[16:20], "big")
@@ -230,6 +232,7 @@ def test_a_missing_extra_names_the_line_that_installs_it(monkeypatch: pytest.Mon
 def test_the_full_plan_is_as_thorough_as_promised() -> None:
     groups = plan(Settings())
     assert set(groups) == set(FIGURES)
+    assert all(task.seeds >= 5 for task in groups.pop("assumptions").values())
     assert all(task.seeds >= 20 for group in groups.values() for task in group.values())
     assert {round(d * 1e3) for d in Settings().distances} >= {60, 55, 50, 45, 40, 35, *range(8, 31)}
     assert len({name.split("/")[1] for name in groups["sweep"]}) == 2  # both ways of making data

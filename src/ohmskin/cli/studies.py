@@ -42,7 +42,7 @@ def reproduce(
         amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the
             sweep.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
-        only: Figures to make: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep.
+        only: Figures to make: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep, assumptions.
         cache: Folder of kept results, from which an interrupted run continues; within the output folder unless given.
         fresh: Ignore the kept results and run everything again.
     """

@@ -18,7 +18,19 @@ from ohmskin.evaluate.result import Experiment, Result
 # what results do not depend on: other packages, and what comes after the results
 _BESIDE = {"bench", "body", "calibrate", "cli", "client", "dataset", "device", "engine", "importers", "mcap", "outlets"}
 _BESIDE |= {"plot", "recording", "robot", "view"}
-_AFTER = {"cache", "claims", "comparison", "figures", "goals", "paper", "plan", "report", "reproduction", "resolution"}
+_AFTER = {
+    "assumed",
+    "cache",
+    "claims",
+    "comparison",
+    "figures",
+    "goals",
+    "paper",
+    "plan",
+    "report",
+    "reproduction",
+    "resolution",
+}
 _AFTER |= {"runner", "statistics", "study", "verdict"}
 
 

@@ -208,7 +208,7 @@ def _fig8(done: Done) -> Iterator[Claim]:
                 spread = f" ({_mm(low)} to {_mm(high)})" if low < high else ""
                 here = f"{_mm(limit.overall[row])}{spread}; by area {by_area}"
                 note = f"Takes single contacts for two in {100 * limit.false[row]:.1f} % of trials."
-                text = f"{key} tells contacts {theirs * 1e3:.0f} mm apart from one by {by}, {level:g} dB"
+                text = f"{key} distinguishes contacts {theirs * 1e3:.0f} mm apart from one by {by}, {level:g} dB"
                 sure = np.mean(limit.resampled[row] <= theirs) >= SURE
                 verdict = (YES if sure else OPEN) if limit.overall[row] <= theirs else NO
                 yield Claim("fig8", world, text, f"{theirs * 1e3:.0f} mm", here, verdict, note, world == "pressed")

@@ -50,12 +50,12 @@ def believed(layout: str = "grid", flaw: Flaw = SOUND) -> tuple[Electrodes, Buil
     """
     skin, random = Skin.load(LAYOUTS[layout]), np.random.default_rng([flaw.draw, 7])
     placed = misplaced(skin, flaw.misplaced, random) if flaw.misplaced else skin.electrodes
-    uneven = Bumps(skin.domain, random)
+    uneven = Bumps(skin.domain, random) if flaw.uneven else None
 
     def build(electrodes: Electrodes, log_conductivity: Floats) -> TransferModel:
         mesh = skin.mesh_for(electrodes)
         even = skin.sheet.conductivity * np.exp(cosines(mesh.centroids, skin.domain, log_conductivity))
-        return TransferModel(mesh, electrodes, even * (1 + flaw.uneven * uneven(mesh.centroids)))
+        return TransferModel(mesh, electrodes, even * (1 + flaw.uneven * uneven(mesh.centroids)) if uneven else even)
 
     return placed, build
 

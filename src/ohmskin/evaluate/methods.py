@@ -1,15 +1,17 @@
 """The drive methods of the reproduction, and the bench on which all see the same contact under the same noise."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ohmskin.errors import OhmskinError
+from ohmskin.evaluate.assumptions import STATED, assumption
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import Setup, View, setup
-from ohmskin.evaluate.worlds import Contacts
+from ohmskin.evaluate.shapes import Shape, disc
+from ohmskin.evaluate.worlds import CONTACT_RADIUS, CONTACT_STRENGTH, Contacts
 from ohmskin.skin import Mode
 
 Reading = Callable[[View, Contacts], dict[str, Any]]  # named numbers or arrays from the view of a case
@@ -41,6 +43,13 @@ class Method:
     def mode(self) -> Mode:
         """The product's mode of that drive: contacts are centroids of the image."""
         return Mode(self.key, self.drive, "centroid", injections=self.injections, fuse=self.fuse)
+
+    def assuming(self, name: str) -> Mode:
+        """The same with what an assumption of that name takes otherwise."""
+        taken = assumption(name)
+        mode = self.mode.using(prior=taken.prior)
+        more = taken.pairs - STATED.pairs if self.drive in ("local", "eq7") else 0
+        return replace(mode, injections=mode.injections + more, driven=taken.driven)
 
 
 _ALL = (
@@ -81,20 +90,32 @@ class Bench:
         world: One of `worlds.WORLDS`.
         decibels: Noise level (dB, see `worlds`).
         amplitude: Prior amplitude s (relative conductivity change).
+        assumption: What is otherwise than in the figures, one of `ASSUMPTIONS`.
     """
 
     world: str
     decibels: float
     amplitude: float
+    assumption: str = field(default="stated", kw_only=True)
 
     def setup(self, layout: str) -> Setup:
         """The set-up with an electrode layout."""
-        return setup(self.world, self.decibels, self.amplitude, layout)
+        taken = assumption(self.assumption)
+        return setup(self.world, self.decibels, self.amplitude * taken.amplitude, layout, assumption=taken)
+
+    def usual_contact(
+        self, x: float, y: float, radius: float | None = None, strength: float | None = None, times: float = 1.0
+    ) -> Shape:
+        """A contact at (x, y) in metres, the usual one of the world unless a radius (m) or a strength is given."""
+        taken = assumption(self.assumption)
+        radius = CONTACT_RADIUS[self.world] if radius is None else radius
+        strength = CONTACT_STRENGTH[self.world] if strength is None else strength
+        return disc(x, y, taken.radius * radius, taken.strength * times * strength)
 
     def see(self, key: str, contacts: Contacts, seed: int) -> View:
         """What a method sees of contacts. Methods that share a scan share its noise; another seed, other noise."""
         chosen = method(key)
-        return self.setup(chosen.layout).see(chosen.mode, contacts, seed, 0)
+        return self.setup(chosen.layout).see(chosen.assuming(self.assumption), contacts, seed, 0)
 
     def read(
         self,

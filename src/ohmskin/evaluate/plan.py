@@ -6,12 +6,14 @@ from typing import Self
 
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate import experiments
+from ohmskin.evaluate.assumptions import ASSUMPTIONS, assumption
 from ohmskin.evaluate.experiments.discrimination import areas
-from ohmskin.evaluate.result import Groups, chosen
+from ohmskin.evaluate.methods import Bench
+from ohmskin.evaluate.result import Experiment, Groups, chosen
 from ohmskin.evaluate.shapes import SHAPES, Shape
 from ohmskin.evaluate.worlds import WORLDS, contact
 
-FIGURES = ("fig3", "fig4", "fig5", "table1", "fig6", "fig7", "fig8", "sweep")
+FIGURES = ("fig3", "fig4", "fig5", "table1", "fig6", "fig7", "fig8", "sweep", "assumptions")
 
 UPPER_LEFT = (0.05, 0.15)  # metres; the paper's upper left position, whose coordinates it does not give
 SINGLE = {"upper left": UPPER_LEFT, "centre": (0.10, 0.10), "near the rim": (0.17, 0.10), "lower right": (0.14, 0.05)}
@@ -21,7 +23,9 @@ SEVERAL = {
     "four": ((0.05, 0.05), (0.15, 0.05), (0.05, 0.15), (0.15, 0.15)),
 }
 DISTANCES = tuple(d / 1000 for d in (*range(60, 30, -5), *range(30, 7, -1)))  # by 5 mm, then by 1 mm
+DISTANCES_FEW = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.017, 0.012)  # with the paper's two
 DISTANCES_QUICK = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.01)
+_COMPARED = ("16I", "16O", "16O fused")  # in Figs. 7 and 8 under other assumptions
 SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE = (0.10, 0.10), 0.03, 20e3
 
 
@@ -37,7 +41,8 @@ class Settings:
             as many.
         fine_noise: Level of the second, quieter run of Fig. 8 (dB).
         distances: Of the two contacts of Fig. 8 (m).
-        side: Places along a side of the sheet in Fig. 7 and in the sweep.
+        side: Places along a side of the sheet in Fig. 7, in the sweep and under other assumptions.
+        assumptions: Which of `ASSUMPTIONS` to try; a quarter of the seeds each.
 
     Raises:
         OhmskinError: If a list is empty or a value is out of range.
@@ -49,6 +54,7 @@ class Settings:
     fine_noise: float = 60.0
     distances: tuple[float, ...] = DISTANCES
     side: int = 9
+    assumptions: tuple[str, ...] = tuple(ASSUMPTIONS)
 
     def __post_init__(self) -> None:
         if not self.noise or any(not 0 <= level <= 200 for level in self.noise):
@@ -61,12 +67,12 @@ class Settings:
     @classmethod
     def quick(cls) -> Self:
         """Few seeds and levels: what takes a minute or two on two cores."""
-        return cls(noise=(45.0, 35.0, 55.0), amplitude=(0.1,), seeds=5, distances=DISTANCES_QUICK)
+        return cls((45.0, 35.0, 55.0), (0.1,), seeds=5, distances=DISTANCES_QUICK, assumptions=())
 
 
 def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     """The experiments of each figure by name: ``world``, ``world/area/dB`` or, in the sweep,
-    ``what/world/dB/amplitude``; all unless some are named.
+    ``what/world/dB/amplitude``, and of the assumptions ``what/world/assumption``; all unless some are named.
 
     Raises:
         OhmskinError: If a figure is unknown.
@@ -89,6 +95,32 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
             where = "{}/{:g}/{:g}".format(*at)
             found["sweep"][f"localisation/{where}"] = experiments.Localisation(*at, n, settings.side)
             found["sweep"][f"merits/{where}"] = experiments.Merits(*at, 10 * n, single[0][0])
+    found["assumptions"] = _assumptions(settings)
     shapes = tuple(Shape(kind, SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE) for kind in SHAPES)
     found["fig6"]["pressed"] = experiments.PressedShapes(db, s, n, shapes)
     return chosen(found, only, "figure")
+
+
+def _assumptions(settings: Settings) -> dict[str, Experiment]:
+    """Table I, Fig. 7 and Fig. 8 (its quieter run, by the dip) under each assumption."""
+    found: dict[str, Experiment] = {}
+    s, n = settings.amplitude[0], max(settings.seeds // 4, 2)
+    for name in settings.assumptions:
+        taken = assumption(name)
+        level, fine = (taken.decibels or usual for usual in (settings.noise[0], settings.fine_noise))
+        for world in taken.worlds:
+            at = (world, level, s)
+            touch = Bench(*at, assumption=name).usual_contact(*UPPER_LEFT)
+            found[f"merits/{world}/{name}"] = experiments.Merits(*at, 10 * n, touch, assumption=name)
+            found[f"localisation/{world}/{name}"] = (
+                experiments.Localisation(*at, n, settings.side, _COMPARED, assumption=name)
+                if taken.decibels
+                else experiments.MatchedLocalisation(
+                    world, s, n, side=settings.side, step=0.5, methods=_COMPARED, assumption=name
+                )
+            )
+            for number, area in enumerate(areas()):
+                found[f"discrimination/{world}/{name}/{number}"] = experiments.Discrimination(
+                    world, fine, s, n, area, DISTANCES_FEW, fitted=False, assumption=name
+                )
+    return found

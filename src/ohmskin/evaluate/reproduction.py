@@ -6,10 +6,12 @@ import numpy as np
 
 import ohmskin
 from ohmskin.evaluate import paper
+from ohmskin.evaluate.assumed import Assumed, assumed
 from ohmskin.evaluate.claims import assess
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.experiments.touches import COLUMNS, EIDORS_COLUMNS
 from ohmskin.evaluate.figures import curves, images
+from ohmskin.evaluate.figures.assumptions import assumptions
 from ohmskin.evaluate.methods import METHODS, all_methods
 from ohmskin.evaluate.plan import Settings, plan
 from ohmskin.evaluate.result import Outcome
@@ -28,6 +30,7 @@ SHOWN = {
     "fig7": ("Fig. 7", "Localisation at 81 places", curves.localisation),
     "fig8": ("Fig. 8", "Two-point discrimination", curves.discrimination),
     "sweep": ("Sweep", "What depends on noise and prior amplitude", curves.sweep),
+    "assumptions": ("Assumptions", "Which single assumption would bring out the paper's figures", assumptions),
 }
 _VERDICTS = (YES, OPEN, NO)  # best first
 MISS = 30e-3  # metres; a touch seen further away counts as missed
@@ -92,7 +95,7 @@ def _figure(done: Done, figure: str, claims: Sequence[Claim], pictures: Sequence
     mine = [c for c in claims if c.figure == figure]
     shown: list[Block] = [Image(label, picture) for picture in pictures]
     apart = 1 if figure in ("fig3", "fig4") else len(shown)  # there, one picture per world
-    tables = {"table1": _merits, "fig7": _errors}
+    tables = {"table1": _merits, "fig7": _errors, "assumptions": _assumptions}
     aside = _merits(done, other) if figure == "table1" else []
     aside = [*aside, *shown[apart:], *_claims([c for c in mine if c.world != own])]
     blocks = [f"> **The paper:** {paper.SAYS[figure]}", *shown[:apart]]
@@ -143,6 +146,28 @@ def _errors(done: Done, _: str) -> list[Block]:
             rows.append((data, all_methods()[key].label, *typical, *worst, published))
     head = ("data", "method", "mean / mm", "median / mm", "95th percentile / mm", f"off by over {1e3 * MISS:.0f} mm")
     return [Table((*head, "paper, mean / mm"), rows)]
+
+
+def _assumptions(done: Done, _: str) -> list[Block]:
+    """What each single assumption brings out, best first, and the answer in a sentence."""
+    found = sorted(assumed(done), key=lambda one: -sum(verdict == YES for verdict in one.verdicts))
+    full = list(dict.fromkeys(f"*{one.title}*" for one in found if one.verdicts == (YES,) * 3))
+    names = "Table I", "Fig. 7", "Fig. 8"
+    answers = ["**No single assumption brings out all three.**" if not full else f"**All three: {', '.join(full)}.**"]
+    for number, name in enumerate(names):
+        yes = [f"{one.title} ({one.best}, {one.world})" for one in found if one.verdicts[number] == YES]
+        answers.append(f"{name}: {'; '.join(yes) or 'none'}.")
+    rows = [_row(one) for one in found]
+    head = "assumption", *names, "orders of Table I", "noise / dB", "16I / mm", "adaptive / mm", "ratio", "apart / mm"
+    return [" ".join(answers), Table(head, rows, numbers=False)]
+
+
+def _row(one: Assumed) -> tuple[str, ...]:
+    orders = ", ".join(f"{key} {verdict}" for key, verdict in one.orders.items())
+    apart = " and ".join(f"{1e3 * d:g}" if np.isfinite(d) else "none up to 60" for d in one.distances)
+    means = one.adjacent.text(1e3), one.adaptive.text(1e3)
+    where = f"{one.title}\n{one.best}, {WORLD_NAMES[one.world]}"
+    return (where, *one.verdicts, orders, f"{one.decibels:g}", *means, one.ratio.text(), apart)
 
 
 REPRODUCTION = Study(

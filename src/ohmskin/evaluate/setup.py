@@ -16,9 +16,10 @@ import numpy as np
 from ohmskin import drive as drives
 from ohmskin.arrays import Floats
 from ohmskin.calibrate.sheet import fit_sheet
-from ohmskin.contacts import Contact, ContactFitter, find_regions
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions
 from ohmskin.drive import DRIVES, Drive, DriveSettings, complete_pattern
 from ohmskin.evaluate import worlds
+from ohmskin.evaluate.assumptions import STATED, Assumption
 from ohmskin.evaluate.flaws import SOUND, Flaw, believed
 from ohmskin.evaluate.worlds import CURRENT, Contacts
 from ohmskin.forward import ContactTable
@@ -44,6 +45,7 @@ class View:
         percept: What was seen.
         mesh: Mesh of the image.
         raster: Its raster of `PIXELS` pixels.
+        image: The image.
         contacts: All contacts that the frame shows, strongest first.
     """
 
@@ -52,18 +54,13 @@ class View:
     percept: Percept
     mesh: Mesh
     raster: Raster
+    image: Image
     contacts: tuple[Contact, ...]
 
     @property
     def differences(self) -> tuple[Difference, ...]:
         """The data that were read: of all scans of the frame, or of the last one if the mode does not fuse them."""
-        frames = self.percept.frames if self.mode.fuse else self.percept.frames[-1:]
-        return tuple(map(self.setup.known.difference, frames))
-
-    @property
-    def image(self) -> Image:
-        """The image."""
-        return self.percept.image
+        return self.setup.differences(self.mode, self.percept)
 
     @property
     def pixels(self) -> Floats:
@@ -96,6 +93,7 @@ class Setup:
             reference is the mean of the quiet scans.
         layout: Electrode layout, of `worlds.LAYOUTS`.
         flaw: What is wrong.
+        assumption: What is otherwise than in the figures of the paper.
 
     Attributes:
         noise: Standard deviation of a voltage (V).
@@ -103,17 +101,24 @@ class Setup:
     """
 
     def __init__(
-        self, world: str, decibels: float, amplitude: float | None = None, layout: str = "grid", flaw: Flaw = SOUND
+        self,
+        world: str,
+        decibels: float,
+        amplitude: float | None = None,
+        layout: str = "grid",
+        flaw: Flaw = SOUND,
+        assumption: Assumption = STATED,
     ) -> None:
-        self.world, self.layout, self.flaw = world, layout, flaw
+        self.world, self.layout, self.flaw, self._assumption = world, layout, flaw, assumption
         self.noise, skin = worlds.noise_volts(world, decibels), worlds.skin_of(world, layout)
         if amplitude is not None:
             skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
         electrodes, make = believed(layout, flaw)
+        self.electrodes, self.skin = electrodes, skin
         rings, complete = electrodes.rings, complete_pattern(electrodes)
         patterns = [adjacent(rings[:1]), adjacent(rings), complete]
         patterns = needed(driven for pattern in patterns for driven in (pattern, pattern.with_driven))
-        self._calm = worlds.sheet(world, layout, flaw.wear).untouched  # at calibration
+        self._calm = worlds.sheet(world, layout, flaw.wear, assumption.same_mesh).untouched  # at calibration
         scans = [self._device(self._calm, (_CALIBRATION, k)) for k in range(QUIET)]
         log_conductivity = np.zeros(1)
         if flaw.calibrated:
@@ -132,7 +137,7 @@ class Setup:
             exact = self._device(self._calm, (), noise=0.0)
             baseline = Baseline.learn([exact(pattern) for pattern in patterns for _ in range(2)])
             self.known.baseline = replace(self.known.baseline, resistances=baseline.resistances)
-        self.model, self.electrodes, self.skin = self.known.model, model.electrodes, skin
+        self.model, self.electrodes = self.known.model, model.electrodes
         self._sensors: dict[Mode, Sensor] = {}
 
     def design(self, driven: bool) -> tuple[ContactTable, drives.Candidates]:
@@ -186,7 +191,19 @@ class Setup:
         """What a mode makes of one frame under contacts, with nothing known before."""
         sensor = self.sensor(mode)
         _, percept = sensor.step(sensor.start(), self.scan(contacts, *seed))
-        return View(self, mode, percept, self.model.mesh, self.raster, percept.detections)
+        image, found = percept.image, percept.detections
+        if self._assumption.driven:  # which centroids of the loop leave out
+            one_step = self.known.one_step(sensor.reader.estimator)
+            image = one_step.reconstruct(*self.differences(mode, percept))
+            imaging = self.skin.imaging
+            finder = ContactFinder(sensor.thresholds.final, imaging.fraction, imaging.dip, imaging.bipolar)
+            found = tuple(finder.find(image, self.model.mesh))
+        return View(self, mode, percept, self.model.mesh, self.raster, image, found)
+
+    def differences(self, mode: Mode, percept: Percept) -> tuple[Difference, ...]:
+        """The data that a mode reads of a frame."""
+        frames = percept.frames if mode.fuse else percept.frames[-1:]
+        return tuple(map(self.known.difference, frames))
 
     def follow(self, mode: Mode, frames: Iterable[Contacts], *seed: int, turn: int = 0) -> Iterator[Percept]:
         """What a mode makes of frames, each under its contacts, with what is known from those before. Frame k has the
@@ -201,7 +218,8 @@ class Setup:
         """A device that measures the sheet under contacts at `CURRENT`, with noise of its seed, at a time (s)."""
         now = self._calm
         if contacts or self.flaw.since != 1:
-            now = worlds.touched(self.world, self.layout, contacts, self.flaw.wear * self.flaw.since)
+            wear, same_mesh = self.flaw.wear * self.flaw.since, self._assumption.same_mesh
+            now = worlds.touched(self.world, self.layout, contacts, wear, same_mesh)
         return self._device(now, (*seed, zlib.crc32(repr(contacts).encode())), time)
 
     def _device(self, resistance: Floats, seed: tuple[int, ...], time: float = 0.0, noise: float | None = None) -> Scan:
@@ -212,10 +230,32 @@ class Setup:
         def measure(pattern: DrivePattern) -> Frame:
             random = np.random.default_rng([*seed, pattern.digest, driven[pattern.digest]])  # again: other noise
             driven[pattern.digest] += 1
-            volts = worlds.voltages(resistance, pattern) + sigma * random.standard_normal(pattern.n_meas)
-            return Frame(pattern, volts, np.full(pattern.n_inj, CURRENT), time)
+            flowing, reported = self._currents(resistance, pattern)
+            errors = sigma * self._noisy(pattern) * random.standard_normal(pattern.n_meas)
+            return Frame(pattern, worlds.voltages(resistance, pattern, flowing) + errors, reported, time)
 
         return measure
+
+    def _currents(self, resistance: Floats, pattern: DrivePattern) -> tuple[Floats, Floats]:
+        """The currents (n_inj,) of a pattern, and those that the device reports (A)."""
+        if not self._assumption.source:
+            return (given := np.full(pattern.n_inj, CURRENT)), given
+        series = self.skin.excitation.resistance + 2 * self.skin.excitation.multiplexer_resistance
+
+        def path(resistance: Floats, pattern: DrivePattern) -> Floats:
+            a, b = pattern.injections.T
+            return np.asarray(resistance[a, a] + resistance[b, b] - 2 * resistance[a, b] + series)
+
+        volts = CURRENT * float(path(self._calm, adjacent(self.electrodes.rings[:1])).mean())
+        flowing = volts / path(resistance, pattern)
+        return flowing, flowing if self._assumption.source == "measured" else volts / path(self._calm, pattern)
+
+    def _noisy(self, pattern: DrivePattern) -> Floats:
+        """The noise (n_meas,) of a pattern's voltages over that of the set-up (1)."""
+        if not self._assumption.noise:
+            return np.ones(pattern.n_meas)
+        quiet = np.abs(worlds.voltages(self._calm, pattern)) / worlds.full_scale(self.world)
+        return quiet if self._assumption.noise == "voltage" else np.full(pattern.n_meas, quiet[~pattern.driven].max())
 
 
 def repeated(pattern: DrivePattern, injections: int) -> DrivePattern:

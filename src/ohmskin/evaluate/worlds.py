@@ -54,9 +54,9 @@ class Sheet:
     touched: Callable[[Contacts], Floats]
 
 
-def _discs(skin: Skin) -> Sheet:
+def _discs(skin: Skin, finer: float = 0.48) -> Sheet:
     """Discs of raised conductivity on a sheet with point electrodes; where discs overlap their changes add up."""
-    mesh = mesh_domain(skin.domain, 0.48 * skin.imaging.mesh_size, skin.electrodes.positions)
+    mesh = mesh_domain(skin.domain, finer * skin.imaging.mesh_size, skin.electrodes.positions)
 
     def touched(contacts: Contacts) -> Floats:
         change = np.zeros(mesh.n_elem)
@@ -94,13 +94,14 @@ def skin_of(world: str, layout: str) -> Skin:
 
 
 @lru_cache(maxsize=8)
-def sheet(world: str, layout: str, wear: float = 1.0) -> Sheet:
+def sheet(world: str, layout: str, wear: float = 1.0, same_mesh: bool = False) -> Sheet:
     """The sheet of a world with an electrode layout; made once per process.
 
     Args:
         world: One of `WORLDS`.
         layout: One of `LAYOUTS`.
         wear: Contact impedance of the electrodes over the usual one; point electrodes (discs) have none.
+        same_mesh: Whether discs are on the estimator's mesh.
 
     Raises:
         OhmskinError: If there is no such world.
@@ -109,22 +110,24 @@ def sheet(world: str, layout: str, wear: float = 1.0) -> Sheet:
         raise OhmskinError(f"no world {world!r}; choose from {', '.join(WORLDS)}")
     skin = Skin.load(LAYOUTS[layout])
     electrode = replace(skin.electrode, contact_resistivity=wear * skin.electrode.contact_resistivity)
-    return (_discs if world == "discs" else _pressed)(replace(skin, electrode=electrode))
+    skin = replace(skin, electrode=electrode)
+    return _pressed(skin) if world == "pressed" else _discs(skin, 1.0) if same_mesh else _discs(skin)
 
 
 @lru_cache(maxsize=20_000)
-def touched(world: str, layout: str, contacts: Contacts, wear: float = 1.0) -> Floats:
+def touched(world: str, layout: str, contacts: Contacts, wear: float = 1.0, same_mesh: bool = False) -> Floats:
     """Transfer resistances under contacts, kept for the next noise level, seed or method; see `sheet`."""
-    resistance = sheet(world, layout, wear).touched(contacts)
+    resistance = sheet(world, layout, wear, same_mesh).touched(contacts)
     resistance.setflags(write=False)
     return resistance
 
 
-def voltages(resistance: Floats, pattern: DrivePattern) -> Floats:
-    """Voltages (n_meas,) of a pattern at `CURRENT`, from transfer resistances (n_elec, n_elec) in ohms (V)."""
+def voltages(resistance: Floats, pattern: DrivePattern, currents: float | Floats = CURRENT) -> Floats:
+    """Voltages (n_meas,) of a pattern from transfer resistances (n_elec, n_elec) in ohms, and currents (n_inj,) in
+    amperes (V)."""
     a, b, c, d = pattern.quadruples.T
-    volts: Floats = CURRENT * (resistance[a, c] - resistance[a, d] - resistance[b, c] + resistance[b, d])
-    return volts
+    volts = resistance[a, c] - resistance[a, d] - resistance[b, c] + resistance[b, d]
+    return np.asarray(np.broadcast_to(currents, pattern.n_inj)[pattern.measurements[:, 0]] * volts)
 
 
 @lru_cache(maxsize=8)

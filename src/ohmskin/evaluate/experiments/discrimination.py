@@ -8,7 +8,7 @@ import numpy as np
 from ohmskin.evaluate.methods import Bench
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import View
-from ohmskin.evaluate.shapes import Shape, disc
+from ohmskin.evaluate.shapes import Shape
 from ohmskin.evaluate.two_points import one_or_two, told
 from ohmskin.evaluate.worlds import Contacts
 
@@ -47,12 +47,14 @@ class Discrimination(Bench):
 
     Args:
         distances: Between the two contacts (m).
+        fitted: Whether one and two contacts are fitted, too, or only the dip is told.
     """
 
     seeds: int
     area: Area
     distances: tuple[float, ...]
     methods: tuple[str, ...] = ("16I", "16O", "16O fused")
+    fitted: bool = True
 
     def run(self) -> Result:
         """Results, for pairs (n_methods, n_distances, n_seeds) and, with prefix ``single_``, for single ones
@@ -60,26 +62,32 @@ class Discrimination(Bench):
         contacts, parted by a dip, each closer to its own true contact than half their distance (for singles: whether
         there is more than one contact at all); ``statistic``, how much better two fitted contacts explain the data than
         one (`one_or_two`); ``near``, whether the two are each closer to its own true contact than half their distance;
-        ``chi_square``, what the fit with as many contacts as there are leaves, over its degrees of freedom.
+        ``chi_square``, what the fit with as many contacts as there are leaves, over its degrees of freedom. The last
+        three only if contacts are `fitted`.
         """
         middle, (left, right) = self.area.position, self.area.pair(30e-3)
         singles = ((middle, 1.0), (middle, 2.0), (left, 1.0), (right, 1.0))  # with the strength of one and of two
         cases = [tuple(self._press(at) for at in self.area.pair(d)) for d in self.distances]
-        pairs = self.read(self.methods, cases, self.seeds, _rates)
-        alone = self.read(self.methods, [(self._press(*single),) for single in singles], self.seeds, _rates)
+        rates = _rates if self.fitted else _dip
+        pairs = self.read(self.methods, cases, self.seeds, rates)
+        alone = self.read(self.methods, [(self._press(*single),) for single in singles], self.seeds, rates)
         return pairs | {f"single_{name}": array for name, array in alone.items()}
 
     def _press(self, at: tuple[float, float], times: float = 1.0) -> Shape:
-        return disc(*at, RADIUS, times * STRENGTH[self.world])
+        return self.usual_contact(*at, RADIUS, STRENGTH[self.world], times)
+
+
+def _dip(seen: View, contacts: Contacts) -> dict[str, Any]:
+    truth, places = ([contact.position for contact in each] for each in (contacts, seen.contacts))
+    return {"dip": len(places) > 1 if len(truth) == 1 else told(places, truth)}
 
 
 def _rates(seen: View, contacts: Contacts) -> dict[str, Any]:
-    truth, places = ([contact.position for contact in each] for each in (contacts, seen.contacts))
+    truth = [contact.position for contact in contacts]
     statistic, one, two = one_or_two(seen.setup.trusting_fitter, *seen.differences)
     caused = (one if len(truth) == 1 else two).caused
     left = np.concatenate([d.volts - d.caused_by(caused) for d in seen.differences]) / seen.setup.noise
-    return {
-        "dip": len(places) > 1 if len(truth) == 1 else told(places, truth),
+    return _dip(seen, contacts) | {
         "statistic": statistic,
         "near": len(truth) == 2 and told(two.params[:, :2], truth),
         "chi_square": left @ left / (len(left) - 4 * len(truth)),

@@ -8,7 +8,6 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.methods import METHODS, Bench
 from ohmskin.evaluate.result import Result
-from ohmskin.evaluate.worlds import contact
 
 CENTRE = 0.1  # metres; the middle of the sheet, the best guess for a place when nothing is found
 
@@ -24,7 +23,7 @@ class Localisation(Bench):
     def run(self) -> Result:
         """Results: ``truth`` (n_places, 2) and `View.place`, ``estimate`` (n_methods, n_seeds, n_places, 2) (m)."""
         truth = places(self.side)
-        cases = [(contact(self.world, x, y),) for x, y in truth]
+        cases = [(self.usual_contact(x, y),) for x, y in truth]
         seen = self.read(self.methods, cases, self.seeds, lambda view, _: {"estimate": view.place})
         return {"truth": truth, "estimate": np.ascontiguousarray(seen["estimate"].swapaxes(1, 2))}
 
@@ -44,10 +43,13 @@ class MatchedLocalisation:
     side: int = 9
     step: float = 0.25
     methods: tuple[str, ...] = METHODS
+    assumption: str = "stated"
 
     def run(self) -> Result:
         """Results of `Localisation`, and ``decibels`` () and ``matched`` (), the level and the mean error there (m)."""
-        trial = Localisation(self.world, 0.0, self.amplitude, self.seeds, self.side, (self.by,))
+        trial = Localisation(
+            self.world, 0.0, self.amplitude, self.seeds, self.side, (self.by,), assumption=self.assumption
+        )
 
         @cache
         def mean(level: int) -> float:

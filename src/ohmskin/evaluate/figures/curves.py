@@ -78,7 +78,7 @@ def merits(done: Done) -> list[Drawn]:
 def discrimination(done: Done) -> list[Drawn]:
     """Fig. 8: success rates over distance."""
     levels = list(dict.fromkeys((done.settings.noise[0], done.settings.fine_noise)))
-    labels = "distance between the contacts / mm", "two contacts told apart (share)"
+    labels = "distance between the contacts / mm", "two contacts distinguished (share)"
     canvas, grid = panels(2.6 * len(WORLDS) + 0.3, len(WORLDS), len(levels), *labels, sharex=True, sharey=True)
     lines: dict[str, Any] = dict(zip(DECIDED_BY, (":", "-"), strict=True))
     for (world, level), axes in zip(product(WORLDS, levels), grid.flat, strict=True):
@@ -101,10 +101,10 @@ def discrimination(done: Done) -> list[Drawn]:
     canvas.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, columnspacing=1.2)
     caption = (
         f"Two contacts of radius {1e3 * RADIUS:.0f} mm at falling distances, in {len(areas)} areas, {task.seeds} noise "
-        "seeds each: share of trials in which they are told apart, by the dip between two peaks of the image (dotted) "
-        f"and by a test of two fitted contacts against one (solid; at most {100 * ALPHA:.0f} % of single contacts "
-        "taken for two). Either must put each contact closer to its true place than half the distance. Grey line: half "
-        f"of the trials. Prior amplitude s = {task.amplitude:g}."
+        "seeds each: share of trials in which they are distinguished, by the dip between two peaks of the image "
+        f"(dotted) and by a test of two fitted contacts against one (solid; at most {100 * ALPHA:.0f} % of single "
+        "contacts taken for two). Either must put each contact closer to its true place than half the distance. Grey "
+        f"line: half of the trials. Prior amplitude s = {task.amplitude:g}."
     )
     return [("fig8", canvas, caption)]
 

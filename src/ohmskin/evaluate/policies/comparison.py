@@ -187,8 +187,8 @@ def _pairs(done: Done) -> list[Block]:
         rows.append(("", "any 28", "ideal test, at most", ideal_power(limits["any"]), "1 %"))
         rows.append(("", "all 120", "ideal test", ideal_power(limits["all"]), "1 %"))
     text = (
-        "Share of pairs told apart in per cent, by distance; a pair counts if both contacts are also placed closer to "
-        "their own true place than half their distance. *Fit*: what the product counts and places by itself "
+        "Share of pairs distinguished in per cent, by distance; a pair counts if both contacts are also placed closer "
+        "to their own true place than half their distance. *Fit*: what the product counts and places by itself "
         "(`ContactFitter.split`). The ideal test is Neyman and "
         "Pearson's between the pair and the single disc, of any place, size and strength, that looks most like it, "
         "both known in every number: no test that takes each single disc for two in at most 1 % of cases does better. "
@@ -227,7 +227,7 @@ def _press(done: Done) -> list[Block]:
         "right). "
         f"*Described wrongly*: with {WRONG[0]:g} times the layer's conductance and an exponent {-WRONG[1]:g} too "
         "small. "
-        f"Ten known presses of a foot of {1e3 * FOOT:g} mm, {KNOWN[0] / 1e3:g} to {KNOWN[-1] / 1e3:g} kPa, then told "
+        f"Ten known presses of a foot of {1e3 * FOOT:g} mm, {KNOWN[0] / 1e3:g} to {KNOWN[-1] / 1e3:g} kPa, gave "
         f"{layers[:, 0].min():.2f} to {layers[:, 0].max():.2f} times the true conductance and exponents of "
         f"{layers[:, 1].min():.2f} to {layers[:, 1].max():.2f}, by draw."
     )

@@ -114,7 +114,7 @@ def pairs(done: Done) -> list[Drawn]:
     """Success against distance."""
     groups = list(goals.pair_groups(done))
     columns, rows = (list(dict.fromkeys(name.split("/")[part] for name, *_ in groups)) for part in (0, 1))
-    sizes, labels = (len(rows), len(columns)), ("distance / mm", "told apart / %")
+    sizes, labels = (len(rows), len(columns)), ("distance / mm", "distinguished / %")
     canvas, grid = panels(2.3 * len(rows) + 0.3, *sizes, *labels, sharex=True, sharey=True)
     for name, task, result, limits, power in groups:
         decibels, strength = name.split("/")
