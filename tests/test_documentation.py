@@ -2,11 +2,16 @@
 
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from command_line import ohmskin
+from flawed import flawed_skin
+from test_learn import table
 
 from ohmskin.cli import app
 from ohmskin.device.server import DeviceServer
@@ -18,9 +23,18 @@ PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.m
 BESIDE = {  # so that they end by themselves, and press the skin that is there
     "live": ["--headless", "--seconds", "1"],
     "replay": ["--headless"],
+    "patches": ["--headless", "--seconds", "2"],
     "press": ["--device", "tcp://127.0.0.1:7155"],
+    "reproduce": ["--only", "fig3", "--seeds", "1", "--noise", "45", "--amplitude", "0.1", "--jobs", "1"],
 }
-ELSEWHERE = {"serve-skin", "--install-completion"}  # runs until Ctrl-C; changes the shell's start-up: test_cli.py
+ELSEWHERE = {  # what cannot be run here, and what runs it
+    "serve-skin": "test_cli.py, until Ctrl-C",
+    "--install-completion": "test_cli.py, as it changes the shell's start-up",
+    "serve-firmware": "test_firmware_loop.py, with QEMU",
+    "check-host": "test_hostile.py, with hosts",
+}
+DEVICES = ("tcp://127.0.0.1:7155", "tcp://127.0.0.1:7156", "serial:///dev/ttyACM0", "rig:/dev/ttyUSB0,Dev1")
+FEWER = {"--seconds": "1", "--pokes": "1", "--own-touches": "1", "--free": "1", "--count": "3", "--injections": "16"}
 
 
 BLOCK = r"^(?:    )?(?:\.venv/bin/)?ohmskin ([a-z-].*)$"
@@ -48,10 +62,12 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
     ran = []
     for words in commands(page.read_text(encoding="utf-8")):
         if words[0] not in ELSEWHERE:
-            words += [] if "--headless" in words else BESIDE.get(words[0], [])
-            words += ["--name", "documentation"] if "--publish" in words else []  # "skin" may be another test's
-            words = [word.replace("tcp://127.0.0.1:7155", device) for word in words]
-            words = ["1" if before == "--seconds" else word for before, word in zip(["", *words], words, strict=False)]
+            given = {"--headless", "--replay"} & {*words}
+            words += [] if given else BESIDE.get(words[0], [])
+            words += ["--headless"] if "--replay" in words else []
+            words += ["--name", "documentation"] if "--publish" in words and words[0] == "live" else []  # not "skin"
+            words = [device if word in DEVICES else word.replace("eth0", "lo") for word in words]
+            words = [FEWER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
             done = ohmskin(*words, cwd=folder)
             assert done.returncode == 0, f"{words}: {done.stderr}"
             ran.append(words[0])
@@ -75,3 +91,72 @@ def test_a_newcomer_records_a_touch(tmp_path: Path) -> None:
 @pytest.mark.parametrize("page", ["README.md", "docs/tutorials/robot.md"])
 def test_commands_run_as_they_stand(page: str, tmp_path: Path, device: str) -> None:
     assert len(run_all(ROOT / page, tmp_path, device)) >= 5
+
+
+# --- guides and other pages: what they take for granted is put beside them ------------------------------------------
+
+
+def with_skins(folder: Path) -> None:
+    """Skins of one's own, as `ohmskin calibrate` writes them."""
+    for name in ("mine.toml", "my-skin.toml"):
+        (folder / name).write_text(Skin.load("paper").dump(), encoding="utf-8")
+
+
+def with_presses(folder: Path) -> None:
+    """A recording of presses at known places."""
+    (folder / "my-skin.toml").write_text(Skin.load("paper-rim16").dump(), encoding="utf-8")
+    table(flawed_skin(36, 40), folder / "presses.csv", scale=1e3, unit="_mm")
+
+
+def with_body(folder: Path) -> None:
+    """The body of examples/, and the same as the reader's own."""
+    shutil.copytree(ROOT / "examples" / "body", folder / "examples" / "body")
+    shutil.copytree(ROOT / "examples" / "body", folder, dirs_exist_ok=True)
+
+
+def with_humanoid(folder: Path) -> None:
+    """The humanoid of examples/."""
+    shutil.copytree(ROOT / "examples" / "humanoid", folder / "examples" / "humanoid")
+
+
+NEEDED = {"learning": with_presses, "several-skins": with_body, "robot": with_humanoid, "safety": with_skins}
+OTHERS = [page for page in PAGES[1:] if page.parent.name != "tutorials"]
+OTHERS = [page for page in OTHERS if any(words[0] not in ELSEWHERE for words in commands(page.read_text("utf-8")))]
+
+
+@pytest.mark.parametrize("page", OTHERS, ids=lambda page: page.stem)
+def test_commands_of_guides_run_as_they_stand(page: Path, tmp_path: Path, device: str) -> None:
+    NEEDED.get(page.stem, with_skins)(tmp_path)
+    assert run_all(page, tmp_path, "virtual:" if page.stem == "learning" else device)  # a rim of 16 is not served
+
+
+EXTRAS = (
+    "matplotlib",
+    "pyarrow",
+    "zenoh",
+    "cyclonedds",
+    "foxglove",
+    "distributed",
+    "zarr",
+    "sklearn",
+    "mujoco",
+    "gmsh",
+)
+BARE = f"import sys; sys.modules.update(dict.fromkeys({EXTRAS})); from ohmskin.cli import main; main()"
+
+
+def test_a_first_session_needs_no_extra(tmp_path: Path) -> None:
+    """README's and the tutorial's commands but those that draw."""
+    for line in (
+        "info",
+        "examples",
+        "live --headless --seconds 1",
+        "record touch.mcap --seconds 1",
+        "export touch.mcap --to csv",
+        "replay touch.mcap --headless",
+        "self-test",
+        "calibrate --no-force",
+    ):
+        command = [sys.executable, "-c", BARE, *line.split()]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
+        assert done.returncode == 0, f"{line}: {done.stderr}"

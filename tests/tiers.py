@@ -108,6 +108,8 @@ LONG = {
     "test_diagnosis.py::test_an_electrode_that_opens*[[]*-0": "one on the rim and one inside",
     "test_diagnosis.py::test_an_electrode_that_opens*[[]*-7": "one on the rim and one inside",
     "test_documentation.py::test_a_newcomer": "that every command is understood, and each command in test_cli.py",
+    "test_documentation.py::test_a_first_session": "that every command is understood, and each command in test_cli.py",
+    "test_documentation.py::test_commands_of_guides": "that every command is understood, and each in its own tests",
     "test_documentation.py::test_commands_run": "that every command is understood, and each command in test_cli.py",
     "test_domains.py::test_rings_of_nodes": "what a contact impedance does in test_policies.py",
     "test_faults.py::test_a_host_that_was_suspended": "the loss of a device in other ways",
