@@ -357,7 +357,7 @@ def test_impossible_fits_are_refused(options: dict, message: str) -> None:
 
 def test_what_data_do_not_determine_is_named() -> None:
     same = np.ones((start().mesh.n_elem, 2))
-    with pytest.raises(ModelError, match=r"do not tell 'background [01]' from 'background [01]'; measure more"):
+    with pytest.raises(ModelError, match=r"do not separate 'background [01]' from 'background [01]'; measure more"):
         fit_background(start(), EVERYTHING, measured(start(), EVERYTHING), 1e-3, background=same)
     nothing = np.column_stack([np.ones(start().mesh.n_elem), np.zeros(start().mesh.n_elem)])
     with pytest.raises(ModelError, match="do not depend on 'background 1'"):

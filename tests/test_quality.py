@@ -370,7 +370,7 @@ def test_perception_sees_with_electrodes_missing_since_calibration(
     press(virtual)
     found = contacts(paper, paper_model, quiet, lose(virtual.scan(pattern)), None)
     assert np.linalg.norm(found[0][:2] - [0.06, 0.13]) < 8e-3
-    with pytest.raises(DataError, match="cannot be told"):
+    with pytest.raises(DataError, match="cannot be estimated"):
         contacts(paper, paper_model, [replace(f, voltages=np.full(len(gone), np.nan)) for f in quiet], quiet[0], None)
 
 

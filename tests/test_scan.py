@@ -315,7 +315,7 @@ def test_frames_with_nothing_finite_are_refused(bad: float) -> None:
     pattern = adjacent(RIM)
     empty = Frame(pattern, np.full(108, bad), np.full(12, 1e-3), 0.0)
     for quiet in ([empty], [empty, empty]):
-        with pytest.raises(DataError, match="cannot be told"):
+        with pytest.raises(DataError, match="cannot be estimated"):
             Baseline.learn(quiet)
 
 

@@ -46,7 +46,7 @@ _COMMANDS = {
         "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --output out"),
         "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --output my-skin.toml"),
         "learn": (
-            "Learn of a skin from presses: bad channels, a map of positions.",
+            "Learn bad channels and a map of positions from presses.",
             "ohmskin learn presses.csv --skin my-skin.toml --output learned.toml",
         ),
         "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155"),
@@ -78,7 +78,7 @@ def _shown(default: Any) -> Any:
 app = App(
     name="ohmskin",
     help="A sense of touch from a handful of electrodes. Start with: `ohmskin live`\n\n"
-    "Exit status: 0 done, 1 a check found a fault, 2 an error, told in one line, 130 interrupted (Ctrl-C).",
+    "Exit status: 0 done, 1 a check found a fault, 2 an error, reported in one line, 130 interrupted (Ctrl-C).",
     version=ohmskin.__version__,
     result_action="return_value",
     default_parameter=Parameter(negative_iterable=(), show_default=_shown),

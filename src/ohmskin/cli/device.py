@@ -65,7 +65,7 @@ def check_host(
     only: Names = (),
     json: Flag = False,
 ) -> None:
-    """Serve a virtual skin that misbehaves in every way there is, and tell what the host that connects makes of it.
+    """Serve a virtual skin that misbehaves in every way there is, and report how the host that connects copes.
 
     The host must scan again after each trick by itself, over a new connection if need be; one that ends may be
     started again. The exit status is 1 if it did not.

@@ -29,7 +29,7 @@ def learn(
     channels: bool = True,
     positions: bool = True,
 ) -> None:
-    """Learn of a skin from a recording of presses: which channels follow its model and, where places are known, a map.
+    """Learn from a recording of presses which channels follow the skin's model and, where places are known, a map.
 
     Args:
         file: Frames of one press each: press data (.csv or .mat, see the guide), or any recording that `image` reads.

@@ -116,7 +116,7 @@ def _tell(figures: dict[str, Any]) -> None:
     """The figures, line by line."""
     print(f"{figures['felt']} of {figures['pokes']} pokes felt, {figures['on_the_right_link']} on the right link")
     if figures["own_touches"]:
-        print(f"{figures['own_touches_told']} of {figures['own_touches']} touches by itself told from others")
+        print(f"{figures['own_touches_told']} of {figures['own_touches']} self-touches recognised")
     if free := figures["free_motion"]:
         print(f"{figures['invented_in_free_motion']} contacts invented in {free:g} s of free motion")
     units = {"position_error": (1e3, "mm"), "reaction_time": (1e3, "ms"), "peak_force": (1.0, "N")}

@@ -44,7 +44,7 @@ class Solution:
 
 
 def nothing(n_pairs: int, cost: float = 0.0) -> Solution:
-    """Data explained by no contact. Its cost is not told unless given."""
+    """Data explained by no contact; its cost is unknown unless given."""
     return Solution(np.empty((0, PER_CONTACT)), cost, np.empty((0, 0)), np.zeros(n_pairs), np.empty((n_pairs, 0)))
 
 

@@ -117,6 +117,6 @@ def card(recipe: Recipe) -> str:
         *("", "## Limits", ""),
         "All samples are of one skin as it is described: no electrode is off its place, no channel is faulty, nothing",
         "drifts. Patches have 4 x 4 contacts, which changes what a press does by up to 5 %. Presses are even discs: no",
-        "shapes, no shear, no motion; samples are independent. Do not tell accuracy on a real skin from these data.",
+        "shapes, no shear, no motion; samples are independent. They do not show accuracy on a real skin.",
     ]
     return "\n".join(lines) + "\n"

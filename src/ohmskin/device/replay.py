@@ -212,7 +212,7 @@ class ReplayDevice(Device):
                 return index
             if number is None:
                 modes = [self._reel.modes[k] for k in np.unique(self._reel.mode_of[self._run])]
-                told = ", ".join(filter(None, modes)) or "not told"
+                told = ", ".join(filter(None, modes)) or "not recorded"
                 raise PatternError(
                     f"a recording can only replay what was recorded; its modes are {told}; "
                     "use one of them, or the recording's own pattern (device.reference[0].pattern) if it has no modes"

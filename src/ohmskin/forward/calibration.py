@@ -94,7 +94,9 @@ def fit_background(
     if measured.shape != (pattern.n_meas,):
         raise ModelError(f"voltages have shape {measured.shape}; the pattern needs ({pattern.n_meas},)")
     if noise is not None and not (np.isfinite(noise) and noise > 0):
-        raise ModelError(f"noise is {noise} V; it must be positive and finite, or None to tell it from the residual")
+        raise ModelError(
+            f"noise is {noise} V; it must be positive and finite, or None to estimate it from the residual"
+        )
     known = np.isfinite(measured)
     if known.sum() < len(names) + (noise is None):
         raise ModelError(f"{known.sum()} finite voltages do not determine {len(names)} parameters; measure more")
@@ -168,4 +170,4 @@ def _check_rank(rows: Floats, names: tuple[str, ...]) -> None:
     if singular[-1] < 1e-9 * singular[0]:
         mixed = np.argsort(-np.abs(right[-1]))[:2]
         pair = f"{names[mixed[0]]!r} from {names[mixed[1]]!r}"
-        raise ModelError(f"the data do not tell {pair}; measure more, at driven electrodes, too, or fit less")
+        raise ModelError(f"the data do not separate {pair}; measure more, at driven electrodes, too, or fit less")

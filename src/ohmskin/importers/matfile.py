@@ -71,7 +71,7 @@ def load_variables(content: bytes, name: str) -> tuple[dict[str, Any], tuple[str
         variables = reader.variables(memoryview(content)[128:])
     except _DamagedError as error:
         raise DataError(f"{name} {error}; save only what was measured, and copy the file again") from error
-    parts = "imaginary parts are left out: contacts are told from real ones"
+    parts = "imaginary parts are left out: contacts are found from real ones"
     return variables, (f"{', '.join(map(repr, reader.complex[:8]))}: {parts}",) if reader.complex else ()
 
 

@@ -236,6 +236,6 @@ def _with_noise(quiet: Sequence[Frame], frames: Sequence[Frame], notes: list[str
     (rest,) = quiet
     changes = np.array([frame.voltages for frame in frames]) - rest.voltages
     noise = _UNTOLD * float(np.sqrt(np.mean(changes[np.isfinite(changes)] ** 2)))
-    notes.append(f"one state of the untouched skin does not tell the noise: {_UNTOLD:.0%} of a usual change is taken")
+    notes.append(f"one state of the untouched skin does not show the noise: {_UNTOLD:.0%} of a usual change is taken")
     shift = noise / np.sqrt(2) * np.where(np.arange(changes.shape[1]) % 2, 1.0, -1.0)
     return tuple(replace(rest, voltages=rest.voltages + sign * shift) for sign in (1.0, -1.0))

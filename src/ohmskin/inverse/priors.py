@@ -38,7 +38,7 @@ class Penalty:
         matrix: (n_unknowns, n_unknowns) sparse, symmetric positive definite.
         image: (n_elem, n_unknowns) sparse, from the unknowns to the image; None where they are the same.
         mean_variance: Variance of the image, averaged over the sheet, for which the penalty is meant; None: as it
-            comes, to be scaled to one by who uses it.
+            comes; whoever uses it scales it to one.
         free_mean: Whether images that are the same everywhere cost nothing, the null space of `matrix`. Then the mean
             does not count in the average variance. Only without `image`.
         places: (n_unknowns, dim) where each unknown is (m); makes factorising the matrix much quicker.
@@ -185,7 +185,7 @@ def tikhonov(mesh: Mesh) -> Penalty:
     """The integral of the squared image: triangles count by their area and are independent of each other.
 
     The variance of a single triangle has no limit as the mesh is refined, so that the mean over a hundredth of the
-    sheet is what has variance one: then the same image comes out on every mesh.
+    sheet is what has variance one: then every mesh gives the same image.
     """
     return Penalty(sp.csc_array(sp.diags_array(mesh.measures / (0.01 * mesh.measures.sum()))), mean_variance=1.0)
 

@@ -63,7 +63,7 @@ class Follower:
         block = decoder.block(8)
         positions = struct.unpack(f"<{len(block) // 8}d", block)
         if positions and len(positions) != len(names):
-            raise PublishError(f"a message tells {len(names)} joints and {len(positions)} positions")
+            raise PublishError(f"a message has {len(names)} joints and {len(positions)} positions")
         told = {name: (p, at) for name, p in zip(names, positions, strict=bool(positions)) if name in self._joints}
         if wrong := next((name for name, (position, _) in told.items() if not isfinite(position)), None):
             raise PublishError(f"joint {wrong!r} is at {told[wrong][0]}; it must be a finite number (rad or m)")

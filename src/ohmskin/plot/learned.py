@@ -62,7 +62,7 @@ def _draw_channels(axes: Axes, found: ChannelJudgement) -> None:
     axes.set_xticks(range(0, len(names), step), names[::step], rotation=90, fontsize=7)
     axes.set(xlabel="injection", ylabel="measurement of the injection")
     before, after = 100 * found.unexplained_before, 100 * found.unexplained
-    doubtful = f"{found.doubtful.sum()} of {len(errors)} channels tell little"
+    doubtful = f"{found.doubtful.sum()} of {len(errors)} channels carry little information"
     axes.set_title(f"{doubtful}\nunexplained: {before:.0f} %, weighed {after:.0f} %", fontsize=9)
 
 

@@ -237,7 +237,7 @@ def _reciprocity_error(frame: Frame) -> float:
     errors = ((signs * ohms)[partner] - mirrored_signs * ohms)[paired] * current[paired]
     finite = errors[np.isfinite(errors)]
     if len(finite) < 4:
-        why = "the noise cannot be told from one quiet frame without reciprocal measurements"
+        why = "the noise cannot be estimated from one quiet frame without reciprocal measurements"
         raise DataError(f"{why}; record at least two")
     return float(np.sqrt(np.mean(finite**2) / 2))
 

@@ -247,7 +247,7 @@ def _parse(text: str) -> PositionMap:
             raise ValueError(f"its scale is {registration.scale:g}")
         limit, rate = given["novelty"].tolist()
         if not (len(given["known"]) and limit > 0 and 0 <= rate <= 1):
-            raise ValueError(f"{len(given['known'])} presses and a limit of {limit:g} tell no novelty")
+            raise ValueError(f"{len(given['known'])} presses and a limit of {limit:g} give no limit of novelty")
         return PositionMap(
             registration,
             bool(given["own"]),
@@ -279,7 +279,7 @@ def _networks(given: dict[str, Floats], width: int) -> Networks | None:
             raise ValueError(f"a layer of networks has shapes {weights.shape} and {offsets.shape}")
         width = weights.shape[2]
     if width != 2:
-        raise ValueError(f"networks tell {width} values")
+        raise ValueError(f"networks give {width} values")
     return Networks(layers, middle, spread, scale)
 
 

@@ -140,5 +140,5 @@ def _innovation(before: TrackState, after: TrackState, reading: Reading, seen: S
 
 
 def _balanced(covariance: Floats) -> Floats:
-    """The covariance with a trace of its diagonal added, so that rounding cannot make it indefinite."""
+    """The covariance with a small multiple of its diagonal added, so that rounding cannot make it indefinite."""
     return np.asarray(covariance + 1e-12 * np.diag(np.diag(covariance)))
