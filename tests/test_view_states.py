@@ -200,9 +200,12 @@ def test_places_off_an_outline_or_in_its_hole_move_to_the_closest_rim(reader: Re
         const outline = [[0, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0, 0.2]];
         const ell = { kind: "polygon", outline, holes: [hole] };
         const places = [[0.05, 0.1], [0.1, 0.055], [0.15, 0.12], [-0.1, 0.3]];
-        return [bounds(ell), ...places.map(([x, y]) => [...clampTo(ell, x, y), contains(ell, x, y)])];
+        const band = { kind: "band", width: 0.2, height: 0.1, holes: [hole] };
+        const turns = [0.1, 0.3, -0.1].map((x) => [...clampTo(band, x, 0.055), contains(band, x, 0.055)]);
+        return [turns, bounds(ell), ...places.map(([x, y]) => [...clampTo(ell, x, y), contains(ell, x, y)])];
     """
-    box, *found = run(reader.page, script)
+    turns, box, *found = run(reader.page, script)
+    assert turns == [pytest.approx([0.1, 0.06, False])] * 3  # round a closed band any number of turns is the same
     assert box == [0, 0, 0.2, 0.2]
     expected = [[0.05, 0.1, True], [0.1, 0.06, False], [0.15, 0.1, False], [0, 0.2, False]]
     for one, other in zip(found, expected, strict=True):

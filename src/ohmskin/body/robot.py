@@ -1,7 +1,5 @@
 """A robot as its URDF file describes it: links, joints at given positions, and what the links look like."""
 
-import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from ohmskin.arrays import Floats
 from ohmskin.client.felt import Contact
 from ohmskin.errors import SkinError
-from ohmskin.skin.checks import is_number, read_text
+from ohmskin.skin.checks import is_number
+from ohmskin.skin.urdf import numbers_of, pose_of, read_urdf
 
-_LARGEST = 16 * 2**20
 _TURNS, _SLIDES = ("revolute", "continuous"), ("prismatic",)
 _STILL = ("fixed", "floating", "planar")
 _SIZES = {
@@ -91,16 +89,8 @@ class Robot:
         Raises:
             SkinError: If it cannot be read or is no URDF file, or a joint is unknown or its position no number.
         """
-        text = read_text(path, _LARGEST, "URDF file")
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can grow without bound and fetch other files
-            raise SkinError(f"{path} declares XML entities, which a URDF file does not need; remove them")
-        try:
-            root = ElementTree.fromstring(text)
-        except (ElementTree.ParseError, ValueError) as error:
-            raise SkinError(f"{path} is not valid XML: {error}") from error
+        root = read_urdf(path)
         names = [link.get("name", "") for link in root.findall("link")]
-        if root.tag != "robot" or not names:
-            raise SkinError(f"{path} is no URDF file: it must have a <robot> with <link>s (expand xacro first)")
         try:
             table = _joints(names, root.findall("joint"))
             links = _links(names, table, joints or {})
@@ -158,7 +148,7 @@ def _joints(names: list[str], found: list[Element]) -> dict[str, Joint]:
             raise SkinError(f"joint {name!r} goes from link {parent!r} to {child!r}; each link has one parent at most")
         children.add(child)
         given, limit = joint.find("axis"), joint.find("limit")
-        axis = _numbers("1 0 0" if given is None else given.get("xyz", ""), 3, f"the axis of joint {name!r}")
+        axis = numbers_of("1 0 0" if given is None else given.get("xyz", ""), 3, f"the axis of joint {name!r}")
         if kind not in (*_TURNS, *_SLIDES, *_STILL) or not np.linalg.norm(axis) > 0:
             raise SkinError(
                 f"joint {name!r} is of type {kind!r} about {axis}; choose from {', '.join(_TURNS + _SLIDES + _STILL)}"
@@ -166,8 +156,8 @@ def _joints(names: list[str], found: list[Element]) -> dict[str, Joint]:
         limits = (-np.inf, np.inf)
         if limit is not None and kind != "continuous":
             words = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
-            limits = tuple(_numbers(words, 2, f"the limit of joint {name!r}").tolist())
-        joints[name] = Joint(parent, child, kind, _pose(joint), axis / np.linalg.norm(axis), limits)
+            limits = tuple(numbers_of(words, 2, f"the limit of joint {name!r}").tolist())
+        joints[name] = Joint(parent, child, kind, pose_of(joint), axis / np.linalg.norm(axis), limits)
     return joints
 
 
@@ -205,29 +195,9 @@ def _visuals(link: Element, root: Element) -> list[dict[str, Any]]:
         size: list[float] = []
         if shape in _SIZES:
             words, count = _SIZES[shape]
-            size = _numbers(" ".join(geometry[0].get(word, "") for word in words.split()), count, what).tolist()
+            size = numbers_of(" ".join(geometry[0].get(word, "") for word in words.split()), count, what).tolist()
         elif shape != "mesh":
             raise SkinError(f"{what} is a {shape!r}; choose from {', '.join(_SIZES)} and mesh")
-        rgb = _numbers(_GREY if colour is None else colour.get("rgba", ""), 4, f"the colour of {what}")[:3]
-        found.append({"link": name, "pose": _pose(visual), "shape": shape, "size": size, "colour": rgb.tolist()})
+        rgb = numbers_of(_GREY if colour is None else colour.get("rgba", ""), 4, f"the colour of {what}")[:3]
+        found.append({"link": name, "pose": pose_of(visual), "shape": shape, "size": size, "colour": rgb.tolist()})
     return found
-
-
-def _pose(element: Element) -> Floats:
-    """The origin of a joint or a visual (4, 4)."""
-    pose, origin = np.eye(4), element.find("origin")
-    if origin is not None:
-        pose[:3, 3] = _numbers(origin.get("xyz", "0 0 0"), 3, "an origin's xyz")
-        pose[:3, :3] = Rotation.from_euler(
-            "xyz", _numbers(origin.get("rpy", "0 0 0"), 3, "an origin's rpy")
-        ).as_matrix()
-    return pose
-
-
-def _numbers(text: str, count: int, what: str) -> Floats:
-    words = text.split()
-    if len(words) != count or not all(
-        re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,2})?", word) for word in words
-    ):
-        raise SkinError(f"{what} is {text!r}; it must be {count} numbers")
-    return np.array([float(word) for word in words])

@@ -18,13 +18,17 @@ _ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a
 def onto(
     position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float, period: float
 ) -> None:
-    """Moves a position (2,) onto the sheet, in place; of a closed band in y alone."""
+    """Moves a position (2,) onto the sheet, in place; round a closed band any x is on it, but for holes."""
     for axis in range(1 if period > 0.0 else 0, 2):
         position[axis] = min(max(position[axis], low[axis]), high[axis])
-    if period > 0.0:  # which has no holes
+    if reach == np.inf:  # all of the table's rectangle is sheet
         return
-    there = closest[int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))]
-    if np.hypot(position[0] - there[0], position[1] - there[1]) > reach:
+    column, row = int(np.rint((position[0] - low[0]) / pitch[0])), int(np.rint((position[1] - low[1]) / pitch[1]))
+    there = closest[column % len(closest) if period > 0.0 else column, row]
+    across = position[0] - there[0]
+    if period > 0.0:
+        across -= period * np.rint(across / period)
+    if np.hypot(across, position[1] - there[1]) > reach:
         position[0], position[1] = there[0], there[1]
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.bound import ContactPrior
@@ -17,7 +18,9 @@ from ohmskin.drive.patterns import complete_pattern
 from ohmskin.errors import GeometryError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
+from ohmskin.geometry.band import Band, Edge
 from ohmskin.geometry.domain import Domain
+from ohmskin.geometry.electrodes import to_corners
 from ohmskin.geometry.mesh import folded, shortest
 from ohmskin.geometry.overlap import disc_overlap
 from ohmskin.geometry.spread import spread
@@ -27,6 +30,7 @@ _STEPS = 12  # candidates along the shorter side
 _PLACES = 7  # of contacts, along each half of a side of the sheet
 _ALIKE = 0.02  # by which the scale of a map may differ from its mirror image
 _MOST = 60  # places of contacts
+_AT = 1e-6  # m, within which electrodes are on a rim, or at its corner
 _LEAST_ON_RIM = 4  # electrodes; fewer have no base scan
 _POWER = 8.0  # of the squared errors before their mean: close to the worst, but with a slope where others can gain
 _SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the triangles
@@ -35,13 +39,17 @@ _SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the 
 def arranged(domain: Domain, positions: Floats) -> Electrodes:
     """Electrodes at positions (n, 2) in metres, numbered counterclockwise, those on the rim first.
 
-    On the rim is what is within a micrometre of it; it is put there exactly.
+    On the rim, or on that of a hole, is what is within a micrometre of it; it is put there exactly. Those of holes
+    count as inside: a base scan goes round the outer rim, of a sleeve round both ends.
 
     Raises:
         GeometryError: If fewer than four are on the rim, or two are at the same place.
     """
     points = np.asarray(positions, float).reshape(-1, 2)
-    on_rim = np.abs(domain.depth(points)) < 1e-6
+    for hole in domain.holes:
+        if not isinstance(hole, Edge) and (on_hole := np.abs(hole.depth(points)) < _AT).any():
+            points = np.vstack([points[~on_hole], hole.rim(to_corners(hole, hole.arc(points[on_hole]), _AT))])
+    on_rim = _on_rim(domain, points)
     rim, inside = points[on_rim], points[~on_rim]
     if len(rim) < _LEAST_ON_RIM:
         raise GeometryError(f"{len(rim)} of {len(points)} electrodes are on the rim; a base scan needs {_LEAST_ON_RIM}")
@@ -49,7 +57,9 @@ def arranged(domain: Domain, positions: Floats) -> Electrodes:
         upper = rim[:, 1] > sum(domain.bounds[1::2]) / 2
         rim = np.vstack([rim[np.lexsort((rim[:, 0], upper))][: (~upper).sum()], rim[upper][np.argsort(-rim[upper, 0])]])
     else:
-        arc = np.mod(domain.arc(rim) + 1e-9, domain.perimeter)  # rounding may put the rim's start at its end
+        arc = np.mod(
+            to_corners(domain, domain.arc(rim), _AT) + 1e-9, domain.perimeter
+        )  # rounding may put the rim's start at its end
         rim = domain.rim(np.sort(arc) - 1e-9)
     middle = points.mean(axis=0)
     away = inside - middle
@@ -216,15 +226,23 @@ def _sites(domain: Domain) -> tuple[Floats, np.ndarray]:
     else:
         x, y = (np.linspace(a, b, 2 * round((b - a) / pitch / 2) + 1) for a, b in ((x0, x1), (y0, y1)))
         sites = np.stack(np.meshgrid(x[:-1] if domain.period else x, y), axis=-1).reshape(-1, 2)
-        if not isinstance(domain, Rectangle) and not domain.period:
+        if not isinstance(domain, Rectangle | Band):
             inner = sites[domain.depth(sites) > pitch / 2]
             sites = np.vstack([*(_along(loop, pitch) for loop in (domain, *domain.holes)), inner])
-    return sites, np.abs(domain.depth(sites)) < 1e-6
+    return sites, _on_rim(domain, sites)
+
+
+def _on_rim(domain: Domain, points: Floats) -> NDArray[np.bool_]:
+    """Which of points (n, 2) are on the rim, of a sleeve at one of its ends, not on that of a hole."""
+    holes = [hole for hole in domain.holes if not isinstance(hole, Edge)]
+    off = (np.abs(hole.depth(points)) > _AT for hole in holes)
+    return np.asarray(np.logical_and.reduce([np.abs(domain.depth(points)) < _AT, *off]))
 
 
 def _along(loop: Domain, pitch: float) -> Floats:
     """The corners of a rim (n, 2), and places between them, about so far apart (m)."""
-    knots = np.append(loop.corners, loop.corners[0] + loop.perimeter)
+    corners = loop.corners if len(loop.corners) else np.zeros(1)
+    knots = np.append(corners, corners[0] + loop.perimeter)
     sides = (np.linspace(a, b, max(1, round((b - a) / pitch)), endpoint=False) for a, b in pairwise(knots))
     return loop.rim(np.concatenate(list(sides)))
 

@@ -99,7 +99,7 @@ class ContactTable:
             cover = sp.diags_array(1 / np.maximum(area, 1e-300)) @ cover
             covered.append(area / (np.pi * r**2))
             off = (covered[-1] < _LEAST_COVER * (1 - 1e-9)).reshape(grid.shape[:2])
-            closest = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
+            closest = _closest_on(off, self._pitch, self.period > 0)
             layers.append((cover @ density).reshape(*grid.shape[:2], -1)[closest[0], closest[1]])
             if share == 1.0:
                 field = (cover @ _fields(model)).reshape(*grid.shape[:2], -1)[closest[0], closest[1]]
@@ -112,7 +112,7 @@ class ContactTable:
         self.responses: Floats = layers[usual].reshape(-1, layers[usual].shape[-1])[inside]
         self._knots = _knots(np.stack(layers, axis=2), self.period > 0)
         off = ~inside.reshape(grid.shape[:2])
-        row, column = distance_transform_edt(off, sampling=self._pitch, return_distances=False, return_indices=True)
+        row, column = _closest_on(off, self._pitch, self.period > 0)
         reach = radius if off.any() else np.inf
         self.sheet: Grid = low, high, self._pitch, np.ascontiguousarray(grid[row, column]), reach, self.period
 
@@ -154,6 +154,15 @@ class ContactTable:
         found = np.empty((len(positions), 4, self._knots.shape[-1]))
         _respond_at(np.column_stack([positions, np.broadcast_to(r**2, len(positions))]), self.spline, found)
         return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
+
+
+def _closest_on(off: NDArray[np.bool_], pitch: Floats, closed: bool) -> tuple[Ints, Ints]:
+    """Numbers (n_x, n_y) along x and along y of the place not `off` (n_x, n_y) that is closest to each of a grid."""
+    turns = 3 if closed else 1
+    around = np.concatenate([off] * turns)
+    x, y = distance_transform_edt(around, sampling=pitch, return_distances=False, return_indices=True)
+    middle = slice(len(off) * (turns // 2), len(off) * (turns // 2 + 1))
+    return x[middle] % len(off), y[middle]
 
 
 def _knots(values: Floats, closed: bool) -> Floats:

@@ -5,7 +5,7 @@ from ohmskin.geometry.cells import Cells
 from ohmskin.geometry.chart import Chart, FlatChart, RevolutionChart
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
-from ohmskin.geometry.files import read_groups, read_mesh, read_surface, write_mesh
+from ohmskin.geometry.files import read_groups, read_mesh, write_mesh
 from ohmskin.geometry.flatten import MeshChart, flat_patch
 from ohmskin.geometry.graded import mesh_graded, mesh_surface
 from ohmskin.geometry.mesh import Mesh
@@ -36,7 +36,6 @@ __all__ = [
     "mesh_surface",
     "read_groups",
     "read_mesh",
-    "read_surface",
     "thicken",
     "write_mesh",
 ]

@@ -6,6 +6,7 @@ potentials on the map as on the skin, whatever its curvature, so that forward mo
 know nothing of space; only lengths and areas are told by the scale. A flat skin is its own map.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,6 +18,7 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
+from ohmskin.geometry.holes import Hole, pierced
 
 _FINE = 2001  # places along a profile
 _MOST_UNEVEN = 4.0  # of the largest scale of a map over the smallest
@@ -95,12 +97,14 @@ class RevolutionChart:
         profile: (n, 2) distance from the axis and height z (m), in the order of the map's y; first the pole of a cap,
             at distance 0. The outward normal is to the right of its direction, of a cap to the left.
         angle: Part of a turn (rad), up to 2 pi; of a cap all of it.
+        holes: Cut into it, see `pierced`; places are on the map.
 
     Raises:
-        GeometryError: If the profile has less than two points or meets the axis, or the map would be too uneven.
+        GeometryError: If the profile has less than two points or meets the axis, the map would be too uneven, or a hole
+            is not on it.
     """
 
-    def __init__(self, profile: ArrayLike, angle: float = 2 * np.pi) -> None:
+    def __init__(self, profile: ArrayLike, angle: float = 2 * np.pi, holes: Sequence[Hole] = ()) -> None:
         from scipy.integrate import cumulative_simpson  # these take a third of a second, which flat skins need not wait
         from scipy.interpolate import CubicSpline
 
@@ -143,6 +147,7 @@ class RevolutionChart:
         self.flat = bool(np.ptp(scale) < 1e-9)
         self._scale, self._profile = CubicSpline(along, scale), CubicSpline(along, fine)
         self._along, self._fine, self._tree = along, fine, cKDTree(fine)
+        self.domain = pierced(self.domain, holes, self.scale)
 
     def __repr__(self) -> str:
         return f"RevolutionChart({self.domain})"

@@ -279,11 +279,14 @@ class Electrodes(ReadOnly):
         return cls(np.array(positions), tuple(rings))
 
 
-def to_corners(domain: Domain, arcs: Floats) -> Floats:
-    """Arc lengths (n,) of places spread along a rim, those beside a corner moved onto it: a mesh cannot have both."""
+def to_corners(domain: Domain, arcs: Floats, within: float | None = None) -> Floats:
+    """Arc lengths (n,) of places spread along a rim, those beside a corner moved onto it: a mesh cannot have both.
+
+    Beside it is what is `within` so much of it (m); a fortieth of the places' distance unless given.
+    """
     if not len(domain.corners):
         return arcs
     away = domain.corners - arcs[:, None]
     away -= domain.perimeter * np.rint(away / domain.perimeter)
-    close = np.abs(away).min(axis=1) < _AT_CORNER * domain.perimeter / len(arcs)
+    close = np.abs(away).min(axis=1) < (_AT_CORNER * domain.perimeter / len(arcs) if within is None else within)
     return np.where(close, domain.corners[np.abs(away).argmin(axis=1)], arcs)

@@ -1,7 +1,7 @@
 """Meshes from and to files of other programs, by meshio (extra ``mesh``): Gmsh, STL, VTK, Abaqus, ..."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.extra import optional
 from ohmskin.geometry.mesh import Mesh
-from ohmskin.geometry.surface import cut_off
 
 
 def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
@@ -50,46 +49,47 @@ def read_groups(path: str | Path, scale: float = 1.0) -> tuple[Mesh, dict[str, I
     return Mesh(nodes, elements), groups
 
 
-def read_surface(path: str | Path, scale: float, cut: Sequence[ArrayLike] = ()) -> Mesh:
-    """The triangles of a file in space, or what `cut` leaves of them, see `cut_off`; else as `read_mesh`.
-
-    Raises:
-        GeometryError: As `read_mesh`, or if a plane has no normal or leaves nothing.
-    """
-    _, nodes, elements, *_ = _read(path, scale, ("triangle",))
-    if nodes.shape[1] == 2:
-        nodes = np.column_stack([nodes, np.zeros(len(nodes))])
-    elements = elements[(elements != np.roll(elements, 1, axis=1)).all(axis=1)]  # joined nodes leave empty ones behind
-    for plane in cut:
-        nodes, elements = cut_off(nodes, elements, plane)
-    return Mesh(nodes, elements)
-
-
-def _read(
-    path: str | Path, scale: float, kinds: tuple[str, ...] = ("tetra", "triangle")
-) -> tuple[Any, Floats, Ints, str, Ints, Ints]:
-    """What meshio reads; nodes and elements of the first of `kinds` that is there; which nodes of the file they are."""
-    meshio = optional("meshio")
+def _read(path: str | Path, scale: float) -> tuple[Any, Floats, Ints, str, Ints, Ints]:
+    """What meshio reads; nodes and elements, tetrahedra if there are any; which nodes of the file they are."""
     if not (np.isfinite(scale) and scale > 0):
         raise GeometryError(f"scale is {scale!r} metres per unit; it must be positive")
+    data = mesh_data(path)
+    cells = data.cells_dict
+    kind = next((kind for kind in ("tetra", "triangle") if kind in cells), None)
+    if kind is None:
+        raise GeometryError(f"mesh file {path} has {', '.join(cells) or 'no cells'}; need triangles or tetrahedra")
+    nodes, elements, joined, used = joined_nodes(scale * np.asarray(data.points, float), np.asarray(cells[kind]))
+    return data, nodes, elements, kind, joined, used
+
+
+def mesh_data(path: str | Path) -> Any:
+    """What meshio reads of a file.
+
+    Raises:
+        GeometryError: If meshio is not installed, or it cannot.
+    """
+    meshio = optional("meshio")
     if not os.path.isfile(path):  # false also of names that cannot be
         raise GeometryError(f"no mesh file {path}; check the path")
     try:
         with np.errstate(over="ignore"):  # its STL reader tells binary files by a product that may overflow
-            data = meshio.read(path)
+            return meshio.read(path)
     except (Exception, SystemExit) as error:  # its readers raise anything, and exit on unknown endings
         raise GeometryError(f"cannot read mesh file {path}: {error or 'unknown format'}; see meshio") from error
-    cells = data.cells_dict
-    kind = next((kind for kind in kinds if kind in cells), None)
-    if kind is None:
-        raise GeometryError(f"mesh file {path} has {', '.join(cells) or 'no cells'}; need triangles or tetrahedra")
-    nodes, elements = scale * np.asarray(data.points, float), np.asarray(cells[kind], np.int64)
-    step = 1e-9 * max(float(np.ptp(nodes, axis=0).max()), 1e-300)
-    cells = np.round((nodes - nodes.min(axis=0)) / step)
+
+
+def joined_nodes(places: Floats, elements: Ints) -> tuple[Floats, Ints, Ints, Ints]:
+    """Nodes at one place joined, unused ones dropped.
+
+    Returns:
+        Nodes (n, dim) (m), elements by their numbers, which node each of before is joined to, and which are used.
+    """
+    step = 1e-9 * max(float(np.ptp(places, axis=0).max()), 1e-300)
+    cells = np.round((places - places.min(axis=0)) / step)
     _, first, same = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     joined = first[same.ravel()]
-    used, elements = np.unique(joined[elements], return_inverse=True)
-    return data, nodes[used], elements.reshape(-1, 4 if kind == "tetra" else 3), kind, joined, used
+    used, own = np.unique(joined[elements], return_inverse=True)
+    return places[used], own.reshape(elements.shape).astype(np.int64), joined, used
 
 
 def write_mesh(path: str | Path, mesh: Mesh, fields: Mapping[str, ArrayLike] | None = None) -> None:

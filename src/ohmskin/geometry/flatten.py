@@ -1,5 +1,7 @@
 """Conformal maps of surfaces that are given as triangles: a patch with one rim or with holes, or a closed ring."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +13,11 @@ from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.chart import check_even
 from ohmskin.geometry.domain import Domain
+from ohmskin.geometry.holes import Hole, Holed, pierced
 from ohmskin.geometry.mesh import Mesh, folded, shortest
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import node_means
-from ohmskin.geometry.surface import Triangles, closed_walks, closest_on_triangles
+from ohmskin.geometry.surface import Triangles, closed_walks, closest_on_triangles, split_edges
 
 _FINE = 40  # edges along the root of the area: longer ones are split
 _MOST = 60_000  # triangles
@@ -24,40 +27,51 @@ _MOST_SHEARED = 1.15  # ratio of singular values that 95 % of the area may have
 
 
 class MeshChart:
-    """A skin on triangles in space. Of a patch, the map is a polygon; of a ring, a closed band (`Band`).
+    """A skin on triangles in space. Of a patch, the map is a polygon; of a ring, a closed band (`Band`); holes stay.
 
     A patch is flattened by spectral conformal parameterisation (Mullen et al. 2008), its rim free; a developable one
-    unrolls true to lengths. A ring's y is a harmonic function between its rims, its x the conjugate. With two rims, the
-    more even one of both maps is taken. Upwards on the map is upwards in space, along z; of a level patch along y. A
-    band begins where its lower rim has the least x.
+    unrolls true to lengths. A ring's y is a harmonic function between its longest rims, its x the conjugate; holes are
+    filled for that. With several rims, the more even one of both maps is taken. Upwards on the map is upwards in space,
+    along z; of a level patch along y. A band begins where its lower rim has the least x.
 
     Args:
         surface: Triangles in space, counterclockwise seen from outside.
+        holes: More holes, see `pierced`; places are on the map.
 
     Attributes:
         flat: Whether lengths on the map are lengths on the skin, to a thousandth.
         sheared: Ratio of the singular values of the map, which 95 % of the area do not exceed; 1 is conformal.
 
     Raises:
-        GeometryError: If triangles turn opposite ways, there is no rim, or the map would fold, shear or be too uneven.
+        GeometryError: If triangles turn opposite ways, there is no rim, the map would fold, shear or be too uneven, or
+            a hole is not on it.
     """
 
-    def __init__(self, surface: Mesh) -> None:
+    def __init__(self, surface: Mesh, holes: Sequence[Hole] = ()) -> None:
         if surface.dim != 2 or surface.nodes.shape[1] != 3:
             raise GeometryError("a skin is cut from triangles in space; this mesh has none")
         if surface.n_elem > _MOST:
             raise GeometryError(f"the skin has {surface.n_elem} triangles, {_MOST} are allowed; simplify the mesh")
         _check_turns(surface)
         size = float(np.sqrt(surface.measures.sum())) / _FINE
-        carried, elements = _split(np.hstack([surface.nodes, _node_normals(surface)]), surface.elements, size)
-        self._surface, self._normals = Mesh(carried[:, :3], elements), carried[:, 3:]
         rims = sorted(closed_walks(surface.boundary), key=lambda walk: -float(_length(surface.nodes[walk])))
         if not rims:
             raise GeometryError("the surface is closed; cut it open, see cut")
+        nodes, filling = _filling(surface, rims[2:])
+        carried = np.vstack([np.hstack([surface.nodes, _node_normals(surface)]), np.tile(nodes, 2)])
+        added = np.repeat([False, True], [surface.n_elem, len(filling)])
+        carried, elements, added = split_edges(carried, np.vstack([surface.elements, filling]), added, size)
+        kept = np.unique(elements[~added])
+        filled = Mesh(carried[:, :3], elements)
+        self._surface, self._normals = _part(filled.nodes, elements[~added]), carried[kept, 3:]
         maps, refused = [], []
-        for flatten in (flat_patch, flat_ring)[: len(rims)] if len(rims) <= 2 else (flat_patch,):
+        for flatten in (flat_patch, flat_ring)[: len(rims)]:
             try:
-                flat = flatten(self._surface)
+                if flatten is flat_patch:
+                    flat = flat_patch(self._surface)
+                else:
+                    ring = flat_ring(filled)
+                    flat = _part(ring.nodes, elements[~added], ring.period)
                 scale = np.sqrt(self._surface.measures / flat.measures)
                 maps.append((_unevenness(scale, flat), flat, node_means(flat) @ scale))
             except GeometryError as error:
@@ -77,8 +91,8 @@ class MeshChart:
                 "smooth the mesh or make its triangles finer and more even"
             )
         self.flat = bool(max(abs(self._scale - 1).max(), self.sheared - 1) < 1e-3)
-        self._triangles = Triangles(self._surface.nodes, elements)
-        self.domain: Domain = _outline(self._flat)
+        self._triangles = Triangles(self._surface.nodes, self._surface.elements)
+        self.domain: Domain = pierced(_outline(self._flat), holes, self.scale)
 
     def __repr__(self) -> str:
         return f"MeshChart({self.domain})"
@@ -255,27 +269,20 @@ def _check_turns(surface: Mesh) -> None:
         raise GeometryError(f"{opposite}; make the normals of the mesh point all outwards")
 
 
-def _split(nodes: Floats, elements: Ints, size: float) -> tuple[Floats, Ints]:
-    """Triangles whose edges are at most `size` long (m): the longest edges are halved, and all of a node with them."""
-    while True:
-        edges = np.sort(elements[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
-        numbers, own, counts = np.unique(edges @ [len(nodes), 1], return_inverse=True, return_counts=True)
-        ends = np.stack(np.divmod(numbers, len(nodes)))
-        lengths = np.linalg.norm(nodes[ends[0], :3] - nodes[ends[1], :3], axis=1)
-        rank = np.empty(len(numbers), np.int64)
-        rank[np.argsort(lengths, kind="stable")] = np.arange(len(numbers))
-        own = own.reshape(-1, 3)
-        corner = rank[own].argmax(axis=1)  # across from the longest edge
-        longest = own[np.arange(len(own)), corner]
-        halved = (np.bincount(longest, minlength=len(numbers)) == counts) & (lengths > size)  # longest on both sides
-        if not halved.any():
-            return nodes, elements
-        middle = len(nodes) + np.cumsum(halved) - 1
-        nodes = np.vstack([nodes, nodes[ends[:, halved]].mean(axis=0)])
-        cut = halved[longest]
-        a, b, c = (elements[np.flatnonzero(cut), (corner[cut] + k) % 3] for k in range(3))
-        m = middle[longest[cut]]
-        elements = np.vstack([elements[~cut], np.column_stack([a, b, m]), np.column_stack([a, m, c])])
+def _filling(surface: Mesh, holes: Sequence[Ints]) -> tuple[Floats, Ints]:
+    """Nodes (n, 3) in the middle of holes, as many, and triangles that fill these."""
+    nodes, triangles = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
+    for number, walk in enumerate(holes):
+        nodes.append(surface.nodes[walk[:-1]].mean(axis=0, keepdims=True))
+        start, end = surface.boundary[np.isin(surface.boundary, walk).all(axis=1)].T
+        triangles.append(np.column_stack([end, start, np.full(len(start), surface.n_nodes + number)]))
+    return np.vstack(nodes), np.vstack(triangles)
+
+
+def _part(nodes: Floats, elements: Ints, period: float = 0.0) -> Mesh:
+    """A mesh of some elements, with their nodes alone."""
+    used, own = np.unique(elements, return_inverse=True)
+    return Mesh(nodes[used], own.reshape(-1, 3), period=period)
 
 
 def _length(points: Floats) -> float:
@@ -289,9 +296,15 @@ def _unevenness(scale: Floats, flat: Mesh) -> float:
 
 def _outline(flat: Mesh) -> Domain:
     """The domain of a map: a band, or a polygon that follows its rims with few corners."""
-    if flat.period:
-        return Band(flat.period, float(flat.nodes[:, 1].max()))
     unit = float(np.sqrt(flat.measures.sum()))
+    if flat.period:
+        band, holes = Band(flat.period, float(flat.nodes[:, 1].max())), []
+        for walk in closed_walks(flat.boundary):
+            steps = shortest(np.diff(flat.nodes[walk], axis=0), flat.period)
+            line = flat.nodes[walk[0]] + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
+            if abs(line[-1, 0] - line[0, 0]) < flat.period / 2:  # it does not go round
+                holes.append(_with_few_corners(line, unit))
+        return Holed(band, holes) if holes else band
     rims = [_with_few_corners(flat.nodes[walk], unit) for walk in closed_walks(flat.boundary)]
     rims.sort(key=lambda rim: -float(np.ptp(rim, axis=0).max()))
     return Polygon(rims[0], rims[1:])

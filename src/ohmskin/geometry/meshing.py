@@ -9,8 +9,9 @@ from scipy.spatial import Delaunay, cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
-from ohmskin.geometry.domain import Domain
+from ohmskin.geometry.domain import Disc, Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
+from ohmskin.geometry.holes import Holed, whole
 from ohmskin.geometry.mesh import Mesh, folded, shortest, tree
 from ohmskin.geometry.polygon import Polygon
 
@@ -83,7 +84,7 @@ def mesh_domain(
         nodes[len(kept) :] += np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
         nodes = folded(nodes, around)
         triangles = _triangulate(nodes, size, domain)
-    if isinstance(domain, Polygon | Band):
+    if isinstance(domain, Polygon | Band | Holed):
         return _checked(nodes, triangles, domain, size)
     return Mesh(nodes, triangles)
 
@@ -161,8 +162,11 @@ def _checked(nodes: Floats, triangles: Ints, domain: Domain, size: float) -> Mes
     """The mesh, if its area and rim are the domain's: Delaunay keeps a rim edge only if no node is close."""
     try:
         mesh = Mesh(nodes, triangles, period=domain.period)
-        off_rim = np.abs(domain.depth(nodes[mesh.boundary].mean(axis=1))).max()
-        if abs(mesh.measures.sum() - domain.area) <= 1e-9 * domain.area and off_rim < 1e-9 * domain.perimeter:
+        start, end = nodes[mesh.boundary].swapaxes(0, 1)
+        off_rim = np.abs(domain.depth(start + shortest(end - start, domain.period) / 2)).max()
+        sagitta = size**2 / (4 * disc.radius) if isinstance(disc := whole(domain), Disc) else 0.0
+        off_area = abs(mesh.measures.sum() - domain.area) - sagitta * domain.perimeter
+        if off_area <= 1e-9 * domain.area and off_rim - sagitta < 1e-9 * domain.perimeter:
             return mesh
     except GeometryError:
         pass
@@ -226,7 +230,6 @@ def _triangulate(nodes: Floats, size: float, domain: Domain) -> Ints:
     if period:
         middle = nodes[triangles, 0].mean(axis=1)
         triangles = triangles[(middle > -0.01 * size) & (middle < period + 0.01 * size)]
-        return np.unique(np.sort(original[triangles], axis=1), axis=0)
-    if isinstance(domain, Polygon):  # may be hollow; the others are convex
+    if isinstance(domain, Polygon | Holed):  # may be hollow; the others are convex
         triangles = triangles[domain.depth(nodes[triangles].mean(axis=1)) > 0]
-    return triangles
+    return np.unique(np.sort(original[triangles], axis=1), axis=0) if period else triangles

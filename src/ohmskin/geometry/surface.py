@@ -1,12 +1,15 @@
 """Triangles in space: the points of theirs that are closest to others, and the walks along their rims."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 
+_OFF = 0.1  # of a surface's extent, that a place on it may be off
 _SNAP = 0.05  # of the shortest edge at a node: closer to a plane, it is on it
 
 
@@ -91,6 +94,75 @@ def closed_walks(edges: Ints) -> list[Ints]:
             walk.append(ahead[0] if ahead else walk[0])
         walks.append(np.array(walk, np.int64))
     return walks
+
+
+def split_edges(
+    nodes: Floats, elements: Ints, marks: NDArray[np.bool_], size: float
+) -> tuple[Floats, Ints, NDArray[np.bool_]]:
+    """Triangles whose edges are at most `size` long (m): the longest edges are halved, and all of a node with them.
+
+    Args:
+        nodes: (n_nodes, 3 or more), places first (m), then whatever is to be halved, too.
+        elements: (n, 3) node numbers.
+        marks: (n,) of triangles; parts of one have its mark.
+        size: Longest edge (m).
+    """
+    while True:
+        edges = np.sort(elements[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2), axis=1)
+        numbers, own, counts = np.unique(edges @ [len(nodes), 1], return_inverse=True, return_counts=True)
+        ends = np.stack(np.divmod(numbers, len(nodes)))
+        lengths = np.linalg.norm(nodes[ends[0], :3] - nodes[ends[1], :3], axis=1)
+        rank = np.empty(len(numbers), np.int64)
+        rank[np.argsort(lengths, kind="stable")] = np.arange(len(numbers))
+        own = own.reshape(-1, 3)
+        corner = rank[own].argmax(axis=1)  # across from the longest edge
+        longest = own[np.arange(len(own)), corner]
+        halved = (np.bincount(longest, minlength=len(numbers)) == counts) & (lengths > size)  # longest on both sides
+        if not halved.any():
+            return nodes, elements, marks
+        middle = len(nodes) + np.cumsum(halved) - 1
+        nodes = np.vstack([nodes, nodes[ends[:, halved]].mean(axis=0)])
+        cut = halved[longest]
+        a, b, c = (elements[np.flatnonzero(cut), (corner[cut] + k) % 3] for k in range(3))
+        m = middle[longest[cut]]
+        elements = np.vstack([elements[~cut], np.column_stack([a, b, m]), np.column_stack([a, m, c])])
+        marks = np.concatenate([marks[~cut], marks[cut], marks[cut]])
+
+
+def pieces(nodes: Floats, triangles: Ints, crease: float = np.pi) -> Ints:
+    """Which piece (n,) each triangle is of: two are of one that share an edge where their normals differ less.
+
+    Args:
+        nodes: (n_nodes, 3) in metres.
+        triangles: (n, 3) node numbers.
+        crease: Angle between normals (rad) from which on an edge parts pieces.
+    """
+    normals = np.cross(nodes[triangles[:, 1]] - nodes[triangles[:, 0]], nodes[triangles[:, 2]] - nodes[triangles[:, 0]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1) @ [len(nodes), 1]
+    order = np.argsort(edges, kind="stable")
+    same = np.flatnonzero(edges[order[1:]] == edges[order[:-1]])
+    one, other = order[same] // 3, order[same + 1] // 3
+    smooth = np.sum(normals[one] * normals[other], axis=1) >= np.cos(crease)
+    graph = sp.csr_array((smooth[smooth], (one[smooth], other[smooth])), shape=(len(triangles),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+
+
+def grown(nodes: Floats, triangles: Ints, seed: ArrayLike, crease: float) -> tuple[Floats, Ints]:
+    """The piece of triangles that is closest to a place, up to its creases, see `pieces`.
+
+    Raises:
+        GeometryError: If the place `seed` (3,) (m) is far off the surface.
+    """
+    (corners,), _, (away,) = Triangles(nodes, triangles).project(np.asarray(seed, float)[None])
+    extent = float(np.ptp(nodes[triangles].reshape(-1, 3), axis=0).max())
+    if away > _OFF * extent:
+        far = f"seed {np.asarray(seed).tolist()} is {away:.3g} m off a surface of {extent:.3g} m"
+        raise GeometryError(f"{far}; put it on the part that is the skin, in metres")
+    piece = pieces(nodes, triangles, crease)
+    at = int(np.flatnonzero((triangles == corners).all(axis=1))[0])
+    used, own = np.unique(triangles[piece == piece[at]], return_inverse=True)
+    return nodes[used], own.reshape(-1, 3)
 
 
 def cut_off(nodes: Floats, triangles: Ints, plane: ArrayLike) -> tuple[Floats, Ints]:

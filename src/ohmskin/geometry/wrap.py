@@ -9,24 +9,29 @@ from ohmskin.geometry.band import Band
 from ohmskin.geometry.chart import Chart
 from ohmskin.geometry.domain import Domain, Rectangle
 from ohmskin.geometry.flatten import flat_patch, stiffness_matrix
+from ohmskin.geometry.holes import Holed, whole
 from ohmskin.geometry.mesh import Mesh, folded
 from ohmskin.geometry.meshing import mesh_domain
 from ohmskin.geometry.raster import node_means
 
 _POISSON = 0.5  # a sheet that keeps its volume
 _FINE = 30  # edges along the root of the area
+_SEAMS = 360  # places at which a sleeve with holes may be cut open
 _ROUNDS, _STILL = 2000, 1e-7  # share of the size, by which nodes move at the end
 
 
 class Wrap:
     """A flat elastic sheet that is wrapped on a skin's surface, cut so that this takes least energy.
 
+    Holes of the skin's description are taken as cut out afterwards: they change no strain.
+
     Args:
         chart: The skin.
     """
 
     def __init__(self, chart: Chart) -> None:
-        self._mesh = mesh_domain(cut_open(chart.domain), float(np.sqrt(chart.domain.area)) / _FINE)
+        domain = whole(chart.domain)
+        self._mesh = mesh_domain(cut_open(domain), float(np.sqrt(domain.area)) / _FINE)
         surface, self._period = self._mesh.mapped(chart.points), chart.domain.period
         self._values: Floats = node_stretches(self._mesh, surface, laid_flat(surface))
 
@@ -36,9 +41,36 @@ class Wrap:
         return np.asarray(np.einsum("nk,nkij->nij", weights, self._values[self._mesh.elements[element]]))
 
 
-def cut_open(domain: Domain) -> Domain:
-    """The domain itself; of a sleeve the rectangle that it is when it is cut open at its seam."""
-    return Rectangle(domain.circumference, domain.height) if isinstance(domain, Band) else domain
+def cut_open(domain: Domain, seam: float = 0.0) -> Domain:
+    """The domain itself; of a sleeve the rectangle that it is when it is cut open where x is `seam`, in no hole (m)."""
+    if isinstance(sleeve := whole(domain), Band):
+        sheet = Rectangle(sleeve.circumference, sleeve.height)
+        if not isinstance(domain, Holed):
+            return sheet
+        ahead = (hole.polygon.vertices - [seam, 0.0] for hole in domain.cutouts)
+        turns = domain.period * np.array([1.0, 0.0])
+        return Holed(sheet, [corners - turns * np.floor(corners[:, 0].min() / domain.period) for corners in ahead])
+    return domain
+
+
+def seam_of(domain: Domain) -> float:
+    """Where a sleeve is cut open (m): at x = 0 or, if a hole lies there, as far from holes as can be; 0 of others.
+
+    Raises:
+        GeometryError: If there are holes all round.
+    """
+    if not isinstance(domain, Holed) or not domain.period:
+        return 0.0
+    seams = domain.period * np.arange(_SEAMS) / _SEAMS
+    middles, halves = (
+        np.array([[low + high, high - low] for low, _, high, _ in (c.bounds for c in domain.cutouts)]).T / 2
+    )
+    turns = (seams[:, None] - middles) / domain.period
+    room = (domain.period * np.abs(turns - np.rint(turns)) - halves).min(axis=1)
+    best = 0 if room[0] > 0 else int(room.argmax())
+    if room[best] <= 0:
+        raise GeometryError("there is no straight line along this sleeve without a hole, to cut it open; close some")
+    return float(seams[best])
 
 
 def laid_flat(surface: Mesh) -> Floats:

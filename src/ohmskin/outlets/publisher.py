@@ -18,6 +18,7 @@ from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
 from ohmskin.errors import DataError, PublishError
 from ohmskin.geometry import Disc, Polygon, Raster
+from ohmskin.geometry.holes import Holed, clipped, whole
 from ohmskin.mcap.standard import encode_health
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.relay import RelayProcess
@@ -125,11 +126,17 @@ def check_settings(token: str | None, images: float) -> None:
 
 def describe_domain(skin: Skin) -> dict[str, Any]:
     """The sheet's outline as boards and pages tell it (m)."""
-    domain = skin.domain
-    if isinstance(domain, Disc):
-        return {"kind": "disc", "radius": domain.radius}
-    if isinstance(domain, Polygon):
-        outlines = [np.round(polygon.vertices, 6).tolist() for polygon in (domain, *domain.holes)]
-        return {"kind": "polygon", "outline": outlines[0], "holes": outlines[1:]}
+    domain, shape = skin.domain, whole(skin.domain)
+    holes = [hole.vertices for hole in shape.holes] if isinstance(shape, Polygon) else []
+    for hole in domain.cutouts if isinstance(domain, Holed) else ():
+        corners, period = hole.polygon.vertices, domain.period  # round a band, in two parts where it lies on the seam
+        turned = (corners + np.array([turn * period, 0.0]) for turn in range(-1, 2))
+        parts = [clipped(part, 0.0, period) for part in turned] if period else [corners]
+        holes += [part for part in parts if len(part) > 2]
+    told = {"holes": [np.round(corners, 6).tolist() for corners in holes]}
+    if isinstance(shape, Disc):
+        return {"kind": "disc", "radius": shape.radius} | told
+    if isinstance(shape, Polygon):
+        return {"kind": "polygon", "outline": np.round(shape.vertices, 6).tolist()} | told
     x0, y0, x1, y1 = domain.bounds
-    return {"kind": "band" if domain.period else "rectangle", "width": x1 - x0, "height": y1 - y0}
+    return {"kind": "band" if domain.period else "rectangle", "width": x1 - x0, "height": y1 - y0} | told

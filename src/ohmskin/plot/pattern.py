@@ -12,8 +12,9 @@ from matplotlib.tri import Triangulation
 from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.geometry import Mesh, mesh_domain
+from ohmskin.geometry.mesh import folded
 from ohmskin.geometry.surface import closed_walks
-from ohmskin.geometry.wrap import cut_open, laid_flat, node_stretches
+from ohmskin.geometry.wrap import cut_open, laid_flat, node_stretches, seam_of
 from ohmskin.plot.colours import SIGNED
 from ohmskin.skin import Skin
 
@@ -46,14 +47,19 @@ class Pattern:
     def of(cls, skin: Skin) -> "Pattern":
         """The pattern of a skin: what it takes least to wrap.
 
-        A sleeve is cut open where x = 0; a surface that is developable unrolls exactly.
+        A sleeve is cut open where x = 0, or past the holes there; a surface that is developable unrolls exactly.
+
+        Raises:
+            GeometryError: If holes leave no place to cut a sleeve open.
         """
-        chart, domain, places = skin.chart, skin.domain, skin.electrodes.positions
-        places = np.vstack([places, places[places[:, 0] < 1e-9] + [domain.period, 0]]) if domain.period else places
-        mesh = mesh_domain(cut_open(domain), float(np.sqrt(domain.area)) / _FINE, places, closest=0.02)
+        chart, domain, shift = skin.chart, skin.domain, np.array([seam_of(skin.domain), 0.0])
+        places = folded(skin.electrodes.positions - shift, domain.period)
+        on_seam = np.flatnonzero(places[:, 0] < 1e-9) if domain.period else np.zeros(0, int)
+        places = np.vstack([places, places[on_seam] + [domain.period, 0]])
+        mesh = mesh_domain(cut_open(domain, shift[0]), float(np.sqrt(domain.area)) / _FINE, places, closest=0.02)
         stretch, laid = np.ones((mesh.n_nodes, 2)), mesh
         if not chart.flat:
-            surface = mesh.mapped(chart.points)
+            surface = mesh.mapped(lambda nodes: chart.points(nodes + shift))
             unrolled = laid_flat(surface)
             stretch = np.exp(np.linalg.eigvalsh(node_stretches(mesh, surface, unrolled)))
             unrolled = unrolled * np.sqrt(domain.area / surface.measures.sum())  # triangles are chords
@@ -61,13 +67,13 @@ class Pattern:
             turn = np.conj(z @ [1, 1j]) @ (map_ @ [1, 1j])
             turned = (z @ [1, 1j]) * turn / abs(turn)  # as the map lies
             laid = Mesh(np.column_stack([turned.real, turned.imag]), mesh.elements)
-        numbers = [*range(len(skin.electrodes)), *np.flatnonzero(skin.electrodes.positions[:, 0] < 1e-9)]
+        numbers = [*range(len(skin.electrodes)), *on_seam]
         at = laid.nodes[mesh.nodes_at(places)]
         seam = []
         for x in (0.0, domain.period) if domain.period else ():
             edge = np.flatnonzero(np.abs(mesh.nodes[:, 0] - x) < 1e-9)
             seam.append(laid.nodes[edge[np.argsort(mesh.nodes[edge, 1])]])
-        electrodes = tuple((int(n), place) for n, place in zip(numbers, at, strict=False))
+        electrodes = tuple((int(n), place) for n, place in zip(numbers, at, strict=True))
         return cls(laid, stretch, electrodes, skin.electrode.radius, tuple(seam))
 
     @property

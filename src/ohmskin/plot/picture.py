@@ -23,6 +23,7 @@ FORMATS = frozenset(FigureCanvasBase.filetypes)
 """Endings of the files that pictures can be saved to, without the dot."""
 
 PIXELS = 256
+_JUMP = 0.1  # of a rim's length, between places of a line that does not cross a seam
 _PALE = 20.0  # standard deviations of noise that full colour is, where there is no contact
 
 
@@ -123,6 +124,11 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = 150) -> None:
 
 
 def outline(domain: Domain) -> Floats:
-    """The rim of a sheet, (n, 2) in millimetres."""
-    arcs = np.append(np.linspace(0, domain.perimeter, 400), domain.corners)
-    return 1e3 * domain.rim(np.unique(arcs))
+    """The rims of a sheet, holes included, as one line (n, 2) in millimetres, broken by NaN between them."""
+    lines = []
+    for loop in (domain, *domain.holes):
+        arcs = np.append(np.linspace(0, loop.perimeter, 400), loop.corners)
+        line = loop.rim(np.unique(arcs))
+        line[1:][np.linalg.norm(np.diff(line, axis=0), axis=1) > _JUMP * loop.perimeter] = np.nan  # across a seam
+        lines += [line, np.full((1, 2), np.nan)]
+    return 1e3 * np.vstack(lines)

@@ -14,6 +14,7 @@ from ohmskin.scan import n_pairs
 _MOST_ON_RIM, _MOST_GIBIBYTES, _MOST_PATCHES, _MOST_UNDER = 3000, 4, 2**14, 2000
 _TYPES = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 _PLACE = "[x, y] in metres"
+_HOLE = "holes, each [x, y, radius] or its corners [[x, y], [x, y], [x, y], ...], in metres"
 
 
 def read_text(path: Path, most: int, what: str) -> str:
@@ -73,6 +74,18 @@ def rows(row: str) -> Any:
     return field(default=(), metadata={"row": row})
 
 
+def cutouts() -> Any:
+    """A list of holes, round ones or polygons; empty unless given."""
+    return field(default=(), metadata={"row": _HOLE})
+
+
+def is_hole(given: Any) -> bool:
+    """Whether a value says where a hole is: [x, y, radius], or at least three corners [x, y]."""
+    if not isinstance(given, tuple) or len(given) < 3:
+        return False
+    return all(_is_row(2, corner) for corner in given) or _is_row(3, given)
+
+
 def beside(folder: Path, name: Any, what: str, other: str) -> Path:
     """A file that another file names: it must lie in that one's folder.
 
@@ -101,9 +114,12 @@ def check_table(table: str, values: Any) -> None:
         expected: Any = get_origin(entry.type) or entry.type
         if expected is tuple:
             row = told.get("row", _PLACE)
-            fits, what = partial(_is_row, row.count(",", 0, row.index("]")) + 1), row
+            fits: Any = partial(_is_row, row.count(",", 0, row.index("]")) + 1)
+            what = row
             if "low" in told:
                 fits, what = partial(_within, told), f"numbers, each {_range(told)}"
+            elif row == _HOLE:
+                fits = is_hole
             if not (isinstance(value, tuple) and all(map(fits, value))):
                 raise SkinError(f"{name} must be a list of {what}")
         elif not (is_number(value) if expected is float else type(value) is expected):
@@ -153,7 +169,7 @@ def places(given: Any) -> Any:
     """Places as they are kept: TOML gives lists, and a description must be hashable."""
     if not isinstance(given, list | tuple):
         return given
-    return tuple(tuple(place) if isinstance(place, list) else place for place in given)
+    return tuple(places(place) for place in given)
 
 
 def _is_row(count: int, row: Any) -> bool:

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ohmskin.arrays import Floats
 from ohmskin.drive import arranged
 from ohmskin.errors import GeometryError, SkinError
-from ohmskin.geometry import Band, Chart, Electrodes, Rectangle
+from ohmskin.geometry import Band, Chart, Domain, Electrodes, Rectangle
+from ohmskin.geometry.band import Edge
+from ohmskin.geometry.holes import whole
 from ohmskin.geometry.spread import spread
 from ohmskin.skin.checks import choice, number, places
 
@@ -49,17 +52,18 @@ class ElectrodeLayout:
             return arranged(domain, spread(domain, self.count, chart.scale))
         if self.layout == "listed":
             return arranged(domain, np.array(self.positions, float))
-        if isinstance(domain, Rectangle | Band) and self.layout == "grid":
-            return Electrodes.grid(domain, self.columns, self.rows, self.inset)
+        if isinstance(shape := whole(domain), Rectangle | Band) and self.layout == "grid":
+            return Electrodes.grid(shape, self.columns, self.rows, self.inset)
         return Electrodes.rim(domain, self.count, self.start, self.clockwise)
 
     def check(self, chart: Chart) -> None:
         """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
         domain = chart.domain
-        if self.layout == "grid" and not isinstance(domain, Rectangle | Band):
-            raise SkinError(
-                'electrode.layout is "grid", which needs a rectangle or a sleeve; use "rim", "even" or "listed"'
-            )
+        if self.layout == "grid":
+            if not isinstance(whole(domain), Rectangle | Band):
+                told = 'electrode.layout is "grid", which needs a rectangle or a sleeve'
+                raise SkinError(f'{told}; use "rim", "even" or "listed"')
+            _check_holes(domain, self.on(chart).positions, "electrode {} of the grid is at {}")
         if self.layout != "listed":
             if self.positions:
                 told = f'electrode.positions are given but the layout is "{self.layout}"'
@@ -67,6 +71,7 @@ class ElectrodeLayout:
             return
         if len(self.positions) < 4:
             raise SkinError(f"electrode.positions lists {len(self.positions)} electrodes; need at least 4")
+        _check_holes(domain, np.array(self.positions, float), "electrode.positions[{}] is {}")
         depth = domain.depth(np.array(self.positions, float))
         if (depth < -1e-6).any():
             k = int(np.argmin(depth))
@@ -76,3 +81,14 @@ class ElectrodeLayout:
             self.on(chart)
         except GeometryError as error:
             raise SkinError(f"electrode.positions: {error}") from None
+
+
+def _check_holes(domain: Domain, positions: Floats, told: str) -> None:
+    """Raise SkinError if one of positions (n, 2) lies in a hole; it is `told` by number and place."""
+    for hole in domain.holes:
+        depth = np.full(len(positions), -1.0) if isinstance(hole, Edge) else hole.depth(positions)
+        if depth.max(initial=-1.0) > 1e-6:
+            k = int(np.argmax(depth))
+            place = [round(value, 6) for value in positions[k].tolist()]
+            inside = f"{told.format(k, place)}, {depth[k]:.3g} m inside a hole"
+            raise SkinError(f'{inside}; move it or the hole, or use electrode.layout = "even", which goes round holes')

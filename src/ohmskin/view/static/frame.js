@@ -38,16 +38,16 @@ function within(corners, x, y) {
 
 /** The point of the domain closest to (x, y). */
 export function clampTo(domain, x, y) {
+  const turn = domain.kind === "band" ? x - domain.width * Math.floor(x / domain.width) : x;
+  const hole = domain.holes?.find((corners) => within(corners, turn, y));
+  if (hole) return closestOn(hole, turn, y);
   if (domain.kind === "polygon") {
-    const hole = domain.holes.find((corners) => within(corners, x, y));
-    if (hole) return closestOn(hole, x, y);
     return within(domain.outline, x, y) ? [x, y] : closestOn(domain.outline, x, y);
   }
   if (domain.kind === "disc") {
     const shrink = Math.min(1, domain.radius / Math.max(1e-12, Math.hypot(x, y)));
     return [x * shrink, y * shrink];
   }
-  const turn = domain.kind === "band" ? x - domain.width * Math.floor(x / domain.width) : x;
   return [Math.min(domain.width, Math.max(0, turn)), Math.min(domain.height, Math.max(0, y))];
 }
 

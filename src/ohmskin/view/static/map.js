@@ -40,12 +40,13 @@ export function drawMap(c, width, height, scene) {
 function outline(c, f, domain) {
   c.beginPath();
   if (domain.kind === "disc") c.arc(f.x(0), f.y(0), f.scale * domain.radius, 0, 2 * Math.PI);
-  else if (domain.kind === "polygon") {
-    for (const corners of [domain.outline, ...domain.holes]) {
-      corners.forEach(([x, y], i) => (i ? c.lineTo(f.x(x), f.y(y)) : c.moveTo(f.x(x), f.y(y))));
-      c.closePath();
-    }
-  } else c.rect(f.x(0), f.y(domain.height), f.scale * domain.width, f.scale * domain.height);
+  else if (domain.kind !== "polygon") {
+    c.rect(f.x(0), f.y(domain.height), f.scale * domain.width, f.scale * domain.height);
+  }
+  for (const corners of [...(domain.outline ? [domain.outline] : []), ...(domain.holes ?? [])]) {
+    corners.forEach(([x, y], i) => (i ? c.lineTo(f.x(x), f.y(y)) : c.moveTo(f.x(x), f.y(y))));
+    c.closePath();
+  }
 }
 
 // Where a closed band meets itself its sides are no rim.

@@ -1,0 +1,188 @@
+"""Skins that are cut from a link's mesh by a name, a place or planes: OBJ, STL, Gmsh, URDF."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_meshed import FOREARM, link
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.errors import GeometryError, SkinError
+from ohmskin.geometry import Mesh, write_mesh
+from ohmskin.geometry.regions import read_triangles
+from ohmskin.geometry.surface import pieces
+from ohmskin.skin import Skin
+
+WALL = 'file = "forearm.obj"\nscale = 1e-3\nregion = "wall"'
+
+
+def parts() -> tuple[Floats, dict[str, Ints]]:
+    """A closed link: its wall, bent, and its two flat ends."""
+    nodes, triangles = link(20, 32)
+    wall = len(triangles) - 64
+    return nodes, {"wall": triangles[:wall], "foot": triangles[wall : wall + 32], "top": triangles[wall + 32 :]}
+
+
+def skin_file(folder: Path, sheet: str) -> Path:
+    given = FOREARM[: FOREARM.index("file")] + sheet + "\n" + FOREARM[FOREARM.index("[electrode]") :]
+    (folder / "skin.toml").write_text(given)
+    return folder / "skin.toml"
+
+
+def obj(folder: Path, scale: float = 1e3, quads: bool = False) -> None:
+    """The link as CAD programs write it: a group and a material for each part, four corners where there can be."""
+    nodes, named = parts()
+    lines = ["# a link", *("v {} {} {}".format(*scale * node) for node in nodes), "vn 0 0 1", "o forearm"]
+    for name, triangles in named.items():
+        lines += [f"g {name} all", f"usemtl {name}-paint"]
+        if quads and name == "wall":
+            pairs = zip(*np.split(triangles, 2), strict=True)
+            lines += ["f {}/1/1 {}//1 {} {}".format(*(one + 1), other[2] + 1) for one, other in pairs]
+        else:
+            lines += ["f {} {} {}".format(*(corners - len(nodes))) for corners in triangles]
+    (folder / "forearm.obj").write_text("\n".join(lines))
+
+
+def solids(path: Path, nodes: Floats, named: dict[str, Ints]) -> None:
+    """An STL file of text, of a solid for each name."""
+    lines = []
+    for name, triangles in named.items():
+        lines.append(f"solid {name}")
+        for corners in nodes[triangles]:
+            places = ("vertex {:.9e} {:.9e} {:.9e}".format(*at) for at in corners)
+            lines += ["facet normal 0 0 0", "outer loop", *places, "endloop", "endfacet"]
+        lines.append(f"endsolid {name}")
+    path.write_text("\n".join(lines))
+
+
+def area(skin: Skin) -> float:
+    return float(skin.domain.area)
+
+
+def wall_area() -> float:
+    nodes, named = parts()
+    return float(Mesh(*_used(nodes, named["wall"])).measures.sum())
+
+
+def _used(nodes: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    used, own = np.unique(triangles, return_inverse=True)
+    return nodes[used], own.reshape(-1, 3)
+
+
+@pytest.mark.parametrize("quads", [False, True])
+@pytest.mark.parametrize("region", ["wall", "wall-paint"])
+def test_a_group_or_a_material_of_an_obj_file_is_a_skin(quads: bool, region: str, tmp_path: Path) -> None:
+    obj(tmp_path, quads=quads)
+    skin = Skin.load(skin_file(tmp_path, WALL.replace('"wall"', f'"{region}"')))
+    assert area(skin) == pytest.approx(wall_area(), rel=1e-3)
+    assert skin.domain.period  # a ring, whose ends are the rims
+    assert Skin.parse(skin.dump()) == skin
+
+
+def test_a_solid_of_an_stl_file_is_a_skin(tmp_path: Path) -> None:
+    nodes, named = parts()
+    solids(tmp_path / "forearm.stl", 1e3 * nodes, named)
+    skin = Skin.load(skin_file(tmp_path, WALL.replace(".obj", ".stl")))
+    assert area(skin) == pytest.approx(wall_area(), rel=1e-3)
+
+
+def test_a_physical_surface_of_gmsh_and_a_set_of_elements_are_regions(tmp_path: Path) -> None:
+    meshio = pytest.importorskip("meshio")
+    nodes, named = parts()
+    everything = np.vstack(list(named.values()))
+    tags = np.repeat([1, 2, 3], [len(part) for part in named.values()])
+    data = meshio.Mesh(
+        nodes,
+        [("triangle", everything)],
+        cell_data={"gmsh:physical": [tags], "gmsh:geometrical": [tags]},
+        field_data={name: np.array([k + 1, 2]) for k, name in enumerate(named)},
+    )
+    data.write(tmp_path / "link.msh", file_format="gmsh22")
+    found, triangles = read_triangles(tmp_path / "link.msh", "top")
+    np.testing.assert_allclose(found[triangles].reshape(-1, 3)[:, 2], 0.3)
+    sets = meshio.Mesh(nodes, [("triangle", everything)], cell_sets={"FOOT": [np.flatnonzero(tags == 2)]})
+    sets.write(tmp_path / "link.inp")
+    found, triangles = read_triangles(tmp_path / "link.inp", "FOOT")
+    np.testing.assert_allclose(found[triangles].reshape(-1, 3)[:, 2], 0.0)
+
+
+def test_a_place_chooses_the_part_up_to_its_creases(tmp_path: Path) -> None:
+    """An STL file of one unnamed solid: the wall of a link ends where its ends begin."""
+    nodes, named = parts()
+    write_mesh(tmp_path / "forearm.stl", Mesh(1e3 * nodes, np.vstack(list(named.values()))))
+    sheet = 'file = "forearm.stl"\nscale = 1e-3\nseed = [0.08, 0.0, 0.15]'
+    assert area(Skin.load(skin_file(tmp_path, sheet))) == pytest.approx(wall_area(), rel=1e-3)
+    top = Skin.load(skin_file(tmp_path, sheet.replace("0.08, 0.0, 0.15", "0.01, 0.0, 0.3")))
+    assert area(top) == pytest.approx(np.pi * 0.035**2, rel=0.02)
+    with pytest.raises(SkinError, match="closed; cut it open"):
+        Skin.load(skin_file(tmp_path, f"{sheet}\ncrease = 3.0"))
+    cut = f"{sheet}\ncut = [[0, 0, 1, 0.1], [1, 0, 0, 0.02]]"
+    assert area(Skin.load(skin_file(tmp_path, cut))) < 0.5 * wall_area()
+
+
+def test_pieces_that_do_not_touch_are_told_and_a_place_chooses_one(tmp_path: Path) -> None:
+    nodes, named = parts()
+    both = np.vstack([nodes, nodes + np.array([0.2, 0, 0])])
+    triangles = np.vstack([named["wall"], named["wall"] + len(nodes)])
+    solids(tmp_path / "two.stl", both, {"two": triangles})
+    with pytest.raises(SkinError, match="2 pieces that do not touch; choose one by seed"):
+        Skin.load(skin_file(tmp_path, 'file = "two.stl"'))
+    skin = Skin.load(skin_file(tmp_path, 'file = "two.stl"\nseed = [0.25, 0.0, 0.01]'))
+    assert area(skin) == pytest.approx(wall_area(), rel=1e-3)
+    assert skin.chart.points(skin.electrodes.positions)[:, 0].min() > 0.1
+    np.testing.assert_array_equal(np.unique(pieces(both, triangles)), [0, 1])
+
+
+ROBOT = """<robot name="r"><link name="base"/><link name="forearm">
+<visual><geometry><box size="1 1 1"/></geometry></visual>
+<visual name="shell"><origin xyz="0 0 0.5" rpy="0 0 1.5708"/>
+  <geometry><mesh filename="package://my_robot/meshes/forearm.obj" scale="0.001 0.001 0.001"/></geometry></visual>
+<visual><geometry><mesh filename="package://my_robot/meshes/motor.stl"/></geometry></visual></link></robot>"""
+
+
+def test_a_visual_of_a_urdf_link_is_a_skin_in_the_frame_of_the_link(tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    obj(tmp_path / "meshes")
+    (tmp_path / "robot.urdf").write_text(ROBOT)
+    sheet = 'file = "robot.urdf"\nlink = "forearm"\nvisual = "shell"\nregion = "wall"'
+    skin = Skin.load(skin_file(tmp_path, sheet))
+    assert area(skin) == pytest.approx(wall_area(), rel=1e-3)
+    points = skin.chart.points(skin.mesh().nodes)
+    np.testing.assert_allclose([points[:, 2].min(), points[:, 2].max()], [0.5, 0.8], atol=1e-6)
+    assert points[:, 1].max() > 0.07  # the bend, along x in the file, is turned to y
+    assert abs(points[:, 0]).max() < 0.055
+    assert skin.sheet.link == skin.sheet.visual == skin.sheet.region == ""
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (
+            ('"wall"', '"walls"'),
+            "no region 'walls'; its regions are all, foot, foot-paint, forearm, top, top-p",
+        ),
+        (
+            ('"shell"', '"box"'),
+            "link 'forearm' has 2 meshes, and visual is 'box'; choose sheet.visual from shell",
+        ),
+        (('\nvisual = "shell"', ""), "choose sheet.visual from shell, motor"),
+        (('"forearm"', '"base"'), "no link 'base' with a mesh; links with meshes are forearm"),
+        (('"shell"', '"motor"'), "mesh 'package://my_robot/meshes/motor.stl' of link 'forearm' is not there"),
+        (('"robot.urdf"', '"skin.toml"'), "is not valid XML"),
+        (('"wall"', '"wall"\nseed = [0.0, 0.0]'), "it must be a place"),
+        (('"wall"', '"wall"\nseed = [9.0, 0.0, 0.0]'), r"seed \[9.0, 0.0, 0.0\] is .* m off a surface"),
+    ],
+)
+def test_what_cannot_be_found_is_told_with_what_there_is(changed: tuple[str, str], told: str, tmp_path: Path) -> None:
+    obj(tmp_path)
+    (tmp_path / "robot.urdf").write_text(ROBOT)
+    sheet = 'file = "robot.urdf"\nlink = "forearm"\nvisual = "shell"\nregion = "wall"'.replace(*changed)
+    with pytest.raises(SkinError, match=told):
+        Skin.load(skin_file(tmp_path, sheet))
+
+
+@pytest.mark.parametrize("text", ["f 1 2 3", "v 1 2\nv 3 4\n", "v a b c", "f", "v 0 0 0\nf 1 2 -7", "v 0 0 0\nf 1/x b"])
+def test_an_obj_file_that_is_none_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.obj").write_text(text)
+    with pytest.raises(GeometryError, match=r"cannot read mesh file|no triangles"):
+        read_triangles(tmp_path / "bad.obj")
