@@ -137,6 +137,28 @@ def test_a_robot_in_curved_skins_tells_pokes_from_its_own_touches() -> None:
     assert figures["own_touches_felt"] == figures["own_touches_told"] == 1
 
 
+def test_pads_press_several_skins_at_once_and_each_is_felt() -> None:
+    """Two skins of eight, to save time: MuJoCo's forces are the truth, each skin's and their sum."""
+    body = Body.load(HUMANOID)
+    body = replace(body, patches=tuple(one for one in body.patches if one.patch.name in ("chest", "right_upper_arm")))
+    moments = []
+    with engines(body, seed=6) as loops:
+        (hug,) = Demonstration(body, loops, seed=1).hugs(1, moments.append)
+    assert set(hug.patches) == set(hug.felt) == {"chest", "right_upper_arm"}
+    assert hug.invented == 0
+    assert 0.03 < hug.reaction < 0.1
+    assert np.median(hug.errors) < 6e-3
+    assert max(len({push.patch for push in moment.pushes}) for moment in moments) == 2
+    assert {push.hand for moment in moments for push in moment.pushes} == {1, 2}
+    figures: Any = summary([], hugs=[hug])
+    assert (figures["hugs"], figures["hugged_skins"], figures["hugged_skins_felt"]) == (1, 2, 2)
+    assert figures["hug_force_error"]["median"] < 0.35
+    assert figures["hug_total_force_error"]["median"] < 0.35
+    true, _ = np.transpose(hug.totals)
+    assert true.max() == pytest.approx(max(sum(p.force for p in m.pushes) for m in moments), rel=0.3)
+    assert moments[-1].pushes == ()  # they let go
+
+
 def test_summary_counts_what_was_not_felt() -> None:
     felt = Encounter("skin", "forearm", (0.1, 0.1), "forearm", 0.02, 5.0, (1e-3, 3e-3), ((2.0, 3.0),), 1, 2)
     missed = Encounter("skin", "forearm", (0.1, 0.1), "", np.nan, 50.0, ())
@@ -317,7 +339,8 @@ def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     felt = Encounter("skin", "forearm", (0.1, 0.1), "forearm", 0.02, 5.0, (1e-3,))
     missed = replace(felt, reaction=np.nan, peak_force=21.0)
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
-    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], own_touches=lambda *_: [], free=lambda *_: 0)
+    none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
+    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], free=lambda *_: 0, **none)
     monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
     told = ohmskin("robot", "--most-force", "20", "--most-reaction", "0.05")
     assert told.returncode == 1

@@ -20,10 +20,14 @@ if TYPE_CHECKING:
     from ohmskin.robot import Encounter
 
 
+_MOST = 10_000  # pokes
+
+
 def robot(
     *,
     body: str = "",
     pokes: int = 10,
+    hugs: int = 0,
     own_touches: int = 0,
     free: float = 0.0,
     skin: str = "",
@@ -44,6 +48,7 @@ def robot(
         body: Body file (TOML) of a robot with a URDF file, such as examples/humanoid/body.toml; an arm unless given.
             Its skins are virtual here.
         pokes: Number of pokes, at random places.
+        hugs: Then, how often pads of two arms press several skins at once, at random places.
         own_touches: Then, how often the robot touches itself, in random postures.
         free: Then, for how long it moves untouched, s: contacts that are felt are invented.
         skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
@@ -57,9 +62,9 @@ def robot(
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
         json: Print figures as JSON.
     """
-    for name, value, low, high in (("pokes", pokes, 1, 10_000), ("own-touches", own_touches, 0, 10_000)):
-        if not low <= value <= high:
-            raise OhmskinError(f"--{name} is {value}; choose {low} to {high}")
+    for name, value, low in (("pokes", pokes, 1), ("hugs", hugs, 0), ("own-touches", own_touches, 0)):
+        if not low <= value <= _MOST:
+            raise OhmskinError(f"--{name} is {value}; choose {low} to {_MOST}")
     if not 0 <= free <= 36_000:
         raise OhmskinError(f"--free is {free} s; choose 0 to 36000")
     if body and skin:
@@ -95,12 +100,14 @@ def robot(
                 each(moment)
 
         encounters = list(track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console))
+        hugging = demonstration.hugs(hugs, show)
+        hugged = list(track(hugging, "hugging", total=hugs, console=console, disable=not hugs))
         own = demonstration.own_touches(own_touches, show)
         touches = list(track(own, "touching itself", total=own_touches, console=console, disable=not own_touches))
         invented = demonstration.free(free, show)
     if picture and not picture.exists():
         console.print("no poke was felt; no picture was written")
-    figures = summary(encounters, touches) | {"free_motion": free, "invented_in_free_motion": invented}
+    figures = summary(encounters, touches, hugged) | {"free_motion": free, "invented_in_free_motion": invented}
     over = [sentence for one in enumerate(encounters, 1) for sentence in _exceeded(*one, most_force, most_reaction)]
     for sentence in over:
         print(sentence, file=sys.stderr)
@@ -115,15 +122,19 @@ def robot(
 def _tell(figures: dict[str, Any]) -> None:
     """The figures, line by line."""
     print(f"{figures['felt']} of {figures['pokes']} pokes felt, {figures['on_the_right_link']} on the right link")
+    if figures["hugs"]:
+        print(f"{figures['hugged_skins_felt']} of {figures['hugged_skins']} skins felt in {figures['hugs']} hugs")
     if figures["own_touches"]:
         print(f"{figures['own_touches_told']} of {figures['own_touches']} self-touches recognised")
     if free := figures["free_motion"]:
         print(f"{figures['invented_in_free_motion']} contacts invented in {free:g} s of free motion")
     units = {"position_error": (1e3, "mm"), "reaction_time": (1e3, "ms"), "peak_force": (1.0, "N")}
-    for name, (factor, unit) in (units | {"force_error": (1e2, "%")}).items():
+    units |= {"force_error": (1e2, "%")}
+    hugs = {f"hug_{name}": unit for name, unit in (units | {"total_force_error": (1e2, "%")}).items()}
+    for name, (factor, unit) in (units | hugs).items():
         if (spread := figures[name]) is not None:
             said = ", ".join(f"{key} {factor * value:.1f}" for key, value in spread.items())
-            print(f"{name.replace('_', ' '):<15} {said} {unit}")
+            print(f"{name.replace('_', ' '):<21} {said} {unit}")
 
 
 def _exceeded(number: int, poke: "Encounter", most_force: float, most_reaction: float) -> Iterator[str]:

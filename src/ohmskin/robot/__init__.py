@@ -2,7 +2,19 @@
 
 from ohmskin.robot.arm import arm
 from ohmskin.robot.demonstration import Demonstration, Moment, Sensed, engines
-from ohmskin.robot.figures import Encounter, OwnTouch, summary
+from ohmskin.robot.figures import Encounter, Hug, OwnTouch, summary
 from ohmskin.robot.wearer import Push, Wearer
 
-__all__ = ["Demonstration", "Encounter", "Moment", "OwnTouch", "Push", "Sensed", "Wearer", "arm", "engines", "summary"]
+__all__ = [
+    "Demonstration",
+    "Encounter",
+    "Hug",
+    "Moment",
+    "OwnTouch",
+    "Push",
+    "Sensed",
+    "Wearer",
+    "arm",
+    "engines",
+    "summary",
+]

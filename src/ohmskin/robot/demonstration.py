@@ -14,23 +14,21 @@ from ohmskin.contacts import in_frame
 from ohmskin.device import connect
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
-from ohmskin.robot.figures import Encounter, OwnTouch
+from ohmskin.robot.figures import Encounter, Hug, OwnTouch
+from ohmskin.robot.hands import Hand
 from ohmskin.robot.manners import MANNERS
 from ohmskin.robot.reach import way_to_itself
-from ohmskin.robot.scene import FINGER
+from ohmskin.robot.scene import PADS
 from ohmskin.robot.wearer import Push, Wearer, above
 from ohmskin.skin import Calibration, Press, Skin
 
-_ABOVE = 0.03  # m: where a poke starts, above the skin
-_APPROACH = 0.08  # m/s
-_RETREAT = 0.25  # m/s, of the finger afterwards
-_PUSH = 0.02  # m beyond the first touch that the finger wants to go
-_HARDEST = 20.0  # N that the hand pushes with at most
-_HOLD = 0.25  # s at the end of a push
+_WITHDRAW = 0.25  # m/s, of a place that tells no newtons
+_HOLD = 0.25  # s that the robot touches itself
 _PAUSE = 0.4  # s between two pokes
+_TRIES = 1000  # of places of a skin that a pad can come to
 _REACHING = 0.6  # rad/s or m/s, of a robot that goes to touch itself
 _FIRM = 5.0  # N, with which it does
-_FREE = 2 * FINGER  # m that the way of the finger keeps from other links
+_FREE = 24e-3  # m that the way of a hand keeps from other links
 _RIM = 0.1  # of a skin's size, that pokes keep from its rim
 _NEAR = 0.03  # m from a contact, within which a push is taken for what caused it
 _AWAY, _UP = np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, 1.0])  # where no hand is near
@@ -119,6 +117,11 @@ class Demonstration:
         for _ in range(count):
             yield self._encounter(*self._reachable(), show)
 
+    def hugs(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[Hug]:
+        """Hug the robot `count` times: pads of two arms press as many skins at once, at random places."""
+        for _ in range(count):
+            yield self._hug(show)
+
     def free(self, seconds: float, show: Callable[[Moment], None] = lambda _: None) -> int:
         """Move for so long without being touched; the number of contacts that were reported all the same."""
         self.wearer.bring(_AWAY, _UP)
@@ -161,69 +164,105 @@ class Demonstration:
         """A skin, and a place on it that the finger can come to; by chance."""
         while True:
             patch = int(self._random.integers(len(self.engines)))
-            domain = self.engines[patch].skin.domain
-            x0, y0, x1, y1 = domain.bounds
-            place = self._random.uniform([x0, y0], [x1, y1])
-            inset = _RIM * min(x1 - x0, y1 - y0)
-            if domain.depth([place])[0] > inset and self._clear(patch, place):
+            if (place := self._free_place(patch, 0)) is not None:
                 return patch, place
 
-    def _clear(self, patch: int, place: Floats) -> bool:
-        """Whether no other link is in the finger's way."""
+    def _free_place(self, patch: int, hand: int) -> Floats | None:
+        """A place on a skin by chance; None if it is too close to the rim, or another link is in the hand's way."""
+        domain = self.engines[patch].skin.domain
+        x0, y0, x1, y1 = domain.bounds
+        place = self._random.uniform([x0, y0], [x1, y1])
+        radius = self.wearer.hands[hand]
+        if domain.depth([place])[0] <= max(_RIM * min(x1 - x0, y1 - y0), radius / 2):
+            return None
         robot, link = self.wearer.posed(), self.body.patches[patch].patch.frame
-        ways = (above(self.wearer, patch, place, height) for height in np.linspace(0.0, 0.15, 7))
-        return all(self._self_touch.nearest(robot, way, link)[1] > FINGER + _FREE for way in ways)
+        ways = (above(self.wearer, patch, place, height, radius) for height in np.linspace(0.0, 0.15, 7))
+        clear = all(self._self_touch.nearest(robot, way, link)[1] > radius + _FREE for way in ways)
+        return place if clear else None
 
     def _encounter(self, patch: int, aim: Floats, show: Callable[[Moment], None]) -> Encounter:
-        pushed, held, touched_at, reacted_at, force = 0.0, 0.0, np.nan, np.nan, 0.0
-        where, felt_on, peak = (np.nan, np.nan), "", 0.0
+        hand, felt_on, reacted_at = Hand(self.wearer, 0, patch, aim), "", np.nan
         errors, forces, strangers, own = list[float](), list[tuple[float, float]](), set[tuple[str, int]](), 0
-        height, direction = _ABOVE, np.zeros(3)
-        finger = above(self.wearer, patch, aim, height)
-        self.wearer.bring(finger, self.wearer.surface(patch, aim)[1])
-        while held < _HOLD:
-            step = _APPROACH * self._elapsed
-            if np.isnan(touched_at):  # the finger follows the moving skin until it touches, then pushes straight on
-                height -= step
-                finger = above(self.wearer, patch, aim, height)
-                if height < -_PUSH:
-                    break  # something holds it off
-            elif pushed < _PUSH:
-                finger, pushed = finger + direction * step * min(1.0, 1 - force / _HARDEST), pushed + step
-            else:
-                held += self._elapsed
-            moment = self._cycle(finger)
-            show(moment)
-            push = next((push for push in moment.pushes if push.patch == patch and not push.by), None)
-            force = push.force if push else 0.0
-            if push is not None:
-                peak = max(peak, push.force)
-                if np.isnan(touched_at):
-                    direction, touched_at = -self.wearer.surface(patch, aim)[1], moment.time
-                    where = (float(push.place[0]), float(push.place[1]))
+        while not hand.done:
+            moment = self._pressed_by([hand], show)
             for one in moment.sensed:
                 if not felt_on:  # what was touched at the beginning of a cycle is known at its end
                     felt_on, reacted_at = self._links[one.contact.patch], moment.time + self._elapsed
-                if push is not None and one.push is push:
+                if hand.push is not None and one.push is hand.push:
                     errors.append(one.error)
                     own += bool(one.contact.self_touch)
                     if one.contact.force is not None:
-                        forces.append((push.force, one.contact.force))
-                elif one.push is None and push is not None:
+                        forces.append((hand.push.force, one.contact.force))
+                elif one.push is None and hand.push is not None:
                     strangers.add((one.contact.patch, one.contact.id))
-        end = self.wearer.time + _PAUSE
-        while self.wearer.time < end:
-            finger = finger - direction * _RETREAT * self._elapsed
-            show(self._cycle(finger))
-        reaction, name = reacted_at - touched_at, self.body.patches[patch].patch.name
-        return Encounter(
-            name, self._links[name], where, felt_on, reaction, peak, tuple(errors), tuple(forces), len(strangers), own
+        self._let_go([hand], show)
+        reaction, name = reacted_at - hand.touched_at, self.body.patches[patch].patch.name
+        told = tuple(errors), tuple(forces), len(strangers), own
+        return Encounter(name, self._links[name], hand.where, felt_on, reaction, hand.peak, *told)
+
+    def _hug(self, show: Callable[[Moment], None]) -> Hug:
+        hands, errors, forces = list[Hand](), list[float](), list[tuple[float, float]]()
+        totals, felt, strangers, reacted_at = list[tuple[float, float]](), set[int](), set[tuple[str, int]](), np.nan
+        self.wearer.bring(_AWAY, _UP)
+        for patch in self._random.permutation(len(self.engines))[:PADS].tolist():
+            tried = (self._free_place(patch, 1 + len(hands)) for _ in range(_TRIES))
+            if (place := next((place for place in tried if place is not None), None)) is not None:
+                hands.append(Hand(self.wearer, 1 + len(hands), patch, place))
+        while not all(hand.done for hand in hands):
+            moment = self._pressed_by(hands, show)
+            pressed = [hand.push for hand in hands if hand.push is not None]
+            seen = [one for one in moment.sensed if one.push in pressed]
+            if moment.sensed and np.isnan(reacted_at):
+                reacted_at = moment.time + self._elapsed
+            errors += [one.error for one in seen]
+            felt |= {one.patch for one in seen}
+            strangers |= {(one.contact.patch, one.contact.id) for one in moment.sensed if one.push is None and pressed}
+            told = [(one.push.force, one.contact.force) for one in seen if one.push and one.contact.force is not None]
+            forces += told
+            if len(told) == len(pressed) > 0:
+                true, said = np.sum(told, axis=0)
+                totals.append((float(true), float(said)))
+        self._let_go(hands, show)
+        touched = [hand for hand in hands if np.isfinite(hand.touched_at)]
+        names = [placed.patch.name for placed in self.body.patches]
+        return Hug(
+            tuple(names[hand.patch] for hand in touched),
+            tuple(names[patch] for patch in sorted(felt)),
+            reacted_at - min((hand.touched_at for hand in touched), default=np.nan),
+            tuple(hand.peak for hand in touched),
+            *(tuple(errors), tuple(forces), tuple(totals), len(strangers)),
         )
 
-    def _cycle(self, finger: Floats) -> Moment:
+    def _pressed_by(self, hands: Sequence[Hand], show: Callable[[Moment], None]) -> Moment:
+        """One cycle in which hands go on."""
+        for hand in hands:
+            if not hand.done:
+                hand.advance(self._elapsed)
+        moment = self._cycle(*self._tips(hands))
+        for hand in hands:
+            hand.see(moment.pushes, moment.time)
+        show(moment)
+        return moment
+
+    def _let_go(self, hands: Sequence[Hand], show: Callable[[Moment], None]) -> None:
+        """Let hands go back, for a pause."""
+        end = self.wearer.time + _PAUSE
+        while self.wearer.time < end:
+            for hand in hands:
+                hand.retreat(self._elapsed)
+            show(self._cycle(*self._tips(hands)))
+        for hand in hands:
+            self.wearer.bring(_AWAY, _UP, hand.number)
+
+    def _tips(self, hands: Sequence[Hand]) -> list[Floats]:
+        """Where the tips of the first hands are to be, those not in use far away."""
+        at = {hand.number: hand.point for hand in hands}
+        return [at.get(number, _AWAY) for number in range(max(at) + 1)]
+
+    def _cycle(self, *tips: Floats) -> Moment:
         """Move for the time of the last cycle, press what MuJoCo presses, sense, command."""
         if self._elapsed:
-            self.wearer.advance(self._elapsed, finger)
+            self.wearer.advance(self._elapsed, *tips)
         pushes = self.wearer.pushes()
         touches = tuple(self._sense(number, engine, pushes) for number, engine in enumerate(self.engines))
         sensed = tuple(self._placed(touches, pushes))
@@ -272,7 +311,7 @@ class Demonstration:
         for one in touched:
             speed = self.manner.speed(one.contact.force)
             if speed and not self.body.patches[one.patch].patch.newtons:
-                speed = _RETREAT
+                speed = _WITHDRAW
             self._offset += self.wearer.yielding(one.patch, np.array(one.place)) * speed * self._elapsed
         if touched and self.manner.halts:
             self._halted += self._elapsed

@@ -38,6 +38,31 @@ class Encounter:
 
 
 @dataclass(frozen=True)
+class Hug:
+    """One hug and what became of it.
+
+    Args:
+        patches: The skins that were pressed, by MuJoCo.
+        felt: Those whose contacts were reported.
+        reaction: Time from the first touch to the first command that yields (s); NaN if nothing was felt.
+        peak_forces: Largest force on each of `patches` (N).
+        errors: Distance between the sensed and the true places, contact by contact and frame by frame (m).
+        forces: Force and what was told of it (N), likewise where it was told.
+        totals: Sums of the forces on all skins and of what was told of them (N), of frames in which all were told.
+        invented: Contacts reported where nothing was.
+    """
+
+    patches: tuple[str, ...]
+    felt: tuple[str, ...]
+    reaction: float
+    peak_forces: tuple[float, ...]
+    errors: tuple[float, ...] = field(repr=False)
+    forces: tuple[tuple[float, float], ...] = field(repr=False)
+    totals: tuple[tuple[float, float], ...] = field(repr=False)
+    invented: int = 0
+
+
+@dataclass(frozen=True)
 class OwnTouch:
     """One touch of the robot by itself and what became of it.
 
@@ -54,13 +79,14 @@ class OwnTouch:
     told: int
 
 
-def summary(encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = ()) -> dict[str, object]:
+def summary(
+    encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = (), hugs: Sequence[Hug] = ()
+) -> dict[str, object]:
     """Figures of a run, for JSON: how many pokes were felt, position errors (m), reaction times (s), forces (N).
 
     What there is not, such as the reaction to a poke that was not felt, is None.
     """
     errors = np.concatenate([np.zeros(0), *(e.errors for e in encounters)])
-    true, told = np.concatenate([np.zeros((0, 2)), *(np.reshape(e.forces, (-1, 2)) for e in encounters)]).T
     reactions = np.array([e.reaction for e in encounters])
     felt = np.isfinite(reactions)
     return {
@@ -71,7 +97,7 @@ def summary(encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = ()) -
         "taken_for_self_touch": sum(e.self_touches for e in encounters),
         "frames_in_contact": len(errors),
         "position_error": _spread(errors),
-        "force_error": _spread(np.abs(told / true - 1)),
+        "force_error": _off([e.forces for e in encounters]),
         "reaction_time": _spread(reactions[felt]),
         "peak_force": _spread(np.array([e.peak_force for e in encounters])),
         "own_touches": len(touches),
@@ -79,8 +105,24 @@ def summary(encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = ()) -
         "own_touches_told": sum(touch.told > touch.frames / 2 for touch in touches),
         "own_touch_frames": sum(touch.frames for touch in touches),
         "own_touch_frames_told": sum(touch.told for touch in touches),
+        "hugs": len(hugs),
+        "hugged_skins": sum(len(hug.patches) for hug in hugs),
+        "hugged_skins_felt": sum(len(set(hug.patches) & set(hug.felt)) for hug in hugs),
+        "hugged_invented": sum(hug.invented for hug in hugs),
+        "hug_position_error": _spread(np.concatenate([np.zeros(0), *(hug.errors for hug in hugs)])),
+        "hug_force_error": _off([hug.forces for hug in hugs]),
+        "hug_total_force_error": _off([hug.totals for hug in hugs]),
+        "hug_reaction_time": _spread(np.array([hug.reaction for hug in hugs if np.isfinite(hug.reaction)])),
+        "hug_peak_force": _spread(np.array([force for hug in hugs for force in hug.peak_forces])),
+        "hug_list": [as_plain(asdict(hug)) for hug in hugs],
         "encounters": [as_plain(asdict(encounter)) for encounter in encounters],
     }
+
+
+def _off(forces: Sequence[Sequence[tuple[float, float]]]) -> dict[str, float] | None:
+    """Share by which what is told of forces is off."""
+    true, told = np.concatenate([np.zeros((0, 2)), *(np.reshape(one, (-1, 2)) for one in forces)]).T
+    return _spread(np.abs(told / true - 1))
 
 
 def _spread(values: Floats) -> dict[str, float] | None:

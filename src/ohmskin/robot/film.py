@@ -125,9 +125,11 @@ class Film:
         for one in moment.sensed:
             self._arrow(one.contact.position, one.contact.normal, one.contact.force, bool(one.contact.self_touch))
         outside = [push for push in moment.pushes if not push.by]
-        told = f"{outside[0].force:4.1f} N" if outside else "self-touch" if moment.pushes else "no contact"
+        true = sum(push.force for push in outside)
+        told = f"{true:4.1f} N" if outside else "self-touch" if moment.pushes else "no contact"
         forces = [one.contact.force for one in moment.sensed if one.push in outside and one.contact.force is not None]
-        told += f", {forces[0]:4.1f} N felt" if forces else ""
+        told += f", {sum(forces):4.1f} N felt" if forces else ""
+        told += f", on {len(outside)} skins" if len(outside) > 1 else ""
         self._title.set_text(f"{moment.time:5.2f} s    {told}")
         self._canvas.draw()
         right = np.asarray(self._canvas.buffer_rgba())[..., :3]

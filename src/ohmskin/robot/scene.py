@@ -12,7 +12,8 @@ from ohmskin.body import Body, PlacedSkin
 from ohmskin.body.robot import Joint
 from ohmskin.errors import ModelError
 
-FINGER = 12e-3  # radius of the hand's fingertip (m)
+FINGER, PAD = 12e-3, 30e-3  # radius of a hand's fingertip, and of the pads of two arms that hug (m)
+PADS = 4
 STEP = 1e-3  # s
 THICKNESS = 4e-3  # m, of a skin
 _SKIN, _SHELL, _HAND = 1, 2, 4  # who touches whom: skins touch all, shells and the hand only skins
@@ -42,15 +43,23 @@ _SCENE = """
     <light pos="0.6 -0.8 2.2" dir="-0.2 0.35 -1" diffuse="0.5 0.5 0.5" castshadow="true"/>
     <geom type="plane" size="2 2 0.1" pos="0 0 {floor}" material="floor" contype="0" conaffinity="0"/>
     <body name="hand" mocap="true" pos="0 0 9">
-      <geom name="fingertip" type="sphere" size="{finger}" material="hand" contype="4" conaffinity="0"
+      <geom name="hand 0" type="sphere" size="{finger}" material="hand" contype="4" conaffinity="0"
             solref=".02 1" solimp=".1 .9 .006 .5 2"/>
       <geom type="capsule" fromto="0 0 0 0 0 0.09" size="0.0115" material="hand" contype="0" conaffinity="0"/>
       <geom type="box" pos="0 0.012 0.12" size="0.028 0.04 0.045" material="hand" contype="0" conaffinity="0"/>
-    </body>
+    </body>{pads}
   </worldbody>
   <actuator/>
 </mujoco>
 """
+
+
+_PAD = """
+    <body mocap="true" pos="0 0 9">
+      <geom name="hand {number}" type="sphere" size="{pad}" material="hand" contype="4" conaffinity="0"
+            solref=".02 1" solimp=".1 .9 .006 .5 2"/>
+      <geom type="capsule" fromto="0 0 0 0.05 0 0.2" size="0.026" material="hand" contype="0" conaffinity="0"/>
+    </body>"""
 
 
 def scene(body: Body) -> str:
@@ -68,7 +77,8 @@ def scene(body: Body) -> str:
     middles = np.array([(robot.links[visual["link"]] @ visual["pose"])[:3, 3] for visual in robot.visuals])
     low, high = (middles - reaches).min(axis=0), (middles + reaches).max(axis=0)
     seen = {"center": _text((low + high) / 2), "extent": f"{0.77 * np.linalg.norm(high - low):.3g}"}
-    root = ElementTree.fromstring(_SCENE.format(step=STEP, finger=FINGER, floor=low[2], **seen))
+    pads = "".join(_PAD.format(number=number + 1, pad=PAD) for number in range(PADS))
+    root = ElementTree.fromstring(_SCENE.format(step=STEP, finger=FINGER, pads=pads, floor=low[2], **seen))
     world, assets, servos = (_child(root, name) for name in ("worldbody", "asset", "actuator"))
     above = {joint.child: (name, joint) for name, joint in robot.joints.items()}
     made: dict[str, Element] = {}

@@ -12,7 +12,7 @@ from ohmskin.body import Body
 from ohmskin.body.robot import Robot
 from ohmskin.errors import ModelError
 from ohmskin.robot.display import mujoco
-from ohmskin.robot.scene import FINGER, STEP, scene
+from ohmskin.robot.scene import FINGER, PAD, PADS, STEP, scene
 from ohmskin.skin import Press
 
 _MOTION = 0.1  # rad, of the slow movement of each joint
@@ -21,7 +21,7 @@ _OWN = 30e-3  # m, radius that a link touches another with
 _LEAST_RADIUS, _MOST_PRESSURE = 2e-3, 1e6  # m, Pa: within what the virtual skin takes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Push:
     """Something that presses a skin now, as MuJoCo has it: the truth.
 
@@ -31,7 +31,8 @@ class Push:
         point: (3,) the same in the world (m).
         force: Normal force (N).
         radius: Radius of the contact (m): of a ball so deep in thin foam, which gives way only right under it.
-        by: Link that presses it; empty if it is the finger, from outside.
+        by: Link that presses it; empty if it is a hand, from outside.
+        hand: Number of that hand; -1 if it is a link.
     """
 
     patch: int
@@ -40,6 +41,7 @@ class Push:
     force: float
     radius: float
     by: str = ""
+    hand: int = -1
 
     def press(self, foam_spread: float) -> Press:
         """What presses the virtual skin so, with foam of that spread (m): something round, of the same force."""
@@ -49,7 +51,7 @@ class Push:
 
 
 class Wearer:
-    """A robot in skins, its root link fixed in the world, and the hand that pokes it.
+    """A robot in skins, its root link fixed in the world, the hand that pokes it, and the pads that hug it.
 
     Args:
         body: What it is; its file says how it stands (`joints`).
@@ -58,6 +60,7 @@ class Wearer:
         model, data: MuJoCo's.
         target: Joint positions (rad, m) that the servos hold, in MuJoCo's order.
         low, high: What they may be.
+        hands: Radius of the tip of each hand (m): the finger's, then the pads'.
 
     Raises:
         ModelError: If the body has no URDF file, or MuJoCo does not take what it says.
@@ -73,7 +76,8 @@ class Wearer:
         self.body, self.robot, self.data = body, body.robot, mujoco.MjData(self.model)
         self._names = [self.model.joint(number).name for number in range(self.model.njnt)]
         self._skins = {self.model.geom(f"skin {number}").id: number for number in range(len(body.patches))}
-        self._finger = self.model.geom("fingertip").id
+        self.hands = (FINGER, *[PAD] * PADS)
+        self._hands = {self.model.geom(f"hand {number}").id: number for number in range(len(self.hands))}
         limits = np.array([body.robot.joints[name].limits for name in self._names]).reshape(-1, 2)
         self.low, self.high = limits.T
         self._still = np.array([body.robot.positions.get(name, 0.0) for name in self._names])
@@ -106,26 +110,26 @@ class Wearer:
         places, away = placed.skin.chart.project(np.array(placed.patch.axes) @ local)
         return places[0], float(away[0])
 
-    def advance(self, seconds: float, finger: Floats) -> None:
-        """Go on by so much time, while the fingertip moves to a point (3,) in the world."""
-        steps = max(1, round(seconds / STEP))
-        start = self.data.mocap_pos[0].copy()
+    def advance(self, seconds: float, *tips: Floats) -> None:
+        """Go on by so much time, while the tips of the first hands move to points (3,) in the world."""
+        steps, ends = max(1, round(seconds / STEP)), np.array(tips)
+        start = self.data.mocap_pos[: len(tips)].copy()
         for k in range(steps):
-            self.data.mocap_pos[0] = start + (finger - start) * (k + 1) / steps
+            self.data.mocap_pos[: len(tips)] = start + (ends - start) * (k + 1) / steps
             self.data.ctrl[:] = self.target
             mujoco.mj_step(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)  # links and contacts of now: a step leaves those of before it
 
-    def bring(self, finger: Floats, normal: Floats) -> None:
-        """Take the finger to a point (3,) in the world at once, its hand along a normal (3,)."""
-        self.data.mocap_pos[0] = finger
-        mujoco.mju_quatZ2Vec(self.data.mocap_quat[0], normal)
+    def bring(self, tip: Floats, normal: Floats, hand: int = 0) -> None:
+        """Take the tip of a hand to a point (3,) in the world at once, the hand along a normal (3,)."""
+        self.data.mocap_pos[hand] = tip
+        mujoco.mju_quatZ2Vec(self.data.mocap_quat[hand], normal)
 
     def copy(self) -> "Wearer":
         """Another one that stands so, without a hand near it."""
         other = copy(self)
         other.data = mujoco.MjData(self.model)
-        other.data.mocap_pos[0] = 0.0, 0.0, 9.0
+        other.data.mocap_pos[:] = 0.0, 0.0, 9.0
         other.stand(self.data.qpos)
         return other
 
@@ -152,7 +156,7 @@ class Wearer:
             mujoco.mj_contactForce(self.model, self.data, number, wrench)
             for skin, other in ((contact.geom1, contact.geom2), (contact.geom2, contact.geom1)):
                 if skin in self._skins and wrench[0] > 0:
-                    by = -1 if other == self._finger else int(self.model.geom_bodyid[other])
+                    by = -1 - self._hands[other] if other in self._hands else int(self.model.geom_bodyid[other])
                     found[self._skins[skin], by].append((contact.pos.copy(), wrench[0], -float(contact.dist)))
         pushes = [self._push(patch, by, parts) for (patch, by), parts in found.items()]
         return tuple(sorted((push for push in pushes if push is not None), key=lambda push: -push.force))
@@ -163,9 +167,9 @@ class Wearer:
         place, away = self.place(patch, np.average(points, axis=0, weights=forces))
         if away > OFF or self.body.patches[patch].skin.domain.depth([place])[0] < 0:
             return None
-        radius = float(np.sqrt(2 * (FINGER if by < 0 else _OWN) * max(0.0, *depths)))
-        name = "" if by < 0 else self.model.body(by).name
-        return Push(patch, place, self.surface(patch, place)[0], float(sum(forces)), radius, name)
+        radius = float(np.sqrt(2 * (self.hands[-1 - by] if by < 0 else _OWN) * max(0.0, *depths)))
+        name, hand = ("", -1 - by) if by < 0 else (self.model.body(by).name, -1)
+        return Push(patch, place, self.surface(patch, place)[0], float(sum(forces)), radius, name, hand)
 
     def yielding(self, patch: int, place: Floats) -> Floats:
         """Joint steps (rad, m) that move a place of a skin inwards by a metre, along its normal, to first order."""
@@ -186,7 +190,7 @@ class Wearer:
         return np.asarray(self._still + _MOTION * np.sin((0.5 + 0.13 * numbers) * time))
 
 
-def above(wearer: Wearer, patch: int, place: Floats, height: float) -> Floats:
-    """Where (3,) the middle of the fingertip is when it is `height` above a place (2,) of a skin (m)."""
+def above(wearer: Wearer, patch: int, place: Floats, height: float, radius: float = FINGER) -> Floats:
+    """Where (3,) the middle of a tip of some radius is when it is `height` above a place (2,) of a skin (m)."""
     point, normal = wearer.surface(patch, place)
-    return np.asarray(point + (FINGER + height) * normal)
+    return np.asarray(point + (radius + height) * normal)
