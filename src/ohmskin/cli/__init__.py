@@ -42,6 +42,10 @@ _COMMANDS = {
             "Map the bound on a contact's position error, or find a better layout.",
             "ohmskin layout --optimise 16",
         ),
+        "electrodes": (
+            "Place electrodes by clicking on the skin.",
+            "ohmskin electrodes --skin sleeve --save my-sleeve.toml",
+        ),
         "pattern": ("Draw the cutting pattern of a skin, 1:1.", "ohmskin pattern --skin sleeve --output sleeve.pdf"),
         "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --output out"),
         "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --output my-skin.toml"),

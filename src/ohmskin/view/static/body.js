@@ -5,6 +5,7 @@ import { INK } from "./ink.js";
 import * as THREE from "./vendor/three.js";
 
 const SHORTEST = 500; // ms that a click presses
+const CLICK = 5; // px that the pointer moves at most between down and up of a click
 const FIXED = 0.06; // m, length of an arrow that tells no force
 const PER_NEWTON = 0.02; // m
 const [SHORT, LONGEST] = [0.03, 0.3]; // m, of such arrows
@@ -86,6 +87,13 @@ class Skin {
   }
 }
 
+/** A ball, such as an electrode. */
+class Ball extends THREE.Mesh {
+  constructor() {
+    super(new THREE.SphereGeometry(1, 24, 16), new THREE.MeshLambertMaterial());
+  }
+}
+
 /** An arrow of length 1 along -z, with its tip at the origin. */
 class Arrow extends THREE.Group {
   constructor() {
@@ -108,9 +116,12 @@ class Arrow extends THREE.Group {
 }
 
 export class BodyView {
-  /** Draws on a canvas and writes into a box over it; open(name) is called for the name of a patch. */
-  constructor(canvas, box, robot, open) {
-    [this._canvas, this._box, this._open] = [canvas, box, open];
+  /**
+   * Draws on a canvas and writes into a box over it; open(name, mark) is called for the name of a patch and for the text
+   * of its marks. With pick(at), a click on a skin calls it with the place in the link's frame and presses nothing.
+   */
+  constructor(canvas, box, robot, open, pick = null) {
+    [this._canvas, this._box, this._open, this._pick] = [canvas, box, open, pick];
     this._renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
     this._renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this._camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
@@ -130,7 +141,9 @@ export class BodyView {
     this._scene.updateMatrixWorld(true);
     this._skins = [];
     this._arrows = [];
+    this._balls = [];
     this._labels = [];
+    this._aimed = null; // where the pointer went down, to pick
     this._fitted = -1; // with how many skins the camera was placed
     this._touch = null;
     this._patches = [];
@@ -168,7 +181,7 @@ export class BodyView {
 
   show(patches, known, stale, theme, limit, threshold) {
     this._labels = [];
-    let arrows = 0;
+    let [arrows, balls] = [0, 0];
     this._patches = patches;
     patches.forEach((patch, which) => {
       const link = this._links.get(patch.link);
@@ -189,7 +202,17 @@ export class BodyView {
         link.add(arrow);
         this._contact(patch, contact, arrow, theme);
       }
+      for (const { at, normal, text, radius } of patch.marks ?? []) {
+        const ball = (this._balls[balls++] ??= new Ball());
+        ball.material.color.set(INK[theme].press);
+        ball.scale.setScalar(radius);
+        ball.position.set(...at);
+        link.add(ball);
+        const out = at.map((v, axis) => v + 3 * radius * normal[axis]);
+        this._labels.push({ link: patch.link, at: out, up: 0, text, normal, of: patch.name, mark: text });
+      }
     });
+    for (const ball of this._balls.slice(balls)) ball.removeFromParent();
     for (const arrow of this._arrows.slice(arrows)) arrow.removeFromParent();
     this._draw();
   }
@@ -219,6 +242,7 @@ export class BodyView {
       if (line.textContent !== text) line.textContent = text;
       line.dataset.silent = Boolean(label.name && label.text);
       line.dataset.patch = label.name ?? label.of;
+      line.dataset.mark = label.mark ?? "";
       const beside = (0.8 * label.up * high) / world.distanceTo(this._camera.position);
       const moved = `translate(${(x + beside).toFixed(1)}px, ${y.toFixed(1)}px)`;
       line.style.transform = `${label.name ? "translate(0, -50%)" : "translate(-50%, -50%)"} ${moved}`;
@@ -235,7 +259,7 @@ export class BodyView {
   _line(which) {
     if (this._box.children[which]) return this._box.children[which];
     const line = document.createElement("button");
-    line.onclick = () => this._open(line.dataset.patch);
+    line.onclick = () => this._open(line.dataset.patch, line.dataset.mark);
     this._box.append(line);
     return line;
   }
@@ -274,7 +298,9 @@ export class BodyView {
     );
     const ray = new THREE.Raycaster();
     ray.setFromCamera(at, this._camera);
-    const solid = [...this._links.values()].flatMap((link) => link.children.filter((child) => child.isMesh));
+    const solid = [...this._links.values()].flatMap((link) =>
+      link.children.filter((child) => child.isMesh && !(child instanceof Ball)),
+    );
     const hit = ray.intersectObjects(only ? [only] : solid, false)[0]; // arrows are groups
     const number = hit?.object.userData.number;
     if (number === undefined) return null;
@@ -284,7 +310,8 @@ export class BodyView {
   _down(event) {
     const found = event.button === 0 ? this._under(event) : null;
     this._moved = true;
-    if (!found || !this._patches[found.number].virtual) return;
+    this._aimed = found && this._pick ? { ...found, x: event.clientX, y: event.clientY } : null;
+    if (!found || this._pick || !this._patches[found.number].virtual) return;
     this._controls.enabled = false; // this finger presses and does not turn
     this._canvas.setPointerCapture(event.pointerId);
     this._touch = { ...found, pointer: event.pointerId, since: performance.now(), until: Infinity };
@@ -296,6 +323,11 @@ export class BodyView {
   }
 
   _up(event) {
+    if (this._aimed && event.type === "pointerup") {
+      const { at, x, y } = this._aimed;
+      if (Math.hypot(event.clientX - x, event.clientY - y) < CLICK) this._pick(at); // a drag turns
+    }
+    this._aimed = null;
     if (this._touch?.pointer !== event.pointerId) return;
     this._controls.enabled = true;
     this._touch.until = Math.max(performance.now(), this._touch.since + SHORTEST);
