@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_accessible import SCREENS, violations
 from waiting import until
 
 from ohmskin.body import Body
@@ -256,6 +257,39 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         cards = page.locator(".patch")
         until(lambda: there("true") and [card.is_visible() for card in cards.all()] == [True, False, False])
         page.close()
+
+
+@pytest.mark.parametrize("screen", SCREENS)
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_everyone_can_use_the_page_of_a_body(half: Any, chromium: Any, theme: str, screen: str) -> None:
+    """axe-core finds no violation: before anything is heard, with contacts of all kinds, of one patch alone."""
+    body, patches, merger = half
+    boards = [f"half.{placed.patch.name}" for placed in body.patches]
+    with Overview("half", boards, port=0, robot=body.robot.told()) as overview:
+        context = chromium.new_context(color_scheme=theme, **SCREENS[screen])
+        page, said = context.new_page(), list[str]()
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto(overview.url)
+        until(lambda: page.evaluate("ohmskin?.frame?.patches?.length === 3"))
+        assert violations(page) == []
+
+        def there(true: str) -> Any:
+            patches["upper_arm"].speak((0.1, 0.07), force=6.0, force_std=0.4)
+            patches["forearm"].speak((0.1, 0.05), self_touch=True)
+            merger.step()
+            return page.evaluate(true)
+
+        patches["head"].speak((0.0, 0.0), ago=3.0)  # which is silent
+        labels = "[...document.querySelectorAll('#labels button:not([hidden])')].map((line) => line.textContent)"
+        until(
+            lambda: there(f"{labels}.some((text) => text.includes('N')) && {labels}.some((t) => t.includes('silent'))")
+        )
+        assert violations(page) == []
+        page.evaluate("location.hash = '#forearm'")
+        until(lambda: there("!document.getElementById('all').hidden"))
+        assert violations(page) == []
+        assert said == []
+        context.close()
 
 
 def test_clicking_the_skin_of_a_robot_is_felt_there(tmp_path: Path, chromium: Any) -> None:

@@ -78,7 +78,7 @@ class Picture:
         try:
             r = setup["raster"]
             nx, ny = int(r["nx"]), int(r["ny"])
-            points = np.array(setup["points"], float).reshape(ny, nx, 3)
+            points = np.asarray(setup["points"], float).reshape(ny, nx, 3)
             sequence, stamp = _HEAD.unpack_from(content)
             pixels = np.frombuffer(content, "<f4", offset=_HEAD.size).reshape(ny, nx).astype(float)
         except (KeyError, TypeError, ValueError, struct.error) as error:

@@ -149,10 +149,11 @@ class BoardsPage:
                     self._setups[number] = reader.boot, {**reader.setup, "points": points}
                 setup = self._setups[number][1]
                 self._pictures_of[number] = picture = Picture.unpack(content, setup)
-                values = np.nan_to_num(picture.pixels)
-                peak = float(np.abs(values).max(initial=0.0))
+                values = np.where(np.isfinite(picture.pixels), picture.pixels, 0.0)
+                peak = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
                 about = {"domain": setup["domain"], "raster": setup["raster"], "peak": peak, "size": values.size}
-                self._images[number] = about, np.round(values * (127 / peak if peak else 0.0))
+                values *= 127 / peak if peak else 0.0
+                self._images[number] = about, np.rint(values, out=values)
         return self._images[number]
 
     async def converse(self, channel: WebSocket) -> None:

@@ -117,8 +117,9 @@ class Arrow extends THREE.Group {
 
 export class BodyView {
   /**
-   * Draws on a canvas and writes into a box over it; open(name, mark) is called for the name of a patch and for the text
-   * of its marks. With pick(at), a click on a skin calls it with the place in the link's frame and presses nothing.
+   * Draws on a canvas and writes into a box over it; open(name, mark) is called for the name of a patch and for the
+   * text of its marks. With pick(at), a click on a skin calls it with the place in the link's frame, and presses
+   * nothing.
    */
   constructor(canvas, box, robot, open, pick = null) {
     [this._canvas, this._box, this._open, this._pick] = [canvas, box, open, pick];

@@ -1,4 +1,4 @@
-// Electrodes that are placed by clicking on the skin in space; the server keeps them, numbers them, and writes the file.
+// Electrodes that are placed by clicking on the skin in space; the server keeps and numbers them, and writes the file.
 
 import { BodyView } from "./body.js";
 import { number } from "./colour.js";
