@@ -6,6 +6,9 @@
 # make docs       build the documentation site in docs/_build/html; warnings are errors
 # make check      lint, types, import layers and all tests: what CI runs
 
+# The tests start a hundred interpreters: bytecode is kept, whatever the shell says.
+unexport PYTHONDONTWRITEBYTECODE
+
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin

@@ -25,7 +25,7 @@ from ohmskin.geometry import (
     thicken,
     write_mesh,
 )
-from ohmskin.geometry.meshing import _checked
+from ohmskin.geometry.meshing import checked_mesh
 from ohmskin.scan import adjacent, skip
 
 S, SHEET = 1.83e-3, Rectangle(0.2, 0.2)
@@ -94,11 +94,11 @@ def test_depth_of_a_polygon_is_the_distance_from_the_nearest_outline() -> None:
 def test_a_mesh_of_another_outline_or_without_the_hole_is_not_taken() -> None:
     square, aslant = Polygon([[0, 0], [1, 0], [1, 1], [0, 1]]), np.array([[0, 0], [1, 0], [1.5, 1], [0.5, 1]])
     halves = np.array([[0, 1, 2], [0, 2, 3]])
-    assert _checked(square.vertices, halves, square, 1.0).n_elem == 2
+    assert checked_mesh(square.vertices, halves, square, 1.0).n_elem == 2
     hollow = Polygon(square.vertices, [regular(8, 0.1, (0.5, 0.5))])
     for nodes, domain in ((aslant, square), (square.vertices, hollow)):
         with pytest.raises(GeometryError, match="does not follow the outline"):
-            _checked(nodes, halves, domain, 1.0)
+            checked_mesh(nodes, halves, domain, 1.0)
 
 
 def test_arc_and_rim_of_a_polygon_invert_each_other() -> None:

@@ -419,7 +419,7 @@ def test_greit_is_the_trained_matrix() -> None:
     """Y D^T (D D^T + w^2 I)^-1 with the responses D and desired images Y of its training."""
     greit, difference = made("GREIT"), touch((*AT, 0.012, 0.5))
     data = CURRENT * PATTERN.combination(16) @ greit.responses
-    weight = greit._weight((difference,))
+    weight = greit.weight((difference,))
     matrix = greit.desired @ data.T @ np.linalg.inv(data @ data.T + weight**2 * np.eye(len(data)))
     expected = matrix @ difference.volts
     np.testing.assert_allclose(greit.reconstruct(difference).values, expected, atol=1e-6 * np.abs(expected).max())

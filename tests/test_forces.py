@@ -26,7 +26,7 @@ from ohmskin.recording.export import CONTACT_COLUMNS
 from ohmskin.sensing import KnownPress, PressFitter
 from ohmskin.sensing.forces import Presses, PressFollower, forces_of
 from ohmskin.skin import Calibration, Press, Skin, VirtualSkin
-from ohmskin.view.session import _shown
+from ohmskin.view.session import shown_contact
 
 TRUE = Skin.load("paper")
 FOAM = TRUE.contact_layer.foam_spread
@@ -171,7 +171,7 @@ def test_the_same_force_is_told_everywhere(
     lines.engine = engine
     lines(touch)
     (printed,) = json.loads(capsys.readouterr().out)["contacts"]
-    for name, shown in {"JSON": printed, "page": _shown(contact, 1.0)}.items():
+    for name, shown in {"JSON": printed, "page": shown_contact(contact, 1.0)}.items():
         assert tuple(shown[field] for field in ("force", "force_std", "pressure", "area")) == told, name
     _Table()(touch)
     assert f"{told[0]:.1f} ± {told[1]:.1f}" in capsys.readouterr().out

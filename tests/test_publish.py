@@ -353,11 +353,11 @@ def test_sockets_of_dds_hear_one_interface_only() -> None:
 
 
 def test_dds_that_cannot_be_tied_to_an_interface_says_so_and_leaks_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    from ohmskin.outlets.dds import _stay_on
+    from ohmskin.outlets.dds import stay_on
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM), socket.socket():
         before = len(os.listdir("/proc/self/fd"))
-        _stay_on("nosuch0")  # refused by the system, as without the right to do so
+        stay_on("nosuch0")  # refused by the system, as without the right to do so
         assert len(os.listdir("/proc/self/fd")) == before
     assert "cannot tie DDS to nosuch0" in caplog.text
 
@@ -503,9 +503,9 @@ def test_zenoh_joins_a_router_that_is_there_and_listens_if_there_is_none(monkeyp
         router.bind(("127.0.0.1", 0))
         monkeypatch.setattr(outlet, "PORT", router.getsockname()[1])
         where = f"tcp/127.0.0.1:{router.getsockname()[1]}"
-        assert outlet._place("") == (True, where)
+        assert outlet.meeting_place("") == (True, where)
         router.listen()
-        assert outlet._place("") == (False, where)
+        assert outlet.meeting_place("") == (False, where)
 
 
 @given(st.tuples(st.floats(1e-8, 1), st.floats(1e-8, 1), st.floats(-0.99, 0.99)))

@@ -46,8 +46,8 @@ def test_with_many_electrodes_nothing_has_pairs_times_pairs() -> None:
     assert len(contacts) == 1
     assert np.hypot(contacts[0].position[0] - 0.06, contacts[0].position[1] - 0.13) < 0.006
     # the textbook, in pixels
-    both = np.vstack([p.combination(64) @ estimator._relative() * 1e-3 for p in (drive.base, pattern)])
-    normal = both.T @ both + (1e-5 / 0.1) ** 2 * estimator._penalty.normalised.toarray()
+    both = np.vstack([p.combination(64) @ estimator.relative() * 1e-3 for p in (drive.base, pattern)])
+    normal = both.T @ both + (1e-5 / 0.1) ** 2 * estimator.penalty.normalised.toarray()
     exact = np.linalg.solve(normal, both.T @ np.concatenate([base, volts]))
     assert_allclose(cycle.image, exact, rtol=0, atol=5e-5 * np.abs(exact).max())
 

@@ -16,7 +16,7 @@ from ohmskin.body import Body, SelfTouch
 from ohmskin.body.patches import Merger
 from ohmskin.body.posture import Posture
 from ohmskin.body.robot import Robot
-from ohmskin.body.self_touch import _distance
+from ohmskin.body.self_touch import distance_to
 from ohmskin.client import Board, Client, Contact, JointStates, Sighting
 from ohmskin.client.felt import LARGEST, felt, pack, wrench
 from ohmskin.contacts import Contact as ContactOnMap
@@ -124,7 +124,7 @@ def test_where_the_shape_of_a_link_is_not_known_it_is_not_said_that_nothing_is_t
     ],
 )
 def test_distances_are_those_of_the_shapes(shape: str, size: list[float], point: tuple, away: float) -> None:
-    assert _distance(np.array(point), {"shape": shape, "size": size}) == pytest.approx(away, abs=1e-12)
+    assert distance_to(np.array(point), {"shape": shape, "size": size}) == pytest.approx(away, abs=1e-12)
 
 
 def test_contacts_in_any_frame(tmp_path: Path) -> None:

@@ -255,8 +255,8 @@ def test_the_smaller_system_gives_the_textbook_image(count: int, on_pixels: bool
     estimator = GaussNewton(even(), 1e-5, amplitude=0.1, pixels=pixels)
     pattern = random_scan(5, count)
     volts = np.random.default_rng(5).normal(size=pattern.n_meas) * 1e-5
-    penalty = estimator._penalty.normalised.toarray()
-    jacobian = pattern.combination(16) @ estimator._relative() * 1e-3
+    penalty = estimator.penalty.normalised.toarray()
+    jacobian = pattern.combination(16) @ estimator.relative() * 1e-3
     normal = jacobian.T @ jacobian + (1e-5 / 0.1) ** 2 * penalty
     exact = np.linalg.solve(normal, jacobian.T @ volts)
     image = estimator.reconstruct(Difference(pattern, np.full(pattern.n_meas, 1e-3), volts))

@@ -24,7 +24,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from ohmskin.errors import ViewError
 from ohmskin.view import LiveView
-from ohmskin.view.live import _enqueue
+from ohmskin.view.live import enqueue
 from ohmskin.view.wire import CommandError, check_setup, pack_frame, read_command, to_json
 
 NX, NY = 5, 4
@@ -382,7 +382,7 @@ def test_moves_of_a_press_are_merged_but_never_across_a_lift() -> None:
     moves = [PRESS | {"x": 0.01 * k} for k in range(3)]
     other = PRESS | {"id": "b"}
     for command in [moves[0], other, moves[1], {"type": "lift", "id": "a"}, moves[2], {"type": "lift_all"}, moves[0]]:
-        _enqueue(pending, command)
+        enqueue(pending, command)
     assert pending == [moves[1], other, {"type": "lift", "id": "a"}, moves[2], {"type": "lift_all"}, moves[0]]
 
 

@@ -60,7 +60,7 @@ class SelfTouch:
         for visual in robot.visuals:
             if self._rigid[visual["link"]] != self._rigid[link]:
                 pose = robot.links[visual["link"]] @ visual["pose"]
-                away = _distance((point - pose[:3, 3]) @ pose[:3, :3], visual)
+                away = distance_to((point - pose[:3, 3]) @ pose[:3, :3], visual)
                 found = min(found, (visual["link"], away), key=lambda one: one[1])
         for placed in self._body.patches:
             if self._rigid[placed.patch.frame] != self._rigid[link]:
@@ -82,7 +82,7 @@ def _rigid(robot: Robot) -> dict[str, str]:
     return found
 
 
-def _distance(point: Floats, visual: dict[str, Any]) -> float:
+def distance_to(point: Floats, visual: dict[str, Any]) -> float:
     """From a point (3,) in the frame of a simple shape to its surface (m); below zero within it."""
     shape, size = visual["shape"], np.array(visual["size"])
     if shape in ("sphere", "capsule"):

@@ -85,7 +85,7 @@ def mesh_domain(
         nodes = folded(nodes, around)
         triangles = _triangulate(nodes, size, domain)
     if isinstance(domain, Polygon | Band | Holed):
-        return _checked(nodes, triangles, domain, size)
+        return checked_mesh(nodes, triangles, domain, size)
     return Mesh(nodes, triangles)
 
 
@@ -158,7 +158,7 @@ def electrode_points(domain: Domain, electrodes: Electrodes, closest: float) -> 
     return points[kept]
 
 
-def _checked(nodes: Floats, triangles: Ints, domain: Domain, size: float) -> Mesh:
+def checked_mesh(nodes: Floats, triangles: Ints, domain: Domain, size: float) -> Mesh:
     """The mesh, if its area and rim are the domain's: Delaunay keeps a rim edge only if no node is close."""
     try:
         mesh = Mesh(nodes, triangles, period=domain.period)

@@ -61,6 +61,7 @@ class GaussNewton(Reconstructs):
     Attributes:
         modes: The modes it works in.
         cells: What its images are made of: the model's mesh, or the pixels.
+        penalty: The prior's, which the image is held against.
 
     Raises:
         ModelError: If noise or amplitude is not positive, `model_error` is negative, or the prior is unknown.
@@ -78,8 +79,8 @@ class GaussNewton(Reconstructs):
         check_positive(noise=self.noise, amplitude=self.amplitude)
         check_share(model_error=self.model_error)
         self.cells: Cells = self.model.mesh if self.pixels is None else self.pixels
-        self._penalty = penalty_of(self.model, self.prior) if self.pixels is None else self.pixels.penalty
-        self.modes = ImageModes.of_relative(self._relative(), self._penalty, len(self.model.electrodes))
+        self.penalty = penalty_of(self.model, self.prior) if self.pixels is None else self.pixels.penalty
+        self.modes = ImageModes.of_relative(self.relative(), self.penalty, len(self.model.electrodes))
 
     def with_amplitude(self, amplitude: float) -> "GaussNewton":
         """The same estimator with another prior amplitude; costs nothing."""
@@ -94,19 +95,19 @@ class GaussNewton(Reconstructs):
         modes = self.modes
         size = np.linalg.norm(system.rows[:, int(modes.free_mean) :])
         if weight < ILL * size:  # too exact for rows of pairs, of which the largest parts cancel
-            relative, n_elec = self._relative(), modes.n_elec
+            relative, n_elec = self.relative(), modes.n_elec
             whole = finite_system(lambda difference: difference.combination(n_elec) @ relative, differences)
-            modes = ImageModes.of_relative(whole.rows, self._penalty, n_elec)
+            modes = ImageModes.of_relative(whole.rows, self.penalty, n_elec)
             system = System(modes.mixing, whole.volts)
         values, noise_std = solve_modes(modes, system, weight, self.noise)
         if not self.positive:
             return Image(values, noise_std)
         pairs = pair_system(len(self.model.electrodes), *differences)
-        rows = pairs.rows @ self._penalty.to_unknowns(self._relative())
-        w = nonnegative(self._penalty.normalised, rows, pairs.volts, weight)
-        return Image(self._penalty.to_image(w), noise_std)
+        rows = pairs.rows @ self.penalty.to_unknowns(self.relative())
+        w = nonnegative(self.penalty.normalised, rows, pairs.volts, weight)
+        return Image(self.penalty.to_image(w), noise_std)
 
-    def _relative(self) -> Floats:
+    def relative(self) -> Floats:
         """Change of two-terminal resistances with the relative change of each value of the image (ohm)."""
         if self.pixels is not None:
             return self.pixels.sensitivity(self.model)

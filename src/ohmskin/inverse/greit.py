@@ -60,9 +60,9 @@ class Greit:
             ModelError: If the noise figure cannot be had with these scans; the message says which can.
         """
         system = self.modes.system(*differences)
-        return Image(*solve_modes(self.modes, system, self._weight(differences), self.noise))
+        return Image(*solve_modes(self.modes, system, self.weight(differences), self.noise))
 
-    def _weight(self, differences: tuple[Difference, ...]) -> float:
+    def weight(self, differences: tuple[Difference, ...]) -> float:
         """The regularisation with the wanted noise figure, remembered by pattern, currents and channels."""
         known = tuple((np.isfinite(d.volts) & np.isfinite(d.currents)).tobytes() for d in differences)
         currents = tuple(np.round(d.currents, 12).tobytes() for d in differences)

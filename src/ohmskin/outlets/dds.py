@@ -109,7 +109,7 @@ def _joined(place: str) -> tuple[str, Domain, DomainParticipant]:
         if here is None:  # a process may configure a domain once
             here = _DOMAINS[domain(), interface] = Domain(domain(), domain_config(interface))
         participant = DomainParticipant(domain())
-        _stay_on(interface)
+        stay_on(interface)
     except DDSException as error:
         what = f"DDS cannot use the interface {interface!r}: {error}"
         raise PublishError(f"{what}; `ip link` lists what there is") from error
@@ -134,7 +134,7 @@ def domain_config(interface: str) -> str:
     )
 
 
-def _stay_on(interface: str) -> None:
+def stay_on(interface: str) -> None:
     """Let this process's UDP sockets hear nothing but one interface.
 
     Cyclone binds them to all addresses, whatever interface it is told to use (its issues 1923 and 2090).

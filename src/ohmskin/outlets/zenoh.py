@@ -92,7 +92,7 @@ def listen(
 
 def _opened(place: str, token: str | None) -> tuple[str, Any]:
     """A session at a place, and its address."""
-    here, where = _place(place)
+    here, where = meeting_place(place)
     host = where.partition("/")[2].rpartition(":")[0]
     if here and token is None and not is_loopback(host):
         instead = "give a --token, or stay with 127.0.0.1"
@@ -101,7 +101,7 @@ def _opened(place: str, token: str | None) -> tuple[str, Any]:
     return f"zenoh:{'listen/' if here else ''}{where}", session
 
 
-def _place(place: str) -> tuple[bool, str]:
+def meeting_place(place: str) -> tuple[bool, str]:
     """Whether to listen, and where."""
     if not place:
         taken = True

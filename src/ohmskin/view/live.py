@@ -151,7 +151,7 @@ class LiveView(Closing):
                     if "credit" in message:
                         self._credits = 1
                     else:
-                        _enqueue(self._pending, message["command"])
+                        enqueue(self._pending, message["command"])
         with self._lock:
             self._credits = 0
         if not self._closing:
@@ -192,7 +192,7 @@ def check_address(host: str, port: int, token: str | None) -> None:
         )
 
 
-def _enqueue(pending: list[dict[str, Any]], command: dict[str, Any]) -> None:
+def enqueue(pending: list[dict[str, Any]], command: dict[str, Any]) -> None:
     """Append a command; a press that only moved replaces where it was, so that a busy loop finds a short list."""
     if command["type"] == "press":
         for place in range(len(pending) - 1, -1, -1):

@@ -276,7 +276,7 @@ class Session(Closing):
             frames, drive = touch.percept.frames, engine.drive(touch.mode)
             adapts = drive.scans > 1 or drive.adjustable  # what it drives depends on what is touched
             header |= {
-                "contacts": [_shown(contact, scale) for contact in touch.contacts],
+                "contacts": [shown_contact(contact, scale) for contact in touch.contacts],
                 "bad_electrodes": sorted({*touch.percept.diagnosis.bad, *engine.sensor.known.bad}),
                 "findings": _findings(touch, engine.sensor.known),
                 "base_injections": frames[0].pattern.injections.tolist(),
@@ -312,7 +312,7 @@ def _findings(touch: Touch, known: SkinModel) -> list[dict[str, Any]]:
     return standing + [{"words": f.words, "electrodes": list(f.cause.electrodes)} for f in touch.percept.findings]
 
 
-def _shown(contact: Contact, scale: float) -> dict[str, Any]:
+def shown_contact(contact: Contact, scale: float) -> dict[str, Any]:
     """A contact as the page wants it: its peak in the unit of the image."""
     found = as_json(contact)
     x, y = found.pop("position")
