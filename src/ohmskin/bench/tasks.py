@@ -20,7 +20,7 @@ from ohmskin.sensing import CompiledCycle
 
 
 def apart(task: str, **settings: Any) -> dict[str, Any]:
-    """What a task measures, in a process of its own, so that its memory can be told."""
+    """What a task measures, in a process of its own, so that its memory can be measured."""
     call = "task, settings = sys.argv[1:]; print(json.dumps(TASKS[task](**json.loads(settings))))"
     imports = f"import json, sys; from {__name__} import TASKS; "
     return outcome([sys.executable, "-c", imports + call, task, json.dumps(settings)])

@@ -64,7 +64,7 @@ class Loop:
     def run(
         self, stop: Stop, seconds: float | None, step: Callable[[], Touch | None] | None = None, demo: bool = False
     ) -> None:
-        """Hand what every cycle feels to the sinks, until told to stop or so many seconds are over.
+        """Hand what every cycle feels to the sinks, until stopped or so many seconds are over.
 
         Without a `step` of its own, such as a page's, it ends with a recording, and a `demo` finger presses a virtual
         skin that was opened for this command.
@@ -112,7 +112,7 @@ def open_loop(
     """A loop on a device, recorded if there is a file to `record` to; the options are those of `ohmskin record`.
 
     What the engine says goes to `tell`, what became of the recording to `out` at the end, standard output unless given.
-    While all goes well, a `quiet` one says nothing of the recording. `starting` is told what is done before there is a
+    While all goes well, a `quiet` one says nothing of the recording. `starting` gets what is done before there is a
     loop, and which share of it.
     """
 

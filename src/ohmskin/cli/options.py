@@ -253,14 +253,14 @@ def make_folder(folder: Path) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise DataError if a file cannot be written; told before anything is computed for it."""
+    """Raise DataError if a file cannot be written; checked before anything is computed for it."""
     place = path if path.exists() else path.parent
     if path.is_dir() or not os.access(place, os.W_OK):
         raise DataError(f"cannot write {path}: {place} is {'a folder' if path.is_dir() else 'missing or read-only'}")
 
 
 def check_plot() -> None:
-    """Raise DataError, with the line that installs it, if the extra `plot` is missing; told before anything is done."""
+    """Raise DataError, with the line that installs it, if the extra `plot` is missing; checked before all else."""
     import ohmskin.plot  # noqa: F401 (here: most commands draw nothing)
 
 

@@ -138,7 +138,7 @@ def _tell(figures: dict[str, Any]) -> None:
 
 
 def _exceeded(number: int, poke: "Encounter", most_force: float, most_reaction: float) -> Iterator[str]:
-    """What is told of a poke that goes beyond the limits; NaN, of one that was not felt, does."""
+    """What is said of a poke that exceeds the limits; NaN, of one that was not felt, does."""
     if poke.peak_force > most_force:
         yield f"poke {number}: {poke.peak_force:.1f} N exceeds the limit of {most_force:g} N"
     if most_reaction < math.inf and not poke.reaction <= most_reaction:

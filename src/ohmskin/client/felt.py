@@ -31,7 +31,7 @@ class Patch:
         frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
         position: Origin of the sheet, or of the frame that a curved skin is described in, in that frame (m).
         axes: Directions of its x, y and z in that frame, one after the other; z is the outward normal of a flat sheet.
-        newtons: Whether its contacts tell their force: only if the skin was calibrated for that.
+        newtons: Whether its contacts have a force: only if the skin was calibrated for that.
     """
 
     name: str = "skin"
@@ -105,12 +105,12 @@ class Contact:
         strength: Integral of the relative conductivity change over the extent (m2); not a force, but grows with it.
         confidence: Probability that it is one (0 to 1).
         peak: Largest relative conductivity change.
-        radius: Of the disc that explains the data best (m); None where the mode does not tell.
+        radius: Of the disc that explains the data best (m); None where the mode does not fit it.
         velocity: In the frame (m/s); None likewise.
         covariance: Of the position (3, 3) in the frame (m2); None likewise.
         force: Along the inward normal (N); None where the skin is not calibrated for force, or it is not known yet.
         force_std: Standard deviation of the force (N); None likewise.
-        pressure: The greatest (Pa); None likewise, or where the calibration does not tell it.
+        pressure: The greatest (Pa); None likewise, or where the calibration lacks it.
         area: Force over pressure (m2); None likewise.
         self_touch: Whether another link of the robot touches here; None if that is not known.
     """
@@ -189,7 +189,7 @@ class Felt:
     """What the skin, or all skins of a robot, felt last.
 
     Args:
-        sequence: Counts up by one with each; a jump tells of ones that were not looked at. Begins anew with `boot`.
+        sequence: Counts up by one with each; a jump means that some were not looked at. Begins anew with `boot`.
         time: The last sample of the patch heard of longest ago, on this machine's monotonic clock (s).
         stamp: The same by the calendar (ns since 1970).
         patches: How fresh each patch is.
@@ -233,7 +233,7 @@ def wrench(contacts: Sequence[Contact]) -> tuple[tuple[float, ...], tuple[float,
 
 
 def pack(felt: Felt, patches: Sequence[Patch]) -> bytes:
-    """The record of `felt` on a board whose setup tells of `patches`; the strongest `MOST_CONTACTS` contacts of it."""
+    """The record of `felt` on a board whose setup has `patches`; the strongest `MOST_CONTACTS` contacts of it."""
     places = {patch.name: number for number, patch in enumerate(patches)}
     contacts = felt.contacts
     if len(contacts) > MOST_CONTACTS:
@@ -272,10 +272,10 @@ def contact_from(patch: Patch, own: Sequence[float]) -> Contact:
 
 
 def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
-    """The patches that the setup of a board tells of.
+    """The patches in the setup of a board.
 
     Raises:
-        PublishError: If it tells of none.
+        PublishError: If it has none.
     """
     try:
         return tuple(
@@ -294,7 +294,7 @@ class SharedMemory:
     """What is felt, from the board of that name.
 
     Attributes:
-        patches: The patches that the board tells of; empty before there is one.
+        patches: The patches of the board; empty before there is one.
     """
 
     def __init__(self, name: str) -> None:

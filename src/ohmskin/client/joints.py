@@ -24,7 +24,7 @@ class JointStates(Closing):
         name: Name of the body.
 
     Raises:
-        PublishError: If another program tells that body's joints now.
+        PublishError: If another program sends that body's joints now.
     """
 
     def __init__(self, name: str) -> None:
@@ -47,7 +47,7 @@ class JointStates(Closing):
 
 
 class LinkPoses(Closing):
-    """Where the links of a body are, by the joint states that it was told last.
+    """Where the links of a body are, by the joint states that it got last.
 
     Args:
         name: Name of the body.
@@ -58,7 +58,7 @@ class LinkPoses(Closing):
         self._poses: dict[str, tuple[float, ...]] = {}
 
     def newest(self) -> dict[str, tuple[float, ...]]:
-        """The pose of each link in the frame of the root, row by row (m); empty before joint states were told.
+        """The pose of each link in the frame of the root, row by row (m); empty before joint states came.
 
         Raises:
             PublishError: If the board is of another version.

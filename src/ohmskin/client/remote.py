@@ -105,7 +105,7 @@ def open_session(where: str, listen: bool, token: str | None, gossip: bool = Tru
         where: ``tcp/HOST:PORT``.
         listen: Whether to be found there instead of joining who is.
         token: Password, if there is one.
-        gossip: Whether to tell others there of each other.
+        gossip: Whether to introduce others there to each other.
 
     Raises:
         PublishError: If the extra `zenoh` is missing, or it cannot be opened.

@@ -49,7 +49,7 @@ def compile_ahead(tell: Callable[[str, float], None]) -> None:
     """Compile what a loop that fits contacts will call, such as while a device starts.
 
     Args:
-        tell: Told what is done and which share of it, 0 to 1, if anything is to be compiled.
+        tell: Gets what is done and which share of it, 0 to 1, if anything is to be compiled.
     """
     listener = _Listener(lambda words: tell(words, min(1.0, listener.count / _FUNCTIONS)))
     with event.install_listener("numba:compile", listener):

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,11 +31,12 @@ class Assumed:
         name: Of the assumption.
         world: One of `WORLDS`.
         best: The adaptive drive, of `ADAPTIVE`.
-        orders: Verdict on the order of each of `MERITS`.
+        orders: Verdict on the order of each of `MERITS`, and
+        steps: how many of its three steps are confirmed.
         decibels: Noise level of Fig. 7 (dB).
         adjacent, adaptive: Mean localisation errors of 16I and of the adaptive drive (m).
         ratio: The first over the second.
-        distances: (2,) from which on 16I and the adaptive drive tell two contacts apart by the dip, infinite if none of
+        distances: (2,) from which on 16I and the adaptive drive distinguish two by the dip, infinite if none of
             those tried (m).
         fig8: Verdict on both of them.
     """
@@ -43,6 +45,7 @@ class Assumed:
     world: str
     best: str
     orders: Mapping[str, str]
+    steps: Mapping[str, int]
     decibels: float
     adjacent: Estimate
     adaptive: Estimate
@@ -72,11 +75,11 @@ def assumed(done: Outcome[Settings]) -> list[Assumed]:
 def _assumed(done: Outcome[Settings], world: str, name: str, best: str) -> Assumed:
     results, where = done.results["assumptions"], f"{world}/{name}"
     merits, chain = results[f"merits/{where}"]["modern"], ("12B", "16B", "16I", best)
-    lower = {key: less for key, _, _, less in FIGURES_OF_MERIT}
-    orders = {
-        key: ladder([np.abs(merits[METHODS.index(m), :, COLUMNS.index(key)]) for m in chain], lower[key])[0]
-        for key in MERITS
-    }
+    orders, steps = dict[str, str](), dict[str, int]()
+    for key, lower in ((key, less) for key, _, _, less in FIGURES_OF_MERIT if key in MERITS):
+        values = [np.abs(merits[METHODS.index(method), :, COLUMNS.index(key)]) for method in chain]
+        orders[key] = ladder(values, lower)[0]
+        steps[key] = sum(ladder(pair, lower)[0] == YES for pair in pairwise(values))
     ((_, localisation, located),) = done.of("assumptions", f"localisation/{where}")
     methods, means = localisation.methods, errors(located).mean(axis=2)  # (n_methods, n_seeds)
     ours, theirs = means[methods.index(best)], means[methods.index("16I")]
@@ -90,4 +93,4 @@ def _assumed(done: Outcome[Settings], world: str, name: str, best: str) -> Assum
     distances = float(found.overall[rows[0]]), float(found.overall[rows[1]])
     level = float(located["decibels"]) if "decibels" in located else assumption(name).decibels
     ratio = ratio_of_means(theirs, ours)
-    return Assumed(name, world, best, orders, level, median(theirs), median(ours), ratio, distances, fig8)
+    return Assumed(name, world, best, orders, steps, level, median(theirs), median(ours), ratio, distances, fig8)

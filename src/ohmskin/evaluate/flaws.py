@@ -46,7 +46,7 @@ Build = Callable[[Electrodes, Floats], TransferModel]
 def believed(layout: str = "grid", flaw: Flaw = SOUND) -> tuple[Electrodes, Build]:
     """Where the electrodes are believed to be, and what makes models of the untouched sheet as it is believed to be.
 
-    They have electrodes where they are told, and a factor on the conductivity as `fit_sheet` takes it.
+    They have electrodes where they are placed, and a factor on the conductivity as `fit_sheet` takes it.
     """
     skin, random = Skin.load(LAYOUTS[layout]), np.random.default_rng([flaw.draw, 7])
     placed = misplaced(skin, flaw.misplaced, random) if flaw.misplaced else skin.electrodes

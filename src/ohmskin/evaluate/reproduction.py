@@ -1,5 +1,6 @@
 """The paper's experiments, sections V-A and V-B, as a study, and its report."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -155,15 +156,17 @@ def _assumptions(done: Done, _: str) -> list[Block]:
     names = "Table I", "Fig. 7", "Fig. 8"
     answers = ["**No single assumption brings out all three.**" if not full else f"**All three: {', '.join(full)}.**"]
     for number, name in enumerate(names):
-        yes = [f"{one.title} ({one.best}, {one.world})" for one in found if one.verdicts[number] == YES]
-        answers.append(f"{name}: {'; '.join(yes) or 'none'}.")
+        yes = Counter(one.title for one in found if one.verdicts[number] == YES)
+        every = Counter(one.title for one in found)
+        listed = "; ".join(f"{title} ({count} of {every[title]})" for title, count in yes.items())
+        answers.append(f"{name}, of two drives in two worlds: {listed or 'none'}.")
     rows = [_row(one) for one in found]
-    head = "assumption", *names, "orders of Table I", "noise / dB", "16I / mm", "adaptive / mm", "ratio", "apart / mm"
+    head = "assumption", *names, "steps of Table I", "noise / dB", "16I / mm", "adaptive / mm", "ratio", "apart / mm"
     return [" ".join(answers), Table(head, rows, numbers=False)]
 
 
 def _row(one: Assumed) -> tuple[str, ...]:
-    orders = ", ".join(f"{key} {verdict}" for key, verdict in one.orders.items())
+    orders = ", ".join(f"{key} {count} of 3" for key, count in one.steps.items())
     apart = " and ".join(f"{1e3 * d:g}" if np.isfinite(d) else "none up to 60" for d in one.distances)
     means = one.adjacent.text(1e3), one.adaptive.text(1e3)
     where = f"{one.title}\n{one.best}, {WORLD_NAMES[one.world]}"

@@ -98,7 +98,7 @@ def _run(task: Experiment) -> Result:
 
 
 def _die_with_parent() -> None:
-    """End this worker when the process that started it is killed, which could not tell it so."""
+    """End this worker when the process that started it is killed, which could not say so."""
     parent = multiprocessing.parent_process()
 
     def watch() -> None:

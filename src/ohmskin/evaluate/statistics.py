@@ -33,7 +33,9 @@ def median(values: ArrayLike) -> Estimate:
         return Estimate(np.nan, np.nan, np.nan)
     drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
     middles = np.quantile(values[drawn], 0.5, axis=1, method="nearest")
-    return _estimate(np.quantile(values, 0.5, method="averaged_inverted_cdf"), middles, "nearest")
+    with np.errstate(invalid="ignore"):  # between two that are infinite
+        middle = np.quantile(values, 0.5, method="averaged_inverted_cdf")
+    return _estimate(middle, middles, "nearest")
 
 
 def _estimate(value: float, resampled: Floats, method: Literal["linear", "nearest"] = "linear") -> Estimate:

@@ -137,7 +137,7 @@ def domain_config(interface: str) -> str:
 def stay_on(interface: str) -> None:
     """Let this process's UDP sockets hear nothing but one interface.
 
-    Cyclone binds them to all addresses, whatever interface it is told to use (its issues 1923 and 2090).
+    Cyclone binds them to all addresses, whatever interface is chosen (its issues 1923 and 2090).
     """
     try:
         for own in _udp_sockets():

@@ -1,4 +1,4 @@
-"""A web socket for Foxglove (the desktop program or its page), on this machine unless told otherwise.
+"""A web socket for Foxglove (the desktop program or its page), on this machine unless another address is given.
 
 The protocol has no password: whoever reaches the port may look, but there is nothing that could be changed through it.
 """

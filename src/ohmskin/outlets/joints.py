@@ -27,11 +27,11 @@ _OTHER_CLOCK = 10.0  # s from now, beyond which a stamp is by another clock, suc
 
 
 class Follower:
-    """Keeps the newest position of each joint of a body, whoever tells it, and passes them on together.
+    """Keeps the newest position of each joint of a body, whoever sends it, and passes them on together.
 
     Args:
         states: Where to.
-        joints: Names of the body's joints; messages may tell of others.
+        joints: Names of the body's joints; messages may have others.
     """
 
     def __init__(self, states: JointStates, joints: Collection[str]) -> None:
@@ -40,9 +40,9 @@ class Follower:
         self._said = ""
 
     def take(self, message: bytes, since: float = 0.0) -> None:
-        """Pass on a message (CDR) that came `since` seconds ago. One that makes no sense is told of once, and not used.
+        """Pass on a message (CDR) that came `since` seconds ago. One without sense is reported once, and not used.
 
-        All positions are as old as the oldest: of a joint that is no longer told nothing is known.
+        All positions are as old as the oldest: of a joint that no message has, nothing is known.
         """
         try:
             self._known |= self._told(message, since)
@@ -84,7 +84,7 @@ class JointsProcess(Closing):
         address: Where it listens.
 
     Raises:
-        PublishError: If it cannot listen there, or another program tells the body's joints.
+        PublishError: If it cannot listen there, or another program sends the body's joints.
     """
 
     def __init__(self, name: str, joints: Collection[str], place: str, topic: str, token: str | None) -> None:

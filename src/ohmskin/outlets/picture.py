@@ -47,13 +47,13 @@ class Picture:
 
     @staticmethod
     def setup(raster: "Raster") -> dict[str, Any]:
-        """What a page is told of its pixels on the skin's map."""
+        """What a page gets of its pixels on the skin's map."""
         first = {"x0": float(raster.x[0]), "y0": float(raster.y[0])}
         return {"raster": {**first, "pitch": raster.pitch, "nx": len(raster.x), "ny": len(raster.y)}}
 
     @staticmethod
     def in_space(raster: "Raster", chart: "Chart", patch: Patch) -> dict[str, Any]:
-        """What the setup of its board tells beside that: where the pixels are in the patch's frame (m)."""
+        """What the setup of its board has beside that: where the pixels are in the patch's frame (m)."""
         centres = np.stack(np.meshgrid(raster.x, raster.y), axis=-1).reshape(-1, 2)
         points = np.array(patch.position) + chart.points(centres) @ np.array(patch.axes)
         return {"points": points.round(6).ravel().tolist()}

@@ -33,10 +33,10 @@ class Relay:
     Args:
         name: Board of the contacts.
         pictures: Boards of the images, in the order of the patches.
-        links: Frames with patches that tell forces: each has a topic of wrenches, for strength is no force.
+        links: Frames with patches that have forces: each has a topic of wrenches, for strength is no force.
         outlets: Addresses, see `open_outlet`.
         token: See `open_outlet`.
-        root: Link in whose frame the poses of a robot's links are told, with its joint states; empty: they are not.
+        root: Link in whose frame the poses of a robot's links are given, with its joint states; empty: they are not.
 
     Raises:
         PublishError: If an outlet cannot be opened.
@@ -115,7 +115,7 @@ class Relay:
                 self._send(topic, stamp, encode_wrench(own, link, stamp))
 
     def _send_posture(self) -> None:
-        """How the joints stand and where the links are, if that was told anew."""
+        """How the joints stand and where the links are, if that is new."""
         if not self._root or (record := self._states.newest()) is None:
             return
         with suppress(ValueError, KeyError, TypeError, AttributeError):  # whoever writes that board may err

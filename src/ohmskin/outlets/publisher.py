@@ -125,7 +125,7 @@ def check_settings(token: str | None, images: float) -> None:
 
 
 def describe_domain(skin: Skin) -> dict[str, Any]:
-    """The sheet's outline as boards and pages tell it (m)."""
+    """The sheet's outline as boards and pages have it (m)."""
     domain, shape = skin.domain, whole(skin.domain)
     holes = [hole.vertices for hole in shape.holes] if isinstance(shape, Polygon) else []
     for hole in domain.cutouts if isinstance(domain, Holed) else ():

@@ -23,7 +23,7 @@ def save_learned(
     positions: PositionReport | None,
     places: Floats | None,
 ) -> None:
-    """Save how channels follow the model, and how far from the places pressed those told are; what is None is left out.
+    """Save how channels follow the model, and how far from the places pressed contacts are; what is None is left out.
 
     The file's ending chooses the format.
 

@@ -77,7 +77,7 @@ class LiveView(Closing):
         self._outbox.put((b"W", to_json({"type": "starting", "message": words, "share": share}).encode()))
 
     def show(self, setup: Mapping[str, Any]) -> None:
-        """Say what there is to show, where the constructor was not told.
+        """Say what there is to show, where the constructor was not given it.
 
         Raises:
             ViewError: If the setup is malformed.

@@ -168,7 +168,7 @@ class Session(Closing):
         self._preparing = ""
 
     def _save(self) -> None:
-        """Save the newtons that guided presses say, and tell the page of the outcome."""
+        """Save the newtons that guided presses say, and show the outcome on the page."""
         self._say("newtons from the presses")
         try:
             self._outcome = self._forces.save()

@@ -1,4 +1,4 @@
-"""What the live page is told first: the skin, its modes, and what images can be made with."""
+"""What is sent to the live page first: the skin, its modes, and what images can be made with."""
 
 from typing import Any
 

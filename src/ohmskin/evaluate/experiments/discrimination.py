@@ -47,7 +47,7 @@ class Discrimination(Bench):
 
     Args:
         distances: Between the two contacts (m).
-        fitted: Whether one and two contacts are fitted, too, or only the dip is told.
+        fitted: Whether one and two contacts are fitted, too, or only the dip is looked for.
     """
 
     seeds: int

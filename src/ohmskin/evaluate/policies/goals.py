@@ -83,7 +83,7 @@ def _ratio(
 def _at_rest(
     section: str, text: str, limit: float, ran: Sequence[Any], *cells: tuple[str, str], key: bool, note: str = ""
 ) -> Goal:
-    """The goal that the mean error of one scheme and reader is at most so many times that of another; its note tells
+    """The goal that the mean error of one scheme and reader is at most so many times that of another; its note says
     what means do not: medians, 95 % quantiles and misses of both."""
     task, result = ran
     each = [errors(result)[task.schemes.index(scheme), task.readers.index(reader)] for scheme, reader in cells]

@@ -1,4 +1,4 @@
-"""Two contacts or one: how often they are told apart, how often one is taken for two, and what no method could do."""
+"""Two contacts or one: how often they are distinguished, how often one is taken for two, and what none could do."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -162,7 +162,7 @@ class Troubled:
 
     def run(self) -> Result:
         """Results, of each of the troubles: ``false`` (n_troubles,) quiet frames with a contact; ``named``, seconds
-        until it is told, an open electrode by its number, infinite if it never is; ``well``, seconds from its mend
+        until it is reported, an open electrode by its number, infinite if it never is; ``well``, seconds from its mend
         until no electrode is left out and nothing is felt; ``sound``, ``away`` and ``after`` (n_troubles, n_presses),
         errors before, while and after (m), see `Loop.error`; ``gone`` (same), see `Loop.slide`, after it.
         """
