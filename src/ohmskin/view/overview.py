@@ -27,6 +27,7 @@ from ohmskin.view.wire import pack_frame
 
 _FRAMES_PER_SECOND, _FRAMES_IN_SPACE = 12, 50
 _LARGEST_ANSWER = 96  # bytes; a browser only says that it has drawn, and where its reader presses
+_AHEAD = 2  # frames that a browser may have got and not answered
 _ROBOT = -1  # beside the numbers of patches: what a browser is told once
 
 
@@ -157,21 +158,37 @@ class BoardsPage:
         return self._images[number]
 
     async def converse(self, channel: WebSocket) -> None:
-        """A frame for each word of the browser, and no sooner than is due: one that does not read gets none."""
+        """A frame for each word of the browser, and no sooner than is due: one that does not answer gets no more.
+
+        The next frame is on its way while the browser answers the last one, so that their ways add up to no wait.
+        """
         await channel.accept()
         told: dict[int, int] = {}
-        finger = Finger()
+        finger, answered = Finger(), asyncio.Semaphore(_AHEAD)
+
+        async def hear() -> None:
+            try:
+                while True:
+                    finger.point(self.pressed(await channel.receive_text()))
+                    answered.release()
+            finally:
+                answered.release()
+
+        hearing = asyncio.create_task(hear())
         try:
             while True:
                 began = time.monotonic()
+                await answered.acquire()
+                if hearing.done():
+                    await hearing  # raises why
                 await channel.send_bytes(self.frame(told, finger.note))
-                finger.point(self.pressed(await channel.receive_text()))
                 await asyncio.sleep(max(0.0, began + self._every - time.monotonic()))
         except ValueError:
             await channel.close(1008)
         except (WebSocketDisconnect, RuntimeError):
             pass
         finally:
+            hearing.cancel()
             await finger.close()
 
 

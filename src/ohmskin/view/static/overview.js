@@ -150,12 +150,13 @@ function connect() {
   socket.onopen = () => {
     [state.dataset.state, state.textContent] = ["running", "connected"];
   };
-  let newest = null;
+  let [newest, owed] = [null, 0]; // frames that are not answered yet
   const shapes = new Map(); // told once, and perhaps with a frame that is not drawn
   socket.onmessage = async (event) => {
     const frame = read(event.data);
     if (frame.robot && !window.ohmskin.body) await embody(frame.robot);
     window.ohmskin.frames += 1;
+    owed += 1;
     frame.patches.forEach(({ points }, number) => points && shapes.set(number, points));
     if (!newest) {
       requestAnimationFrame(() => {
@@ -170,7 +171,9 @@ function connect() {
     if (window.ohmskin.body) answer(); // drawing in space takes longer than a frame where no GPU helps
   };
   const answer = () => {
-    if (socket.readyState === WebSocket.OPEN) socket.send(window.ohmskin.body?.pressed ?? "drawn");
+    for (; owed > 0; owed -= 1) {
+      if (socket.readyState === WebSocket.OPEN) socket.send(window.ohmskin.body?.pressed ?? "drawn");
+    }
   };
   socket.onclose = () => {
     [state.dataset.state, state.textContent] = ["lost", "no connection"];
