@@ -163,7 +163,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     np.testing.assert_allclose(marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
     for one in (found, less, less.without(beside)):  # of the same places, whatever has been taken off since
         expected = np.einsum("pn,nm,pm->p", change.T, one.told.matrix[:-1, :-1], change.T)
-        np.testing.assert_allclose(one.told.power(columns), expected, rtol=1e-8)
+        np.testing.assert_allclose(one.told.scores(columns)[1], expected, rtol=1e-8)
         np.testing.assert_allclose(one.told.sizes(change), np.sqrt(expected), rtol=1e-8)
     for one in (found.told, found.white, less.without(beside).told):  # written out, and told of changes one by one
         np.testing.assert_allclose(one.seen(np.eye(121)), one.matrix, rtol=1e-8, atol=1e-9 * np.abs(one.matrix).max())

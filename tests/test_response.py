@@ -41,17 +41,15 @@ def error(found: np.ndarray, true: np.ndarray) -> float:
 
 
 def test_a_table_of_a_scaled_model_is_the_scaled_table() -> None:
-    scaled, anew = table().scaled(2.5), ContactTable(model().scaled(2.5), RADIUS)
-    np.testing.assert_allclose(scaled.responses, anew.responses, rtol=1e-9)
-    for one, other in zip(scaled.spline, anew.spline, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+    scaled, anew, at = table().scaled(2.5), ContactTable(model().scaled(2.5), RADIUS), inner_places(20)
+    np.testing.assert_allclose(scaled(at).values, anew(at).values, rtol=1e-6)
+    np.testing.assert_allclose(scaled(at).slopes, anew(at).slopes, rtol=1e-5, atol=1e-6 * np.abs(anew(at).slopes).max())
 
 
 def test_at_its_places_the_table_is_the_integral_itself() -> None:
     shown = table()
     for k in np.random.default_rng(0).integers(0, len(shown.places), 12):
-        assert error(shown(shown.places[k]).values[0], integral(shown.places[k], RADIUS, model())) < 1e-12
-        assert error(shown.responses[k], shown(shown.places[k]).values[0]) < 1e-12
+        assert error(shown(shown.places[k]).values[0], integral(shown.places[k], RADIUS, model())) < 1e-6
 
 
 @pytest.mark.parametrize("share", [0.5, 0.6, 0.9, 1.1, 1.4, 1.5, 1.75, 2.25, 3.0])

@@ -22,7 +22,18 @@ from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain, thi
 from ohmskin.inverse import GaussNewton, Pixels
 from ohmskin.inverse.modes import combined
 from ohmskin.inverse.priors import mean_diagonal
-from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, adjacent, all_pairs, measure_others, pair_index
+from ohmskin.scan import (
+    Baseline,
+    Difference,
+    DrivePattern,
+    Frame,
+    Pairs,
+    adjacent,
+    all_pairs,
+    measure_others,
+    pair_index,
+)
+from ohmskin.scan.baseline import terms_of
 from ohmskin.sensing import CompiledCycle
 from ohmskin.sensing.primitives import choose, flood
 
@@ -169,7 +180,7 @@ def test_sensitivity_kernel_is_the_product_of_fields(dim: int) -> None:
     i, j = all_pairs(5).T
     plain = -np.sum((field[i] - field[j]) ** 2, axis=2) * where.measures
     quick = np.empty_like(plain)
-    fill_pairs(where.elements, where.gradients, where.measures, potentials, quick)
+    fill_pairs(where.elements, where.gradients, where.measures, potentials, all_pairs(5), quick)
     assert_allclose(quick, plain, rtol=0, atol=1e-12 * np.abs(plain).max())
 
 
@@ -185,7 +196,7 @@ def test_rows_without_a_sparse_matrix_are_the_combination(seed: int) -> None:
     pairs = rng.normal(size=(120, 7))
     quadruples = np.array([rng.permutation(16)[:4] for _ in range(40)] + [[3, 5, 3, 5], [3, 5, 5, 9]])
     pattern = DrivePattern(quadruples[:, :2], np.column_stack([np.arange(42), quadruples[:, 2:]]))
-    assert_allclose(combined(quadruples, pairs, 16), pattern.combination(16) @ pairs, atol=1e-13)
+    assert_allclose(combined(terms_of(pattern, Pairs.all(16)), pairs), pattern.combination(16) @ pairs, atol=1e-13)
 
 
 # --- pixels -----------------------------------------------------------------------------------------------------------
@@ -478,7 +489,7 @@ def test_compiled_choice_is_eq_7(seed: int) -> None:
     rng = np.random.default_rng(seed)
     anchors = rng.uniform(0.01, 0.19, (rng.integers(1, 4), 1, 2)) + rng.normal(size=(1, 3, 2)) * 2e-3
     chosen = np.empty(11, np.int64)
-    choose(GRID.positions.copy(), all_pairs(16), anchors, np.empty((len(anchors), 120)), chosen)
+    choose(GRID.positions.copy(), all_pairs(16), np.inf, anchors, np.empty((len(anchors), 120)), chosen)
     expected = take_turns(np.array([pair_weights(GRID.positions, a) for a in anchors]), 11)
     assert chosen.tolist() == expected.tolist()
 

@@ -16,8 +16,10 @@ from ohmskin.bench.clock import Effort, Job, duration, in_turns, ratio, read, se
 from ohmskin.bench.figure import Figure
 from ohmskin.bench.fits import fitting
 from ohmskin.bench.frames import accuracy, changing, framing
+from ohmskin.bench.growth import bigger
 from ohmskin.bench.live import living
 from ohmskin.bench.tasks import apart
+from ohmskin.bench.together import together
 from ohmskin.errors import OhmskinError
 from ohmskin.forward import TouchTable, TransferModel
 from ohmskin.forward.assembly import System, assemble
@@ -134,7 +136,7 @@ def touching(effort: Effort) -> Iterator[Figure]:
         for threads, times in wall.items():
             times.append(seconds_of(partial(table.many, *work, threads=threads), clock=perf_counter))
     one, two, note = np.array(wall[1]), np.array(wall[2]), "wall clock; needs two idle cores"
-    yield ratio("simulated touches, two cores against one", one, two, least=1.5, note=note)
+    yield ratio("simulated touches, two cores against one", one, two, least=1.7, note=note)
 
 
 def scaling(effort: Effort) -> Iterator[Figure]:
@@ -154,21 +156,6 @@ def scaling(effort: Effort) -> Iterator[Figure]:
     peak = found[int(n[-1])]["peak"] / 1024
     most = None if effort.quick else 4.0
     yield Figure(f"peak memory at {n[-1]:,} triangles and 16 electrodes", peak, "GiB", most=most, note="whole process")
-
-
-def electrodes(effort: Effort) -> Iterator[Figure]:
-    """256 electrodes: set-up and an adaptive frame of a thousand measurements."""
-    along, cells = (8, 98) if effort.quick else (16, 165)
-    found = apart("many_electrodes", cells=cells, along=along, frames=3 if effort.quick else 5)
-    name = f"{along**2} electrodes"
-    if "error" in found:
-        yield Figure(f"{name}: peak memory", None, "GiB", most=8, note=found["error"])
-        return
-    stages = ", ".join(f"{stage} {duration(s)}" for stage, s in found["stages"].items())
-    size = f"{found['triangles']:,} triangles, {found['measurements']:,} measurements"
-    yield Figure(f"{name}: peak memory", found["peak"] / 1024, "GiB", most=8, note=f"{size}; {stages}", data=found)
-    note = "the limit is a symmetric product and a Cholesky factor at the machine's rate"
-    yield ratio(f"{name}: adaptive frame against its limit", found["frame"], found["limit"], note=note)
 
 
 def starting(effort: Effort) -> Iterator[Figure]:
@@ -216,7 +203,8 @@ GROUPS: dict[str, Group] = {
     "live": living,
     "touches": touching,
     "scale": scaling,
-    "electrodes": electrodes,
+    "electrodes": bigger,
+    "body": together,
     "accuracy": accuracy,
     "start": starting,
 }

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ohmskin.bench import sheets
+from ohmskin.bench.bigger import big_skin
 from ohmskin.bench.clock import outcome, seconds_of
 from ohmskin.bench.pyeit_alone import peak
 from ohmskin.drive import DRIVES, DriveSettings, TwoScans
@@ -66,29 +67,4 @@ def _first_image(cells: int) -> tuple[float, dict[str, float]]:
     return stages["all"] + seconds_of(partial(estimator.reconstruct, difference)), stages
 
 
-def many_electrodes(cells: int, along: int, frames: int) -> dict[str, Any]:
-    """Set-up with many electrodes and an adaptive frame of about a thousand measurements."""
-    estimator, stages = set_up(cells, along)
-    start = process_time()
-    cycle = compiled(estimator, 4, 0.01)
-    stages["cycle"] = process_time() - start
-    scan = sheets.touched(estimator.model, (0.06, 0.13))
-    base = scan(cycle.drive.base)
-    pattern = cycle.pattern(cycle.look(*base))
-    second = scan(pattern)
-    (contact,) = cycle.frame(base, lambda _: second)
-    assert np.hypot(contact.position[0] - 0.06, contact.position[1] - 0.13) < 5e-3
-    times = [seconds_of(lambda: cycle.frame(base, lambda _: second)) for _ in range(frames)]
-    square = np.random.default_rng(0).normal(size=(1024, 1024))
-    square @ square
-    rate = 2 * 1024**3 / seconds_of(lambda: square @ square, 4)
-    # a symmetric product and its Cholesky factor: what exact least squares with m data cannot do without
-    n_modes = estimator.modes.n_modes
-    limit = (pattern.n_meas**2 * n_modes + pattern.n_meas**3 / 3) / rate
-    return {
-        "stages": stages, "frame": float(np.median(times)), "limit": limit, "measurements": pattern.n_meas,
-        "triangles": estimator.model.mesh.n_elem, "modes": n_modes, "peak": peak(),
-    }  # fmt: skip
-
-
-TASKS = {"ours": ours, "many_electrodes": many_electrodes}
+TASKS = {"ours": ours, "big_skin": big_skin}

@@ -22,6 +22,7 @@ from ohmskin.skin import Skin
 
 _RETRY_AFTER = 1.0
 _REPORT_EVERY = 0.5
+_PRESS_EVERY = 1 / 30  # s: a press takes a virtual skin as long as 25 scans
 
 
 def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading.Event) -> None:
@@ -67,10 +68,11 @@ def _run(
     engine.calibrate()
     gc.collect()
     gc.freeze()
-    due, began = 0.0, time.monotonic()
+    due, press_at, began = 0.0, 0.0, time.monotonic()
     while not stop.is_set():
-        if pressed and engine.state is State.RUNNING:
-            engine.press(0, *demo_finger(pressed.domain, time.monotonic() - began))
+        if pressed and engine.state is State.RUNNING and (now := time.monotonic()) >= press_at:
+            press_at = now + _PRESS_EVERY
+            engine.press(0, *demo_finger(pressed.domain, now - began))
         touch = engine.step()
         if touch is not None:
             publisher.publish(touch)

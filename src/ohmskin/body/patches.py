@@ -24,7 +24,8 @@ from ohmskin.outlets.relay import RelayProcess
 _RESTART_AFTER = 1.0
 _STOP_TIMEOUT = 5.0
 _NAP = 0.0005
-_IMAGES = 60.0  # on boards, per second
+_LOOK_EVERY = 0.1  # s between two looks at whether processes have ended
+_IMAGES = 30.0  # on boards, per second: as many as pages draw
 
 
 class PatchProcess:
@@ -106,7 +107,7 @@ class Patches(Closing):
         outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
         token: What listeners on other machines must give, where the protocol knows such a thing.
         demo: Whether a demonstration finger presses each virtual patch.
-        images: Most images per second of each patch at outlets; on boards, where pages read them, there are more.
+        images: Most images per second of each patch at outlets; on boards, where pages read them, there are up to 30.
         joints: Where to hear how the joints stand, ``zenoh`` or ``dds``; from a program of ours (`JointStates`) unless
             given.
         joint_topic: Topic of the joint states (`sensor_msgs/msg/JointState`).
@@ -139,6 +140,7 @@ class Patches(Closing):
         self.body = body
         self.boards = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
         self._processes: list[PatchProcess] = []
+        self._look_at = 0.0
         pictures = [f"{board}.image" for board in self.boards]
         with ExitStack() as stack:
             patches = [placed.patch for placed in body.patches]
@@ -174,8 +176,10 @@ class Patches(Closing):
 
     def step(self) -> Felt | None:
         """Pass on what is new; None, after a nap of half a millisecond, if nothing is."""
-        for process in self._processes:
-            process.look()
+        if (now := time.monotonic()) >= self._look_at:
+            self._look_at = now + _LOOK_EVERY
+            for process in self._processes:
+                process.look()
         if self._replay is not None:
             self._replay.step()
         if (merged := self._merger.step()) is None:

@@ -120,7 +120,10 @@ def judge_channels(
     table = known.fitter.table
     chosen = table.spaced(_SPACING * table.radius)
     search = _Search(
-        table.responses[chosen] @ pattern.combination(table.n_elec).T, ohms, measured, noise / np.median(size[felt])
+        table(table.places[chosen]).values @ pattern.combination(table.pairs).T,
+        ohms,
+        measured,
+        noise / np.median(size[felt]),
     )
     before = search.unexplained
     for number in range(_ROUNDS):

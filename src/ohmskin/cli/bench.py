@@ -24,7 +24,7 @@ def bench(
         quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
         output: Folder for benchmarks.html, the same as benchmarks.md, benchmarks.json and the plot.
         only: Parts to measure: machine, setup, fields, pattern, solver, frame, fits, live, touches, scale, electrodes,
-            accuracy, start.
+            body, accuracy, start.
     """
     check_plot()
     started = time.monotonic()

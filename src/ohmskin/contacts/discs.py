@@ -40,7 +40,7 @@ class DiscFitter:
         self.table, self.errors, self.bipolar, self.model_error = table, errors, bipolar, errors.model
         chosen = table.spaced(1.25 * table.radius)
         self.places: Floats = table.places[chosen]
-        candidates = table.responses[chosen].T  # (n_pairs, n_places), and a row that no pair has
+        candidates = table(self.places).values.T  # (n_pairs, n_places), and a row that no pair has
         self._candidates = np.concatenate([candidates, np.zeros((1, len(chosen)))])
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self._least = -np.inf if bipolar else 1e-3 * table.radius**2
@@ -53,7 +53,7 @@ class DiscFitter:
         Raises:
             DataError: If no finite datum is left.
         """
-        return Information.of(self.table.n_elec, self.errors, scans)
+        return Information.of(self.table.pairs, self.errors, scans)
 
     def allowance(self, data: Information) -> float:
         """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
@@ -81,7 +81,7 @@ class DiscFitter:
 
     def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        return left.told.vector @ self._candidates, left.told.power(self._candidates)
+        return left.told.scores(self._candidates)
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""

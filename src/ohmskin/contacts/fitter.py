@@ -90,7 +90,7 @@ class ContactFitter(DiscFitter):
         self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        alone = np.ascontiguousarray(in_series(range(table.n_elec), table.n_elec).T)
+        alone = np.ascontiguousarray(in_series(range(table.n_elec), table.pairs).T)
         # (n_elec, n_pairs) each: in series with each electrode, of contacts there
         self._at_electrodes = alone, table(table.electrodes).values.copy()
 
@@ -121,7 +121,7 @@ class ContactFitter(DiscFitter):
         What was there a moment `before` need not be looked for, where that makes no difference.
         """
         told, data = everything = told.beside_common(), data.beside_common()
-        found, covered = replace(nothing(self.table.responses.shape[1]), cost=data.told.constant), tuple[int, ...]()
+        found, covered = replace(nothing(len(self.table.pairs)), cost=data.told.constant), tuple[int, ...]()
         if before is not None and (still := self._still(everything, before)) is not None:
             covered, told, data, found = still
         while len(found.params) < self.most:
@@ -177,7 +177,7 @@ class ContactFitter(DiscFitter):
 
     def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
-        return data.leaving_out(in_series(covered, self.table.n_elec)) if covered else data
+        return data.leaving_out(in_series(covered, self.table.pairs)) if covered else data
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""

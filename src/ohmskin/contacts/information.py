@@ -7,7 +7,7 @@ at its best, is constant - 2 vector.x + x.matrix.x. That is sufficient: scans wi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from math import sqrt
 
@@ -15,10 +15,10 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts.measured import Rows, beside_errors, fainter, measured
-from ohmskin.contacts.misfit import Misfit
+from ohmskin.contacts.misfit import Misfit, likeliest
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
-from ohmskin.scan.pairs import n_pairs, pair_numbers
+from ohmskin.scan.pairs import Pairs
 
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 _COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
@@ -73,7 +73,7 @@ class Information:
     known: Floats | None = None
 
     @classmethod
-    def of(cls, n_elec: int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
+    def of(cls, pairs: Pairs | int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
         """What scans say whose contacts are in the same state, and the same wary: the model's error is noise, too.
 
         Channels that are not finite are left out. Data of driven electrodes count as much less as their larger changes
@@ -83,11 +83,13 @@ class Information:
             DataError: If no finite datum is left.
             PatternError: If a pattern names an electrode that is not there.
         """
+        pairs = Pairs.all(pairs)
         if not scans:
             raise DataError("no scan to find contacts in; give at least one")
         four = np.concatenate([scan.pattern.quadruples for scan in scans])
-        if four.max() >= n_elec:
-            raise PatternError(f"the pattern names electrode {four.max()}; there are {n_elec} (0..{n_elec - 1})")
+        if four.max() >= pairs.n_elec:
+            last = pairs.n_elec - 1
+            raise PatternError(f"the pattern names electrode {four.max()}; there are {last + 1} (0..{last})")
         driven = np.concatenate([scan.pattern.driven for scan in scans])
         volts = np.concatenate([scan.volts for scan in scans])
         amperes = np.concatenate([scan.currents for scan in scans])
@@ -99,11 +101,13 @@ class Information:
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
         loaded = any(scan.source_loading is not None for scan in scans)
-        given = four, which, driven, amperes, volts, quiet, loading, pair_numbers(n_elec)
+        given = four, which, driven, amperes, volts, quiet, loading, pairs.numbers
         rows, data = measured(*given, int(starts[-1]), loaded, errors.noise, errors.model)
         if not len(data):
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        return cls._beside(rows, data, errors, n_pairs(n_elec))
+        if errors.contacts is not None and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
+            errors = replace(errors, contacts=np.ascontiguousarray(errors.contacts[:, np.unique(four[:, :2])]))
+        return cls._beside(rows, data, errors, len(pairs))
 
     @classmethod
     def _beside(cls, rows: Rows, data: Floats, errors: Errors, pairs: int) -> tuple["Information", "Information"]:
@@ -160,8 +164,8 @@ class Information:
 
     def drift(self) -> Floats:
         """Change (n_pairs,) of each two-terminal resistance that explains what is said; none where nothing is (ohm)."""
-        matrix, ridge = self.told.matrix[:-1, :-1], _RIDGE * self.white.trace / self.count
-        return np.asarray(np.linalg.solve(matrix + ridge * np.eye(len(matrix)), self.told.vector[:-1]))
+        ridge = _RIDGE * self.white.trace / self.count
+        return likeliest(self.told.rows, self.told.lost, self.told.vector, ridge)[:-1]
 
     def beside(self, directions: Floats) -> "Information":
         """What is said beside changes (n_pairs or n, k) of which nothing is known."""

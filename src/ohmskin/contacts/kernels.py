@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.contacts.measured import Rows, copy, dot
 from ohmskin.contacts.misfit import products
 from ohmskin.forward.response import Grid, Spline, respond, scatter
@@ -43,8 +43,8 @@ def all_onto(positions: Floats, sheet: Grid) -> None:
 
 @njit(cache=True, nogil=True)
 def responses(
-    params: Floats, knots: Floats, low: Floats, pitch: Floats, steps: Ints, period: float, squares: Floats,
-    fields: Floats,
+    params: Floats, knots: Singles, low: Floats, pitch: Floats, steps: Ints, period: float, squares: Floats,
+    gain: float, fields: Floats, pairs: Ints,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """What contacts (n, 4) cause (n_pairs,), and the slopes (4 n, n_pairs)."""
     n_pairs = knots.shape[-1]
@@ -52,13 +52,13 @@ def responses(
     for k in range(len(params)):
         x, y, effect, square = params[k]
         own = slopes[4 * k : 4 * k + 4]
-        respond(x, y, square, knots, low, pitch, steps, period, squares, own)
+        respond(x, y, square, knots, low, pitch, steps, period, squares, gain, own)
         for p in range(n_pairs):
             caused[p] += effect * own[2, p]
             own[0, p] *= effect
             own[1, p] *= effect
             own[3, p] *= effect
-    scatter(params, fields, low, pitch, steps, period, np.sqrt(squares[0]), caused, slopes)
+    scatter(params, fields, low, pitch, steps, period, np.sqrt(squares[0]), pairs, caused, slopes)
     return caused, slopes
 
 
@@ -218,7 +218,9 @@ def _linearised(
     spline: Spline,
 ) -> tuple[float, Floats, Floats, Floats, Floats]:
     """Cost, its curvature (4 n, 4 n) and downhill gradient (4 n,); what is caused, and its slopes (4 n, n_pairs)."""
-    caused, slopes = responses(params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], spline[6])
+    caused, slopes = responses(
+        params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], spline[6], spline[7], spline[8]
+    )
     n = len(slopes)
     changes, common, told = np.empty((n + 1, len(caused))), np.empty((n + 1, n + 1)), np.empty(n + 1)
     for k in range(n + 1):  # the slopes, and last what is caused

@@ -6,10 +6,11 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts import measured
 from ohmskin.contacts.measured import Rows
 
+_SOLVED = 1e-8  # share of the gradient that is left once it is as good as nothing
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
 
 
@@ -46,7 +47,8 @@ class Misfit:
         constant: That of nothing.
         lost: (k, n) rows whose products with themselves are to be taken off the curvature.
         errors: How many of these are of errors, and lost from the start.
-        powers: What is known of powers beside these errors, see `power`: of changes, and as far as rounding reaches.
+        powers: What is known of powers beside these errors, see `scores`: the pairs that data tell of, what changes do
+            to these, powers of changes, and as far as rounding reaches.
     """
 
     rows: Rows
@@ -54,7 +56,7 @@ class Misfit:
     constant: float
     lost: Floats
     errors: int = 0
-    powers: dict[int, tuple[Floats, float]] = field(default_factory=dict, repr=False)
+    powers: dict[int, tuple[Ints, Floats, Floats, float]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def matrix(self) -> Floats:
@@ -95,16 +97,21 @@ class Misfit:
         """How large each of changes (n_pairs or n, k) is in the data (k,) (1)."""
         return sizes(self.rows, self.lost, np.ascontiguousarray(changes.T))
 
-    def power(self, changes: Floats) -> Floats:
-        """The squares of the sizes of changes (n, m), the last row zero, always the same ones.
+    def scores(self, changes: Floats) -> tuple[Floats, Floats]:
+        """Products of changes (n, m) with the gradient, and the squares of their sizes (m,).
 
-        What has been told once of what the data say before something was taken off is told no more.
+        The last row of the changes is zero, and they are always the same ones: what has been told once of what the data
+        say before something was taken off is told no more. Of many pairs, data tell of some alone.
         """
         if id(changes) not in self.powers:
-            whole = measured.powers(self.rows, changes)
-            self.powers[id(changes)] = _less_lost(whole, self.lost[: self.errors], changes), _ROUNDED * whole.max()
-        known, least = self.powers[id(changes)]
-        return np.maximum(_less_lost(known, self.lost[self.errors :], changes), least)
+            seen, columns = np.unique(self.rows[0], return_inverse=True)
+            own = np.ascontiguousarray(changes[seen])
+            whole = measured.powers((columns.reshape(self.rows[0].shape).astype(np.uint64), *self.rows[1:]), own)
+            known = _less_lost(whole, self.lost[: self.errors, seen], own)
+            self.powers[id(changes)] = seen, own, known, _ROUNDED * whole.max()
+        seen, own, known, least = self.powers[id(changes)]
+        power = np.maximum(_less_lost(known, self.lost[self.errors :, seen], own), least)
+        return self.vector[seen] @ own, power
 
 
 def _less_lost(power: Floats, lost: Floats, changes: Floats) -> Floats:
@@ -127,6 +134,32 @@ def seen(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
         measured.apply_transposed(rows, data, pairs, out[k])
         for one in lost:
             measured.add(-measured.dot(one, changes[k]), one, out[k])
+
+
+@njit(cache=True, nogil=True)
+def likeliest(rows: Rows, lost: Floats, vector: Floats, ridge: float) -> Floats:
+    """The x (n,) of least squared misfit with `ridge` times its square, nothing common (conjugate gradients).
+
+    Data tell of few combinations of resistances, so that it takes as many products with their rows, and no matrix.
+    """
+    n = len(vector)
+    x, left, product = np.zeros(n), vector.copy(), np.empty((1, n))
+    left[n - 1] = 0.0
+    along = left.copy().reshape((1, n))
+    square = first = measured.dot(left, left)
+    for _ in range(2 * n):
+        if square <= _SOLVED**2 * first or square == 0.0:
+            break
+        seen(rows, lost, along, product)
+        product[0, n - 1] = 0.0
+        measured.add(ridge, along[0], product[0])
+        step = square / measured.dot(along[0], product[0])
+        measured.add(step, along[0], x)
+        measured.add(-step, product[0], left)
+        before, square = square, measured.dot(left, left)
+        for k in range(n):
+            along[0, k] = left[k] + square / before * along[0, k]
+    return x
 
 
 @njit(cache=True, nogil=True)

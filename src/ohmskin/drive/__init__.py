@@ -7,7 +7,7 @@ from ohmskin.drive.drives import DRIVES, DriveSettings
 from ohmskin.drive.informed import InformedPolicy, PositionDrive, Ranking
 from ohmskin.drive.layout import LayoutSearch, arranged
 from ohmskin.drive.optimal import LocalDrive, OptimalDrive, pair_weights, take_turns
-from ohmskin.drive.patterns import base_pattern, complete_pattern, part_of
+from ohmskin.drive.patterns import base_pattern, candidate_pairs, candidate_pattern, complete_pattern, part_of
 
 __all__ = [
     "DRIVES",
@@ -32,6 +32,8 @@ __all__ = [
     "arranged",
     "base_pattern",
     "best_fixed",
+    "candidate_pairs",
+    "candidate_pattern",
     "complete_pattern",
     "exchange",
     "greedy",

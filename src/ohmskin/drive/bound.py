@@ -119,7 +119,7 @@ def position_bound(
         information = np.linalg.inv(priors[k].covariance())
         for pattern in _driven(scheme, targets[k]):
             if pattern not in known:
-                known[pattern] = whitened(pattern, table.n_elec, noise, currents)
+                known[pattern] = whitened(pattern, table.pairs, noise, currents)
             rows = known[pattern] @ column
             information += rows.T @ rows
         errors[k] = metres[k] * np.sqrt(np.trace(np.linalg.inv(information)[:2, :2]))

@@ -12,7 +12,7 @@ off the covariance: m x m matrices, and an update of rank m after each choice. T
     Trees). D-optimal: the information 1/2 log det(I + H P H^T), in nats.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.drive.patterns import complete_pattern
+from ohmskin.drive.patterns import part_of
 from ohmskin.errors import ModelError, PatternError
 from ohmskin.forward import TransferModel, VoltageSource
-from ohmskin.scan import DrivePattern, pair_index
-from ohmskin.scan.pairs import in_series, n_pairs
+from ohmskin.scan import DrivePattern, Pairs
+from ohmskin.scan.pairs import in_series
 
 CURRENT = 1e-3  # amperes, where nothing else is said
 
@@ -37,6 +37,7 @@ class Candidates:
 
     Args:
         pattern: The injections, all with equally many measurements.
+        pairs: The pairs of electrodes.
         weights: (n_meas, n_pairs) change of each voltage with the two-terminal resistances, over its noise (1/ohm);
             what is not known of contact impedances counts as noise, as if it were another one in every injection.
         sharp: The same with the noise of voltages alone, and what is not known of each contact impedance (ohm): the
@@ -44,6 +45,7 @@ class Candidates:
     """
 
     pattern: DrivePattern
+    pairs: Pairs
     weights: sp.csr_array
     sharp: tuple[sp.csr_array, float] | None = None
 
@@ -51,7 +53,7 @@ class Candidates:
     def at_currents(
         cls,
         pattern: DrivePattern,
-        n_elec: int,
+        pairs: Pairs | int,
         noise: float,
         currents: ArrayLike = CURRENT,
         contacts: float | None = None,
@@ -60,21 +62,34 @@ class Candidates:
 
         Args:
             pattern: The injections.
-            n_elec: Number of electrodes.
+            pairs: Of electrodes; all of so many.
             noise: Standard deviation of a voltage (V).
-            currents: One value, or one for each electrode pair (n_pairs,) in amperes: see `pair_currents`.
+            currents: One value, or one for each of the pairs (n_pairs,) in amperes: see `pair_currents`.
             contacts: Standard deviation of what is not known of a contact impedance (ohm), where driven electrodes are
                 measured, too (`DrivePattern.with_driven`); None: they are not.
 
         Raises:
             ModelError: If noise or currents are not positive, or the currents do not fit.
         """
-        measured = pattern if contacts is None else pattern.with_driven
-        sharp = (whitened(measured, n_elec, noise, currents), contacts) if contacts else None
-        return cls(pattern, whitened(measured, n_elec, noise, currents, contacts or 0.0), sharp)
+        measured, pairs = pattern if contacts is None else pattern.with_driven, Pairs.all(pairs)
+        sharp = (whitened(measured, pairs, noise, currents), contacts) if contacts else None
+        return cls(pattern, pairs, whitened(measured, pairs, noise, currents, contacts or 0.0), sharp)
 
     def __len__(self) -> int:
         return self.pattern.n_inj
+
+    def part(self, numbers: Ints) -> "Candidates":
+        """Some of the injections (n,)."""
+        if len(numbers) == len(self):
+            return self
+        pattern = part_of(self.pattern, numbers)
+
+        def of(weights: sp.csr_array) -> sp.csr_array:
+            per_injection = weights.shape[0] // len(self)
+            return weights[(numbers[:, None] * per_injection + np.arange(per_injection)).ravel()]
+
+        sharp = None if self.sharp is None else (of(self.sharp[0]), self.sharp[1])
+        return Candidates(pattern, self.pairs, of(self.weights), sharp)
 
     def rows(self, columns: Floats) -> Floats:
         """H (..., n, min(m, d), d) of a state that changes the resistances by `columns` (..., n_pairs, d) (ohm).
@@ -95,16 +110,17 @@ class Candidates:
         if self.sharp is None:
             return self.rows(columns), covariance, goal
         weights, contacts = self.sharp
-        d, n_elec = columns.shape[-1], 1 + int(self.pattern.injections.max())
+        driven, ends = np.unique(self.pattern.injections, return_inverse=True)
+        d, n_elec, ends = columns.shape[-1], len(driven), ends.reshape(-1, 2)
         whole = covariance.shape[-1] + n_elec
-        own = Candidates(self.pattern, weights)._seen(columns)
-        series = (weights @ (contacts * in_series(range(n_elec), n_elec))).reshape(len(self), -1, n_elec)
-        ends = np.take_along_axis(series, self.pattern.injections[:, None], axis=2)  # others are not in their voltages
-        seen = np.concatenate([own, np.broadcast_to(ends, (*own.shape[:-1], 2))], axis=-1)
+        own = replace(self, weights=weights)._seen(columns)
+        series = (weights @ (contacts * in_series(driven.tolist(), self.pairs))).reshape(len(self), -1, n_elec)
+        series = np.take_along_axis(series, ends[:, None], axis=2)  # others are not in their voltages
+        seen = np.concatenate([own, np.broadcast_to(series, (*own.shape[:-1], 2))], axis=-1)
         seen = seen if seen.shape[-2] <= d + 2 else np.asarray(np.linalg.qr(seen, mode="r"))
         rows = np.zeros((*seen.shape[:-1], whole))
         rows[..., :d] = seen[..., :d]
-        at = np.broadcast_to(d + self.pattern.injections[:, None], (*seen.shape[:-1], 2))
+        at = np.broadcast_to(d + ends[:, None], (*seen.shape[:-1], 2))
         np.put_along_axis(rows, at, seen[..., d:], axis=-1)
         padded = np.concatenate([goal, np.zeros((*goal.shape[:-1], n_elec))], axis=-1)
         return rows, np.asarray(block_diag(covariance, np.eye(n_elec))), padded
@@ -118,20 +134,20 @@ class Candidates:
 
 
 def whitened(
-    pattern: DrivePattern, n_elec: int, noise: float, currents: ArrayLike = CURRENT, contacts: float = 0.0
+    pattern: DrivePattern, pairs: Pairs | int, noise: float, currents: ArrayLike = CURRENT, contacts: float = 0.0
 ) -> sp.csr_array:
     """A pattern's voltages over their noise, by pairs (n_meas, n_pairs); arguments as `Candidates.at_currents`."""
-    given = np.asarray(currents, float)
-    if given.shape not in ((), (n_pairs(n_elec),)) or not (np.isfinite(given) & (given > 0)).all():
-        allowed = f"give one value or one for each of {n_pairs(n_elec)} electrode pairs, all positive"
+    given, pairs = np.asarray(currents, float), Pairs.all(pairs)
+    if given.shape not in ((), (len(pairs),)) or not (np.isfinite(given) & (given > 0)).all():
+        allowed = f"give one value or one for each of {len(pairs)} electrode pairs, all positive"
         raise ModelError(f"currents of shape {given.shape}, least {given.min(initial=np.inf):.3g} A; {allowed}")
     if not (np.isfinite(noise) and noise > 0):
         raise ModelError(f"noise is {noise!r}; it must be finite and positive")
-    pattern.check(n_elec)
+    pattern.check(pairs.n_elec)
     source, sink, _, _ = pattern.quadruples.T
-    amperes = np.broadcast_to(given, n_pairs(n_elec))[pair_index(source, sink, n_elec)]
+    amperes = np.broadcast_to(given, len(pairs))[pairs.index(source, sink)]
     noises = np.hypot(noise, np.where(pattern.driven, amperes * contacts, 0.0))
-    return sp.csr_array(sp.diags_array(amperes / noises) @ pattern.combination(n_elec))
+    return sp.csr_array(sp.diags_array(amperes / noises) @ pattern.combination(pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,9 +313,9 @@ def exchange(rows: Floats, covariance: Floats, count: int, goal: Floats | None =
 
 
 def pair_currents(model: TransferModel, source: VoltageSource, limit: float = np.inf) -> Floats:
-    """The current (n_pairs,) that a voltage source drives through each electrode pair, at most `limit` (A).
+    """The current (n_pairs,) that a voltage source drives through each of the model's pairs, at most `limit` (A).
 
     Raises:
         ModelError: If an electrode is a point, whose own resistance is that of the mesh.
     """
-    return np.asarray(np.minimum(source.currents(model, complete_pattern(model.electrodes)), limit))
+    return np.asarray(np.minimum(source.pair_currents(model), limit))

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.drive.patterns import complete_pattern, opposite_pairs, part_of
+from ohmskin.drive.patterns import base_pattern, candidate_pattern, numbers_of, part_of
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
-from ohmskin.scan import DrivePattern, pair_index
+from ohmskin.scan import DrivePattern
 
 _SMALL = 2e-3  # m: the triangle about a place when no element of a mesh is given, about the size of one
 
@@ -99,7 +99,7 @@ class Fixed:
 
 
 class SecondScan:
-    """Chooses a pattern for the contacts at hand, always `pairs` injections out of `complete`, all pairs.
+    """Chooses a pattern for the contacts at hand, always `pairs` injections out of `complete`, see `candidate_pattern`.
 
     Args:
         electrodes: Electrode layout.
@@ -113,8 +113,8 @@ class SecondScan:
     repeats = False  # whether an injection may be chosen again
 
     def __init__(self, electrodes: Electrodes, pairs: int = 16, period: float = 0.0) -> None:
-        self.electrodes, self.pairs, self.complete = electrodes, pairs, complete_pattern(electrodes)
-        self.period = period
+        self.electrodes, self.pairs, self.period = electrodes, pairs, period
+        self.complete = candidate_pattern(electrodes, period)
         if not 1 <= pairs <= (np.inf if self.repeats else self.complete.n_inj):
             raise PatternError(f"{pairs} injections in the second scan; there are 1..{self.complete.n_inj} pairs")
 
@@ -206,7 +206,8 @@ class Exploration:
     Args:
         electrodes: Electrode layout.
         injections: Injections per frame.
-        drives: (n, 2) source and sink of the set; opposite electrodes of the rim unless given. All are measured.
+        drives: (n, 2) source and sink of the set; those of `base_pattern` unless given. All are measured.
+        period: Of a closed band, 0 of others (m).
 
     Raises:
         PatternError: If there are no injections, or an electrode is not there.
@@ -214,13 +215,15 @@ class Exploration:
 
     scans, adjustable = 1, True
 
-    def __init__(self, electrodes: Electrodes, injections: int = 4, drives: Ints | None = None) -> None:
-        self.complete, n_elec = complete_pattern(electrodes), len(electrodes)
+    def __init__(
+        self, electrodes: Electrodes, injections: int = 4, drives: Ints | None = None, period: float = 0.0
+    ) -> None:
+        self.complete, n_elec = candidate_pattern(electrodes, period), len(electrodes)
         self._set_injections(injections)
-        pairs = opposite_pairs(electrodes) if drives is None else np.asarray(drives)
+        pairs = base_pattern(electrodes, period).injections if drives is None else np.asarray(drives)
         if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.min() < 0 or pairs.max() >= n_elec:
             raise PatternError(f"drives of shape {pairs.shape}; give (n, 2) numbers of the {n_elec} electrodes")
-        self.drives = pair_index(pairs[:, 0], pairs[:, 1], n_elec)
+        self.drives = numbers_of(self.complete, pairs)
 
     def _set_injections(self, count: int) -> None:
         if not 1 <= count <= self.complete.n_inj:

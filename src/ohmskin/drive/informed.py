@@ -14,11 +14,11 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
 from ohmskin.drive.design import Candidates, Search, greedy
 from ohmskin.drive.drive import Exploration, SecondScan, Target
-from ohmskin.drive.patterns import part_of
+from ohmskin.drive.patterns import numbers_of, part_of
 from ohmskin.errors import PatternError
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Electrodes
-from ohmskin.scan import DrivePattern, pair_index
+from ohmskin.scan import DrivePattern
 
 _CELL = 2.5  # radii of a contact: 20 mm for one of 8 mm
 _DEPTH = 24  # injections of a table's cell, after which frames start again with the best
@@ -27,6 +27,7 @@ _BASED = 2.5  # radii to which it is known before a base scan refines it
 _SIZE = 0.3  # of what a radius that is not known counts, against a place: force is told from it
 _EFFECT = 0.5  # share to which a tracker knows its effect
 Design = Callable[[], tuple[ContactTable, Candidates]]
+_CLOSEST = 96  # candidates that may tell of a contact in a cell where only near pairs are driven
 _KEPT = 64  # candidates; with them the paper's sheet loses nothing, 32 electrodes 0.1 % of the error
 
 
@@ -75,17 +76,28 @@ class Ranking:
             # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
             places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
             columns = contact_columns(table, prior.at(places))
-            rows, covariance, goal = candidates.problem(columns, prior.covariance(), goals)
-            if len(known):
-                measured = rows[..., list(known), :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
+            near = _near(table, candidates, middle)
+            rows, covariance, goal = candidates.part(near).problem(columns, prior.covariance(), goals)
+            if len(also := np.flatnonzero(np.isin(near, known))):
+                measured = rows[..., also, :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
                 information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
                 covariance = np.asarray(np.linalg.inv(information), float)
-            self.order[at], self.values[at] = _ranked(rows, covariance, goal, depth)
+            chosen, self.values[at] = _ranked(rows, covariance, goal, depth)
+            self.order[at] = near[chosen]
 
     def cell_of(self, position: Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
         x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
         return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
+
+
+def _near(table: ContactTable, candidates: Candidates, place: Floats) -> Ints:
+    """The numbers of the candidates closest to a place; of all where all pairs of electrodes are."""
+    if table.pairs.whole:
+        return np.arange(len(candidates))
+    one, other = table.electrodes[candidates.pattern.injections.T]
+    away = np.linalg.norm(table.offsets(one + table.offsets(other, one) / 2, place), axis=1)
+    return np.sort(np.argsort(away, kind="stable")[:_CLOSEST])
 
 
 def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple[Ints, Floats]:
@@ -104,9 +116,9 @@ class InformedPolicy(Exploration):
     """Spends a frame's injections where they say most about the contacts, and keeps exploring.
 
     Args:
-        electrodes, injections, drives: As `Exploration`.
+        electrodes, injections, drives, period: As `Exploration`.
         design: Gives the responses of contacts and all pairs with their currents and noise (`Candidates` of
-            `complete_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
+            `candidate_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
         explore: How many of a frame's injections go round the exploring set, but no more than half. With two of four,
             95 % of new contacts and more are found within three frames (docs/policies.md).
         exact: Weigh all candidates against what is believed now, contacts together and the ellipses of their positions
@@ -124,17 +136,18 @@ class InformedPolicy(Exploration):
         explore: int = 2,
         exact: bool = False,
         drives: Ints | None = None,
+        period: float = 0.0,
     ) -> None:
         if explore < 1:
             raise PatternError(f"{explore} injections explore; at least one must, or new contacts are never found")
-        super().__init__(electrodes, injections, drives)
+        super().__init__(electrodes, injections, drives, period)
         self.explore, self.exact, self._design = explore, exact, design
 
     @cached_property
     def _known(self) -> tuple[ContactTable, Candidates]:
         table, candidates = self._design()
         if candidates.pattern != self.complete:
-            raise PatternError("the candidates must be all injections of complete_pattern(electrodes), in its order")
+            raise PatternError("the candidates must be all injections of candidate_pattern(electrodes), in its order")
         return table, candidates
 
     @cached_property
@@ -175,7 +188,7 @@ class PositionDrive(SecondScan):
     """The second scan of mode ``16P``: what says most about where contacts are, given the base scan.
 
     Args:
-        electrodes, pairs: As `SecondScan`; an injection may be chosen more than once.
+        electrodes, pairs, period: As `SecondScan`; an injection may be chosen more than once.
         design: Gives the responses of contacts and the candidates; called when the first pattern is asked for.
         base: (n, 2) source and sink of the base scan.
 
@@ -185,10 +198,10 @@ class PositionDrive(SecondScan):
 
     repeats = True
 
-    def __init__(self, electrodes: Electrodes, design: Design, pairs: int, base: Ints) -> None:
-        super().__init__(electrodes, pairs)
+    def __init__(self, electrodes: Electrodes, design: Design, pairs: int, base: Ints, period: float = 0.0) -> None:
+        super().__init__(electrodes, pairs, period)
         self._design = design
-        self._base = pair_index(base[:, 0], base[:, 1], len(electrodes))
+        self._base = numbers_of(self.complete, base)
 
     @cached_property
     def ranking(self) -> Ranking:

@@ -1,20 +1,26 @@
 """Second scans chosen by where contacts are alone: the paper's, and the one that it improves on."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.drive import SecondScan
+from ohmskin.drive.patterns import is_local, spacing
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
-from ohmskin.geometry.mesh import folded, shortest, tree
+from ohmskin.geometry.mesh import shortest
 from ohmskin.scan import all_pairs
 
+_NEAR = 2.0  # distances of neighbours to which a pair is near a contact
 
-def pair_weights(positions: ArrayLike, anchors: ArrayLike, period: float = 0.0) -> Floats:
-    """Weights (n_pairs,) of all electrode pairs, eq. (7): w_i = sum_k S_k / S_i.
+
+def pair_weights(
+    positions: ArrayLike, anchors: ArrayLike, period: float = 0.0, pairs: Ints | None = None, reach: float = np.inf
+) -> Floats:
+    """Weights (n_pairs,) of electrode pairs, eq. (7): w_i = sum_k S_k / S_i.
 
     S_i is the summed area of the triangles that pair i forms with each anchor. A pair on a line with all anchors has no
     area; areas are clamped at a billionth of the largest so that its weight is large and finite.
@@ -23,11 +29,14 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike, period: float = 0.0) 
         positions: Electrode positions (n_elec, 2) in metres.
         anchors: Centroids (n_anchors, 2) of the elements closest to the contact's middle (m); the paper takes three.
         period: Of a closed band, on which lines go the short way round; 0 of others (m).
+        pairs: (n_pairs, 2) the pairs; all unless given.
+        reach: How far the middle of a pair may be from the first anchor (m): short pairs farther off, whose lines go
+            on to the contact, weigh nothing, the less the farther off.
     """
     positions, anchors = np.asarray(positions, float), np.asarray(anchors, float)
     if positions.shape[1] != 2:
         raise PatternError("eq. (7) chooses pairs on the flat map of a skin, not in space; see Chart")
-    i, j = all_pairs(len(positions)).T
+    i, j = (all_pairs(len(positions)) if pairs is None else pairs).T
     along = shortest(positions[j] - positions[i], period)
     to_anchor = anchors[None] - positions[i][:, None]
     if period:  # the anchors that are closest to the middle of the line
@@ -35,7 +44,13 @@ def pair_weights(positions: ArrayLike, anchors: ArrayLike, period: float = 0.0) 
         to_anchor += shortest(from_middle, period) - from_middle
     area = 0.5 * np.abs(along[:, None, 0] * to_anchor[..., 1] - along[:, None, 1] * to_anchor[..., 0]).sum(axis=1)
     area = np.maximum(area, 1e-9 * area.max())
+    if np.isfinite(reach):
+        away = np.linalg.norm(to_anchor[:, 0] - along / 2, axis=1)
+        area = np.where(away > reach, BEYOND * away, area)
     return np.asarray(area.sum() / area)
+
+
+BEYOND = 1e9  # m: the area of a pair beyond reach, over its distance
 
 
 def take_turns(weights: ArrayLike, count: int) -> Ints:
@@ -49,8 +64,14 @@ def take_turns(weights: ArrayLike, count: int) -> Ints:
 class OptimalDrive(SecondScan):
     """The paper's adaptive drive (section III-B): the pairs whose connecting lines pass closest to a contact."""
 
+    @cached_property
+    def reach(self) -> float:
+        """How far the middle of a pair may be from a contact (m); any distance where all pairs are driven."""
+        return _NEAR * spacing(self.electrodes, self.period) if is_local(self.electrodes) else np.inf
+
     def choose(self, regions: Sequence[Floats]) -> Ints:
-        weights = [pair_weights(self.electrodes.positions, anchors, self.period) for anchors in regions]
+        given = self.period, self.complete.injections, self.reach
+        weights = [pair_weights(self.electrodes.positions, anchors, *given) for anchors in regions]
         return take_turns(np.array(weights), self.pairs)
 
 
@@ -66,11 +87,12 @@ class LocalDrive(SecondScan):
 
     def __init__(self, electrodes: Electrodes, pairs: int = 16, period: float = 0.0) -> None:
         super().__init__(electrodes, pairs, period)
-        starts, ends = np.moveaxis(electrodes.positions[all_pairs(len(electrodes))], 1, 0)
+        starts, ends = np.moveaxis(electrodes.positions[self.complete.injections], 1, 0)
         along = shortest(ends - starts, period)
-        length, around = np.linalg.norm(along, axis=1), folded(electrodes.positions, period)
-        spacing = float(tree(around, period).query(around, k=2)[0][:, 1].max())
-        reach = np.maximum(1.5 * spacing, np.sort(length)[pairs - 1])  # a cell's diagonal is 1.41 times its side
+        length = np.linalg.norm(along, axis=1)
+        reach = np.maximum(
+            1.5 * spacing(electrodes, period), np.sort(length)[pairs - 1]
+        )  # a cell's diagonal is 1.41 times its side
         self._middle, self._long = starts + along / 2, length > reach
 
     def choose(self, regions: Sequence[Floats]) -> Ints:

@@ -4,9 +4,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from ohmskin.arrays import Ints
+from ohmskin.arrays import Floats, Ints
 from ohmskin.geometry import Electrodes
-from ohmskin.scan import DrivePattern, all_pairs, measure_others
+from ohmskin.geometry.mesh import folded, shortest, tree
+from ohmskin.scan import DrivePattern, Pairs, all_pairs, measure_others
+from ohmskin.scan.pairs import pairs_measured
+
+MOST_WHOLE = 40  # electrodes of which all pairs are candidates
+_REACH = 2.1  # distances of neighbours to which electrodes are near: two steps of a grid, and a little more
+_LONG = 1.8  # of the same, from which on a pair is long enough for a base scan
+_MEASURED = 10  # electrodes at which a near pair is measured, beside its own
 
 
 def complete_pattern(electrodes: Electrodes | int) -> DrivePattern:
@@ -15,12 +22,83 @@ def complete_pattern(electrodes: Electrodes | int) -> DrivePattern:
     return measure_others(all_pairs(n_elec), range(n_elec))
 
 
-def base_pattern(electrodes: Electrodes) -> DrivePattern:
-    """Opposite electrodes of the rim driven, all others measured, inner ones too: the base scan of ``16P``.
+def is_local(electrodes: Electrodes) -> bool:
+    """Whether only pairs of near electrodes are driven: of many electrodes that cover a skin, not its rim alone."""
+    return len(electrodes) > MOST_WHOLE and len(electrodes.rings) > 1
 
-    Of all sets of six it has, within a hundredth, the least position error over the paper's sheet (`best_fixed`).
+
+@lru_cache(maxsize=16)
+def candidate_pattern(electrodes: Electrodes, period: float = 0.0) -> DrivePattern:
+    """All injections that a drive may choose from: `complete_pattern`, or where electrodes are many, near pairs.
+
+    Near pairs are measured at the electrodes closest to their middle alone: what changes a voltage lies near both of
+    its pairs (its sensitivity falls with the fourth power of the distance), and their number grows as the skin does.
+    Neighbours in the pattern are neighbours on the skin.
+
+    Args:
+        electrodes: Electrode layout.
+        period: Of a closed band, 0 of others (m).
     """
+    if not is_local(electrodes):
+        return complete_pattern(electrodes)
+    around = tree(folded(electrodes.positions, period), period)
+    pairs = around.query_pairs(_REACH * spacing(electrodes, period), output_type="ndarray")
+    middles = folded(_middles(electrodes, pairs, period), period)
+    order = tree(middles, period).indices
+    pairs, middles = np.sort(pairs[order], axis=1), middles[order]
+    _, closest = around.query(middles, k=_MEASURED + 2)
+    rows = []
+    for number, (pair, middle) in enumerate(zip(pairs, middles, strict=True)):
+        others = closest[number][~np.isin(closest[number], pair)][:_MEASURED]
+        away = shortest(electrodes.positions[others] - middle, period)
+        walk = others[np.argsort(np.arctan2(away[:, 1], away[:, 0]), kind="stable")]
+        rows.append(np.column_stack([np.full(len(walk) - 1, number), walk[:-1], walk[1:]]))
+    return DrivePattern(pairs, np.vstack(rows))
+
+
+@lru_cache(maxsize=16)
+def candidate_pairs(electrodes: Electrodes, period: float = 0.0) -> Pairs:
+    """The pairs of electrodes behind all voltages of `candidate_pattern`, driven electrodes measured, too."""
+    if not is_local(electrodes):
+        return Pairs.all(len(electrodes))
+    return pairs_measured(len(electrodes), [candidate_pattern(electrodes, period).with_driven.quadruples])
+
+
+def spacing(electrodes: Electrodes, period: float = 0.0) -> float:
+    """How far an electrode is from the one closest to it, the largest such distance (m)."""
+    around = folded(electrodes.positions, period)
+    return float(tree(around, period).query(around, k=2)[0][:, 1].max())
+
+
+def base_pattern(electrodes: Electrodes, period: float = 0.0) -> DrivePattern:
+    """The base scan of ``16P``: opposite electrodes of the rim driven, all others measured, inner ones too.
+
+    Of all sets of six it has, within a hundredth, the least position error over the paper's sheet (`best_fixed`). Where
+    electrodes are many, near pairs all over the skin, half as many as electrodes, first those farthest from each other.
+    """
+    if is_local(electrodes):
+        return part_of(candidate_pattern(electrodes, period), _spread(electrodes, period))
     return measure_others(opposite_pairs(electrodes), range(len(electrodes)))
+
+
+@lru_cache(maxsize=16)
+def _spread(electrodes: Electrodes, period: float) -> Ints:
+    """Candidates as far from each other as can be, each as far from those before."""
+    injections = candidate_pattern(electrodes, period).injections
+    ends = electrodes.positions[injections]
+    length = np.linalg.norm(shortest(ends[:, 1] - ends[:, 0], period), axis=1)
+    usable = np.flatnonzero(length > _LONG * spacing(electrodes, period))
+    middles, chosen = _middles(electrodes, injections[usable], period), [0]
+    away = np.full(len(usable), np.inf)
+    while len(chosen) < min(len(electrodes) // 2, len(usable)):
+        away = np.minimum(away, np.linalg.norm(shortest(middles - middles[chosen[-1]], period), axis=1))
+        chosen.append(int(np.argmax(away)))
+    return usable[chosen]
+
+
+def _middles(electrodes: Electrodes, pairs: Ints, period: float) -> Floats:
+    one, other = electrodes.positions[pairs.T]
+    return np.asarray(one + shortest(other - one, period) / 2)
 
 
 def opposite_pairs(electrodes: Electrodes) -> Ints:
@@ -30,6 +108,14 @@ def opposite_pairs(electrodes: Electrodes) -> Ints:
     stride = next((s for s in range(max(half // 2, 1), half) if np.gcd(s, half) == 1), 1)
     order = [(k * stride) % half for k in range(half)]
     return np.array([(rim[k], rim[k + half]) for k in order])
+
+
+def numbers_of(pattern: DrivePattern, injections: Ints) -> Ints:
+    """The numbers in a pattern of injections (n, 2), whatever their direction; the pattern must have them all."""
+    codes = Pairs.of(1 + int(pattern.injections.max()), pattern.injections)
+    at = np.empty(len(codes), np.int64)
+    at[codes.index(*pattern.injections.T)] = np.arange(pattern.n_inj)
+    return np.asarray(at[codes.index(*np.asarray(injections).T)])
 
 
 def part_of(complete: DrivePattern, chosen: Ints) -> DrivePattern:

@@ -13,6 +13,7 @@ from ohmskin.scan.quality import in_words
 from ohmskin.scan.repeats import finite
 
 _REPEATS = 40  # of each pattern, for the baseline
+_JUDGED = 2048  # voltages of a piece: whether these agree takes the cube of what they tell of
 _OUTLIER = 8.0  # robust standard deviations beyond which a value is a disturbance
 _AGAIN = 3  # times that a disturbed frame is measured again, and that all are if something moved
 _PARTS, _MOST, _MOVED = 4, 0.95, 5.0  # of the frames, whose medians may differ by so many times the noise at so many
@@ -38,7 +39,8 @@ class QuietFrames:
         scan: Callable[[DrivePattern], Frame],
         progress: Callable[[float], None],
     ) -> None:
-        self._pieces = [piece for each in patterns for piece in each.split(able.max_injections, able.max_measurements)]
+        most = min(able.max_measurements, _JUDGED)
+        self._pieces = [piece for each in patterns for piece in each.split(able.max_injections, most)]
         self._scan, self._progress = scan, progress
         self.notes: list[str] = []
 

@@ -18,15 +18,16 @@ _UINT64 = types.uint64
 _UINT64_2 = types.Array(_UINT64, 2, "C")
 _INT64_1 = types.Array(_INT64, 1, "C")
 _T2 = _tuple((_UINT64_2, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64_1))
-_FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
-_T3 = _tuple((_FLOAT64_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64_3))
+_FLOAT32 = types.float32
+_FLOAT32_4 = types.Array(_FLOAT32, 4, "C")
+_INT64_2_FIXED = types.Array(_INT64, 2, "C", readonly=True)
+_T3 = _tuple((_FLOAT32_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64, _FLOAT64_3, _INT64_2_FIXED))
 _INT64_2 = types.Array(_INT64, 2, "C")
 _BOOL = types.bool_
 _BOOL_1 = types.Array(_BOOL, 1, "C")
-_INT64_2_FIXED = types.Array(_INT64, 2, "C", readonly=True)
 _FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
-_FLOAT32 = types.float32
 _FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
+_FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
 _INT32 = types.int32
 _INT32_2 = types.Array(_INT32, 2, "C")
 _INT32_1 = types.Array(_INT32, 1, "C")
@@ -58,7 +59,6 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         ),
     ),
     ("contacts.measured:beside_errors", (_T2, _FLOAT64_1, _FLOAT64_2, _FLOAT64, _FLOAT64)),
-    ("contacts.measured:gram", (_T2, _INT64)),
     (
         "contacts.measured:measured",
         (
@@ -76,18 +76,22 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
             _FLOAT64,
         ),
     ),
-    ("contacts.measured:powers", (_T2, _FLOAT64_2_F)),
+    ("contacts.measured:powers", (_T2, _FLOAT64_2)),
     ("contacts.misfit:_less", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:_taken_off", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
+    ("contacts.misfit:likeliest", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
     ("contacts.misfit:paired", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
     ("contacts.misfit:sizes", (_T2, _FLOAT64_2, _FLOAT64_2)),
     ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),
     ("contacts.solution:inverse", (_FLOAT64_2,)),
     ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
     ("forward.response:_respond_at", (_FLOAT64_2, _T3, _FLOAT64_3)),
-    ("forward.sensitivity:fill_pairs", (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _FLOAT64_2)),
+    (
+        "forward.sensitivity:fill_pairs",
+        (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _INT64_2_FIXED, _FLOAT64_2),
+    ),
     ("geometry.overlap:_areas", (_FLOAT64_3, _FLOAT64)),
-    ("inverse.modes:combined", (_INT64_2, _FLOAT64_2, _INT64)),
+    ("inverse.modes:combined", (_INT64_2, _FLOAT64_2)),
     (
         "scan.coherence:_coherence",
         (_INT64_2, _FLOAT64_2_F, _FLOAT64_2, _INT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64, _INT64),

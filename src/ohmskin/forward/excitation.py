@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats, real
+from ohmskin.arrays import Floats, Ints, real
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
-from ohmskin.scan import Difference, DrivePattern, all_pairs, pair_index
+from ohmskin.scan import Difference, DrivePattern, all_pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +158,17 @@ class VoltageSource:
             ModelError: If a driven electrode is a point, whose own resistance is that of the mesh.
         """
         pattern.check(len(model.electrodes))
-        _refuse_points(model, np.unique(pattern.injections))
-        pairs = pair_index(pattern.injections[:, 0], pattern.injections[:, 1], len(model.electrodes))
-        return np.asarray(self.amplitude / (model.pair_resistances[pairs] + self.resistance))
+        return self._through(model, pattern.injections)
+
+    def pair_currents(self, model: TransferModel) -> Floats:
+        """The current (n_pairs,) through each of the model's pairs of electrodes (A); raises as `currents`."""
+        return self._through(model, model.pairs.ends)
+
+    def _through(self, model: TransferModel, ends: Ints) -> Floats:
+        _refuse_points(model, np.unique(ends))
+        (source, sink), s = ends.T, model.transfer_resistance
+        pair = s[source, source] + s[sink, sink] - 2 * s[source, sink]
+        return np.asarray(self.amplitude / (pair + self.resistance))
 
     def voltages(self, model: TransferModel, pattern: DrivePattern) -> Floats:
         """Voltages (n_meas,) of a pattern (V)."""
@@ -173,7 +181,7 @@ class VoltageSource:
         """
         nothing = np.zeros(pattern.n_meas)
         known = self.unmeasured(model, Difference(pattern, nothing, nothing))
-        return np.asarray(known.combination(len(model.electrodes)).toarray() * known.currents[:, None])
+        return np.asarray(known.combination(model.pairs).toarray() * known.currents[:, None])
 
     def unmeasured(self, model: TransferModel, difference: Difference) -> Difference:
         """A difference whose currents were not measured but taken from `currents`, with the effect of source loading.

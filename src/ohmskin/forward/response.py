@@ -15,16 +15,18 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, spline_filter1d
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.errors import ModelError
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry.mesh import shortest
 from ohmskin.geometry.overlap import disc_overlap
+from ohmskin.scan import Pairs
 
-Spline = tuple[Floats, Floats, Floats, Ints, float, Floats, Floats]
+Spline = tuple[Singles, Floats, Floats, Ints, float, Floats, float, Floats, Ints]
 Grid = tuple[Floats, Floats, Floats, Floats, float, float]
 
 _SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0])  # radii kept, in usual ones
+_BLOCK = 256  # pairs of which the table is made at once: memory
 _WHOLE = 0.995  # share of a disc on the sheet that counts as all of it; meshes cut round rims short
 _LEAST_COVER = 0.25  # share of a disc that must lie on the sheet; places beyond take the closest such place's response
 
@@ -58,9 +60,9 @@ class ContactTable:
         pitch: Distance of the places at which responses are kept (m).
 
     Attributes:
+        pairs: The pairs of electrodes.
         electrodes: (n_elec, 2) their middles (m).
         places: (n_places, 2) in metres, at which responses are kept; all on the sheet.
-        responses: (n_places, n_pairs) at the usual radius (ohm/m2).
         sheet: Which part of the table's rectangle is sheet: its lowest and highest corner (2,), the pitch (2,) of a
             grid, the place closest to each of its points (n_x, n_y, 2), how far off that a position may lie (m), and
             the period of a closed band, 0 of others (m).
@@ -82,6 +84,7 @@ class ContactTable:
             allowed = "the radius must be below half of its shorter side and the pitch below a quarter"
             raise ModelError(f"radius {radius!r} m and pitch {pitch!r} m; on a sheet of {high - low} m {allowed}")
         self.radius, self.n_elec, self.period = radius, len(model.electrodes), mesh.period
+        self.pairs = model.pairs
         self.electrodes: Floats = model.electrodes.positions
         self._low = low
         self._steps = np.ceil((high - low) / pitch - 1e-9).astype(int)  # at least four
@@ -90,8 +93,7 @@ class ContactTable:
         axes = [low[k] + self._pitch[k] * np.arange(counts[k]) for k in range(2)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         model = model.shorted
-        density = (model.pair_sensitivity * (model.conductivity / mesh.measures)).T
-        layers, covered = [], []
+        covered, spread = list[Floats](), []
         for share in _SPREAD:
             r = share * radius
             cover = disc_overlap(mesh, grid.reshape(-1, 2), r)
@@ -100,17 +102,25 @@ class ContactTable:
             covered.append(area / (np.pi * r**2))
             off = (covered[-1] < _LEAST_COVER * (1 - 1e-9)).reshape(grid.shape[:2])
             closest = _closest_on(off, self._pitch, self.period > 0)
-            layers.append((cover @ density).reshape(*grid.shape[:2], -1)[closest[0], closest[1]])
+            spread.append((cover, closest))
             if share == 1.0:
                 field = (cover @ _fields(model)).reshape(*grid.shape[:2], -1)[closest[0], closest[1]]
                 self._fields = _knots(field, self.period > 0)
+        # rounded to 6e-8 of each: half the memory to hold and to read
+        self._knots: Singles = np.empty((*self._fields.shape[:2], len(_SPREAD), len(self.pairs)), np.float32)
+        for start in range(0, len(self.pairs), _BLOCK):
+            some = slice(start, start + _BLOCK)
+            part = model.over(Pairs.of(self.n_elec, self.pairs.ends[some]))
+            density = (part.pair_sensitivity * (model.conductivity / mesh.measures)).T
+            for layer, (cover, closest) in enumerate(spread):
+                values = (cover @ density).reshape(*grid.shape[:2], -1)[closest[0], closest[1]]
+                self._knots[:, :, layer, some] = _knots(values, self.period > 0)
         usual = list(_SPREAD).index(1.0)
         # the smallest disc says best whether its centre is on the sheet
         inside = covered[0] >= _LEAST_COVER * (1 - 1e-9)
         self.places: Floats = grid.reshape(-1, 2)[inside]
         self.whole: NDArray[np.bool_] = covered[usual][inside] > _WHOLE
-        self.responses: Floats = layers[usual].reshape(-1, layers[usual].shape[-1])[inside]
-        self._knots = _knots(np.stack(layers, axis=2), self.period > 0)
+        self._gain = 1.0
         off = ~inside.reshape(grid.shape[:2])
         row, column = _closest_on(off, self._pitch, self.period > 0)
         reach = radius if off.any() else np.inf
@@ -119,7 +129,7 @@ class ContactTable:
     def scaled(self, factor: float) -> "ContactTable":
         """The table of the same sheet with all conductances multiplied by `factor`, as `TransferModel.scaled`."""
         other = copy(self)
-        other.responses, other._knots = self.responses / factor, self._knots / factor
+        other._gain = self._gain / factor
         other._fields = self._fields / np.sqrt(factor)
         return other
 
@@ -138,7 +148,17 @@ class ContactTable:
     def spline(self) -> Spline:
         """What `respond` reads."""
         squares = (_SPREAD * self.radius) ** 2
-        return self._knots, self._low, self._pitch, self._steps, self.period, squares, self._fields
+        return (
+            self._knots,
+            self._low,
+            self._pitch,
+            self._steps,
+            self.period,
+            squares,
+            self._gain,
+            self._fields,
+            self.pairs.ends,
+        )
 
     def offsets(self, ends: ArrayLike, starts: ArrayLike) -> Floats:
         """Vectors (..., 2) from places to others (m), round a closed band the short way."""
@@ -205,12 +225,13 @@ def weigh(
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def respond(
-    x: float, y: float, square: float, knots: Floats, low: Floats, pitch: Floats, steps: Ints, period: float,
-    squares: Floats, out: Floats,
+    x: float, y: float, square: float, knots: Singles, low: Floats, pitch: Floats, steps: Ints, period: float,
+    squares: Floats, gain: float, out: Floats,
 ) -> None:  # fmt: skip
     """Response of one contact at (x, y) (m) of a squared radius (m2), per square metre of its effect.
 
-    Into `out` (4, n_pairs): the derivatives by x and y (ohm/m3), the values (ohm/m2), and that by the squared radius.
+    Into `out` (4, n_pairs): the derivatives by x and y (ohm/m3), the values (ohm/m2), and that by the squared radius;
+    what the knots say times `gain`.
     """
     first, weights = np.empty(2, np.int64), np.empty((2, 2, 4))
     weigh(x, y, low, pitch, steps, period, first, weights)
@@ -222,8 +243,8 @@ def respond(
     out[:] = 0.0
     for i in range(4):
         for j in range(4):
-            both = weights[0, 0, i] * weights[1, 0, j]
-            along, across = weights[0, 1, i] * weights[1, 0, j], weights[0, 0, i] * weights[1, 1, j]
+            both = gain * weights[0, 0, i] * weights[1, 0, j]
+            along, across = gain * weights[0, 1, i] * weights[1, 0, j], gain * weights[0, 0, i] * weights[1, 1, j]
             smaller, larger = knots[first[0] + i, first[1] + j, layer], knots[first[0] + i, first[1] + j, layer + 1]
             for p in range(out.shape[1]):
                 wider = larger[p] - smaller[p]
@@ -239,13 +260,13 @@ def _respond_at(discs: Floats, spline: Spline, out: Floats) -> None:
     """Responses, into `out` (n, 4, n_pairs), of discs (n, 3): x, y (m) and squared radius (m2)."""
     for k in range(len(discs)):
         x, y, square = discs[k]
-        respond(x, y, square, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], out[k])
+        respond(x, y, square, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], spline[6], out[k])
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def scatter(
     params: Floats, fields: Floats, low: Floats, pitch: Floats, steps: Ints, period: float, least: float,
-    caused: Floats, slopes: Floats,
+    pairs: Ints, caused: Floats, slopes: Floats,
 ) -> None:  # fmt: skip
     """Adds what contacts (n, 4) do to each other's fields to what they cause (n_pairs,) and the slopes (4 n, n_pairs).
 
@@ -277,22 +298,20 @@ def scatter(
             by_x = 2 * back / below - 4 * square * x / below * near
             by_y = -2j * back / below - 4 * square * y / below * near
             effects = -params[k, 2] * params[other, 2] / np.pi
-            p = 0
-            for i in range(n_elec):
-                for j in range(i + 1, n_elec):
-                    one, two = (field[k, i] - field[k, j]).conjugate(), (field[other, i] - field[other, j]).conjugate()
-                    mutual = one * two
-                    felt, along, across = (mutual * near).real, (mutual * by_x).real, (mutual * by_y).real
-                    by_one = (slope[k, i] - slope[k, j]).conjugate() * two * near
-                    by_two = (slope[other, i] - slope[other, j]).conjugate() * one * near
-                    caused[p] += effects * felt
-                    slopes[4 * k + 2, p] -= params[other, 2] / np.pi * felt
-                    slopes[4 * other + 2, p] -= params[k, 2] / np.pi * felt
-                    slopes[4 * k, p] += effects * (by_one.real - along)
-                    slopes[4 * k + 1, p] += effects * (by_one.imag - across)
-                    slopes[4 * other, p] += effects * (by_two.real + along)
-                    slopes[4 * other + 1, p] += effects * (by_two.imag + across)
-                    p += 1
+            for p in range(len(pairs)):
+                i, j = pairs[p]
+                one, two = (field[k, i] - field[k, j]).conjugate(), (field[other, i] - field[other, j]).conjugate()
+                mutual = one * two
+                felt, along, across = (mutual * near).real, (mutual * by_x).real, (mutual * by_y).real
+                by_one = (slope[k, i] - slope[k, j]).conjugate() * two * near
+                by_two = (slope[other, i] - slope[other, j]).conjugate() * one * near
+                caused[p] += effects * felt
+                slopes[4 * k + 2, p] -= params[other, 2] / np.pi * felt
+                slopes[4 * other + 2, p] -= params[k, 2] / np.pi * felt
+                slopes[4 * k, p] += effects * (by_one.real - along)
+                slopes[4 * k + 1, p] += effects * (by_one.imag - across)
+                slopes[4 * other, p] += effects * (by_two.real + along)
+                slopes[4 * other + 1, p] += effects * (by_two.imag + across)
 
 
 def effective_change(log_ratio: ArrayLike, dim: int = 2) -> tuple[Floats, Floats]:

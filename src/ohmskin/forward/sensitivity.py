@@ -13,7 +13,9 @@ _BLOCK = 128  # elements whose fields are kept in the fastest cache
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def fill_pairs(elements: Ints, gradients: Floats, measures: Floats, potentials: Floats, sensitivity: Floats) -> None:
+def fill_pairs(
+    elements: Ints, gradients: Floats, measures: Floats, potentials: Floats, pairs: Ints, sensitivity: Floats
+) -> None:
     """dR_ij/dsigma (n_pairs, n_elem) in ohm/siemens, to `sensitivity`, block by block.
 
     Args:
@@ -21,6 +23,7 @@ def fill_pairs(elements: Ints, gradients: Floats, measures: Floats, potentials: 
         gradients: (n_elem, dim + 1, d) of the shape functions, in coordinates in which the skin is isotropic (1/m).
         measures: (n_elem,) areas (m2) or volumes (m3).
         potentials: (n_nodes, n_elec) for 1 A into each electrode and out of the first (V).
+        pairs: (n_pairs, 2) electrodes of each pair.
     """
     n_elem, corners, dim = gradients.shape
     n_elec = potentials.shape[1]
@@ -39,26 +42,24 @@ def fill_pairs(elements: Ints, gradients: Floats, measures: Floats, potentials: 
                         row[n] += slope * potentials[elements[e, k], n]
                 for n in range(n_elec):
                     field[n, d, b] = row[n]
-        pair = 0
-        for i in range(n_elec):
-            for j in range(i + 1, n_elec):
-                out = sensitivity[pair, start : start + size]
-                if dim == 2:  # the usual case in one pass
-                    for b in range(size):
-                        x, y = field[i, 0, b] - field[j, 0, b], field[i, 1, b] - field[j, 1, b]
-                        out[b] = -(x * x + y * y)
-                else:
-                    for b in range(size):
-                        x, y = field[i, 0, b] - field[j, 0, b], field[i, 1, b] - field[j, 1, b]
-                        z = field[i, 2, b] - field[j, 2, b]
-                        out[b] = -(x * x + y * y + z * z)
-                pair += 1
+        for pair in range(len(pairs)):
+            i, j = pairs[pair]
+            out = sensitivity[pair, start : start + size]
+            if dim == 2:  # the usual case in one pass
+                for b in range(size):
+                    x, y = field[i, 0, b] - field[j, 0, b], field[i, 1, b] - field[j, 1, b]
+                    out[b] = -(x * x + y * y)
+            else:
+                for b in range(size):
+                    x, y = field[i, 0, b] - field[j, 0, b], field[i, 1, b] - field[j, 1, b]
+                    z = field[i, 2, b] - field[j, 2, b]
+                    out[b] = -(x * x + y * y + z * z)
 
 
 @njit(cache=True, nogil=True)
 def fill_groups(
     elements: Ints, gradients: Floats, measures: Floats, potentials: Floats,
-    indptr: Ints, indices: Ints, shares: Floats, grouped: Floats,
+    indptr: Ints, indices: Ints, shares: Floats, pairs: Ints, grouped: Floats,
 ) -> None:  # fmt: skip
     """dR_ij (n_pairs, n_groups) when groups of elements change by `shares` siemens each, to `grouped`, zero before.
 
@@ -85,9 +86,7 @@ def fill_groups(
                         for n in range(n_elec):
                             row[n] += slope * potentials[elements[e, k], n]
             grams[g] = np.dot(fields.T, fields)
-        pair = 0
-        for i in range(n_elec):
-            for j in range(i + 1, n_elec):
-                for g in range(count):
-                    grouped[pair, first + g] = 2 * grams[g, i, j] - grams[g, i, i] - grams[g, j, j]
-                pair += 1
+        for pair in range(len(pairs)):
+            i, j = pairs[pair]
+            for g in range(count):
+                grouped[pair, first + g] = 2 * grams[g, i, j] - grams[g, i, i] - grams[g, j, j]

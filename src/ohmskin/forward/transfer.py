@@ -16,7 +16,7 @@ from ohmskin.forward.movement import pair_movement
 from ohmskin.forward.quadrature import quadratures
 from ohmskin.forward.sensitivity import fill_groups, fill_pairs
 from ohmskin.geometry import Electrodes, Mesh
-from ohmskin.scan import DrivePattern, Frame, n_pairs, two_terminal
+from ohmskin.scan import DrivePattern, Frame, Pairs, two_terminal
 
 
 class TransferModel(ReadOnly):
@@ -35,6 +35,7 @@ class TransferModel(ReadOnly):
         conductivity: (n_elem,), of tensors the geometric mean of the principal conductivities.
         potentials: (n_nodes, n_elec) potential for 1 A into each electrode and out of the first (V).
         electrode_potentials: (n_elec, n_elec) potential of each electrode (rows), likewise (V).
+        pairs: The pairs of electrodes that it tells two-terminal quantities of; all unless made by `over`.
         quadratures: Where each area electrode touches the skin, by its number.
         gradients: (n_elem, dim + 1, d) of the shape functions (1/m), in coordinates in which the skin is isotropic.
 
@@ -44,7 +45,7 @@ class TransferModel(ReadOnly):
     """
 
     def __init__(self, mesh: Mesh, electrodes: Electrodes, conductivity: ArrayLike) -> None:
-        self.mesh, self.electrodes = mesh, electrodes
+        self.mesh, self.electrodes, self.pairs = mesh, electrodes, Pairs.all(len(electrodes))
         self.conductivity, self._root = conductivity_of(mesh, conductivity)
         self.quadratures = quadratures(mesh, electrodes)
         self._elimination: Elimination | None = None
@@ -91,6 +92,10 @@ class TransferModel(ReadOnly):
             potentials=self.potentials / factor,
             electrode_potentials=self.electrode_potentials / factor,
         )
+
+    def over(self, pairs: Pairs) -> "TransferModel":
+        """The same model, what it tells of pairs of electrodes being of these alone; costs nothing."""
+        return self if pairs is self.pairs else self._with(pairs=pairs)
 
     def _with(self, **changed: Any) -> "TransferModel":
         """A copy with other attributes, without what was computed from them."""
@@ -140,7 +145,7 @@ class TransferModel(ReadOnly):
     @fixed
     def pair_resistances(self) -> Floats:
         """Two-terminal resistance (n_pairs,) of each pair (ohm); of points good for four-terminal combinations only."""
-        return two_terminal(self.transfer_resistance)
+        return two_terminal(self.transfer_resistance, self.pairs)
 
     def voltages(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """Voltages (n_meas,) of a pattern (V) at given injected currents, one value or (n_inj,) in amperes."""
@@ -179,8 +184,9 @@ class TransferModel(ReadOnly):
         Every sensitivity is a combination of these rows (`DrivePattern.combination`). Where the conductivity is a
         tensor, against its factor `conductivity`: the directions stay.
         """
-        sensitivity = np.empty((n_pairs(len(self.electrodes)), self.mesh.n_elem))
-        fill_pairs(self.mesh.elements, self.gradients, self.mesh.measures, self.potentials, sensitivity)
+        sensitivity = np.empty((len(self.pairs), self.mesh.n_elem))
+        skin = self.mesh.elements, self.gradients, self.mesh.measures, self.potentials
+        fill_pairs(*skin, self.pairs.ends, sensitivity)
         return sensitivity
 
     def grouped_sensitivity(self, shares: sp.csc_array) -> Floats:
@@ -189,9 +195,16 @@ class TransferModel(ReadOnly):
         Args:
             shares: (n_elem, n_groups) sparse, not negative: how a group's unknown changes each element's conductivity.
         """
-        grouped = np.zeros((n_pairs(len(self.electrodes)), shares.shape[1]))
+        grouped = np.zeros((len(self.pairs), shares.shape[1]))
         columns, skin = sp.csc_array(shares), (self.mesh.elements, self.gradients, self.mesh.measures, self.potentials)
-        fill_groups(*skin, columns.indptr.astype(np.int64), columns.indices.astype(np.int64), columns.data, grouped)
+        fill_groups(
+            *skin,
+            columns.indptr.astype(np.int64),
+            columns.indices.astype(np.int64),
+            columns.data,
+            self.pairs.ends,
+            grouped,
+        )
         return grouped
 
     @fixed
@@ -200,11 +213,11 @@ class TransferModel(ReadOnly):
 
         The integral of the squared current density through each contact; zero for point electrodes.
         """
-        sensitivity = np.zeros((n_pairs(len(self.electrodes)), len(self.electrodes)))
+        sensitivity = np.zeros((len(self.pairs), len(self.electrodes)))
         for k, quadrature in self.quadratures.items():
             drop = self.electrode_potentials[k] - quadrature.at @ self.potentials
             density = drop / self.electrodes.contact_impedances[k]
-            sensitivity[:, k] = two_terminal(density.T @ (quadrature.weights[:, None] * density))
+            sensitivity[:, k] = two_terminal(density.T @ (quadrature.weights[:, None] * density), self.pairs)
         return sensitivity
 
     def pair_movement(self, layers: int = 2, slide: bool = False) -> Floats:
@@ -226,12 +239,12 @@ class TransferModel(ReadOnly):
 
     def sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """J of eq. (4): dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A)."""
-        rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_sensitivity
+        rows: Floats = pattern.combination(self.pairs) @ self.pair_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
 
     def contact_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """dV/dz (n_meas, n_elec) of a pattern at given injected currents (A), in V per ohm m2 (disc) or ohm m (rim)."""
-        rows: Floats = pattern.combination(len(self.electrodes)) @ self.pair_contact_sensitivity
+        rows: Floats = pattern.combination(self.pairs) @ self.pair_contact_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
 
     def movement_sensitivity(
@@ -239,7 +252,7 @@ class TransferModel(ReadOnly):
     ) -> Floats:
         """dV/dx (n_meas, n_elec, dim of space) of a pattern against electrodes' places (V/m), see `pair_movement`."""
         pairs = self.pair_movement(layers, slide)
-        rows = pattern.combination(len(self.electrodes)) @ pairs.reshape(len(pairs), -1)
+        rows = pattern.combination(self.pairs) @ pairs.reshape(len(pairs), -1)
         return np.asarray(rows * self._driven(pattern, currents)[:, None]).reshape(-1, *pairs.shape[1:])
 
     def tensor_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:

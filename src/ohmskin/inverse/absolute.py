@@ -110,7 +110,7 @@ class AbsoluteGaussNewton:
 
     def iterate(self, *frames: Frame | Difference) -> Iterations:
         """The image, with how it was reached; as `reconstruct`."""
-        data = pair_system(len(self.model.electrodes), *(self._as_absolute(frame) for frame in frames))
+        data = pair_system(self.model.pairs, *(self._as_absolute(frame) for frame in frames))
         start = np.zeros(self._to_image.shape[1])
         change = self._at(start, data, self.noise).left
         noise = System(data.rows, change).noise(self.noise, self.model_error)
@@ -134,7 +134,7 @@ class AbsoluteGaussNewton:
     def _as_absolute(self, frame: Frame | Difference) -> Difference:
         """Measured voltages, or those that the model would have, in place of a change."""
         if isinstance(frame, Difference):
-            modelled = frame.combination(len(self.model.electrodes)) @ self.model.pair_resistances
+            modelled = frame.combination(self.model.pairs) @ self.model.pair_resistances
             return replace(frame, volts=frame.volts + frame.currents * modelled, reference=None)
         modelled = self.model.voltages(frame.pattern)
         offset = 0.0 if self.baseline is None else self.baseline.reference(frame.pattern) - modelled

@@ -173,7 +173,7 @@ def noise_figures(
     decomposition of the finite data's rows in the modes.
     """
     pairs = (model.pair_sensitivity * model.conductivity) @ small_target(model.mesh)
-    volts = [(d.combination(len(model.electrodes)) @ pairs) * d.currents for d in differences]
+    volts = [(d.combination(model.pairs) @ pairs) * d.currents for d in differences]
     known = [np.isfinite(d.volts) & np.isfinite(d.currents) for d in differences]
     signal = np.concatenate(volts)[np.concatenate(known)]
     left, singular, right = decomposition

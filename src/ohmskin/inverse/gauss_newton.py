@@ -80,7 +80,7 @@ class GaussNewton(Reconstructs):
         check_share(model_error=self.model_error)
         self.cells: Cells = self.model.mesh if self.pixels is None else self.pixels
         self.penalty = penalty_of(self.model, self.prior) if self.pixels is None else self.pixels.penalty
-        self.modes = ImageModes.of_relative(self.relative(), self.penalty, len(self.model.electrodes))
+        self.modes = ImageModes.of_relative(self.relative(), self.penalty, self.model.pairs)
 
     def with_amplitude(self, amplitude: float) -> "GaussNewton":
         """The same estimator with another prior amplitude; costs nothing."""
@@ -95,16 +95,16 @@ class GaussNewton(Reconstructs):
         modes = self.modes
         size = np.linalg.norm(system.rows[:, int(modes.free_mean) :])
         if weight < ILL * size:  # too exact for rows of pairs, of which the largest parts cancel
-            relative, n_elec = self.relative(), modes.n_elec
-            whole = finite_system(lambda difference: difference.combination(n_elec) @ relative, differences)
-            modes = ImageModes.of_relative(whole.rows, self.penalty, n_elec)
+            relative, pairs = self.relative(), modes.pairs
+            whole = finite_system(lambda difference: difference.combination(pairs) @ relative, differences)
+            modes = ImageModes.of_relative(whole.rows, self.penalty, pairs)
             system = System(modes.mixing, whole.volts)
         values, noise_std = solve_modes(modes, system, weight, self.noise)
         if not self.positive:
             return Image(values, noise_std)
-        pairs = pair_system(len(self.model.electrodes), *differences)
-        rows = pairs.rows @ self.penalty.to_unknowns(self.relative())
-        w = nonnegative(self.penalty.normalised, rows, pairs.volts, weight)
+        whole = pair_system(self.model.pairs, *differences)
+        rows = whole.rows @ self.penalty.to_unknowns(self.relative())
+        w = nonnegative(self.penalty.normalised, rows, whole.volts, weight)
         return Image(self.penalty.to_image(w), noise_std)
 
     def relative(self) -> Floats:

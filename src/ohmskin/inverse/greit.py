@@ -49,7 +49,7 @@ class Greit:
         check_positive(noise=self.noise, noise_figure=self.noise_figure)
         self.responses, self.desired = train(self.model)
         basis, triangle = np.linalg.qr(self.responses.T)
-        self.modes = ImageModes(basis.T @ self.desired.T, triangle.T.copy(), len(self.model.electrodes))
+        self.modes = ImageModes(basis.T @ self.desired.T, triangle.T.copy(), self.model.pairs)
         self._weights: dict[object, float] = {}
 
     def reconstruct(self, *differences: Difference) -> Image:

@@ -82,7 +82,7 @@ class Kalman:
         if not self.time_constant > 0:
             raise ModelError(f"time_constant is {self.time_constant!r}; it must be positive (s), or infinite")
         relative = self.model.pair_sensitivity * self.model.conductivity
-        self.modes = ImageModes.of_relative(relative, penalty_of(self.model, self.prior), len(self.model.electrodes))
+        self.modes = ImageModes.of_relative(relative, penalty_of(self.model, self.prior), self.model.pairs)
 
     def start(self) -> Belief:
         """The belief before anything is measured: the prior."""

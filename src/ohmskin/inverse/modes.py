@@ -15,7 +15,8 @@ from numba import njit
 from ohmskin.arrays import Floats, Ints, real
 from ohmskin.errors import DataError, ModelError
 from ohmskin.inverse.priors import FREE, Penalty
-from ohmskin.scan import Difference, DrivePattern
+from ohmskin.scan import Difference, DrivePattern, Pairs
+from ohmskin.scan.baseline import terms_of
 
 _KEPT_ROWS = 64  # adaptive patterns come and go; the fixed ones are cheap to make again
 
@@ -51,18 +52,18 @@ class ImageModes:
     Args:
         modes: B (n_modes, n_elem), relative conductivity change.
         mixing: C (n_pairs, n_modes), two-terminal resistances (ohm) that the modes cause.
-        n_elec: Number of electrodes.
+        pairs: The pairs of electrodes.
         free_mean: Whether the first mode is the same everywhere, and nothing is known of it a priori.
     """
 
     modes: Floats
     mixing: Floats
-    n_elec: int
+    pairs: Pairs
     free_mean: bool = False
     _rows: dict[DrivePattern, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of_relative(cls, relative: Floats, penalty: Penalty, n_elec: int) -> "ImageModes":
+    def of_relative(cls, relative: Floats, penalty: Penalty, pairs: Pairs) -> "ImageModes":
         """The modes of any image under a prior, of average variance one over the sheet.
 
         `relative` (n_pairs, n_image): change of two-terminal resistances with each value's relative change (ohm).
@@ -76,7 +77,7 @@ class ImageModes:
         if penalty.free_mean:
             level = np.full((1, relative.shape[1]), FREE)
             modes, mixing = np.vstack([level, modes]), np.hstack([relative @ level.T, mixing])
-        return cls(np.ascontiguousarray(modes), np.ascontiguousarray(mixing), n_elec, penalty.free_mean)
+        return cls(np.ascontiguousarray(modes), np.ascontiguousarray(mixing), pairs, penalty.free_mean)
 
     @property
     def n_modes(self) -> int:
@@ -87,8 +88,7 @@ class ImageModes:
         if pattern not in self._rows:
             if len(self._rows) >= _KEPT_ROWS:
                 self._rows.clear()
-            pattern.check(self.n_elec)
-            self._rows[pattern] = combined(pattern.quadruples, self.mixing, self.n_elec)
+            self._rows[pattern] = combined(terms_of(pattern, self.pairs), self.mixing)
         return self._rows[pattern]
 
     def system(self, *differences: Difference) -> System:
@@ -99,21 +99,19 @@ class ImageModes:
         """
 
         def rows(d: Difference) -> Floats:
-            return self.rows(d.pattern) if d.source_loading is None else d.combination(self.n_elec) @ self.mixing
+            return self.rows(d.pattern) if d.source_loading is None else d.combination(self.pairs) @ self.mixing
 
         return finite_system(rows, differences)
 
 
 @njit(cache=True, nogil=True)
-def combined(quadruples: Ints, pairs: Floats, n_elec: int) -> Floats:
-    """`DrivePattern.combination` @ pairs (n_pairs, n), without the sparse matrix."""
-    rows = np.zeros((len(quadruples), pairs.shape[1]))
-    for m in range(len(quadruples)):
-        a, b, c, d = quadruples[m]
-        for i, j, sign in ((a, d, 0.5), (b, c, 0.5), (a, c, -0.5), (b, d, -0.5)):
-            if i != j:
-                low, high = min(i, j), max(i, j)
-                pair = low * n_elec - low * (low + 1) // 2 + high - low - 1
+def combined(terms: Ints, pairs: Floats) -> Floats:
+    """`DrivePattern.combination` @ pairs (n_pairs, n), without the sparse matrix, from `terms_of` (5, n_meas)."""
+    rows = np.zeros((terms.shape[1], pairs.shape[1]))
+    for m in range(len(rows)):
+        for t in range(4):
+            pair, sign = terms[t, m], 0.5 if t < 2 else -0.5
+            if pair < len(pairs):
                 for k in range(pairs.shape[1]):
                     rows[m, k] += sign * pairs[pair, k]
     return rows
@@ -139,13 +137,13 @@ def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Di
     return System(stacked, volts)
 
 
-def pair_system(n_elec: int, *differences: Difference) -> System:
-    """The equations of scans in the two-terminal resistances (n_pairs,) of all pairs, no more of them than pairs.
+def pair_system(pairs: Pairs, *differences: Difference) -> System:
+    """The equations of scans in the two-terminal resistances (n_pairs,), no more of them than pairs.
 
     Raises:
         DataError: If no finite datum is left.
     """
-    return finite_system(lambda difference: difference.combination(n_elec).toarray(), differences).compressed()
+    return finite_system(lambda difference: difference.combination(pairs).toarray(), differences).compressed()
 
 
 def regularised(normal: Floats, noise: float) -> Floats:

@@ -54,7 +54,7 @@ class SparseBayes(Reconstructs):
         self._response: Floats = relative @ self._blobs  # (n_pairs, n_elem)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        pairs = pair_system(len(self.model.electrodes), *differences)
+        pairs = pair_system(self.model.pairs, *differences)
         noise = pairs.noise(self.noise, self.model_error)
         rows = pairs.rows @ self._response
         kept = np.arange(rows.shape[1])

@@ -106,7 +106,7 @@ class TotalVariation(Reconstructs):
         self._relative: Floats = relative @ self._means  # (n_pairs, n_nodes)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        pairs = pair_system(len(self.model.electrodes), *differences)
+        pairs = pair_system(self.model.pairs, *differences)
         noise = pairs.noise(self.noise, self.model_error)
         system = System(pairs.rows @ self._relative, pairs.volts)
         w = np.zeros(self.model.mesh.n_nodes)

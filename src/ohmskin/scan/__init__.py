@@ -6,7 +6,7 @@ from ohmskin.scan.channels import Channels
 from ohmskin.scan.cost import Cost
 from ohmskin.scan.frame import Frame, FrameFlag
 from ohmskin.scan.network import NetworkFit, reciprocity_residuals
-from ohmskin.scan.pairs import all_pairs, n_pairs, pair_index, two_terminal
+from ohmskin.scan.pairs import Pairs, all_pairs, n_pairs, pair_index, two_terminal
 from ohmskin.scan.pattern import DrivePattern, adjacent, measure_others, needed, opposite, skip
 from ohmskin.scan.quality import Quality, Verdict, left_out
 
@@ -19,6 +19,7 @@ __all__ = [
     "Frame",
     "FrameFlag",
     "NetworkFit",
+    "Pairs",
     "Quality",
     "Verdict",
     "adjacent",

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ohmskin.arrays import Floats, Ints, Remembered, changed, real
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Frame
-from ohmskin.scan.pairs import pair_index, pair_numbers
+from ohmskin.scan.pairs import Pairs
 from ohmskin.scan.pattern import DrivePattern
 
 _SHIFT = np.int64(1) << np.arange(48, -1, -16, dtype=np.int64)  # electrode numbers fit 15 bits
@@ -64,16 +64,17 @@ class Difference:
         loading, reference = (None if a is None else a[kept] for a in (self.source_loading, self.reference))
         return Difference(pattern, self.currents[kept], self.volts[kept], loading, reference)
 
-    def caused_by(self, changes: Floats) -> Floats:
-        """What changes (n_pairs,) of the two-terminal resistances (ohm) cause of it (n_meas,) (V)."""
-        n_elec = round((1 + sqrt(1 + 8 * len(changes))) / 2)
-        ad, bc, ac, bd, ab = np.append(changes, 0.0)[terms_of(self.pattern, n_elec)]
+    def caused_by(self, changes: Floats, pairs: Pairs | None = None) -> Floats:
+        """What changes (n_pairs,) of the two-terminal resistances (ohm), of all pairs unless these are given, cause of
+        it (n_meas,) (V)."""
+        pairs = Pairs.all(round((1 + sqrt(1 + 8 * len(changes))) / 2)) if pairs is None else pairs
+        ad, bc, ac, bd, ab = np.append(changes, 0.0)[terms_of(self.pattern, pairs)]
         own = 0.0 if self.source_loading is None else self.source_loading * ab
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
-    def less(self, changes: Floats) -> "Difference":
-        """What is left of it once changes (n_pairs,) of the two-terminal resistances (ohm) are known to be a part."""
-        return changed(self, volts=self.volts - self.caused_by(changes))
+    def less(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
+        """What is left of it once changes of two-terminal resistances, as for `caused_by`, are known to be a part."""
+        return changed(self, volts=self.volts - self.caused_by(changes, pairs))
 
     def times(self, shares: Floats | float) -> "Difference":
         """The same data with voltage and current of each measurement, one value or (n_meas,), times a share (1).
@@ -106,17 +107,16 @@ class Difference:
             raise DataError(f"the voltage of the untouched skin {what}; normalised data are shares of it")
         return self.times(1 / self.reference)
 
-    def combination(self, n_elec: int) -> sp.csr_array:
+    def combination(self, pairs: Pairs | int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) from changes of two-terminal resistances to these volts, per ampere.
 
-        Raises:
-            PatternError: If the pattern names an electrode that is not there.
+        Arguments and errors as of `DrivePattern.combination`.
         """
-        rows = self.pattern.combination(n_elec)
+        rows = self.pattern.combination(pairs)
         if self.source_loading is None:
             return rows
         source, sink = self.pattern.injections[self.pattern.measurements[:, 0]].T
-        at = (np.arange(self.pattern.n_meas), pair_index(source, sink, n_elec))
+        at = (np.arange(self.pattern.n_meas), Pairs.all(pairs).index(source, sink))
         return sp.csr_array(rows - sp.csr_array((self.source_loading, at), shape=rows.shape))
 
 
@@ -212,12 +212,11 @@ class Baseline:
 
 
 @lru_cache(maxsize=1024)
-def terms_of(pattern: DrivePattern, n_elec: int) -> Ints:
+def terms_of(pattern: DrivePattern, pairs: Pairs) -> Ints:
     """The numbers (5, n_meas) of the two-terminal resistances F_ad, F_bc, F_ac, F_bd and F_ab of each measurement; of
     no pair n_pairs."""
     a, b, c, d = pattern.quadruples.T
-    numbers: Ints = pair_numbers(n_elec)[np.array([a, b, a, b, a]), np.array([d, c, c, d, b])]
-    return numbers
+    return pairs.index(np.array([a, b, a, b, a]), np.array([d, c, c, d, b]))
 
 
 def _reciprocity_error(frame: Frame) -> float:

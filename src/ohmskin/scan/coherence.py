@@ -96,9 +96,10 @@ class NetworkData:
         self._quiet, loading = (_together(scans, name) for name in ("reference", "source_loading"))
         self.known: Bools = np.isfinite(self._volts) & np.isfinite(currents)
         columns, signs = zip(*(_resistances(scan.pattern, n_elec) for scan in scans), strict=True)
-        self._columns, self._entries = np.concatenate(columns), np.concatenate(signs) * currents[:, None]
+        self._entries = np.concatenate(signs) * currents[:, None]
+        self._columns, self._count = _renumbered(columns, n_elec)
         self._entries[:, 4] = -loading * currents
-        self.n_elec, self._instrument = n_elec, instrument
+        self._instrument = instrument
 
     def largest(self, kept: Bools) -> float:
         """The largest change (V) of those of `kept` (n_meas,) that are known."""
@@ -125,7 +126,7 @@ class NetworkData:
         return Coherence(
             *_coherence(
                 self._columns, self._entries, np.ascontiguousarray(more.T), self.injection, scale,
-                self._volts, self._quiet, self._instrument.gain, n_pairs(self.n_elec),
+                self._volts, self._quiet, self._instrument.gain, self._count,
             ),
             noise,
         )  # fmt: skip
@@ -137,7 +138,7 @@ class NetworkData:
         """
         used = self.known & kept
         scale, _ = self._scale(used)
-        gains, n = self.injection.max() + 1, n_pairs(self.n_elec) + 1  # the last column is of no pair
+        gains, n = self.injection.max() + 1, self._count + 1  # the last column is of no pair
         rows, beside = np.arange(len(scale)), np.arange(gains)
         known = np.zeros((len(scale) + gains, n + gains))
         np.add.at(known, (rows[:, None], self._columns), scale[:, None] * np.where(used[:, None], self._entries, 0.0))
@@ -171,6 +172,15 @@ def _resistances(pattern: DrivePattern, n_elec: int) -> tuple[Ints, Floats]:
     ends = pattern.quadruples[:, _ENDS]
     signs = np.append(_SIGNS, 0.0) * (ends[..., 0] != ends[..., 1])
     return np.ascontiguousarray(pair_numbers(n_elec)[ends[..., 0], ends[..., 1]]), signs
+
+
+def _renumbered(columns: Sequence[Ints], n_elec: int) -> tuple[Ints, int]:
+    """The numbers (n_meas, 5) among those resistances alone that scans tell of, and how many these are."""
+    whole = np.concatenate(columns)
+    told = np.zeros(n_pairs(n_elec) + 1, bool)
+    told[whole] = True
+    told[-1] = True  # of no pair, the last one
+    return (np.cumsum(told) - 1)[whole], int(told.sum()) - 1
 
 
 def _together(scans: Sequence[Difference], name: str) -> Floats:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ohmskin.arrays import Ints, ReadOnly
 from ohmskin.errors import PatternError
-from ohmskin.scan.pairs import n_pairs, pair_index
+from ohmskin.scan.pairs import Pairs, terms
 
 _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])  # of F_ad, F_bc, F_ac and F_bd in a measurement
 
@@ -117,18 +117,22 @@ class DrivePattern(ReadOnly):
         parts = (np.array([self.n_inj, self.n_meas]), self.injections, self.measurements)
         return zlib.crc32(b"".join(part.astype("<u2").tobytes() for part in parts))
 
-    def combination(self, n_elec: int) -> sp.csr_array:
+    def combination(self, pairs: Pairs | int) -> sp.csr_array:
         """The sparse matrix (n_meas, n_pairs) that makes this pattern's rows from two-terminal quantities.
 
+        Args:
+            pairs: Theirs, or the number of electrodes, of all pairs.
+
         Raises:
-            PatternError: If the pattern names an electrode that is not there.
+            PatternError: If the pattern names an electrode that is not there, or needs a pair that is not among them.
         """
-        self.check(n_elec)
-        i, j = self.quadruples[:, [0, 1, 0, 1]], self.quadruples[:, [3, 2, 2, 3]]
+        pairs = Pairs.all(pairs)
+        self.check(pairs.n_elec)
+        i, j = terms(self.quadruples)
         distinct = i != j  # of a driven electrode that is also measured, F_ii = 0
-        signs, columns = np.broadcast_to(_SIGNS, i.shape)[distinct], pair_index(i, j, n_elec)[distinct]
+        signs, columns = np.broadcast_to(_SIGNS, i.shape)[distinct], pairs.index(i, j)[distinct]
         ends = np.append(0, distinct.sum(axis=1).cumsum())
-        rows = sp.csr_array((signs, columns, ends), shape=(self.n_meas, n_pairs(n_elec)))
+        rows = sp.csr_array((signs, columns, ends), shape=(self.n_meas, len(pairs)))
         rows.sum_duplicates()
         return rows
 

@@ -126,7 +126,7 @@ def image_misfit(known: SkinModel, frame: Frame) -> float:
     """
     scan = known.difference(frame).undriven
     image = known.one_step(known.estimator("gauss-newton")).reconstruct(scan)
-    caused = scan.caused_by(known.model.pair_sensitivity @ (known.model.conductivity * image.values))
+    caused = scan.caused_by(known.model.pair_sensitivity @ (known.model.conductivity * image.values), known.pairs)
     measured = np.isfinite(scan.volts) & np.isfinite(scan.currents)
     noise = measured.sum() * known.noise**2
     changed, left = (float(np.sum(volts[measured] ** 2)) - noise for volts in (scan.volts, scan.volts - caused))

@@ -24,6 +24,7 @@ from ohmskin.forward.tiles import padded
 from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import FrameWise, Made
 from ohmskin.scan import Baseline, DrivePattern, Frame
+from ohmskin.scan.baseline import terms_of
 from ohmskin.sensing.kernels import Tables, Workspace, look, see
 from ohmskin.sensing.readers import DetectionReader
 from ohmskin.sensing.sensor import Measured, Scan, Sensor
@@ -89,9 +90,10 @@ class CompiledCycle:
             base_reference=np.zeros(base.n_meas) if baseline is None else baseline.reference(base),
             mixing=np.ascontiguousarray(modes.mixing @ turn),
             modes=np.ascontiguousarray(turn.T @ modes.modes, dtype=np.float32),
-            quadruples=complete.quadruples.astype(np.int32),
+            terms=terms_of(complete, modes.pairs)[:4].T.astype(np.int32),
             reference=np.zeros(complete.n_meas) if baseline is None else baseline.reference(complete),
             pairs=complete.injections.copy(),
+            reach=drive.second.reach,
             electrodes=np.ascontiguousarray(estimator.model.electrodes.positions),
             neighbours=cells.neighbours.astype(np.int32),
             centroids=np.ascontiguousarray(cells.centroids),

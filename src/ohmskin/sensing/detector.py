@@ -45,6 +45,8 @@ class FaultDetector:
         self._known, self._window, self._n_elec = known, window, len(known.skin.electrodes)
         self._instrument = Instrument(known.white, known.gain, _MODEL)
         self._most = int(_MOST_BAD * self._n_elec)
+        # near pairs all over a large skin measure next to nothing twice, and a network of all of them takes seconds
+        self._redundant = known.pairs.whole
         self._last: tuple[Difference, frozenset[int], tuple[float, int]] | None = None
 
     def examine(
@@ -82,7 +84,7 @@ class FaultDetector:
         fits = [*(self._fit(scan, before.bad) for scan in scans), *before.fits][: len(looked)]
         squares, freedom = (sum(each) for each in zip(*fits, strict=True))
         remedy, error, puzzled, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
-        if squares > limit(freedom) * freedom > 0:
+        if freedom and squares > limit(freedom) * freedom:
             remedy, error = self._remedy(before, looked)
             if remedy is None:
                 puzzled = before.puzzled + 1
@@ -93,7 +95,9 @@ class FaultDetector:
                 causes.add(remedy.cause)
                 repaired = _repaired(looked, remedy)
                 cleaned = cleaned if remedy.cause.electrodes else repaired[: len(scans)]
-        elif Cause("offset") in before.lately:  # hum passes through nothing twice a period, where it is not doubted
+        elif (
+            self._redundant and Cause("offset") in before.lately
+        ):  # hum passes through nothing twice a period, where it is not doubted
             data, kept, _ = self._data(looked, before.bad)
             remedy = next(without_offset(data, kept), None)
             cleaned = cleaned if remedy is None else _repaired(scans, remedy)
@@ -144,6 +148,8 @@ class FaultDetector:
 
     def _fit(self, scan: Difference, bad: Mapping[int, object]) -> tuple[float, int]:
         """Squared misfit of one scan, and its degrees of freedom; remembered, as a base scan is examined twice."""
+        if not self._redundant:
+            return 0.0, 0
         if self._last is None or self._last[0] is not scan or self._last[1] != bad.keys():
             fit = self._data([scan], bad)[2]
             self._last = scan, frozenset(bad), (fit.squares, fit.freedom)
@@ -166,7 +172,9 @@ class FaultDetector:
         watched = {}
         for e, (frames, seconds) in bad.items():
             watched[e] = 0, 0.0
-            if e not in blamed:
+            if e not in blamed and not self._redundant:
+                watched[e] = frames + 1, seconds + elapsed
+            elif e not in blamed:
                 data, kept, fit = self._data(scans, [other for other in bad if other != e])
                 if (kept & data.known & data.uses(e)).any() and agrees(fit):
                     watched[e] = frames + 1, seconds + elapsed

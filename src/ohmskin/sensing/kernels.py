@@ -11,7 +11,7 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Shorts, Singles
 from ohmskin.forward.tiles import padded, solve_front, tile
-from ohmskin.sensing.primitives import add_row, choose, closest, combine, factorise, flood, largest, pair, project
+from ohmskin.sensing.primitives import add_row, choose, closest, combine, factorise, flood, largest, project
 
 NOISE, AMPLITUDE, MODEL_ERROR, GAMMA_BASE, GAMMA_FINAL, FRACTION, DIP, FUSE, TRACE = range(9)
 
@@ -27,8 +27,10 @@ class Tables(NamedTuple):
         base_reference, reference: (n_base,), (n_complete,) untouched transfer resistances (ohm).
         mixing: C V (n_pairs, n_modes) in ohms.
         modes: V^T B (n_modes, n_cells).
-        quadruples: (n_complete, 4) of all that can be asked for, pair by pair.
-        pairs: (n_pairs, 2) electrodes.
+        terms: (n_complete, 4) numbers of the two-terminal resistances behind all that can be asked for, injection by
+            injection.
+        pairs: (n, 2) electrodes of the injections to choose from.
+        reach: How far their middles may be from a contact (m).
         electrodes: (n_elec, 2) in metres.
         neighbours: (n_cells, 3 or 4), -1 where there is none.
         centroids, measures: (n_cells, 2), (n_cells,) in m, m2.
@@ -41,9 +43,10 @@ class Tables(NamedTuple):
     base_reference: Floats
     mixing: Floats
     modes: Singles
-    quadruples: Shorts
+    terms: Shorts
     reference: Floats
     pairs: Ints
+    reach: float
     electrodes: Floats
     neighbours: Shorts
     centroids: Floats
@@ -71,7 +74,7 @@ class Workspace(NamedTuple):
         keys, parent, labels: (n_cells,) of `flood`.
         regions: (most, 6) mass, moments, area, peak and its cell of each region.
         anchors: (most, 3, 2) in metres.
-        crossed: (most, n_pairs) summed areas of eq. (7) (m2).
+        crossed: (most, n) summed areas of eq. (7) (m2).
         chosen: Pairs to drive.
         found: (most, 6) contacts.
     """
@@ -134,7 +137,7 @@ def look(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents:
             peak += 1
         closest(t.centroids, t.centroids[peak, 0], t.centroids[peak, 1], space.anchors[0])
         count = 1
-    choose(t.electrodes, t.pairs, space.anchors[:count], space.crossed, space.chosen)
+    choose(t.electrodes, t.pairs, t.reach, space.anchors[:count], space.crossed, space.chosen)
     return count
 
 
@@ -164,9 +167,9 @@ def see(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents: 
     step = padded(space.sizes[1])
     for m in range(len(volts)):
         c = m // per_pair
-        quadruple = t.quadruples[space.chosen[c] * per_pair + m % per_pair]
+        terms = t.terms[space.chosen[c] * per_pair + m % per_pair]
         row = space.scaled[m * step : (m + 1) * step]
-        space.residual[m] -= _row(quadruple, t.mixing, len(t.electrodes), currents[c], space.root, space.z, row)
+        space.residual[m] -= _row(terms, t.mixing, currents[c], space.root, space.z, row)
     _update(space)
     for k in range(n_modes):
         space.u_single[k] = space.root[k] * space.z[k]
@@ -181,14 +184,10 @@ def _weight2(settings: Floats, squares: float, count: int) -> float:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _row(
-    quadruple: Shorts, mixing: Floats, n_elec: int, current: float, root: Floats, z: Floats, scaled: Floats
-) -> float:
+def _row(terms: Shorts, mixing: Floats, current: float, root: Floats, z: Floats, scaled: Floats) -> float:
     """Fill what one measurement sees of each mode, times its root (V); what it sees of D^1/2 z."""
-    a, b, c, d = quadruple[0], quadruple[1], quadruple[2], quadruple[3]
     # no measurement of the complete pattern touches a driven electrode, so that all four pairs exist
-    ad, bc = mixing[pair(a, d, n_elec)], mixing[pair(b, c, n_elec)]
-    ac, bd = mixing[pair(a, c, n_elec)], mixing[pair(b, d, n_elec)]
+    ad, bc, ac, bd = mixing[terms[0]], mixing[terms[1]], mixing[terms[2]], mixing[terms[3]]
     half, total = 0.5 * current, 0.0
     for k in range(mixing.shape[1]):
         scaled[k] = half * root[k] * (ad[k] + bc[k] - ac[k] - bd[k])

@@ -45,12 +45,13 @@ class LearnedReader:
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
         """What is believed after one frame more; data unlike those learned from are read by physics."""
-        found = self.told(before.without_drift(recent))
+        pairs = self.physics.fitter.table.pairs
+        found = self.told(before.without_drift(recent, pairs))
         if found is None:
             belief = self.physics.update(before, new, recent, elapsed)
             return replace(belief, novel=before.novel + elapsed if belief.detections else 0.0)
         assert isinstance(before.tracks, Tracks)
-        fresh, lately = (undriven(before.without_drift(scans)) for scans in (new, recent))
+        fresh, lately = (undriven(before.without_drift(scans, pairs)) for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, fresh, lately, elapsed)
         tracks, contacts = self.physics.tracker.update(before.tracks, [found])
         return Belief(estimate, (found,), contacts, tracks, before.drift, before.unlearned + elapsed)

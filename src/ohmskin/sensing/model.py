@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from ohmskin.arrays import Bools, Floats, Remembered
 from ohmskin.contacts import ContactFitter
@@ -12,8 +13,8 @@ from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.inverse import GaussNewton
 from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Settings
-from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Quality
-from ohmskin.scan.pairs import in_series
+from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Pairs, Quality
+from ohmskin.scan.pairs import in_series, pairs_measured
 from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import PressedSheet, Skin
 
@@ -46,6 +47,7 @@ class SkinModel:
         channels, positions: How channels follow the model, and where contacts really are, as the skin's calibration
             says; None if it does not.
         quiet: The quiet frames, to scan once more.
+        pairs: The pairs of electrodes by whose two-terminal resistances all data are explained.
 
     Raises:
         DataError: If the quiet frames do not tell a reference.
@@ -67,8 +69,10 @@ class SkinModel:
             quiet = [self.channels.clean(frame) for frame in quiet]
         self.baseline, self.quiet = Baseline.learn(quiet), QuietScans(quiet)
         self._first = quiet[0].pattern
-        self._described, scale = model, self._scale(model)
-        self.model, self._table_scale = model.scaled(scale), scale
+        self.pairs = _covering(model.pairs, [frame.pattern for frame in quiet])
+        self._described = model.over(self.pairs)
+        self._table_scale = self._scale(model)
+        self.model = self._described.scaled(self._table_scale)
         volts = quiet[0].voltages[~self._first.driven | self._first.driven.all()]
         floor = _LEAST_NOISE * float(np.nanmax(np.where(np.isfinite(volts), np.abs(volts), 0.0)))
         self.noise = max(self.baseline.difference_noise, floor)
@@ -157,11 +161,12 @@ class SkinModel:
         """
         model = self.model
         touched = np.unique(model.mesh.closest_elements(places, 8))
-        change = 0.5 * model.pair_sensitivity[:, touched] @ model.conductivity[touched]
+        shares = sp.csc_array((model.conductivity[touched], (touched, 0 * touched)), shape=(model.mesh.n_elem, 1))
+        change = 0.5 * model.grouped_sensitivity(shares)[:, 0]
 
         def scan(pattern: DrivePattern) -> Frame:
             frame = self.quiet.scan(pattern, 0)
-            volts = frame.voltages + frame.measurement_currents * (pattern.combination(len(model.electrodes)) @ change)
+            volts = frame.voltages + frame.measurement_currents * (pattern.combination(model.pairs) @ change)
             return replace(frame, voltages=volts)
 
         return scan
@@ -218,7 +223,7 @@ class SkinModel:
         """
         change = self.skin.contact_change(self.impedances)
         if not self.impedances.any():
-            return in_series(range(len(change)), len(change)) * change
+            return in_series(range(len(change)), self.pairs) * change
         model = self.electrode_model()
         return model.pair_contact_sensitivity * model.electrode_extents * change
 
@@ -251,7 +256,7 @@ class SkinModel:
 
         `finer`: edges of its mesh over the estimator's.
         """
-        model = self._perfect if finer == 1 else self._scaled(self.skin.electrode_model(finer))
+        model = self._perfect if finer == 1 else self._scaled(self.skin.electrode_model(finer).over(self.pairs))
         return model.with_contact_impedances(model.electrode_extents * self.impedances)
 
     @cached_property
@@ -262,7 +267,7 @@ class SkinModel:
     @cached_property
     def _perfect(self) -> TransferModel:
         """The same with contacts as described; points and discs differ in what scale they want."""
-        return self._scaled(self.skin.electrode_model())
+        return self._scaled(self.skin.electrode_model().over(self.pairs))
 
     def _scaled(self, model: TransferModel) -> TransferModel:
         return model.with_conductivity(model.conductivity * self._scale(model))
@@ -278,6 +283,14 @@ class SkinModel:
             what = "the quiet voltages are unlike the model's, or the other way round"
             raise DataError(f"{what}; check the drive pattern, the wires, and which skin it is")
         return float(modelled[known] @ modelled[known] / alike)
+
+
+def _covering(pairs: Pairs, patterns: Sequence[DrivePattern]) -> Pairs:
+    """The pairs, or those behind patterns that need others."""
+    quadruples = [pattern.quadruples for pattern in dict.fromkeys(patterns)]
+    if all(pairs.covers(each) for each in quadruples):
+        return pairs
+    return pairs_measured(pairs.n_elec, quadruples)
 
 
 def kinds_of_noise(baseline: Baseline, quiet: Sequence[Frame]) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from ohmskin.drive.patterns import is_local
 from ohmskin.errors import PatternError
 from ohmskin.skin import Mode, Skin
 
@@ -67,9 +68,11 @@ DEFAULT = "{all}P"
 def modes(skin: Skin) -> dict[str, Mode]:
     """The modes of a skin by name: those that ship and its electrodes allow, then those of its own file."""
     own = {mode.name: mode for mode in skin.modes}
-    inner = len(skin.electrodes.rings) > 1
+    none = {"rings"} if len(skin.electrodes.rings) == 1 else {"rim", "rings"} if is_local(skin.electrodes) else set()
     learned = (LEARNED,) if skin.calibration.position_map else ()
-    shipped = [_named(mode, skin) for mode in MODES + learned if inner or mode.drive != "rings"]
+    shipped = [_named(mode, skin) for mode in MODES + learned if mode.drive not in none]
+    if is_local(skin.electrodes):  # the raster does not grow with the skin, nor do images' modes
+        shipped = [mode.using(prior="pixels") for mode in shipped]
     return {**{mode.name: mode for mode in shipped if mode.name not in own}, **own}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ohmskin.arrays import Bools, Floats, Ints, Remembered
 from ohmskin.contacts import Contact
-from ohmskin.scan import Difference, DrivePattern
+from ohmskin.scan import Difference, DrivePattern, Pairs
 from ohmskin.scan.baseline import codes_of
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.readers import Belief
@@ -82,7 +82,7 @@ def placement_of(known: SkinModel) -> Placement | None:
     return None if known.positions is None else Placement(known.positions, known.noise)
 
 
-def placed(placement: Placement | None, belief: Belief, scans: Sequence[Difference]) -> Belief:
+def placed(placement: Placement | None, belief: Belief, scans: Sequence[Difference], pairs: Pairs) -> Belief:
     """A belief with its contacts at the places that a position map tells; as it is if there is none.
 
     A single contact is placed by all that scans say, if that is like what was learned from; several by their places.
@@ -90,6 +90,6 @@ def placed(placement: Placement | None, belief: Belief, scans: Sequence[Differen
     """
     if placement is None or not belief.detections:
         return belief
-    changes = placement.changes(belief.without_drift(scans)) if len(belief.detections) == 1 else None
+    changes = placement.changes(belief.without_drift(scans, pairs)) if len(belief.detections) == 1 else None
     detections, contacts = (placement.moved(one, changes) for one in (belief.detections, belief.contacts))
     return replace(belief, detections=detections, contacts=contacts)

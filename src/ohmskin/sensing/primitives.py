@@ -5,6 +5,7 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Shorts, Singles
 from ohmskin.contacts.regions import join_peaks
+from ohmskin.drive.optimal import BEYOND
 from ohmskin.forward.tiles import eliminate_front, padded, tile
 
 
@@ -42,12 +43,6 @@ def largest(values: Singles) -> float:
     for k in range(len(values)):
         highest = max(highest, values[k])
     return float(highest)
-
-
-@njit(cache=True, nogil=True)
-def pair(i: int, j: int, n_elec: int) -> int:
-    low, high = int(min(i, j)), int(max(i, j))
-    return low * n_elec - low * (low + 1) // 2 + high - low - 1
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -110,12 +105,13 @@ def closest(centroids: Floats, x: float, y: float, anchors: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def choose(electrodes: Floats, pairs: Ints, anchors: Floats, crossed: Floats, chosen: Ints) -> None:
+def choose(electrodes: Floats, pairs: Ints, reach: float, anchors: Floats, crossed: Floats, chosen: Ints) -> None:
     """Eq. (7): the pairs of smallest summed triangle areas, regions in turn; `OptimalDrive.pattern` compiled.
 
     Args:
         electrodes: (n_elec, 2) in metres.
         pairs: (n_pairs, 2) electrodes of each.
+        reach: How far the middle of a pair may be from the first anchor (m); see `pair_weights`.
         anchors: (n_regions, 3, 2) in metres.
         crossed: (>= n_regions, n_pairs) memory.
         chosen: (n,) to fill.
@@ -134,6 +130,12 @@ def choose(electrodes: Floats, pairs: Ints, anchors: Floats, crossed: Floats, ch
             largest = max(largest, area)
         for p in range(len(pairs)):
             crossed[r, p] = max(crossed[r, p], 1e-9 * largest)
+            if reach < np.inf:
+                one, other = electrodes[pairs[p, 0]], electrodes[pairs[p, 1]]
+                x, y = anchors[r, 0, 0] - (one[0] + other[0]) / 2, anchors[r, 0, 1] - (one[1] + other[1]) / 2
+                away = np.hypot(x, y)
+                if away > reach:
+                    crossed[r, p] = BEYOND * away
     count = 0
     while count < len(chosen):
         for r in range(n_regions):

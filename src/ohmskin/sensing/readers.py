@@ -16,7 +16,7 @@ from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import nothing
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
@@ -71,10 +71,10 @@ class Belief:
         """The image, made when it is first asked for."""
         return self.estimate.image
 
-    def without_drift(self, scans: Sequence[Difference]) -> list[Difference]:
-        """Scans, drift of the quiet skin taken off."""
+    def without_drift(self, scans: Sequence[Difference], pairs: Pairs) -> list[Difference]:
+        """Scans, drift of the quiet skin, of these pairs of electrodes, taken off."""
         drift = self.tracks.drift if isinstance(self.tracks, TrackState) else self.drift
-        return [scan if drift is None else scan.less(drift) for scan in scans]
+        return [scan if drift is None else scan.less(drift, pairs) for scan in scans]
 
     def with_drift_of(self, before: "Belief") -> "Belief":
         """The same with the drift of another belief: data that are doubted teach none."""
@@ -166,9 +166,9 @@ class FitReader:
         """What is believed after one frame more. Contact impedances are followed while nothing touches, other drift
         always, beside the contacts."""
         assert isinstance(before.tracks, Tracks)
-        drift, errors = before.drift, self.fitter.errors
+        drift, errors, pairs = before.drift, self.fitter.errors, self.fitter.table.pairs
         if drift is not None:
-            less = {id(scan): scan.less(drift) for scan in {id(scan): scan for scan in (*new, *recent)}.values()}
+            less = {id(scan): scan.less(drift, pairs) for scan in {id(scan): scan for scan in (*new, *recent)}.values()}
             new, recent = ([less[id(scan)] for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         told, wary = self.fitter.information(*recent)
@@ -176,7 +176,7 @@ class FitReader:
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
         solution = self.fitter.explained(told, wary, before=known)
         if solution.covered:
-            told = told.leaving_out(in_series(solution.covered, self.fitter.table.n_elec))
+            told = told.leaving_out(in_series(solution.covered, self.fitter.table.pairs))
         unexplained = told.unexplained(solution.caused)
         if self._drifted(told, solution):
             solution, unexplained = nothing(len(solution.caused)), 0.0

@@ -260,13 +260,15 @@ class Sensor:
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)
         if self.forces is not None and _any_known(scans):
-            presses, contacts = self.forces.update(presses, contacts, belief.without_drift(scans), elapsed)
+            presses, contacts = self.forces.update(
+                presses, contacts, belief.without_drift(scans, self.known.pairs), elapsed
+            )
         contacts = self.total(contacts, measured.frames)
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
-        reported = placed(self._placement, replace(belief, contacts=contacts), scans)
+        reported = placed(self._placement, replace(belief, contacts=contacts), scans, self.known.pairs)
         return after, Percept(measured.frames, reported, measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:

@@ -9,7 +9,6 @@ from typing import Any, get_origin
 
 from ohmskin.errors import SkinError, shown
 from ohmskin.geometry import Domain
-from ohmskin.scan import n_pairs
 
 _MOST_ON_RIM, _MOST_GIBIBYTES, _MOST_PATCHES, _MOST_UNDER = 3000, 4, 2**14, 2000
 _TYPES = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
@@ -138,14 +137,14 @@ def _range(told: Any) -> str:
     return f"{told['low']:g} to {told['high']:g} {told['unit']}".rstrip()
 
 
-def check_expense(domain: Domain, n_elec: int, size: float) -> None:
+def check_expense(domain: Domain, pairs: int, size: float) -> None:
     """Raise SkinError if a model with edges of `size` (m) would take too long or too much memory; it tells how much."""
-    rim, triangles, pairs = domain.perimeter / size, 2.31 * domain.area / size**2, n_pairs(n_elec)
+    rim, triangles = domain.perimeter / size, 2.31 * domain.area / size**2
     if 4 * rim > triangles and rim > _MOST_ON_RIM:  # Delaunay's method takes the square of points on parallel lines
         long = f"a strip with edges of {size:.3g} m has {rim:.0f} nodes on its rim, {_MOST_ON_RIM} are allowed"
         raise SkinError(f"{long}: meshing takes about {1e-6 * rim**2:.0f} s; shorten it, or raise imaging.mesh_size")
     if (gibibytes := 8 * pairs * triangles / 2**30) > _MOST_GIBIBYTES:
-        many = f"{n_elec} electrodes make {pairs} pairs, whose sensitivities on {triangles:.0f} triangles"
+        many = f"the electrodes make {pairs} pairs, whose sensitivities on {triangles:.0f} triangles"
         advice = "choose fewer electrodes, or raise imaging.mesh_size"
         raise SkinError(f"{many} take about {gibibytes:.1f} GiB; allowed are {_MOST_GIBIBYTES}: {advice}")
 

@@ -16,12 +16,12 @@ import numpy as np
 import tomli_w
 
 from ohmskin.arrays import Floats
-from ohmskin.drive import Candidates, complete_pattern, pair_currents
+from ohmskin.drive import Candidates, candidate_pairs, candidate_pattern, pair_currents
 from ohmskin.errors import SkinError, shown
 from ohmskin.forward import ContactTable, TransferModel, VoltageSource
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, mesh_domain
-from ohmskin.scan import Cost, n_pairs
+from ohmskin.scan import Cost, Pairs
 from ohmskin.skin.auxiliary import Auxiliary
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.checks import check_expense, check_names, check_table, choice, number, read_text, read_toml
@@ -203,6 +203,11 @@ class Skin:
         return described.mapped(lambda _: found) if found else described
 
     @property
+    def pairs(self) -> Pairs:
+        """The pairs of electrodes by which it is driven and measured."""
+        return candidate_pairs(self.electrodes, self.domain.period)
+
+    @property
     def discs(self) -> Electrodes:
         """The electrodes of their real size, on the map."""
         scale = self.chart.scale(self.electrodes.positions)
@@ -225,7 +230,7 @@ class Skin:
         """The current (n_pairs,) through each electrode pair of the untouched skin, as described (A)."""
         source, limit = self.source, self.excitation.current_limit
         if source is None:
-            return np.full(n_pairs(len(self.electrodes)), min(self.excitation.amplitude, limit))
+            return np.full(len(self.pairs), min(self.excitation.amplitude, limit))
         return pair_currents(self.electrode_model(), source, limit)
 
     @property
@@ -279,7 +284,7 @@ class Skin:
         It is finer where discs are, see `electrode_points`.
         """
         size = size or self.imaging.mesh_size
-        check_expense(self.domain, len(electrodes), size)
+        check_expense(self.domain, len(candidate_pairs(electrodes, self.domain.period)), size)
         if not electrodes.are_areas.any():
             return mesh_domain(self.domain, size, electrodes.positions)
         points = electrode_points(self.domain, electrodes, 1.05 * _CLOSEST * size)
@@ -313,13 +318,13 @@ class Skin:
 @lru_cache(maxsize=8)
 def _transfer_model(skin: Skin) -> TransferModel:
     mesh = skin.mesh()
-    return TransferModel(mesh, skin.electrodes, skin.conductivity_on(mesh))
+    return TransferModel(mesh, skin.electrodes, skin.conductivity_on(mesh)).over(skin.pairs)
 
 
 @lru_cache(maxsize=8)
 def _electrode_model(skin: Skin, finer: float) -> TransferModel:
     mesh = skin.mesh_for(skin.discs, finer * skin.imaging.mesh_size)
-    return TransferModel(mesh, skin.discs, skin.conductivity_on(mesh))
+    return TransferModel(mesh, skin.discs, skin.conductivity_on(mesh)).over(skin.pairs)
 
 
 @lru_cache(maxsize=8)
@@ -329,11 +334,11 @@ def _contact_table(model: TransferModel, mesh_size: float) -> ContactTable:
 
 @lru_cache(maxsize=8)
 def _design(skin: Skin, driven: bool) -> tuple[ContactTable, Candidates]:
-    complete = complete_pattern(skin.electrodes)
+    candidates = candidate_pattern(skin.electrodes, skin.domain.period)
     contacts = float(skin.contact_change(skin.electrode.contact_impedance)) if driven else None
     currents = skin.pair_currents()
     table = skin.contact_table(skin.transfer_model())
-    return table, Candidates.at_currents(complete, len(skin.electrodes), skin.noise, currents, contacts)
+    return table, Candidates.at_currents(candidates, skin.pairs, skin.noise, currents, contacts)
 
 
 def shipped_skins() -> list[str]:

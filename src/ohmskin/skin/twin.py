@@ -12,7 +12,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
 from ohmskin.geometry.mesh import folded, shortest, tree
-from ohmskin.scan import all_pairs, two_terminal
+from ohmskin.scan import two_terminal
 from ohmskin.skin.checks import check_patches
 from ohmskin.skin.description import Skin
 from ohmskin.skin.layer import ContactLayer
@@ -206,10 +206,11 @@ class PressedSheet:
         conductance = np.zeros(len(self._places))
         conductance[touching] = per_area.mean(axis=1) * areas
         after, volts = self._patches.linearised(conductance)
-        i, j = all_pairs(len(after)).T
+        pairs = self._patches.model.pairs
+        i, j = pairs.ends.T
         seen = (volts[:, i] - volts[:, j]) ** 2
         return (
-            two_terminal(after) - self._patches.model.pair_resistances,
+            two_terminal(after, pairs) - self._patches.model.pair_resistances,
             -seen.T @ np.array([change.mean(axis=1) * areas for change in changes]).T,
         )
 

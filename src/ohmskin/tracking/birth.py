@@ -92,8 +92,11 @@ def _told_by_one(
     Its voltages have changed by far more than all others, on which the contact's effect would be larger than it is.
     """
     others, response = fitter.responses(state.params)[0], fitter.responses(found.params)[0]
-    scans = [residuals.reading.difference.less(others).undriven for residuals in used]
-    seen, caused = (np.concatenate(each) for each in ([s.volts for s in scans], [s.caused_by(response) for s in scans]))
+    scans = [residuals.reading.difference.less(others, fitter.table.pairs).undriven for residuals in used]
+    seen, caused = (
+        np.concatenate(each)
+        for each in ([s.volts for s in scans], [s.caused_by(response, fitter.table.pairs) for s in scans])
+    )
     finite = np.isfinite(seen) & np.isfinite(caused)
     seen, caused = (np.where(finite, each, 0.0) / fitter.errors.noise for each in (seen, caused))
     electrodes = np.concatenate([scan.pattern.quadruples for scan in scans])

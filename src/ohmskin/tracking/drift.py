@@ -17,13 +17,13 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
     Raises:
         DataError: If no finite datum is left.
     """
-    volts = difference.volts - difference.caused_by(state.drift)
+    volts = difference.volts - difference.caused_by(state.drift, fitter.table.pairs)
     if difference.reference is not None:
         volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
     corrected = changed(difference, volts=volts)
     data, wary = fitter.information(corrected)
     if state.covered:
-        data, wary = (each.leaving_out(in_series(state.covered, fitter.table.n_elec)) for each in (data, wary))
+        data, wary = (each.leaving_out(in_series(state.covered, fitter.table.pairs)) for each in (data, wary))
     beside = (each.beside_common(state.common_drift[1]) for each in (data, wary))
     return Reading(corrected, data, *beside)
 

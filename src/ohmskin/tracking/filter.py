@@ -47,7 +47,7 @@ class ContactFilter:
 
     def start(self) -> TrackState:
         """Nothing touches the skin."""
-        n_pairs = self.fitter.table.responses.shape[1]
+        n_pairs = len(self.fitter.table.pairs)
         return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _WARM**2), np.zeros(n_pairs))
 
     def lifted(self, state: TrackState) -> TrackState:
