@@ -246,7 +246,7 @@ def test_settings_out_of_range_are_refused(settings: dict, message: str) -> None
 def test_candidates_must_be_the_complete_ones() -> None:
     some = Candidates.at_currents(base_pattern(GRID), 16, NOISE)
     touched = Target(np.array([0.1, 0.1]), np.eye(2) * 1e-6, 1e-4, 0.01)
-    with pytest.raises(PatternError, match=r"all injections of complete_pattern"):
+    with pytest.raises(PatternError, match=r"all injections of candidate_pattern"):
         InformedPolicy(GRID, lambda: (table(), some)).next([touched], 0)
     for depth, cell in ((0, 0.02), (3, -1.0)):
         with pytest.raises(PatternError, match="must be positive"):
