@@ -81,6 +81,8 @@ class Row:
 # What takes long and is seldom broken alone; each line says what of the same feature runs every day.
 LONG = {
     "test_auxiliary.py::test_each_of_three": "single contacts with the same channel",
+    "test_bigger.py::test_presses_all_over*[[]42O": "the same in the tracking mode",
+    "test_bigger.py::test_presses_all_over*[[]42P": "the same in the tracking mode",
     "test_body_page.py::test_clicking_the_skin": "the same page with skins that only note how they are pressed",
     "test_calibrate.py::test_drift_is_told": "noise, and that a quiet skin does not drift",
     "test_calibrate.py::test_the_virtual_skin_calibrates_itself": "the same calibration runs in its parts",

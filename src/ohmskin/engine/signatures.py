@@ -87,6 +87,20 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
     ("forward.response:_respond_at", (_FLOAT64_2, _T3, _FLOAT64_3)),
     (
+        "forward.sensitivity:fill_groups",
+        (
+            _INT64_2_FIXED,
+            _FLOAT64_3_FIXED,
+            _FLOAT64_1,
+            _FLOAT64_2_FIXED,
+            _INT64_1,
+            _INT64_1,
+            _FLOAT64_1,
+            _INT64_2_FIXED,
+            _FLOAT64_2,
+        ),
+    ),
+    (
         "forward.sensitivity:fill_pairs",
         (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _INT64_2_FIXED, _FLOAT64_2),
     ),

@@ -137,7 +137,7 @@ def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Di
     return System(stacked, volts)
 
 
-def pair_system(pairs: Pairs, *differences: Difference) -> System:
+def pair_system(pairs: Pairs | int, *differences: Difference) -> System:
     """The equations of scans in the two-terminal resistances (n_pairs,), no more of them than pairs.
 
     Raises:
