@@ -136,6 +136,7 @@ LONG = {
     "test_guides.py::test_example_runs*[[]tracking": "another example, and the text of all",
     "test_hostile.py::test_live_stands": "the loop against a dozen of the same tricks",
     "test_import.py::test_the_example_of": "what these examples call",
+    "test_independent.py::test_": "faults, quiet frames and presses of the virtual skin",
     "test_layout.py::test_a_better_layout": "the search itself",
     "test_layout.py::test_layouts_of_curved*[[]cone": "the same on a sleeve",
     "test_layout.py::test_layouts_of_curved*[[]triangle": "the same on a sleeve",

@@ -1,0 +1,120 @@
+"""The product, as it comes, on a device and a skin that were not written with it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from independent_device import IndependentDevice
+
+from ohmskin import Engine, Skin
+from ohmskin.device import connect
+from ohmskin.engine import Touch
+
+PRESSURE = 20e3  # Pa
+Loop = tuple[IndependentDevice, Engine]
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def loop(request: pytest.FixtureRequest) -> Iterator[Loop]:
+    """Calibrated while frames spiked and were missing."""
+    device = IndependentDevice(request.param)
+    with Engine(lambda: connect(device.url), Skin.load("paper")) as engine:
+        device.odd = [""] * 7 + ["spike"] + [""] * 5 + ["nan", "", "spike"]
+        engine.calibrate()
+        yield device, engine
+    device.close()
+
+
+def felt(engine: Engine, frames: int) -> list[Touch]:
+    """So many frames, however often the device failed meanwhile."""
+    touches: list[Touch] = []
+    while len(touches) < frames:
+        if (touch := engine.step()) is not None:
+            touches.append(touch)
+    return touches
+
+
+def places(touch: Touch) -> np.ndarray:
+    return np.array([contact.position[:2] for contact in touch.contacts]).reshape(-1, 2)
+
+
+def errors(touch: Touch, *truths: tuple[float, float]) -> list[float]:
+    """From each truth to the nearest contact (m)."""
+    found = places(touch)
+    return [float(np.linalg.norm(found - truth, axis=1).min(initial=np.inf)) for truth in truths]
+
+
+def pressed(loop: Loop, *truths: tuple[float, float], frames: int = 8) -> Touch:
+    """The last of some frames while it is touched there; lifted again, until nothing is felt."""
+    device, engine = loop
+    device.sheet.touch({number: (x, y, PRESSURE) for number, (x, y) in enumerate(truths)})
+    last = felt(engine, frames)[-1]
+    device.sheet.touch({})
+    felt(engine, frames)
+    return last
+
+
+def test_a_quiet_skin_is_quiet(loop: Loop) -> None:
+    assert not any(touch.contacts for touch in felt(loop[1], 1000))
+
+
+def test_every_place_six_millimetres_from_the_rim_is_felt(loop: Loop) -> None:
+    off = []
+    for x in np.linspace(6e-3, 0.194, 6):
+        for y in np.linspace(6e-3, 0.194, 6):
+            off += errors(pressed(loop, (x, y)), (x, y))
+    assert np.isfinite(off).all()
+    assert np.mean(off) < 3e-3
+    assert max(off) < 15e-3
+
+
+def test_two_presses_forty_millimetres_apart_are_two(loop: Loop) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        middle, angle = rng.uniform(0.045, 0.155, 2), rng.uniform(0, np.pi)
+        half = 0.02 * np.array([np.cos(angle), np.sin(angle)])
+        two = pressed(loop, tuple(middle + half), tuple(middle - half), frames=12)
+        assert len(two.contacts) == 2
+        assert max(errors(two, tuple(middle + half), tuple(middle - half))) < 10e-3
+
+
+def test_a_slide_leaves_nothing_behind(loop: Loop) -> None:
+    device, engine = loop
+    for seed in range(4):
+        start, end = np.random.default_rng(seed).uniform(0.02, 0.18, (2, 2))
+        for share in np.linspace(0, 1, 20):
+            device.sheet.touch({0: (*(start + share * (end - start)), PRESSURE)})
+            felt(engine, 1)
+        device.sheet.touch({})
+        assert not any(touch.contacts for touch in felt(engine, 60)[3:])
+
+
+def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
+    """Positions err by half more, at most, in the mean over electrodes and places."""
+    device, engine = loop
+    some = (0.09, 0.11), (0.05, 0.05), (0.12, 0.16)
+    sound = [errors(pressed(loop, place), place)[0] for place in some]
+    broken: list[float] = []
+    for electrode in (0, 5, 12, 15):
+        device.opened = {electrode}
+        touches = felt(engine, 200)
+        assert any(electrode in one.cause.electrodes for touch in touches[:60] for one in touch.percept.findings)
+        assert sum(bool(touch.contacts) for touch in touches) <= 5
+        broken += [errors(pressed(loop, place), place)[0] for place in some]
+        device.opened = set()
+        touches = felt(engine, 200)
+        assert not any(touch.contacts for touch in touches[3:])
+        assert not touches[-1].percept.findings
+    assert np.mean(broken) < 1.5 * np.mean(sound)
+
+
+@pytest.mark.parametrize("odd", ["nan", "zero", "failed", "cut", "spike"])
+def test_one_odd_reply_ends_nothing(loop: Loop, odd: str) -> None:
+    device, engine = loop
+    device.sheet.touch({0: (0.06, 0.12, PRESSURE)})
+    felt(engine, 8)
+    device.odd = [odd]
+    touches = felt(engine, 20)
+    device.sheet.touch({})
+    assert max(errors(touches[-1], (0.06, 0.12))) < 4e-3
+    assert not any(touch.contacts for touch in felt(engine, 20)[3:])
