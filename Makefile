@@ -17,10 +17,13 @@ SOURCES := src tests benchmarks examples docs firmware tools hatch_build.py
 WORKERS ?= 2
 PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
+DOTS := job=$$!; while kill -0 $$job 2>/dev/null; do printf .; sleep 2; done; echo; wait $$job
+
 .PHONY: live test test-long test-all test-versions check lint docs bench clean
 .DEFAULT_GOAL := live
 
 live: $(VENV)/.ready
+	@echo "starting ohmskin"
 	@exec $(BIN)/ohmskin live $(ARGS)
 
 test: $(VENV)/.ready-dev
@@ -54,12 +57,11 @@ bench: $(VENV)/.ready-dev
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"ohmskin needs Python 3.11 or newer; {sys.executable} is {v.major}.{v.minor}. Try: make PYTHON=python3.11")'
 	@echo "set-up: making a virtual environment in $(VENV)"
-	@$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -m venv $(VENV) & $(DOTS)
 
 $(VENV)/.ready: $(VENV)/bin/python pyproject.toml constraints.txt
 	@echo "set-up: installing ohmskin and what it needs (a minute the first time)"
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[plot]' & \
-		install=$$!; while kill -0 $$install 2>/dev/null; do printf .; sleep 2; done; echo; wait $$install
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[plot]' & $(DOTS)
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready

@@ -1,11 +1,17 @@
 """What is compiled once on a machine is told while that goes on."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from numba.core import event
+from waiting import until
+
+from ohmskin.engine.compiling import compiling
 
 LOOP = """if True:
     from direct import DirectDevice
@@ -75,3 +81,14 @@ def test_nothing_is_left_to_compile_at_the_first_touch(mode: str) -> None:
     assert left == "0"
     if mode == "16P":
         assert unknown == "0", "make ohmskin.engine.signatures anew: .venv/bin/python tools/signatures.py"
+
+
+def test_a_sign_of_life_comes_while_one_function_takes_long() -> None:
+    told: list[str] = []
+    slow = {"dispatcher": SimpleNamespace(py_func=compiling)}  # stands in for a function of ours
+    with compiling(told.append):
+        event.start_event("numba:compile", data=slow)
+        until(lambda: len(told) == 2, 30)
+        event.end_event("numba:compile", data=slow)
+    assert told[0] == "compiling, once on this machine"
+    assert re.fullmatch(r"compiling, once on this machine; 1 functions in \d+ s", told[1])

@@ -23,7 +23,7 @@ PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.m
 BESIDE = {  # so that they end by themselves, and press the skin that is there
     "live": ["--headless", "--seconds", "1"],
     "replay": ["--headless"],
-    "patches": ["--headless", "--seconds", "15"],  # until all skins are there
+    "patches": ["--headless", "--seconds", "5"],
     "press": ["--device", "tcp://127.0.0.1:7155"],
     "reproduce": ["--only", "fig3", "--seeds", "1", "--noise", "45", "--amplitude", "0.1", "--jobs", "1"],
 }
@@ -34,7 +34,15 @@ ELSEWHERE = {  # what cannot be run here, and what runs it
     "check-host": "test_hostile.py, with hosts",
 }
 DEVICES = ("tcp://127.0.0.1:7155", "tcp://127.0.0.1:7156", "serial:///dev/ttyACM0", "rig:/dev/ttyUSB0,Dev1")
-FEWER = {"--seconds": "1", "--pokes": "1", "--own-touches": "1", "--free": "1", "--count": "3", "--injections": "16"}
+FEWER = {
+    "--seconds": "1",
+    "--start": "0.1",
+    "--pokes": "1",
+    "--own-touches": "1",
+    "--free": "1",
+    "--count": "3",
+    "--injections": "16",
+}
 
 
 BLOCK = r"^(?:    )?(?:\.venv/bin/)?ohmskin ([a-z-].*)$"
@@ -62,11 +70,14 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
     ran = []
     for words in commands(page.read_text(encoding="utf-8")):
         if words[0] not in ELSEWHERE:
+            words = [word for word in words if word != "--loop"]  # which never ends
             words = [FEWER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
             if "--replay" in words:
                 words += ["--headless"]
             elif not {"--headless", "--device"} & {*words} or words[0] == "live":
                 words += [word for word in BESIDE.get(words[0], []) if word not in words]
+            if words[0] == "patches" and "--record" in words:
+                words[-1] = "60"  # s, until its skins are there on a busy machine, too
             words += ["--name", "documentation"] if "--publish" in words and words[0] == "live" else []  # not "skin"
             words = [device if word in DEVICES else word.replace("eth0", "lo") for word in words]
             done = ohmskin(*words, cwd=folder)

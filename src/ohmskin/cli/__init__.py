@@ -15,6 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
+from ohmskin.closing import every
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
@@ -105,7 +106,10 @@ def main() -> None:
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         _check_command(arguments)
-        command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
+        with (
+            every(2.0, lambda: print("loading", file=sys.stderr, flush=True)) if sys.stderr.isatty() else nullcontext()
+        ):
+            command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         with _compiling():
             command(*bound.args, **bound.kwargs)

@@ -2,13 +2,14 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
 import numpy as np
 from numba.core import event
 from numba.core.errors import NumbaError
 
+from ohmskin.closing import every
 from ohmskin.drive import Target
 from ohmskin.engine.signatures import SIGNATURES
 from ohmskin.sensing import drive_of, mode_named
@@ -20,28 +21,42 @@ _FUNCTIONS = 2 * len(SIGNATURES)  # as each has some that only it calls
 
 class _Listener(event.Listener):
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell, self._began, self._due = tell, 0.0, 0.0
+        self._tell, self._began, self._due, self._under_way = tell, 0.0, 0.0, 0
         self.count = 0
 
     def on_start(self, event: event.Event) -> None:
-        if not event.data["dispatcher"].py_func.__module__.startswith("ohmskin."):
-            return
-        now = time.monotonic()
-        self._began = self._began or now
-        self.count += 1
-        if now >= self._due:
-            self._due = now + _TELL_EVERY
-            spent = f"; {self.count} functions in {now - self._began:.0f} s" if self.count > 1 else ""
-            self._tell(f"compiling, once on this machine{spent}")
+        if _own(event):
+            self._began = self._began or time.monotonic()
+            self.count += 1
+            self._under_way += 1
+            self.tell()
 
     def on_end(self, event: event.Event) -> None:
-        pass
+        self._under_way -= _own(event)
+
+    def tell(self) -> None:
+        """Say how far it is, if anything is being compiled and nothing was said for a while."""
+        now = time.monotonic()
+        if self._under_way and now >= self._due:
+            self._due = now + _TELL_EVERY
+            spent = f"; {self.count} functions in {now - self._began:.0f} s" if now > self._began + 1 else ""
+            self._tell(f"compiling, once on this machine{spent}")
+
+
+def _own(event: event.Event) -> bool:
+    """Whether a function of ours is compiled, and not one that numba needs for it."""
+    return str(event.data["dispatcher"].py_func.__module__).startswith("ohmskin.")
 
 
 @contextmanager
-def compiling(tell: Callable[[str], None]) -> Iterator[None]:
-    """Say that functions are being compiled when that begins, and every two seconds or so while it goes on."""
-    with event.install_listener("numba:compile", _Listener(tell)):
+def compiling(tell: Callable[[str], None], threaded: bool = True) -> Iterator[None]:
+    """Say that functions are being compiled when that begins, and every two seconds while it goes on.
+
+    Not `threaded`, it is said by the thread that compiles alone, at the next function after these two seconds.
+    """
+    listener = _Listener(tell)
+    ticking = every(_TELL_EVERY / 4, listener.tell) if threaded else nullcontext()
+    with event.install_listener("numba:compile", listener), ticking:
         yield
 
 
@@ -52,7 +67,7 @@ def compile_ahead(tell: Callable[[str, float], None]) -> None:
         tell: Gets what is done and which share of it, 0 to 1, if anything is to be compiled.
     """
     listener = _Listener(lambda words: tell(words, min(1.0, listener.count / _FUNCTIONS)))
-    with event.install_listener("numba:compile", listener):
+    with event.install_listener("numba:compile", listener), every(_TELL_EVERY / 4, listener.tell):
         for name, arguments in SIGNATURES:
             module, _, function = name.partition(":")
             try:

@@ -112,7 +112,7 @@ class Engine(Closing):
                 quiet, notes = self._quiet_frames(lambda share: progress(0.7 * share))
                 quality = assess(quiet)
                 check_usable(quality)
-            with compiling(compiles):
+            with compiling(compiles, threaded=False):
                 known = SkinModel(self.skin, self._sheet, quiet, quality if quality and quality.verdicts else None)
                 sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}  # others when they are asked for
         except DeviceLost as error:
