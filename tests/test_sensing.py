@@ -12,6 +12,7 @@ import pytest
 from direct import DirectDevice
 
 from ohmskin import registry
+from ohmskin.arrays import Floats
 from ohmskin.device import Feature
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, part_of
 from ohmskin.engine import Engine
@@ -515,3 +516,29 @@ def test_data_that_are_not_of_the_skin_make_no_contact_that_is_sure() -> None:
         strange = perceive(known, replace(frame, voltages=quiet[0].voltages + other))
         assert all(contact.confidence <= 0.5 for contact in strange.detections)
         assert not strange.detections or strange.belief.unexplained > 0.3
+
+
+@pytest.mark.parametrize("drive", ["rim", "rings", "eq7"])  # the last one compiled
+def test_live_images_of_a_press_on_another_skin_show_no_sure_contact(drive: str) -> None:
+    """One whose electrodes are in another order: no current or voltage contradicts another one."""
+    used, twin, random = sensor(drive, "centroid"), VirtualSkin(PAPER, seed=14), np.random.default_rng(5)
+
+    def exchanged(pattern: DrivePattern, change: Floats) -> Frame:
+        frame, (a, b, c, d) = twin.scan(pattern), pattern.quadruples.T
+        caused = change[a, c] - change[a, d] - change[b, c] + change[b, d]
+        return replace(frame, voltages=frame.voltages + frame.measurement_currents * caused)
+
+    shown = sure = 0
+    for trial in range(8):
+        place, order = random.uniform(0.03, 0.17, 2), random.permutation(16) if trial else np.arange(16)
+        contacts = (worlds.contact("pressed", *place),)
+        change = (worlds.touched("pressed", "grid", contacts) - worlds.touched("pressed", "grid", ()))[order][:, order]
+        state = used.start()
+        for _ in range(5):
+            state, percept = used.step(state, lambda pattern, change=change: exchanged(pattern, change))
+            seen = (*percept.detections, *percept.contacts)
+            shown += trial > 0 and len(seen)
+            assert all((one.confidence <= 0.5) == (trial > 0) for one in seen)
+        sure += trial == 0 and len(percept.contacts)
+    assert shown
+    assert sure == 1

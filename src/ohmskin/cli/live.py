@@ -172,7 +172,8 @@ class _Lines:
         contacts = [as_json(contact) for contact in touch.contacts]
         findings = [finding.words for finding in touch.percept.findings]
         line = {"sequence": touch.sequence, "time": touch.time, "mode": touch.mode.name, "contacts": contacts}
-        self._print(line | {"findings": findings} | touch.health.figures)
+        gesture = None if touch.gesture is None else touch.gesture.as_json()
+        self._print(line | {"gesture": gesture, "findings": findings} | touch.health.figures)
 
     def _print(self, line: dict[str, Any]) -> None:
         assert self.engine is not None

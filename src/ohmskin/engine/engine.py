@@ -16,6 +16,7 @@ from ohmskin.engine.notices import Notices
 from ohmskin.engine.quiet import QuietFrames, check_usable
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, DeviceLost, ModelError, OhmskinError, PatternError
+from ohmskin.gestures import GestureFollower
 from ohmskin.scan import DrivePattern, Frame, assess, needed
 from ohmskin.sensing import Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes, recorded_mode
 from ohmskin.skin import Mode, Skin
@@ -80,7 +81,7 @@ class Engine(Closing):
         self._sensors: dict[Mode, Sensor] = {}
         self._drives: dict[Mode, Drive] = {}
         self._beliefs: dict[str, Belief] = {}  # the last one of each reader
-        self._monitor = HealthMonitor()
+        self._monitor, self._gestures = HealthMonitor(), GestureFollower()
         self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
         self.scans_made = 0
 
@@ -150,7 +151,8 @@ class Engine(Closing):
         dropped = self._dropped_before + self.device.dropped
         health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.known.baseline.noise)
         self._notices.pace(self.mode, self.sensor.seconds, health.rate)
-        return Touch(self._sequence, self._sampled, self.mode, percept, percept.contacts, health)
+        gesture = self._gestures(self._sampled, percept.contacts)
+        return Touch(self._sequence, self._sampled, self.mode, percept, percept.contacts, health, gesture)
 
     def touches(self) -> Iterator[Touch]:
         """All cycles, endlessly."""
@@ -259,8 +261,7 @@ class Engine(Closing):
         return self.modes[name]
 
     def _opened(self, before: Capabilities | None = None) -> Device:
-        device = self._open_device()
-        able = device.capabilities
+        able = (device := self._open_device()).capabilities
         try:
             check_fit(device, self.skin, before)
             if before and any(getattr(able, name) < getattr(before, name) for name in _ROOM):
@@ -332,9 +333,8 @@ class Engine(Closing):
         self._notices.say("device is back")
         self._notices.message = ""
         if self.device.capabilities.serial != before.serial or self.known is None:
-            self._notices.say(
-                "calibrating, because this is another device than before" if self.known else "calibrating"
-            )
+            why = ", because this is another device than before" if self.known else ""
+            self._notices.say(f"calibrating{why}")
             try:
                 self.calibrate()
             except DeviceLost:  # gone again: sought again

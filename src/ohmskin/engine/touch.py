@@ -5,6 +5,7 @@ from enum import Enum
 
 from ohmskin.contacts import Contact
 from ohmskin.engine.health import Health
+from ohmskin.gestures import Gesture
 from ohmskin.sensing import Percept
 from ohmskin.skin import Mode
 
@@ -29,6 +30,7 @@ class Touch:
         percept: Frames and images behind it.
         contacts: Contacts to report, strongest first.
         health: Rate, latency and losses.
+        gesture: What the contacts do over time; None while nothing touches.
     """
 
     sequence: int
@@ -37,3 +39,4 @@ class Touch:
     percept: Percept
     contacts: tuple[Contact, ...]
     health: Health
+    gesture: Gesture | None = None

@@ -1,6 +1,6 @@
 """What touches the skin: flat shapes that know how far a point is from them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ class Shape:
         position: Centre of its bounding square (x, y) in metres.
         radius: Half the side of its bounding square (m); the radius of a disc.
         strength: What presses: pascals on a pressed skin, relative change of conductivity on a sheet of discs.
+        angle: By which it is turned about its centre, counterclockwise (rad).
 
     Raises:
         OhmskinError: If the kind is unknown or a value is out of range.
@@ -31,12 +32,13 @@ class Shape:
     position: tuple[float, float]
     radius: float
     strength: float
+    angle: float = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
         if self.kind not in SHAPES:
             raise OhmskinError(f"no contact shape {self.kind!r}; choose from {', '.join(SHAPES)}")
-        if not (np.isfinite(self.position).all() and 0 < self.radius < 10 and 0 <= self.strength < 1e9):
-            raise OhmskinError(f"{self} has a position, radius or strength that is out of range")
+        if not (np.isfinite([*self.position, self.angle]).all() and 0 < self.radius < 10 and 0 <= self.strength < 1e9):
+            raise OhmskinError(f"{self} has a position, radius, strength or angle that is out of range")
 
     @property
     def area(self) -> float:
@@ -47,7 +49,8 @@ class Shape:
 
     def distance(self, points: ArrayLike) -> Floats:
         """How far outside the shape points (n, 2) are (m); zero or negative inside. Exact outside, but for corners."""
-        u, v = (np.asarray(points, float) - self.position).T
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        u, v = ((np.asarray(points, float) - self.position) @ np.array([[cos, -sin], [sin, cos]])).T
         r, half = self.radius, _BAR * self.radius
         if self.kind == "disc":
             away: Floats = np.hypot(u, v) - r

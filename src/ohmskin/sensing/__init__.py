@@ -1,6 +1,6 @@
 """From a mode to contacts: a sensor is a drive and a reader, and knows a skin."""
 
-from ohmskin.sensing.build import READERS, build, drive_of, image_misfit, perceive
+from ohmskin.sensing.build import READERS, build, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.diagnosis import Cause, Diagnosis, Finding
 from ohmskin.sensing.learned import LearnedReader
@@ -38,7 +38,6 @@ __all__ = [
     "build",
     "default_mode",
     "drive_of",
-    "image_misfit",
     "mode_named",
     "modes",
     "perceive",

@@ -15,11 +15,12 @@ from ohmskin.inverse.estimators import Estimator
 from ohmskin.registry import Registry
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
+from ohmskin.sensing.doubt import doubted, image_misfit, image_trust, trust
 from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import recorded_mode
-from ohmskin.sensing.readers import Reader, centroid, fit, tracked, trust
+from ohmskin.sensing.readers import DetectionReader, Reader, centroid, fit, tracked
 from ohmskin.sensing.sensor import Locator, Percept, Sensor, Thresholds
 from ohmskin.skin import Mode, Skin
 
@@ -105,32 +106,14 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
     """
     sensor = build(mode or recorded_mode(known.skin), known, Fixed(frame.pattern))
     percept = sensor.step(sensor.start(), lambda _: frame)[1]
-    if not percept.detections:
+    belief = percept.belief
+    if not belief.detections or isinstance(sensor.reader, DetectionReader):  # whose image is judged by the sensor
         return percept
-    left = max(image_misfit(known, frame), percept.belief.unexplained)
-    believed = trust(percept.belief.unexplained)  # already counted
-    share = trust(left) / believed if believed > 0 else 0.0
-    detections, contacts = (
-        tuple(replace(contact, confidence=share * contact.confidence) for contact in some)
-        for some in (percept.detections, percept.contacts)
-    )
-    belief = replace(percept.belief, detections=detections, contacts=contacts, unexplained=left)
-    return replace(percept, belief=belief)
-
-
-def image_misfit(known: SkinModel, frame: Frame) -> float:
-    """Share of what a frame changed, beyond noise, that no change of the sheet's conductivity explains (1).
-
-    Judged by the one-step image, which follows real tanks to 1 %; of values that have nothing to do with the skin it
-    leaves 40 to 80 %.
-    """
-    scan = known.difference(frame).undriven
-    image = known.one_step(known.estimator("gauss-newton")).reconstruct(scan)
-    caused = scan.caused_by(known.model.pair_sensitivity @ (known.model.conductivity * image.values), known.pairs)
-    measured = np.isfinite(scan.volts) & np.isfinite(scan.currents)
-    noise = measured.sum() * known.noise**2
-    changed, left = (float(np.sum(volts[measured] ** 2)) - noise for volts in (scan.volts, scan.volts - caused))
-    return max(left, 0.0) / changed if changed > 0 else 0.0
+    misfit, believed = image_misfit(known, [known.difference(frame)]), trust(belief.unexplained)
+    share = min(image_trust(misfit) / believed, 1.0) if believed > 0 else 0.0  # what contacts leave is counted already
+    detections, contacts = (doubted(some, share) for some in (belief.detections, belief.contacts))
+    left = max(misfit, belief.unexplained)
+    return replace(percept, belief=replace(belief, detections=detections, contacts=contacts, unexplained=left))
 
 
 def _rehearse(sensor: Sensor) -> None:

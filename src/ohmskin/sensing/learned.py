@@ -10,9 +10,10 @@ from ohmskin.contacts.information import Information
 from ohmskin.errors import ModelError
 from ohmskin.inverse.estimators import Estimator
 from ohmskin.scan import Difference
+from ohmskin.sensing.doubt import trust
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import Placement, placement_of
-from ohmskin.sensing.readers import Belief, FitReader, fit, trust, undriven
+from ohmskin.sensing.readers import Belief, FitReader, fit, undriven
 from ohmskin.tracking import Tracks
 
 

@@ -18,13 +18,13 @@ from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
 from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
+from ohmskin.sensing.doubt import doubted, image_trust, trust
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
 _FOLLOWED = (
     2.0  # s in which a change of contact impedances, or of anything that no contact explains, is followed to 1/e
 )
-_USUAL, _STRANGE = 0.1, 0.5  # share of a frame's change that is left unexplained: of real skins, and of other data
 _LEARNED = 0.1  # s between frames that tell of the latter
 _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
 _DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
@@ -47,7 +47,7 @@ class Belief:
             follows it.
         unlearned: How long drift of single pairs has not been told (s).
         suspects: Electrodes that alone told of a contact that others should have seen, too.
-        unexplained: Share of what the data say that the contacts do not explain.
+        unexplained: Share of what the data say that the contacts, or the image that shows them, do not explain.
         novel: How long contacts have been told by physics because data are unlike those that the reader learned
             from (s).
         solution: What was fitted to the frame, if contacts are.
@@ -75,6 +75,11 @@ class Belief:
         """Scans, drift of the quiet skin, of these pairs of electrodes, taken off."""
         drift = self.tracks.drift if isinstance(self.tracks, TrackState) else self.drift
         return [scan if drift is None else scan.less(drift, pairs) for scan in scans]
+
+    def seen_in(self, misfit: float) -> "Belief":
+        """The same of contacts seen in an image that leaves a share of what the data say unexplained."""
+        detections, contacts = (doubted(some, image_trust(misfit)) for some in (self.detections, self.contacts))
+        return replace(self, detections=detections, contacts=contacts, unexplained=misfit)
 
     def with_drift_of(self, before: "Belief") -> "Belief":
         """The same with the drift of another belief: data that are doubted teach none."""
@@ -180,7 +185,7 @@ class FitReader:
         unexplained = told.unexplained(solution.caused)
         if self._drifted(told, solution):
             solution, unexplained = nothing(len(solution.caused)), 0.0
-        found = _doubted(self.fitter.contacts(solution), unexplained)
+        found = doubted(self.fitter.contacts(solution), trust(unexplained))
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
             drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
@@ -205,17 +210,6 @@ class FitReader:
         if len(solution.params):
             left = left.beside(solution.slopes)
         return left.drift() / (1 + (self.fitter.model_error * told.size(solution.caused)) ** 2 / told.count)
-
-
-def _doubted(contacts: Sequence[Contact], unexplained: float) -> tuple[Contact, ...]:
-    """Contacts less sure where they leave more of the data unexplained than is usual."""
-    return tuple(replace(contact, confidence=trust(unexplained) * contact.confidence) for contact in contacts)
-
-
-def trust(unexplained: float) -> float:
-    """How far contacts are believed that leave a share of the data unexplained (1): of other data, such as another
-    skin's, half or more."""
-    return min(max((_STRANGE - unexplained) / (_STRANGE - _USUAL), 0.0), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +245,7 @@ class FilterReader:
         suspected = set(state.suspects)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
-        contacts = _doubted(state.contacts, state.unexplained)
+        contacts = doubted(state.contacts, trust(state.unexplained))
         suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)

@@ -16,10 +16,11 @@ from ohmskin.inverse.estimators import Estimate, Made
 from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
+from ohmskin.sensing.doubt import as_measured, image_misfit
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import placed, placement_of
-from ohmskin.sensing.readers import Belief, Reader, undriven
+from ohmskin.sensing.readers import Belief, DetectionReader, Reader, undriven
 from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
@@ -248,14 +249,18 @@ class Sensor:
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
         if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
-            scans = measured.scans
+            scans, judged = measured.scans, True
         else:
             doubted = state.belief.suspects, state.belief.unexplained
             given = state.diagnosis, measured.frames, measured.scans, elapsed
             diagnosis, scans = self.detector.examine(*given, *doubted)
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
+            judged = False
         belief, recent = found
+        if belief.detections and isinstance(self.reader, DetectionReader):  # which does not judge its image
+            data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
+            belief = belief.seen_in(state.belief.unexplained if judged else image_misfit(self.known, data))
         if diagnosis.lately:
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)

@@ -258,6 +258,7 @@ class Session(Closing):
             "guided": self._outcome,
             "progress": self._calibrated,
             "contacts": [],
+            "gesture": None,
             "bad_electrodes": [],
             "findings": [],
             "base_injections": [],
@@ -277,6 +278,7 @@ class Session(Closing):
             adapts = drive.scans > 1 or drive.adjustable  # what it drives depends on what is touched
             header |= {
                 "contacts": [shown_contact(contact, scale) for contact in touch.contacts],
+                "gesture": touch.gesture and touch.gesture.as_json(),
                 "bad_electrodes": sorted({*touch.percept.diagnosis.bad, *engine.sensor.known.bad}),
                 "findings": _findings(touch, engine.sensor.known),
                 "base_injections": frames[0].pattern.injections.tolist(),

@@ -271,7 +271,7 @@ function showText(now) {
   controls.showRange(range);
   showFigures(notice.unknown ? {} : header);
   const contacts = notice.unknown ? [] : (header.contacts ?? []);
-  showContacts(contacts, notice.unknown ? "Unknown" : "No contact");
+  showContacts(contacts, notice.unknown ? "Unknown" : "No contact", notice.unknown ? null : header.gesture);
   const findings = notice.unknown ? [] : (header.findings ?? []);
   showFindings(findings);
   guide.update(now / 1000, header, contacts, Boolean(notice.unknown));

@@ -55,7 +55,7 @@ export function showProgress(share) {
  * Rows of the contact table are kept and refilled, so that nothing flickers and selections survive; `none` stands there
  * if it is empty.
  */
-export function showContacts(contacts, none) {
+export function showContacts(contacts, none, gesture) {
   const body = byId("contacts").tBodies[0];
   while (body.rows.length > contacts.length) body.deleteRow(-1);
   while (body.rows.length < contacts.length) addRow(body);
@@ -83,7 +83,8 @@ export function showContacts(contacts, none) {
   });
   byId("no-contacts").hidden = contacts.length > 0;
   byId("no-contacts").textContent = none;
-  byId("contact-count").textContent = contacts.length ? String(contacts.length) : "";
+  const doing = gesture && gesture.name !== "unknown" ? `${gesture.name} ${Math.round(100 * gesture.confidence)} %` : "";
+  byId("contact-count").textContent = [contacts.length || "", doing].filter(Boolean).join(" · ");
 }
 
 function addRow(body) {

@@ -1,0 +1,7 @@
+"""Gestures: what contacts do over time."""
+
+from ohmskin.gestures.episode import Episode
+from ohmskin.gestures.model import GESTURES, UNKNOWN, GestureModel
+from ohmskin.gestures.reader import Gesture, GestureFollower, GestureReader
+
+__all__ = ["GESTURES", "UNKNOWN", "Episode", "Gesture", "GestureFollower", "GestureModel", "GestureReader"]

@@ -1,0 +1,132 @@
+"""The model of gestures: a small network on the figures of an episode, as data."""
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ohmskin.arrays import Floats
+from ohmskin.errors import DataError
+from ohmskin.gestures.episode import FEATURES
+
+GESTURES = ("tap", "stroke", "push", "grasp")
+UNKNOWN = "unknown"
+_SHIPPED = "shipped.json"
+_MOST_BYTES, _MOST_HIDDEN = 1_000_000, 256
+
+
+@dataclass(frozen=True, eq=False)
+class GestureModel:
+    """Tells gestures of the figures of an episode; see `ohmskin.gestures.train`.
+
+    Args:
+        middle, spread: (n_features,) of the figures that it was trained on.
+        layers: Weights (n_in, n_out) and offsets (n_out,) of each layer; tanh between, softmax at the end.
+        precision: (n_gestures, n_features, n_features) inverse covariance of the standardised figures of each gesture,
+        centres: (n_gestures, n_features) and their means, by which figures unlike all gestures are told.
+        limit: Squared distance from the closest gesture beyond which figures are unlike all.
+        sure: Probability from which on a gesture is told.
+    """
+
+    middle: Floats
+    spread: Floats
+    layers: tuple[tuple[Floats, Floats], ...]
+    precision: Floats
+    centres: Floats
+    limit: float
+    sure: float = 0.7
+
+    def probabilities(self, features: ArrayLike) -> Floats:
+        """(n, n_gestures) probabilities of `GESTURES`, of figures (n, n_features)."""
+        values = self._standard(features)
+        for number, (weights, offsets) in enumerate(self.layers):
+            values = values @ weights + offsets
+            values = np.tanh(values) if number + 1 < len(self.layers) else values
+        likely = np.exp(values - values.max(axis=1, keepdims=True))
+        return np.asarray(likely / likely.sum(axis=1, keepdims=True))
+
+    def distances(self, features: ArrayLike) -> Floats:
+        """(n,) squared distances of figures (n, n_features) from the closest gesture that it was trained on."""
+        away = self._standard(features)[:, None] - self.centres
+        return np.asarray(np.einsum("ngi,gij,ngj->ng", away, self.precision, away).min(axis=1))
+
+    def tell(self, features: ArrayLike) -> tuple[str, float]:
+        """The gesture of figures (n_features,) and how sure it is (1): `UNKNOWN` if they are unlike all, or none is
+        sure."""
+        one = np.asarray(features, float)[None]
+        likely = self.probabilities(one)[0]
+        best = int(likely.argmax())
+        if self.distances(one)[0] > self.limit:
+            return UNKNOWN, 0.0
+        return (GESTURES[best] if likely[best] >= self.sure else UNKNOWN), float(likely[best])
+
+    def _standard(self, features: ArrayLike) -> Floats:
+        return np.asarray((np.asarray(features, float) - self.middle) / self.spread)
+
+    def dump(self) -> str:
+        """This model as text (JSON), which `parse` reads back."""
+        told = {"gestures": GESTURES, "features": FEATURES, "limit": self.limit, "sure": self.sure}
+        arrays = {"middle": self.middle, "spread": self.spread, "precision": self.precision, "centres": self.centres}
+        found = {name: np.round(one, 5).tolist() for name, one in arrays.items()}
+        layers = [[np.round(part, 5).tolist() for part in layer] for layer in self.layers]
+        return json.dumps(told | found | {"layers": layers})
+
+    @classmethod
+    def parse(cls, text: str) -> "GestureModel":
+        """Read a model from text: data and never code.
+
+        Raises:
+            DataError: If it is none, or one of other gestures or figures.
+        """
+        if len(text) > _MOST_BYTES:
+            raise DataError(f"a model of gestures of {len(text)} bytes; it has at most {_MOST_BYTES}")
+        try:
+            given = json.loads(text)
+            if tuple(given["gestures"]) != GESTURES or tuple(given["features"]) != FEATURES:
+                raise ValueError("it tells other gestures, or by other figures")
+            names = ("middle", "spread", "precision", "centres")
+            middle, spread, precision, centres = (np.array(given[name], float) for name in names)
+            layers = tuple((np.array(w, float), np.array(b, float)) for w, b in given["layers"])
+            numbers = float(given["limit"]), float(given["sure"])
+            n, count = len(FEATURES), len(GESTURES)
+            shapes = [middle.shape, spread.shape, precision.shape, centres.shape]
+            widths = [n, *(offsets.size for _, offsets in layers)]
+            fits = all(w.shape == (a, len(b)) for (w, b), a in zip(layers, widths, strict=False))
+            if shapes != [(n,), (n,), (count, n, n), (count, n)] or not fits or widths[-1] != count:
+                raise ValueError("its arrays do not fit")
+            every = [
+                middle,
+                spread,
+                precision,
+                centres,
+                np.array(numbers),
+                *(part for layer in layers for part in layer),
+            ]
+            if not all(np.isfinite(one).all() for one in every) or not (spread > 0).all() or max(widths) > _MOST_HIDDEN:
+                raise ValueError("a number is not finite or out of range")
+            return cls(middle, spread, layers, precision, centres, *numbers)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise DataError(f"not a model of gestures: {error}; train one with `ohmskin.gestures.train`") from None
+
+    @classmethod
+    def load(cls, path: str | Path | None = None) -> "GestureModel":
+        """The model of a file; the one that ships unless given.
+
+        Raises:
+            DataError: If the file cannot be read, or is none.
+        """
+        if path is None:
+            return _shipped()
+        try:
+            return cls.parse(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise DataError(f"cannot read {path}: {error}") from error
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> GestureModel:
+    return GestureModel.parse(files("ohmskin.gestures").joinpath(_SHIPPED).read_text(encoding="utf-8"))

@@ -1,0 +1,61 @@
+"""How far contacts are believed: what they, or the image that shows them, leave unexplained of the data."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ohmskin.contacts import Contact
+from ohmskin.scan import Difference
+from ohmskin.sensing.model import SkinModel
+
+_USUAL = 0.1  # share of a frame's change that contacts, or an image, of real skins leave unexplained at most
+_STRANGE, _STRANGE_IMAGE = 0.5, 0.3  # what they leave of data that are not of the skin, and what an image does
+
+
+def trust(unexplained: float) -> float:
+    """How far contacts are believed that leave a share of the data unexplained (1): of other data, such as another
+    skin's, half or more."""
+    return _falling(unexplained, _STRANGE)
+
+
+def image_trust(misfit: float) -> float:
+    """How far contacts are believed that are seen in an image of that `image_misfit` (1)."""
+    return _falling(misfit, _STRANGE_IMAGE)
+
+
+def _falling(left: float, strange: float) -> float:
+    return min(max((strange - left) / (strange - _USUAL), 0.0), 1.0)
+
+
+def doubted(contacts: Sequence[Contact], share: float) -> tuple[Contact, ...]:
+    """Contacts whose confidence is that share of what it was (1)."""
+    return tuple(replace(contact, confidence=share * contact.confidence) for contact in contacts)
+
+
+def image_misfit(known: SkinModel, scans: Sequence[Difference]) -> float:
+    """Share of what scans say beyond noise that no change of the sheet's conductivity explains (1).
+
+    Judged by the one-step image, which follows real tanks to 1 %; of values that have nothing to do with the skin it
+    leaves 40 to 80 %, of a press on a skin whose electrodes are in another order a quarter to two thirds.
+
+    Raises:
+        DataError: If no finite datum is left.
+    """
+    scans = [scan.undriven for scan in scans]
+    image = known.one_step(known.estimator("gauss-newton")).reconstruct(*scans)
+    pairs = known.model.pair_sensitivity @ (known.model.conductivity * image.values)
+    changed = left = 0.0
+    for scan in scans:
+        measured = np.isfinite(scan.volts) & np.isfinite(scan.currents)
+        noise = measured.sum() * known.noise**2
+        changed += float(np.sum(scan.volts[measured] ** 2)) - noise
+        left += float(np.sum((scan.volts - scan.caused_by(pairs, known.pairs))[measured] ** 2)) - noise
+    return max(left, 0.0) / changed if changed > 0 else 0.0
+
+
+def as_measured(cleaned: Sequence[Difference], measured: Sequence[Difference]) -> list[Difference]:
+    """Scans without what was found bad in them, but with the weight that they had before they were doubted."""
+    both = zip(cleaned, measured, strict=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return [one if one is other else one.times(other.currents / one.currents) for one, other in both]
