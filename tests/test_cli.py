@@ -258,6 +258,11 @@ def test_image_shows_the_targets(tank_folder: Path, tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert "conducts better" in result.stdout
     assert "conducts worse" in result.stdout
+    assert "resistive: none" not in result.stdout
+    (file,) = (tank_folder / "electrode01_metal").glob("*.csv")
+    told = json.loads(command_line.ohmskin("image", str(file), "--json", cwd=tmp_path).stdout)
+    assert [one["there"] for one in told["classes"].values()] == [True, False]
+    assert told["classes"]["conductive"]["area"] > 0 == told["classes"]["resistive"]["area"]
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 

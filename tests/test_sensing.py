@@ -127,6 +127,26 @@ def test_any_estimator_finds_a_press_and_none_on_quiet_frames(estimator: str) ->
     assert quiet(used, 3) == 0
 
 
+@pytest.mark.parametrize("estimator", ["positive", "absolute"])
+def test_estimators_with_a_quadratic_prior_take_any_rule(estimator: str) -> None:
+    twin, pattern = VirtualSkin(PAPER, seed=12), adjacent(PAPER.electrodes.rings)
+    twin.press(0, *PLACES[0], 8e-3, 20e3)
+    change = known(9e-3).difference(twin.scan(pattern))
+    images = []
+    for rule in ("physical", "l-curve"):
+        made = known(9e-3).estimator(estimator, "paper", rule)
+        images.append(made.update(made.start(), [change], [change], 0.0).image.values)
+    at = known(9e-3).model.mesh.centroids[images[1].argmax()]
+    assert np.hypot(*(at - PLACES[0])) < 12e-3
+    assert np.abs(images[1] - images[0]).max() > 0.02 * np.abs(images[0]).max()  # another amplitude
+
+
+@pytest.mark.parametrize("estimator", ["kalman", "greit", "total-variation", "sparse-bayes", "absolute-variation"])
+def test_estimators_without_a_parameter_for_a_rule_refuse_it_in_words(estimator: str) -> None:
+    with pytest.raises(ModelError, match=f"{estimator}' chooses no parameter by the rule 'l-curve'.*or use 'physical'"):
+        known(9e-3).estimator(estimator, "paper", "l-curve")
+
+
 @pytest.mark.parametrize("rule", RULES)
 def test_any_rule_finds_a_press(rule: str) -> None:
     """Where the image is highest; the L-curve makes so much of noise that its threshold exceeds a press."""

@@ -1,10 +1,14 @@
 """``ohmskin image``: a picture of a recording."""
 
+import json as json_module
 import sys
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
-from ohmskin.cli.options import check_picture, check_recording, watched
+from ohmskin.cli.options import Flag, check_picture, check_recording, watched
+from ohmskin.client.fields import as_json
+from ohmskin.contacts import CLASSES, Segments, evidence, segments
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
@@ -13,7 +17,7 @@ from ohmskin.plot import save_picture
 from ohmskin.plot.picture import full_scale, noise_of
 from ohmskin.recording.export import save_comparison, strongest
 from ohmskin.recording.player import reimage
-from ohmskin.scan import assess, left_out
+from ohmskin.scan import Frame, assess, left_out
 from ohmskin.sensing import Percept, SkinModel, perceive, recorded_mode
 from ohmskin.skin import Skin, shipped_skins
 
@@ -31,6 +35,7 @@ def image(
     estimator: str = "gauss-newton",
     prior: str = "paper",
     rule: str = "physical",
+    json: Flag = False,
 ) -> None:
     """Make a picture of a recording's frame, with its contacts, and report the quality of its data.
 
@@ -45,6 +50,7 @@ def image(
         estimator: Estimator of the image, such as kalman or absolute (see `ohmskin info`).
         prior: Prior of the estimator, such as paper or matern.
         rule: Rule for the regularisation parameter, such as physical or l-curve.
+        json: Print what was found as one line of JSON.
     """
     target = output or Path(file.stem + ".png")
     check_picture(target)
@@ -59,7 +65,7 @@ def image(
         else:
             cycle = found
         save_comparison(target, {f"{cycle.time:.2f} s": cycle})
-        _tell(cycle.touch.percept, target)
+        _tell(cycle.touch.percept, target, None, {}, json)
         return
     frame = frame or 0
     recording = read_recording(file, reference=reference, pattern=pattern)
@@ -89,11 +95,29 @@ def image(
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
     limit = full_scale(percept)
-    save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title, limit)
-    _tell(percept, target)
+    cells, freedom = known.estimator(estimator, prior, rule).cells, noise_freedom(recording.quiet)
+    needed = evidence(known.model, known.noise, [known.difference(shown)], freedom)
+    how = {"fraction": description.imaging.fraction, "dip": description.imaging.dip}
+    classes = segments(percept.image, cells, needed, **how)
+    labels = classes.labels if len(classes.labels) == mesh.n_elem else None  # pixels are not the mesh's
+    save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title, limit, labels)
+    _tell(percept, target, classes, classes.areas(cells), json)
 
 
-def _tell(percept: Percept, target: Path) -> None:
+def noise_freedom(quiet: Sequence[Frame]) -> int:
+    """Degrees of freedom with which quiet frames tell their noise: by repeats, or by reciprocity of a single one."""
+    return max(len(quiet) - 1, 1) * quiet[0].pattern.n_meas // (1 if len(quiet) > 1 else 2)
+
+
+def _tell(percept: Percept, target: Path, found: Segments | None, areas: dict[str, float], as_lines: bool) -> None:
+    if as_lines:
+        contacts = [as_json(contact) for contact in percept.detections]
+        classes = {
+            name: {"area": areas[name], "there": one.there, "lost": one.lost, "needed": one.needed}
+            for name, one in ((CLASSES[sign], one) for sign, one in (found.evidence if found else {}).items())
+        }
+        print(json_module.dumps({"contacts": contacts, "classes": classes, "picture": str(target)}))
+        return
     for contact in percept.detections:
         x, y = contact.position
         change = "conducts better" if contact.strength > 0 else "conducts worse"
@@ -101,4 +125,7 @@ def _tell(percept: Percept, target: Path) -> None:
         print(f"({x * 1e3:6.1f}, {y * 1e3:6.1f}) mm  {size}")
     if not percept.detections:
         print(f"no contact; noise +-{100 * noise_of(percept.image):.2g} %")
+    for sign, one in found.evidence.items() if found else ():
+        share = f"without it {100 * one.lost:.2g} % more of the change is unexplained, {100 * one.needed:.2g} % needed"
+        print(f"{CLASSES[sign]}: {f'{1e4 * areas[CLASSES[sign]]:.1f} cm2' if one.there else 'none'}; {share}")
     print(f"picture: {target}")

@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -129,4 +128,4 @@ class GestureModel:
 
 @lru_cache(maxsize=1)
 def _shipped() -> GestureModel:
-    return GestureModel.parse(files("ohmskin.gestures").joinpath(_SHIPPED).read_text(encoding="utf-8"))
+    return GestureModel.parse(Path(__file__).with_name(_SHIPPED).read_text(encoding="utf-8"))

@@ -5,7 +5,7 @@ an `Estimator`, its docstring's first line the title. `FrameWise` makes one of a
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -135,10 +135,17 @@ class Recursive:
 
 @dataclass(frozen=True, eq=False)
 class ByRule:
-    """Gauss-Newton images whose amplitude a rule chooses anew for each (`RULES`)."""
+    """Images with an amplitude that a rule chooses anew for each (`RULES`).
 
-    estimator: GaussNewton
+    Args:
+        one_step: For which the rule chooses.
+        rule: Its name.
+        made_with: The estimator with that amplitude.
+    """
+
+    one_step: GaussNewton
     rule: str
+    made_with: Callable[[float], Reconstructs]
 
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one scan, or of several fused.
@@ -147,8 +154,7 @@ class ByRule:
             DataError: If no finite datum is left.
             ModelError: If the rule finds no amplitude for these data.
         """
-        amplitude = choose(self.rule, self.estimator, *differences).amplitude
-        return self.estimator.with_amplitude(amplitude).reconstruct(*differences)
+        return self.made_with(choose(self.rule, self.one_step, *differences).amplitude).reconstruct(*differences)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +165,8 @@ class Settings:
         model: The untouched sheet, scaled to the quiet data.
         noise: Standard deviation of a difference of voltages (V).
         prior: Name of one of `PRIORS`.
-        rule: Name of one of `RULES`, for the regularisation parameter.
+        rule: Name of one of `RULES`, for the regularisation parameter; three estimators take others than
+            `physical`: gauss-newton, positive and absolute.
         amplitude: Relative conductivity change expected (1).
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         bipolar: Whether contacts may lower the conductivity, too.
@@ -183,7 +190,22 @@ def gauss_newton(s: Settings) -> Estimator:
     pixels = Pixels.over(s.model.mesh) if s.prior == "pixels" else None
     model_error = s.model_error
     one_step = GaussNewton(s.model, s.noise, s.prior, amplitude=s.amplitude, model_error=model_error, pixels=pixels)
-    return FrameWise(one_step if s.rule == "physical" else ByRule(one_step, s.rule), one_step.cells)
+    return FrameWise(_by_rule(s, one_step, one_step.with_amplitude), one_step.cells)
+
+
+def _by_rule(s: Settings, own: Reconstructs, made_with: Callable[[float], Reconstructs]) -> Reconstructs:
+    """The estimator, its amplitude chosen by the rule where that is not the usual one."""
+    if s.rule == "physical":
+        return own
+    one_step = GaussNewton(s.model, s.noise, s.prior, amplitude=s.amplitude, model_error=s.model_error)
+    return ByRule(own if isinstance(own, GaussNewton) else one_step, s.rule, made_with)
+
+
+def _without_rule(s: Settings, name: str) -> None:
+    """Raise ModelError if a rule is asked for that an estimator without a quadratic prior of that amplitude lacks."""
+    if s.rule != "physical":
+        takes = "gauss-newton, positive and absolute take one"
+        raise ModelError(f"estimator {name!r} chooses no parameter by the rule {s.rule!r}; {takes}, or use 'physical'")
 
 
 def positive(s: Settings) -> Estimator:
@@ -192,28 +214,32 @@ def positive(s: Settings) -> Estimator:
         advice = "choose another, or set imaging.bipolar = false"
         raise ModelError(f"estimator 'positive' on a skin whose contacts may lower the conductivity; {advice}")
     own = GaussNewton(s.model, s.noise, s.prior, positive=True, amplitude=s.amplitude, model_error=s.model_error)
-    return FrameWise(own, s.model.mesh)
+    return FrameWise(_by_rule(s, own, own.with_amplitude), s.model.mesh)
 
 
 def kalman(s: Settings) -> Estimator:
     """Kalman filter on images."""
+    _without_rule(s, "kalman")
     prior = {"amplitude": s.amplitude, "model_error": s.model_error}
     return Recursive(Kalman(s.model, s.noise, s.prior, time_constant=_MEMORY, **prior), s.model.mesh)
 
 
 def greit(s: Settings) -> Estimator:
     """GREIT."""
+    _without_rule(s, "greit")
     return FrameWise(Greit(s.model, s.noise), s.model.mesh)
 
 
 def total_variation(s: Settings) -> Estimator:
     """Total variation."""
+    _without_rule(s, "total-variation")
     own = TotalVariation(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
 
 def sparse_bayes(s: Settings) -> Estimator:
     """Sparse Bayesian learning."""
+    _without_rule(s, "sparse-bayes")
     own = SparseBayes(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
@@ -221,11 +247,12 @@ def sparse_bayes(s: Settings) -> Estimator:
 def absolute(s: Settings) -> Estimator:
     """Iterated Gauss-Newton on absolute voltages."""
     own = AbsoluteGaussNewton(s.model, s.noise, s.prior, amplitude=s.amplitude, model_error=s.model_error)
-    return FrameWise(own, s.model.mesh)
+    return FrameWise(_by_rule(s, own, lambda amplitude: replace(own, amplitude=amplitude)), s.model.mesh)
 
 
 def absolute_variation(s: Settings) -> Estimator:
     """Iterated Gauss-Newton on absolute voltages with total variation."""
+    _without_rule(s, "absolute-variation")
     outline = 0.1 * float(np.ptp(s.model.mesh.nodes, axis=0).max())
     own = AbsoluteGaussNewton(s.model, s.noise, outline=outline, amplitude=s.amplitude, model_error=s.model_error)
     return FrameWise(own, s.model.mesh)

@@ -34,6 +34,7 @@ def draw_image(
     electrodes: Electrodes,
     contacts: Sequence[Contact] = (),
     limit: float | None = None,
+    labels: ArrayLike | None = None,
 ) -> AxesImage:
     """Draw an image (n_elem,) with electrodes (numbered from 0) and contacts; axes in millimetres.
 
@@ -44,6 +45,7 @@ def draw_image(
         electrodes: Electrode layout.
         contacts: Contacts, drawn as circles of their extent.
         limit: Value of full colour; the largest magnitude of the image unless given.
+        labels: Classes (n_elem,) to outline: what conducts better (1) with a solid line, worse (-1) with a dashed one.
 
     Returns:
         What a colour bar can be made of.
@@ -55,6 +57,9 @@ def draw_image(
     x, y = raster.x, raster.y
     edges = tuple(1e3 * edge for edge in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
     shown = axes.imshow(pixels, origin="lower", extent=edges, cmap=SIGNED, vmin=-full, vmax=full, interpolation="none")
+    for sign, line in ((1, "solid"), (-1, "dashed")) if labels is not None else ():
+        if (own := np.asarray(labels) == sign).any():
+            axes.contour(1e3 * x, 1e3 * y, raster(own), [0.5], colors="0.1", linewidths=1.4, linestyles=line)
     axes.plot(*1e3 * electrodes.positions.T, "o", color="0.15", markersize=4, clip_on=False)
     middle = 0.5e3 * (mesh.nodes.min(axis=0) + mesh.nodes.max(axis=0))
     size = 1e3 * float(np.ptp(mesh.nodes, axis=0).max())
@@ -83,19 +88,20 @@ def save_picture(
     contacts: Sequence[Contact] = (),
     title: str = "",
     limit: float | None = None,
+    labels: ArrayLike | None = None,
 ) -> None:
     """Save an image of relative conductivity change (n_elem,) as a picture; the file's ending chooses the format.
 
     Args:
         path, title: The file, and what stands above the image.
-        mesh, values, electrodes, contacts, limit: As for `draw_image`.
+        mesh, values, electrodes, contacts, limit, labels: As for `draw_image`.
 
     Raises:
         DataError: If the file cannot be written.
     """
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     axes = figure.add_subplot()
-    shown = draw_image(axes, mesh, values, electrodes, contacts, limit)
+    shown = draw_image(axes, mesh, values, electrodes, contacts, limit, labels)
     axes.set_title(title, fontsize=10, parse_math=False)
     figure.colorbar(shown, ax=axes, label="relative conductivity change", shrink=0.85)
     save_figure(figure, path)

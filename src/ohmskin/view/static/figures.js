@@ -83,7 +83,8 @@ export function showContacts(contacts, none, gesture) {
   });
   byId("no-contacts").hidden = contacts.length > 0;
   byId("no-contacts").textContent = none;
-  const doing = gesture && gesture.name !== "unknown" ? `${gesture.name} ${Math.round(100 * gesture.confidence)} %` : "";
+  const told = gesture && gesture.name !== "unknown";
+  const doing = told ? `${gesture.name} ${Math.round(100 * gesture.confidence)} %` : "";
   byId("contact-count").textContent = [contacts.length || "", doing].filter(Boolean).join(" · ");
 }
 

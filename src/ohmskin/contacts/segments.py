@@ -1,0 +1,127 @@
+"""An image in three classes: what conducts better, what conducts worse, and background; none without evidence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from ohmskin.arrays import Shorts
+from ohmskin.contacts.regions import find_regions
+from ohmskin.errors import DataError
+from ohmskin.forward import TransferModel
+from ohmskin.geometry import Cells
+from ohmskin.inverse import GaussNewton, Image
+from ohmskin.inverse.modes import pair_system
+from ohmskin.scan import Difference
+
+CLASSES = {1: "conductive", -1: "resistive"}
+_MODEL = 0.03  # share of the data's power that a class which is not there explains at most, as the model is linear;
+# of ten recordings of tanks 0.0001 to 0.008, and one that is there 0.09 to 0.96
+_PRIOR, _AMPLITUDE, _ERROR = "matern", 0.5, 0.15  # of the images that tell: strong contrasts, roughly modelled
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Whether data need a class: how much worse they are explained without it.
+
+    Args:
+        lost: Share of the data's power that is not explained any more where the class is ruled out (1).
+        needed: What the class has to explain to be there (1): more than noise does at the stated rate, and more than
+            the errors of a linear model.
+    """
+
+    lost: float
+    needed: float
+
+    @property
+    def there(self) -> bool:
+        """Whether the class is there."""
+        return self.lost > self.needed
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """An image in classes.
+
+    Args:
+        labels: (n_cells,) 1 where it conducts better, -1 where worse, 0 in the background.
+        evidence: For each class by its label.
+        rate: Share of data of the mere background of which noise would make a class, at most (1).
+    """
+
+    labels: Shorts
+    evidence: dict[int, Evidence]
+    rate: float
+
+    def areas(self, cells: Cells) -> dict[str, float]:
+        """Area (m2) of each class by name; 0 of one that is not there."""
+        return {name: float(cells.measures[self.labels == sign].sum()) for sign, name in CLASSES.items()}
+
+
+def evidence(
+    model: TransferModel, noise: float, scans: Sequence[Difference], freedom: int = 60, rate: float = 0.01
+) -> dict[int, Evidence]:
+    """Whether data need something that conducts better (1), and something that conducts worse (-1).
+
+    For each the data are explained by an image that may not have it (nowhere above, or nowhere below the background)
+    and by one that may. By noise alone the difference is no more than all of it, which is an F variable.
+
+    Args:
+        model: The untouched sheet, scaled to the quiet data.
+        noise: Standard deviation of a difference of voltages (V).
+        scans: Changes against the quiet skin.
+        freedom: Degrees of freedom with which the noise is known.
+        rate: Of false alarms.
+
+    Raises:
+        DataError: If the rate is not within 0 and 1, or no finite datum is left.
+    """
+    if not 0 < rate < 1 or freedom < 1:
+        raise DataError(f"rate of false alarms {rate:g}, freedom {freedom}; use a rate within 0 and 1, and 1 or more")
+    scans = [scan.undriven for scan in scans]
+    system = pair_system(len(model.electrodes), *scans)
+    power = float(system.volts @ system.volts)
+    if power == 0:
+        return {sign: Evidence(0.0, 1.0) for sign in CLASSES}
+    free, risen = (
+        GaussNewton(model, noise, _PRIOR, amplitude=_AMPLITUDE, model_error=_ERROR, positive=positive)
+        for positive in (False, True)
+    )
+    by_change = system.rows @ (model.pair_sensitivity * model.conductivity)
+
+    def left(image: Image, sign: int = 1) -> float:
+        """With the best factor that is not negative: any may be."""
+        caused = sign * (by_change @ image.values)
+        along = max(float(caused @ system.volts), 0.0)
+        return power - along**2 / max(float(caused @ caused), 1e-300)
+
+    degrees = int(np.linalg.matrix_rank(system.rows))
+    by_noise = degrees * float(fisher.isf(rate / len(CLASSES), degrees, freedom)) * noise**2
+    least = left(free.reconstruct(*scans))
+    turned = [replace(scan, volts=-scan.volts) for scan in scans]
+    without = {1: left(risen.reconstruct(*turned), -1), -1: left(risen.reconstruct(*scans))}
+    return {sign: Evidence((one - least) / power, min(by_noise / power + _MODEL, 1.0)) for sign, one in without.items()}
+
+
+def segments(
+    image: Image, cells: Cells, found: dict[int, Evidence], rate: float = 0.01, fraction: float = 0.3, dip: float = 0.2
+) -> Segments:
+    """An image of `cells` in the classes for which there is evidence.
+
+    Of each class every region about a peak, where it exceeds half of that.
+
+    Args:
+        image, cells: The image, and what it is made of.
+        found: The evidence.
+        rate: Of false alarms, with which that was found.
+        fraction, dip: Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
+    """
+    labels = np.zeros(len(image.values), np.int32)
+    for sign in (sign for sign, one in found.items() if one.there):
+        contrast = sign * image.contrast
+        top = float(contrast.max())
+        for region in find_regions(contrast, cells, fraction * top / 2, dip) if top > 0 else ():
+            if region.peak > fraction * top:
+                labels[region.elements[contrast[region.elements] > region.peak / 2]] = sign
+    return Segments(labels, found, rate)
