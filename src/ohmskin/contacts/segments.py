@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from ohmskin.arrays import Shorts
 from ohmskin.contacts.regions import find_regions
@@ -97,7 +97,7 @@ def evidence(
         return power - along**2 / max(float(caused @ caused), 1e-300)
 
     degrees = int(np.linalg.matrix_rank(system.rows))
-    by_noise = degrees * float(fisher.isf(rate / len(CLASSES), degrees, freedom)) * noise**2
+    by_noise = degrees * float(fdtri(degrees, freedom, 1 - rate / len(CLASSES))) * noise**2
     least = left(free.reconstruct(*scans))
     turned = [replace(scan, volts=-scan.volts) for scan in scans]
     without = {1: left(risen.reconstruct(*turned), -1), -1: left(risen.reconstruct(*scans))}
