@@ -80,7 +80,7 @@ def evidence(
     if not 0 < rate < 1 or freedom < 1:
         raise DataError(f"rate of false alarms {rate:g}, freedom {freedom}; use a rate within 0 and 1, and 1 or more")
     scans = [scan.undriven for scan in scans]
-    system = pair_system(len(model.electrodes), *scans)
+    system = pair_system(model.pairs, *scans)
     power = float(system.volts @ system.volts)
     if power == 0:
         return {sign: Evidence(0.0, 1.0) for sign in CLASSES}

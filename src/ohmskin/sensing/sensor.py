@@ -251,12 +251,12 @@ class Sensor:
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
             scans, judged = measured.scans, True
         else:
-            doubted = state.belief.suspects, state.belief.unexplained
-            given = state.diagnosis, measured.frames, measured.scans, elapsed
-            diagnosis, scans = self.detector.examine(*given, *doubted)
+            judged, doubted = False, (state.belief.suspects, state.belief.unexplained)
+            diagnosis, scans = self.detector.examine(
+                state.diagnosis, measured.frames, measured.scans, elapsed, *doubted
+            )
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
-            judged = False
         belief, recent = found
         if belief.detections and isinstance(self.reader, DetectionReader):  # which does not judge its image
             data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
