@@ -251,10 +251,8 @@ class Sensor:
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
             scans, judged = measured.scans, True
         else:
-            judged, doubted = False, (state.belief.suspects, state.belief.unexplained)
-            diagnosis, scans = self.detector.examine(
-                state.diagnosis, measured.frames, measured.scans, elapsed, *doubted
-            )
+            given, judged = (state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects), False
+            diagnosis, scans = self.detector.examine(*given, state.belief.unexplained)
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
         belief, recent = found
