@@ -10,6 +10,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts import measured
 from ohmskin.contacts.measured import Rows
 
+_SOME, _ALL = 0.7, slice(None)  # share of the pairs below which it pays to leave out those that data say nothing of
 _SOLVED = 1e-8  # share of the gradient that is left once it is as good as nothing
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
 
@@ -56,7 +57,7 @@ class Misfit:
     constant: float
     lost: Floats
     errors: int = 0
-    powers: dict[int, tuple[Ints, Floats, Floats, float]] = field(default_factory=dict, repr=False)
+    powers: dict[int, tuple[Ints | slice, Floats, Floats, float]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def matrix(self) -> Floats:
@@ -104,9 +105,13 @@ class Misfit:
         say before something was taken off is told no more. Of many pairs, data tell of some alone.
         """
         if id(changes) not in self.powers:
-            seen, columns = np.unique(self.rows[0], return_inverse=True)
-            own = np.ascontiguousarray(changes[seen])
-            whole = measured.powers((columns.reshape(self.rows[0].shape).astype(np.uint64), *self.rows[1:]), own)
+            there = np.bincount(self.rows[0].ravel().astype(np.intp), minlength=len(changes)) > 0
+            rows, own = self.rows, changes
+            seen: Ints | slice = _ALL
+            if np.count_nonzero(there) < _SOME * len(changes):
+                seen, own = np.flatnonzero(there), np.ascontiguousarray(changes[there])
+                rows = ((np.cumsum(there) - 1).astype(np.uint64)[rows[0]], *rows[1:])
+            whole = measured.powers(rows, own)
             known = _less_lost(whole, self.lost[: self.errors, seen], own)
             self.powers[id(changes)] = seen, own, known, _ROUNDED * whole.max()
         seen, own, known, least = self.powers[id(changes)]
