@@ -74,7 +74,7 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
             words = [FEWER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
             if "--replay" in words:
                 words += ["--headless"]
-            elif not {"--headless", "--device"} & {*words} or words[0] == "live":
+            elif not {"--headless", "--device", "--compare"} & {*words} or words[0] == "live":
                 words += [word for word in BESIDE.get(words[0], []) if word not in words]
             if words[0] == "patches" and "--record" in words:
                 words[-1] = "60"  # s, until its skins are there on a busy machine, too
