@@ -196,3 +196,12 @@ def test_driven_electrodes_add_what_they_measured_to_the_image() -> None:
         for name in ("stated", "driven")
     }
     assert found["driven"] > found["stated"]
+
+
+def test_a_shape_turned_is_the_shape_at_points_turned_back() -> None:
+    points = np.random.default_rng(1).uniform(0, 0.2, (200, 2))
+    angle, middle = 0.7, np.array([0.1, 0.08])
+    back = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    plain, turned = Shape("L", (0.1, 0.08), 0.03, 1.0), Shape("L", (0.1, 0.08), 0.03, 1.0, angle)
+    assert turned.distance(points) == pytest.approx(plain.distance((points - middle) @ back.T + middle))
+    assert not np.allclose(turned.distance(points), plain.distance(points))
