@@ -27,10 +27,10 @@ _BOOL = types.bool_
 _BOOL_1 = types.Array(_BOOL, 1, "C")
 _FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 _FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
-_FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
 _INT32 = types.int32
 _INT32_2 = types.Array(_INT32, 2, "C")
 _INT32_1 = types.Array(_INT32, 1, "C")
+_FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
 _FLOAT64_3_FIXED = types.Array(_FLOAT64, 3, "C", readonly=True)
 _FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
 
@@ -76,7 +76,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
             _FLOAT64,
         ),
     ),
-    ("contacts.measured:powers", (_T2, _FLOAT64_2)),
+    ("contacts.measured:powers", (_T2, _FLOAT64_2_F)),
     ("contacts.misfit:_less", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:_taken_off", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
     ("contacts.misfit:likeliest", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
