@@ -63,7 +63,12 @@ class ElectrodeLayout:
             if not isinstance(whole(domain), Rectangle | Band):
                 told = 'electrode.layout is "grid", which needs a rectangle or a sleeve'
                 raise SkinError(f'{told}; use "rim", "even" or "listed"')
-            _check_holes(domain, self.on(chart).positions, "electrode {} of the grid is at {}")
+            if domain.holes:
+                try:
+                    positions = self.on(chart).positions
+                except GeometryError as error:
+                    raise SkinError(f"electrode: {error}") from None
+                _check_holes(domain, positions, "electrode {} of the grid is at {}")
         if self.layout != "listed":
             if self.positions:
                 told = f'electrode.positions are given but the layout is "{self.layout}"'

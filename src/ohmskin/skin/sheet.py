@@ -157,7 +157,7 @@ def _chart(sheet: Sheet) -> Chart:
             raise GeometryError(f'entry {name} and shape = "{shape}" go together')
     if len(sheet.outline) > _MOST_CORNERS:
         raise GeometryError(f"an outline of {len(sheet.outline)} corners; {_MOST_CORNERS} are allowed")
-    if any(getattr(sheet, name) != getattr(_WHOLE, name) for name in _OF_FILE):
+    if any((sheet.file, sheet.link, sheet.visual, sheet.region, sheet.cut, sheet.seed)):
         raise GeometryError("a mesh file is read by Skin.load() or Sheet.read(), which keep it as surface")
     if (sheet.shape == "mesh") != bool(sheet.surface):
         raise GeometryError('a mesh file, or its surface, and shape = "mesh" go together')
