@@ -152,8 +152,7 @@ function connect() {
   };
   let [newest, owed] = [null, 0]; // frames that are not answered yet
   const shapes = new Map(); // told once, and perhaps with a frame that is not drawn
-  socket.onmessage = async (event) => {
-    const frame = read(event.data);
+  const take = async (frame) => {
     if (frame.robot && !window.ohmskin.body) await embody(frame.robot);
     window.ohmskin.frames += 1;
     owed += 1;
@@ -170,6 +169,8 @@ function connect() {
     newest = frame;
     if (window.ohmskin.body) answer(); // drawing in space takes longer than a frame where no GPU helps
   };
+  let taken = Promise.resolve(); // one frame after the other: the first waits for the robot
+  socket.onmessage = (event) => (taken = taken.then(() => take(read(event.data))));
   const answer = () => {
     for (; owed > 0; owed -= 1) {
       if (socket.readyState === WebSocket.OPEN) socket.send(window.ohmskin.body?.pressed ?? "drawn");
