@@ -118,7 +118,7 @@ def test_the_skins_of_the_paper_have_its_modes() -> None:
         ),
         (
             "[sheet]\nwidht = 0.2",
-            "unknown entry sheet.widht; choose from shape, width, height, radius, top_radius, angle, outline, profile, ",
+            "unknown entry sheet.widht; choose from shape, width, height, radius, top_radius, angle, outline, profile,",
         ),
         ("sheet = 3", "sheet is 3; it must be a table \\[sheet\\]"),
         ("name = 3", "name is 3; it must be text"),

@@ -16,6 +16,8 @@ from ohmskin.inverse.modes import pair_system
 from ohmskin.scan import Difference
 
 CLASSES = {1: "conductive", -1: "resistive"}
+"""Names of the classes, by the sign of their change of conductivity."""
+
 _MODEL = 0.03  # share of the data's power that a class which is not there explains at most, as the model is linear;
 # of ten recordings of tanks 0.0001 to 0.008, and one that is there 0.09 to 0.96
 _PRIOR, _AMPLITUDE, _ERROR = "matern", 0.5, 0.15  # of the images that tell: strong contrasts, roughly modelled

@@ -13,7 +13,11 @@ from ohmskin.errors import DataError
 from ohmskin.gestures.episode import FEATURES
 
 GESTURES = ("tap", "stroke", "push", "grasp")
+"""Names of the gestures that are distinguished."""
+
 UNKNOWN = "unknown"
+"""Name of an episode that is none of them, or not surely one."""
+
 _SHIPPED = "shipped.json"
 _MOST_BYTES, _MOST_HIDDEN = 1_000_000, 256
 
