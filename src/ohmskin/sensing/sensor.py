@@ -256,8 +256,7 @@ class Sensor:
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
         belief, recent = found
-        unjudged = isinstance(self.reader, DetectionReader) and belief is not state.belief  # other readers judge
-        if belief.detections and unjudged:
+        if belief.detections and belief is not state.belief and isinstance(self.reader, DetectionReader):  # unjudged
             data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
             belief = belief.seen_in(state.belief.unexplained if judged else image_misfit(self.known, data))
         if diagnosis.lately:
