@@ -32,6 +32,7 @@ ELSEWHERE = {  # what cannot be run here, and what runs it
     "--install-completion": "test_cli.py, as it changes the shell's start-up",
     "serve-firmware": "test_firmware_loop.py, with QEMU",
     "check-host": "test_hostile.py, with hosts",
+    "electrodes": "test_electrodes_page.py, in a browser",
 }
 DEVICES = ("tcp://127.0.0.1:7155", "tcp://127.0.0.1:7156", "serial:///dev/ttyACM0", "rig:/dev/ttyUSB0,Dev1")
 FEWER = {
@@ -137,7 +138,10 @@ OTHERS = [page for page in OTHERS if any(words[0] not in ELSEWHERE for words in 
 
 
 @pytest.mark.parametrize("page", OTHERS, ids=lambda page: page.stem)
-def test_commands_of_guides_run_as_they_stand(page: Path, tmp_path: Path, device: str) -> None:
+def test_commands_of_guides_run_as_they_stand(
+    page: Path, tmp_path: Path, device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)  # what a test before imported may have set it
     NEEDED.get(page.stem, with_skins)(tmp_path)
     assert run_all(page, tmp_path, "virtual:" if page.stem == "learning" else device)  # a rim of 16 is not served
 

@@ -76,7 +76,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
             _FLOAT64,
         ),
     ),
-    ("contacts.measured:powers", (_T2, _FLOAT64_2_F)),
+    ("contacts.measured:powers", (_T2, _FLOAT64_2)),
     ("contacts.misfit:_less", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:_taken_off", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
     ("contacts.misfit:likeliest", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
