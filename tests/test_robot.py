@@ -268,6 +268,15 @@ def test_physics_needs_no_graphics_library_and_a_picture_names_the_package(tmp_p
     assert "Traceback" not in done.stderr
 
 
+def test_mujoco_that_was_imported_before_is_told_how_to_draw() -> None:
+    """Without a display it draws with EGL or OSMesa only if it knew when it was imported."""
+    code = "import mujoco; from ohmskin.robot.display import renderer\n"
+    code += "renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 64, 64)"
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL")}
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, env=environment)
+    assert "import ohmskin.robot before mujoco, or set MUJOCO_GL=" in done.stderr
+
+
 def test_help_needs_no_mujoco() -> None:
     code = "import sys; sys.modules['mujoco'] = None; from command_line import ohmskin\n"
     code += "for words in (['--help'], ['--pokes', '1']): done = ohmskin('robot', *words); print(done.returncode, done)"

@@ -252,6 +252,7 @@ TABLE = (
     Row("test_publish_live.py::test_fast_dds_reads_it", "compiler", (FAST_DDS, GXX)),
     Row("test_cpp_client.py", "compiler", (GXX,)),
     Row("test_robot.py::test_command_line_draws*", "gl", (GL, FFMPEG)),
+    Row("test_robot.py::test_mujoco_that_was_imported*", "gl", (GL,)),
     *(Row(f"test_domains.py::{name}", "gmsh", GMSH) for name in ("*gmsh*", "test_refined*", "test_a_broken*")),
     *(Row(f"{tests}*", "long", reason=reason) for tests, reason in LONG.items()),
     *(Row(tests, "smoke") for tests in SMOKE),

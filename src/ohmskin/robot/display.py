@@ -18,6 +18,8 @@ def _loads(library: str) -> bool:
     return True
 
 
+_found: list[str] = []
+_early = "mujoco" in sys.modules  # it has chosen already what draws: windows, unless MUJOCO_GL said otherwise
 if sys.platform == "linux":  # MuJoCo reads MUJOCO_GL when it is imported, and fails there if a library is missing
     _found = [name for name, libraries in _LIBRARIES.items() if all(map(_loads, libraries))]
     os.environ.setdefault("MUJOCO_GL", _found[0] if _found else "disable")
@@ -46,7 +48,8 @@ def renderer(model: "mujoco.MjModel", width: int, height: int) -> "mujoco.Render
     try:
         return mujoco.Renderer(model, height, width)
     except Exception as error:
-        raise ModelError(f"MuJoCo cannot draw here ({error}); {_INSTALL}") from error
+        remedy = f"import ohmskin.robot before mujoco, or set MUJOCO_GL={_found[0]}" if _early and _found else _INSTALL
+        raise ModelError(f"MuJoCo cannot draw here ({error}); {remedy}") from error
 
 
 __all__ = ["check_display", "mujoco", "renderer"]
