@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from ohmskin.errors import GeometryError
 from ohmskin.geometry import Disc, Domain, Electrodes, Mesh, Raster, Rectangle, electrode_points, mesh_domain
@@ -43,6 +44,24 @@ def test_electrodes_are_nodes_of_a_mesh_without_slivers(name: str, size: float) 
     np.testing.assert_array_equal(mesh.nodes[mesh.nodes_at(electrodes.positions, tolerance=0)], electrodes.positions)
     assert smallest_angle(mesh) > 25
     assert mesh.measures.max() < 2.5 * np.sqrt(3) / 4 * size**2
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("domain", [OBLONG, DISC])
+def test_no_node_is_inside_the_circle_about_a_triangle(domain: Domain, seed: int) -> None:
+    """Wherever points are that must be nodes, the mesh is Delaunay."""
+    x0, y0, x1, y1 = domain.bounds
+    points = np.random.default_rng(seed).uniform([x0, y0], [x1, y1], (60, 2))
+    points = points[domain.depth(points) > 4e-3]
+    points = points[[(np.linalg.norm(points[:i] - points[i], axis=1) > 3e-3).all() for i in range(len(points))]]
+    mesh = mesh_domain(domain, 0.01, points)
+    a, b, c = mesh.nodes[mesh.elements].swapaxes(0, 1)
+    b, c = b - a, c - a
+    length, other = (b**2).sum(axis=1), (c**2).sum(axis=1)
+    across = np.column_stack([c[:, 1] * length - b[:, 1] * other, b[:, 0] * other - c[:, 0] * length])
+    centre = across / (2 * np.linalg.det(np.stack([b, c], axis=1)))[:, None]
+    nearest = cKDTree(mesh.nodes).query(a + centre)[0]
+    np.testing.assert_allclose(nearest, np.linalg.norm(centre, axis=1), rtol=1e-6)
 
 
 @pytest.mark.parametrize("domain", [SHEET, OBLONG])

@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay, cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
-from ohmskin.geometry.domain import Disc, Domain
+from ohmskin.geometry.domain import Disc, Domain, Rectangle
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.holes import Holed, whole
 from ohmskin.geometry.mesh import Mesh, folded, shortest, tree
@@ -19,6 +19,8 @@ _RINGS = (  # radii of a disc electrode, and nodes there
     *((1.0, 24), (0.5, 8), (0.8, 16), (0.92, 24), (1.08, 24), (1.2, 20)),
     *((1.5, 20), (1.9, 20), (2.4, 20), (3.1, 20), (4.0, 20)),
 )
+
+_ROUND = 1e-9  # share of a triangle's size within which four corners are on one circle
 
 
 def mesh_domain(
@@ -77,13 +79,16 @@ def mesh_domain(
         lattice = lattice[tree(folded(inner, around), around).query(lattice)[0] > 0.6 * size]
     nodes = np.vstack([kept, lattice])
     triangles = _triangulate(nodes, size, domain)
+    flaps = _flaps(triangles)
     for _ in range(smoothing):
         start, end = triangles[:, [0, 1, 2, 1, 2, 0]].T.ravel(), triangles[:, [1, 2, 0, 0, 1, 2]].T.ravel()
         away = shortest(nodes[end] - nodes[start], around)
         sums = [np.bincount(start, weights, len(nodes)) for weights in (away[:, 0], away[:, 1], None)]
         nodes[len(kept) :] += np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
         nodes = folded(nodes, around)
-        triangles = _triangulate(nodes, size, domain)
+        if not (isinstance(domain, Rectangle | Disc) and _is_delaunay(nodes, flaps)):  # convex, and of one leaf
+            triangles = _triangulate(nodes, size, domain)
+            flaps = _flaps(triangles)
     if isinstance(domain, Polygon | Band | Holed):
         return checked_mesh(nodes, triangles, domain, size)
     return Mesh(nodes, triangles)
@@ -209,6 +214,26 @@ def _hexagonal(bounds: tuple[float, float, float, float], size: float, period: f
     x, y = np.meshgrid(columns, rows)
     x[1::2] += size / 2
     return folded(np.column_stack([x.ravel(), y.ravel()]), period)
+
+
+def _flaps(triangles: Ints) -> Ints:
+    """Both ends of each edge between two triangles (n_elem, 3), and the third corner of either: (n, 4)."""
+    ends = np.sort(triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(ends.T)
+    both = np.flatnonzero((ends[order[1:]] == ends[order[:-1]]).all(axis=1))
+    one, other = order[both], order[both + 1]
+    return np.column_stack([ends[one], triangles.ravel()[one], triangles.ravel()[other]])
+
+
+def _is_delaunay(nodes: Floats, flaps: Ints) -> bool:
+    """Whether triangles of a convex domain are Delaunay still: no circle about one has its neighbour's corner in it."""
+    a, b, c, d = nodes[flaps.T]
+    a, b, c = a - d, b - d, c - d
+    squares = [(corner**2).sum(axis=1) for corner in (a, b, c)]
+    crossed = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))]
+    area = sum(crossed)  # twice that of a, b and c; its other neighbour is beyond ab
+    inside = area * sum(square * cross for square, cross in zip(squares, crossed, strict=True))
+    return bool((area * crossed[2] < 0).all() and (inside <= _ROUND * np.abs(area) ** 3).all())
 
 
 def _triangulate(nodes: Floats, size: float, domain: Domain) -> Ints:

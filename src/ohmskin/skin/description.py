@@ -286,9 +286,9 @@ class Skin:
         size = size or self.imaging.mesh_size
         check_expense(self.domain, len(candidate_pairs(electrodes, self.domain.period)), size)
         if not electrodes.are_areas.any():
-            return mesh_domain(self.domain, size, electrodes.positions)
+            return _mesh(self.domain, size, electrodes.positions.tobytes())
         points = electrode_points(self.domain, electrodes, 1.05 * _CLOSEST * size)
-        return mesh_domain(self.domain, size, points, closest=_CLOSEST)
+        return _mesh(self.domain, size, points.tobytes(), closest=_CLOSEST)
 
     def conductivity_on(self, mesh: Mesh) -> Floats:
         """The conductivity (n_elem,) of the untouched sheet on a mesh, as calibrated, if it is (S per square).
@@ -313,6 +313,11 @@ class Skin:
         `finer`: edges of its mesh over the estimator's.
         """
         return _electrode_model(self, finer)
+
+
+@lru_cache(maxsize=8)  # skins that differ in what was calibrated have the same one
+def _mesh(domain: Domain, size: float, points: bytes, **settings: float) -> Mesh:
+    return mesh_domain(domain, size, np.frombuffer(points).reshape(-1, 2), **settings)  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=8)
