@@ -46,6 +46,9 @@ class Domain(Protocol):
     def arc(self, points: ArrayLike) -> Floats:
         """Arc lengths (n,) of points (n, 2) that lie on the rim (m)."""
 
+    def __hash__(self) -> int:
+        """Equal shapes, or the same ones, are one key of a cache."""
+
 
 def _positive(name: str, value: float) -> None:
     if not (np.isfinite(value) and value > 0):
