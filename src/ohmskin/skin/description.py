@@ -254,11 +254,10 @@ class Skin:
     @property
     def calibrated_layer(self) -> ContactLayer:
         """The contact layer, as calibrated, if it is."""
-        layer, found = self.contact_layer, self.calibration
-        if not found.layer_conductance:
-            return layer
-        hysteresis = layer.hysteresis if found.layer_hysteresis < 0 else found.layer_hysteresis
-        told = replace(layer, conductance=found.layer_conductance, exponent=found.layer_exponent)
+        if not (found := self.calibration).layer_conductance:
+            return self.contact_layer
+        hysteresis = self.contact_layer.hysteresis if found.layer_hysteresis < 0 else found.layer_hysteresis
+        told = replace(self.contact_layer, conductance=found.layer_conductance, exponent=found.layer_exponent)
         return replace(told, hysteresis=hysteresis)
 
     @property
@@ -288,7 +287,7 @@ class Skin:
         if not electrodes.are_areas.any():
             return _mesh(self.domain, size, electrodes.positions.tobytes())
         points = electrode_points(self.domain, electrodes, 1.05 * _CLOSEST * size)
-        return _mesh(self.domain, size, points.tobytes(), closest=_CLOSEST)
+        return _mesh(self.domain, size, points.tobytes(), _CLOSEST)
 
     def conductivity_on(self, mesh: Mesh) -> Floats:
         """The conductivity (n_elem,) of the untouched sheet on a mesh, as calibrated, if it is (S per square).
@@ -316,8 +315,8 @@ class Skin:
 
 
 @lru_cache(maxsize=8)  # skins that differ in what was calibrated have the same one
-def _mesh(domain: Domain, size: float, points: bytes, **settings: float) -> Mesh:
-    return mesh_domain(domain, size, np.frombuffer(points).reshape(-1, 2), **settings)  # type: ignore[arg-type]
+def _mesh(domain: Domain, size: float, points: bytes, closest: float = 0.1) -> Mesh:
+    return mesh_domain(domain, size, np.frombuffer(points).reshape(-1, 2), closest=closest)
 
 
 @lru_cache(maxsize=8)
