@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -364,8 +365,9 @@ def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(
     torso: "subprocess.Popen[str]", chromium: Any
 ) -> None:
     assert torso.stdout is not None
-    assert "shm:torso" in torso.stdout.readline()
-    url = re.search(r"http://\S+", torso.stdout.readline())
+    said = iter(torso.stdout.readline, "")
+    assert any("shm:torso" in line for line in said)
+    url = re.search(r"http://\S+", next(said))
     assert url
     with Client("shm:torso") as robot:
         until(lambda: (newest := robot.newest()) and newest.age < 1.0)
@@ -381,6 +383,9 @@ def test_a_robot_feels_where_it_is_touched_and_a_patch_that_dies_comes_back(
             until(lambda: page.evaluate("Boolean(window.ohmskin?.frame?.patches.some((p) => p.contacts.length > 0))"))
             assert page.locator(".patch").count() == 2
             page.close()
+            lines = list(takewhile(lambda line: "contact" not in line, said))  # no terminal: no table, but changes
+            assert {f"patch front: {state}\n" for state in ("starting", "calibrating", "running")} < {*lines}
+            assert len(lines) < 12, lines
         front.kill()
         until(lambda: robot.newest().age > 1.0)  # type: ignore[union-attr]
         arm = next(seen for seen in robot.newest().patches if seen.patch == "arm")  # type: ignore[union-attr]

@@ -373,6 +373,63 @@ def test_a_recording_is_known_by_its_file_and_has_an_end(chromium: Browser) -> N
     loop.close()
 
 
+def test_rows_and_cross_sections_stay_while_contacts_are_nearly_as_strong(
+    reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page, publish = reader.page, reader.loop.view.publish
+    shares = {1: 1.0, 2: 0.9}
+
+    def felt(header: dict[str, Any], base: np.ndarray, image: np.ndarray) -> None:
+        (contact,) = header["contacts"]
+        contacts = [contact | {"id": k, "strength": share * contact["strength"]} for k, share in shares.items()]
+        contacts.sort(key=lambda one: -one["strength"])  # as the loop sends them
+        publish(header | {"contacts": contacts}, base, image)
+
+    monkeypatch.setattr(reader.loop.view, "publish", felt)
+    through, ids = page.locator("#section-of"), page.locator("#contacts td:first-child")
+    expect(ids).to_have_text(["1", "2"])
+    expect(through).to_have_text("through contact 1")
+    shares[2] = 1.1
+    expect(page.locator("#contacts tr", has_text="1.98")).to_have_count(1)
+    expect(ids).to_have_text(["1", "2"])
+    expect(through).to_have_text("through contact 1")
+    shares[2] = 1.3
+    expect(through).to_have_text("through contact 2")
+    expect(ids).to_have_text(["1", "2"])
+
+
+def test_a_gesture_stands_beside_the_number_of_contacts_unless_it_is_unknown(reader: Reader) -> None:
+    count, header = reader.page.locator("#contact-count"), reader.loop.header
+    expect(count).to_have_text("1")
+    header["gesture"] = {"name": "stroke", "confidence": 0.97}
+    expect(count).to_have_text("1 · stroke 97 %")
+    header["gesture"] = {"name": "unknown", "confidence": 0.6}
+    expect(count).to_have_text("1")
+
+
+@pytest.mark.parametrize(("width", "lines"), [(320, 3), (1440, 1)])
+def test_a_notice_stands_in_the_middle_of_its_line(
+    chromium: Browser, touched: SyntheticLoop, width: int, lines: int
+) -> None:
+    touched.header = {"state": "running", "demo": False, "mode": "16T", **AS_USUAL}
+    touched.header["message"] = "electrode 6: open: almost no current flows when it is driven; check its wire; left out"
+    reader = Reader(chromium, touched, viewport={"width": width, "height": 800})
+    expect(reader.page.locator("#notice")).to_have_attribute("data-kind", "warn")
+    above, below, rows = reader.page.evaluate(
+        """() => {
+            const notice = document.getElementById("notice"), range = document.createRange();
+            range.selectNodeContents(notice);
+            const [text, box] = [range.getBoundingClientRect(), notice.getBoundingClientRect()];
+            const tops = new Set([...range.getClientRects()].map((rect) => Math.round(rect.top)));
+            return [text.top - box.top, box.bottom - text.bottom, tops.size];
+        }"""
+    )
+    assert above == pytest.approx(below, abs=1.5)
+    assert above > 2
+    assert rows == lines
+    reader.close()
+
+
 def test_the_last_minute_is_kept_with_its_doubts(reader: Reader) -> None:
     past = """
         const { Past } = await import("/static/past.js");

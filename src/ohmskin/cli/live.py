@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from ohmskin.cli.arrivals import Arrivals
 from ohmskin.cli.loop import open_loop, refuse_existing
 from ohmskin.cli.options import (
     AS_THE_MODE,
@@ -36,7 +37,6 @@ from ohmskin.view.live import LiveView
 from ohmskin.view.session import Session
 
 _ROWS_PER_SECOND = 5
-_GONE_AFTER = 1.0  # s; longer than a contact goes unseen and keeps its id
 
 
 def live(
@@ -116,15 +116,12 @@ class _Arrivals:
     """A line for every contact that comes."""
 
     def __init__(self) -> None:
-        self._last: dict[int, float] = {}  # when each was seen last; ids are counted anew after a calibration
+        self._arrivals = Arrivals()
 
     def __call__(self, touch: Touch) -> None:
-        self._last = {number: seen for number, seen in self._last.items() if touch.time - seen < _GONE_AFTER}
-        for contact in touch.contacts:
-            if contact.id not in self._last:
-                x, y = contact.position
-                say(f"contact {contact.id} at ({x * 1e3:.0f}, {y * 1e3:.0f}) mm, {contact.extent * 1e4:.1f} cm2")
-            self._last[contact.id] = touch.time
+        for contact in self._arrivals.new(touch.time, {contact.id: contact for contact in touch.contacts}):
+            x, y = contact.position
+            say(f"contact {contact.id} at ({x * 1e3:.0f}, {y * 1e3:.0f}) mm, {contact.extent * 1e4:.1f} cm2")
 
 
 class _Table:

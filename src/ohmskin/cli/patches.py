@@ -3,9 +3,11 @@
 import sys
 import time
 from contextlib import ExitStack
+from typing import Any
 
 from ohmskin.body.body import Body
 from ohmskin.body.patches import Patches
+from ohmskin.cli.arrivals import Arrivals
 from ohmskin.cli.options import HERE, Flag, Page, Repeated, Seconds, Stop, check_publishing, say
 from ohmskin.client.felt import Felt
 from ohmskin.view.overview import Overview
@@ -37,6 +39,9 @@ def patches(
         replay: Show such a recording again, instead of sensing; ends with it.
         demo: Let a demonstration finger wander over each virtual patch.
         headless: No page.
+
+    A terminal gets a table every two seconds; a file or a pipe gets a line for each change of a patch's state and for
+    each contact that comes.
     """
     loaded = Body.load(body)
     check_publishing(publish, page)
@@ -64,25 +69,56 @@ def patches(
             page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address, robot)).url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
         stop.listen()
-        due, count, newest = time.monotonic() + _TABLE_EVERY, 0, None
-        while not stop and not all_patches.ended and (now := time.monotonic()) < end:
-            if (felt := all_patches.step()) is not None:
-                newest, count = felt, count + 1
-            if now >= due and newest is not None:
-                _table(all_patches, newest, count / _TABLE_EVERY)
-                due, count = now + _TABLE_EVERY, 0
+        show = _Table(all_patches) if sys.stdout.isatty() else _Changes(all_patches)
+        while not stop and not all_patches.ended and time.monotonic() < end:
+            show(all_patches.step())
 
 
-def _table(all_patches: Patches, felt: Felt, rate: float) -> None:
-    """A row per patch."""
-    print(f"{'patch':<16}  {'link':<16}  frames/s  latency p50/p99  contacts  age")
-    for seen in felt.patches:
-        status = all_patches.status[seen.patch]
-        latency = f"{1e3 * status.get('p50', 0):5.1f} / {1e3 * status.get('p99', 0):4.1f} ms"
-        count = sum(contact.patch == seen.patch for contact in felt.contacts)
-        age = f"{seen.age:.2f} s" if seen.sequence else "never heard"
-        state = "" if status.get("state") == "running" else f"  {status.get('state', 'starting')}"
-        patch = f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}"
-        print(f"{patch}  {latency:>15}  {count:8d}  {age}{state}")
-    print(f"merged: {rate:.0f} messages/s\n")
-    sys.stdout.flush()
+class _Table:
+    """A row per patch, every two seconds."""
+
+    def __init__(self, patches: Patches) -> None:
+        self._patches = patches
+        self._due, self._count = time.monotonic() + _TABLE_EVERY, 0
+        self._newest: Felt | None = None
+
+    def __call__(self, felt: Felt | None) -> None:
+        self._newest, self._count = felt or self._newest, self._count + (felt is not None)
+        if (now := time.monotonic()) < self._due or (felt := self._newest) is None:
+            return
+        print(f"{'patch':<16}  {'link':<16}  frames/s  latency p50/p99  contacts  age")
+        for seen in felt.patches:
+            status = self._patches.status[seen.patch]
+            latency = f"{1e3 * status.get('p50', 0):5.1f} / {1e3 * status.get('p99', 0):4.1f} ms"
+            count = sum(contact.patch == seen.patch for contact in felt.contacts)
+            age = f"{seen.age:.2f} s" if seen.sequence else "no frame yet"
+            state = "" if status.get("state") == "running" else f"  {_state(status)}"
+            patch = f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}"
+            print(f"{patch}  {latency:>15}  {count:8d}  {age}{state}")
+        print(f"merged: {self._count / (now - self._due + _TABLE_EVERY):.0f} messages/s\n", flush=True)
+        self._due, self._count = now + _TABLE_EVERY, 0
+
+
+class _Changes:
+    """A line for every change of a patch's state, and for every contact that comes."""
+
+    def __init__(self, patches: Patches) -> None:
+        self._patches, self._arrivals = patches, Arrivals()
+        self._states = dict[str, str]()
+
+    def __call__(self, felt: Felt | None) -> None:
+        for name, status in self._patches.status.items():
+            if (state := _state(status)) != self._states.get(name):
+                self._states[name] = state
+                say(f"patch {name}: {state}")
+        if felt is None:
+            return
+        contacts = {(one.patch, one.id): one for one in felt.contacts}
+        for contact in self._arrivals.new(time.monotonic(), contacts):
+            place = ", ".join(f"{1e3 * value:.0f}" for value in contact.position)
+            say(f"contact {contact.id} of {contact.patch} at ({place}) mm in {contact.frame}")
+
+
+def _state(status: dict[str, Any]) -> str:
+    """What a patch reports of itself: its state, or that it has not reported yet."""
+    return str(status.get("state", "starting"))

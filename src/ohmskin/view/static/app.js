@@ -37,6 +37,7 @@ let frameTime = performance.now();
 let textTime = 0;
 let summaryTime = 0;
 let section = null; // where the cross-sections run, [x, y]
+let through = null; // id of the contact that they run through
 let drawnTimes = [];
 const fields = { map: null, base: null };
 const range = new Range();
@@ -232,7 +233,8 @@ function shownPresses(header) {
 }
 
 function placeSection() {
-  const contact = strongest(frame.header.contacts ?? []);
+  const contact = strongest(frame.header.contacts ?? [], through);
+  through = contact?.id ?? null;
   const [left, bottom, right, top] = bounds(setup.skin.domain);
   if (contact) section = clampTo(setup.skin.domain, contact.x, contact.y);
   else section ??= [(left + right) / 2, (bottom + top) / 2];
@@ -277,8 +279,7 @@ function showText(now) {
   guide.update(now / 1000, header, contacts, Boolean(notice.unknown));
   past.add(now / 1000, contacts, Boolean(notice.unknown), findings.length > 0);
   showReadouts();
-  const through = contacts.length ? `through contact ${strongest(contacts).id}` : "no contact";
-  setText("section-of", notice.unknown ? "unknown" : through);
+  setText("section-of", notice.unknown ? "unknown" : contacts.length ? `through contact ${through}` : "no contact");
   drawnTimes = drawnTimes.filter((time) => time > now - 1000);
   setText("drawn", `${drawnTimes.length} displayed fps`);
   if (now - summaryTime > SUMMARY_EVERY) {

@@ -4,6 +4,7 @@ import { number } from "./colour.js";
 import { FONT } from "./ink.js";
 
 const SURE = 0.9; // confidence below which a contact looks doubtful
+const KEPT = 1.2; // how much stronger another contact must be to count as the strongest in its place
 const SMALL = 260; // px of width, below which a map has no room for labels of two lines
 
 /** Contacts with their uncertainty, and labels that avoid each other and the boxes that are `taken`. */
@@ -31,12 +32,10 @@ export function drawContacts(c, f, width, height, scene, taken, ink) {
   scene.contacts.forEach((contact, i) => drawLabel(c, contact, circles[i], taken, width, height, ink));
 }
 
-/** The contact that changed most; null if there is none. */
-export function strongest(contacts) {
-  return contacts.reduce(
-    (best, next) => (best && Math.abs(best.strength) >= Math.abs(next.strength) ? best : next),
-    null,
-  );
+/** The contact that changed most, or the one of id `kept` while it is nearly as strong; null if there is none. */
+export function strongest(contacts, kept = null) {
+  const size = ({ id, strength }) => Math.abs(strength) * (id === kept ? KEPT : 1);
+  return contacts.reduce((best, next) => (best && size(best) >= size(next) ? best : next), null);
 }
 
 /** Whether a contact is to look doubtful. */

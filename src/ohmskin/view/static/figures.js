@@ -52,14 +52,14 @@ export function showProgress(share) {
 }
 
 /**
- * Rows of the contact table are kept and refilled, so that nothing flickers and selections survive; `none` stands there
- * if it is empty.
+ * Rows of the contact table, by id, are kept and refilled, so that nothing flickers and selections survive; `none`
+ * stands there if it is empty.
  */
 export function showContacts(contacts, none, gesture) {
   const body = byId("contacts").tBodies[0];
   while (body.rows.length > contacts.length) body.deleteRow(-1);
   while (body.rows.length < contacts.length) addRow(body);
-  contacts.forEach((contact, i) => {
+  [...contacts].sort((a, b) => a.id - b.id).forEach((contact, i) => {
     const cells = body.rows[i].cells;
     const share = Math.min(1, Math.max(0, contact.confidence));
     const sure = contact.covariance ? number(1e3 * ellipse(contact.covariance).major, 1) : "–";

@@ -63,6 +63,10 @@ const FIGURES = [
     "Relative change of conductivity (Δσ/σ), summed over the extent. It grows with force, but is not a force.",
   ],
   ["force", "In newtons, with its standard deviation; on skins that are calibrated to newtons."],
+  [
+    "gesture",
+    "Beside the number of contacts: tap, stroke, push or grasp, with its probability. Nothing there: not known.",
+  ],
   ["last minute", "A bar for each contact; amber: doubtful. Grey: unknown. Amber below: data were in doubt."],
   ["confidence", "Probability that this is a contact, given the noise and what no contact explains."],
 ];
