@@ -37,15 +37,31 @@ def test_the_guide_has_the_same_and_it_takes_eight_lines() -> None:
     assert len(steps) == 8
 
 
+def prose(page: Path) -> str:
+    """A page without its blocks of code."""
+    return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def anchors(page: Path) -> set[str]:
+    """What links to the headings of a page end with."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
+    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
+    return {re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") for heading in plain}
+
+
 def test_every_link_leads_somewhere() -> None:
     """Links to what `make docs` makes are checked when it makes it."""
     made = tuple(line for line in (ROOT / ".gitignore").read_text().splitlines() if line.startswith("/docs/"))
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    for page in pages:
-        prose = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-        for link in re.findall(r"\]\(([^)#:]+)\)", prose):
-            target = (page.parent / link).resolve()
-            assert target.exists() or f"/{target.relative_to(ROOT)}".startswith(made), f"{page.name} links to {link}"
+    folders = ("docs", "examples", "firmware", "integrations", "ros")
+    pages = [ROOT / "README.md", *(page for folder in folders for page in (ROOT / folder).rglob("*.md"))]
+    links = [(page, link) for page in pages for link in re.findall(r"\]\(([^)\s:]+)\)", prose(page))]
+    assert sum("#" in link for _, link in links) > 20
+    for page, link in links:
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        if not f"/{target.relative_to(ROOT)}".startswith(made):
+            assert target.exists(), f"{page.name} links to {link}"
+            assert not anchor or anchor in anchors(target), f"{page.name} links to {link}, which is no heading there"
 
 
 def test_every_command_exists() -> None:

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import CenteredNorm
 from matplotlib.figure import Figure
 
 from ohmskin.forward import FloatingPatches, TransferModel, drive_voltages
 from ohmskin.geometry import Electrodes, Rectangle, mesh_domain
+from ohmskin.plot.colours import AMOUNT, SIGNED
 from ohmskin.scan import adjacent
 
 sheet, conductivity = Rectangle(0.2, 0.2), 1.83e-3  # metres, siemens per square
@@ -29,7 +31,7 @@ volts[0, [0, 7, 12]] = 5.0, -5.0, 0.0
 response = drive_voltages(model, volts, resistance=150.0)
 currents, mesh = response.currents[0], model.mesh
 potential = model.potentials @ currents + response.potentials[0, 0] - model.electrode_potentials[0] @ currents
-shown = left.tricontourf(*1e3 * mesh.nodes.T, mesh.elements, potential, levels=24, cmap="RdBu_r")
+shown = left.tricontourf(*1e3 * mesh.nodes.T, mesh.elements, potential, levels=24, cmap=SIGNED, norm=CenteredNorm())
 left.plot(*1e3 * points.positions.T, "o", color="0.15", markersize=3, clip_on=False)
 for k in (0, 7, 12):
     x, y = 1e3 * points.positions[k]
@@ -71,7 +73,7 @@ rate = len(presses) / (time.perf_counter() - start)
 a, b, c, d = adjacent(points.rings).quadruples.T
 change = np.array([s - model.transfer_resistance for s in pressed])
 signal = np.linalg.norm(change[:, a, c] - change[:, a, d] - change[:, b, c] + change[:, b, d], axis=1)
-shown = right.imshow(1e-3 * signal.reshape(48, 48), origin="lower", extent=(0, 200, 0, 200), cmap="viridis")
+shown = right.imshow(1e-3 * signal.reshape(48, 48), origin="lower", extent=(0, 200, 0, 200), cmap=AMOUNT)
 right.set(title="signal of a press, adjacent drive at 1 mA", xlabel="x / mm", ylabel="y / mm")
 figure.colorbar(shown, ax=right, label="V", shrink=0.75)
 print(f"{rate:.0f} presses per second, on one factorisation")

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LogNorm
+from matplotlib.colors import CenteredNorm, LogNorm
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Polygon, Rectangle, mesh_domain, mesh_graded, thicken
+from ohmskin.plot.colours import AMOUNT, SIGNED
 
 mpl.rcParams.update({"axes.titlesize": 10, "font.size": 9})
 figure = Figure(figsize=(11.5, 3.7), layout="constrained")
@@ -26,7 +27,7 @@ clamps = Electrodes.rim(palm, 12, start=0.02).with_rim_segments(8e-3, 1.0)
 model = TransferModel(mesh_graded(palm, 8e-3, clamps), clamps, 1.83e-3)
 axes = figure.add_subplot(1, 3, 1)
 density = np.linalg.norm(model.current_density(4, 10), axis=1)
-shown = axes.tripcolor(*1e3 * model.mesh.nodes.T, model.mesh.elements, density, norm=LogNorm(1, 100), cmap="magma_r")
+shown = axes.tripcolor(*1e3 * model.mesh.nodes.T, model.mesh.elements, density, norm=LogNorm(1, 100), cmap=AMOUNT)
 axes.triplot(*1e3 * model.mesh.nodes.T, model.mesh.elements, color="0.3", linewidth=0.15)
 axes.set(
     title=f"polygon with a hole, {model.mesh.n_elem:,} triangles", xlabel="x / mm", ylabel="y / mm", aspect="equal"
@@ -49,7 +50,7 @@ link = TransferModel(flat.mapped(laid), grid.mapped(laid), 1.83e-3)
 axes = figure.add_subplot(1, 3, 2, projection="3d")
 density = np.linalg.norm(link.current_density(1, 7), axis=1)
 faces = Poly3DCollection(
-    1e3 * link.mesh.nodes[link.mesh.elements], array=density, norm=LogNorm(1, 100), cmap="magma_r", linewidth=0
+    1e3 * link.mesh.nodes[link.mesh.elements], array=density, norm=LogNorm(1, 100), cmap=AMOUNT, linewidth=0
 )
 axes.add_collection3d(faces)
 axes.set(
@@ -74,7 +75,7 @@ x, z = np.meshgrid(np.linspace(0, 0.21, 300), np.linspace(-0.03, 0, 60))
 rows, inside = body.interpolation(np.column_stack([x.ravel(), np.full(x.size, 0.05), z.ravel()]))
 cut = np.full(x.size, np.nan)
 cut[inside] = rows @ (thick.potentials[:, 12] - thick.potentials[:, 13])
-shown = axes.contourf(1e3 * x, 1e3 * z, cut.reshape(x.shape), levels=24, cmap="RdBu_r")
+shown = axes.contourf(1e3 * x, 1e3 * z, cut.reshape(x.shape), levels=24, cmap=SIGNED, norm=CenteredNorm())
 axes.set(title=f"cut through a thick skin, {body.n_elem:,} tetrahedra", xlabel="x / mm", ylabel="z / mm")
 figure.colorbar(shown, ax=axes, label="potential of 1 A / V")
 

@@ -24,11 +24,11 @@ state = sensor.start()
 figure = Figure(figsize=(6.4, 6), layout="constrained")
 axes = figure.subplots()
 axes.plot(*(1e3 * skin.electrodes.positions.T), "s", color="0.6", label="electrodes")
-for frame in range(60):
-    angle = 0.05 * frame
+for frame in range(150):
+    angle = 0.02 * frame
     fingers = [(0.1 + 0.06 * np.cos(angle), 0.1 + 0.06 * np.sin(angle))]
-    if frame >= 20:  # the second one lands while the first is tracked
-        fingers.append((0.145 - 0.0005 * frame, 0.055))
+    if frame >= 50:  # the second one lands while the first is tracked
+        fingers.append((0.145 - 0.0002 * frame, 0.055))
     for number, at in enumerate(fingers, 1):
         device.press(number, *at, radius=8e-3, pressure=20e3)
         axes.plot(*(1e3 * np.array(at)), ".", color="0.4", markersize=3)
