@@ -1,12 +1,15 @@
 """Everyone can use the page: axe-core finds no violation in any state, and the browser's console stays empty."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image as Bitmap
 from playwright.sync_api import Browser, Page, expect
 from test_view_browser import AS_USUAL, Reader, SyntheticLoop, make_setup
 
+from ohmskin.plot.report import Folded, Image, Picture, Section, Table, write_report
 from ohmskin.view import LiveView
 
 AXE = Axe()
@@ -71,3 +74,24 @@ def test_axe_finds_nothing_while_the_loop_starts(chromium: Browser, theme: str) 
         expect(page.locator("#unknown-why")).to_have_text("Starting")
         assert violations(page) == []
         context.close()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing_in_a_report(chromium: Browser, theme: str, tmp_path: Path) -> None:
+    Bitmap.new("RGB", (400, 300), "white").save(tmp_path / "map.png")
+    head = ("", *(f"quantity {k} / mm" for k in range(12)))
+    table = Table(head, [("it's", *("1.25 (1.1 to 1.4)",) * 10, verdict, "met") for verdict in ("missed", "undecided")])
+    picture = Image("Figure 1", Picture("map", tmp_path / "map.png", "Where it is."))
+    first = Section("A report", ["Some *words*, and `code`."], "#")
+    report = write_report(
+        [first, Section("Errors", [table, picture, Folded("more", [table])], "1", "errors")], tmp_path / "a.html"
+    )
+    context = chromium.new_context(color_scheme=theme)  # type: ignore[arg-type]
+    page = context.new_page()
+    for width in (320, 1440):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.goto(report.as_uri())
+        page.click("summary")
+        assert violations(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    context.close()

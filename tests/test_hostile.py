@@ -28,7 +28,7 @@ EVERY_DAY = (
     "frames of nothing",
     "currents of NaN",
     "a clock at its end",
-    "replies nobody asked for",
+    "unsolicited replies",
     "a packet without an end",
     "payloads cut short",
     "hanging up in mid-packet",

@@ -183,7 +183,7 @@ def test_a_body_follows_them(tmp_path: Path) -> None:
     said: list[str] = []
     body = Body.load(tmp_path / "body.toml")
     with Patches(body, joints=f"zenoh:listen/{place}", report=said.append) as patches, LinkPoses("torso") as poses:
-        assert f"hearing joint states at zenoh:listen/{place}, /joint_states" in said
+        assert f"receiving joint states at zenoh:listen/{place}, /joint_states" in said
         session = open_session(place, False, None)
         try:
             put = session.declare_publisher(data_key("/joint_states", dds_name("sensor_msgs/JointState"), "RIHS01_0"))

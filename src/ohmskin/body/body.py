@@ -44,7 +44,7 @@ class Body:
     Args:
         name: What clients call it.
         patches: Its patches.
-        robot: What its URDF file says; None if it names none.
+        robot: From its URDF file; None if it names none.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Body:
 
     @classmethod
     def load(cls, path: str | Path) -> "Body":
-        """Read a body from its file. Skins and the URDF file are sought in its folder, and nowhere else.
+        """Read a body from its file. Skins and the URDF file are read from its folder only.
 
         Raises:
             SkinError: If it cannot be read, an entry is unknown, missing or out of range, or a link not in the URDF.

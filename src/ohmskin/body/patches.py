@@ -64,7 +64,7 @@ class PatchProcess:
             self._again = time.monotonic() + _RESTART_AFTER
             why = self.status.get("failed", f"exit status {status}")
             self.status = {"state": "lost", "message": str(why)}
-            self._report(f"patch {self._patch} has ended ({why}); starting it anew")
+            self._report(f"patch {self._patch} has ended ({why}); restarting it")
         elif time.monotonic() > self._again:
             self._end(0.0)
             self._start()
@@ -108,7 +108,7 @@ class Patches(Closing):
         token: What listeners on other machines must give, where the protocol knows such a thing.
         demo: Whether a demonstration finger presses each virtual patch.
         images: Most images per second of each patch at outlets; on boards, where pages read them, there are up to 30.
-        joints: Where to hear how the joints stand, ``zenoh`` or ``dds``; from a program of ours (`JointStates`) unless
+        joints: Where joint states are received, ``zenoh`` or ``dds``; from a program of ours (`JointStates`) unless
             given.
         joint_topic: Topic of the joint states (`sensor_msgs/msg/JointState`).
         replay: A recording of the body to show again, instead of its devices.
@@ -119,7 +119,7 @@ class Patches(Closing):
         boards: Names of the boards of each patch.
 
     Raises:
-        PublishError: If the body's name is taken, an outlet cannot be opened, or joint states cannot be heard.
+        PublishError: If the body's name is taken, an outlet cannot be opened, or joint states cannot be received.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class Patches(Closing):
             if joints and body.robot is not None:
                 moving = [name for name, joint in body.robot.joints.items() if joint.moves]
                 heard = JointsProcess(body.name, moving, joints, joint_topic, token)
-                report(f"hearing joint states at {stack.enter_context(heard).address}, {joint_topic}")
+                report(f"receiving joint states at {stack.enter_context(heard).address}, {joint_topic}")
             self._replay = stack.enter_context(BodyReplay(body, replay)) if replay else None
             stack.callback(self._end_processes)
             for placed, board in zip(body.patches, self.boards, strict=True) if not replay else ():

@@ -26,7 +26,7 @@ class SelfTouch:
     that cannot move against the contact's own do not count.
 
     Args:
-        body: Its skins, and the URDF file that says what its links look like.
+        body: Its skins, and the URDF file with the shapes of its links.
 
     Raises:
         SkinError: If it names no URDF file.

@@ -239,7 +239,7 @@ class BoardReader(Closing):
         except (ValueError, RecursionError) as error:
             words.release()
             memory.close()
-            raise PublishError(f"{self._path} is no board of this ohmskin ({error}); start its writer anew") from error
+            raise PublishError(f"{self._path} is no board of this ohmskin ({error}); restart its writer") from error
         self.close()
         self._memory, self._words, self.setup = memory, words, setup
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0

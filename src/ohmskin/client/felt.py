@@ -254,7 +254,7 @@ def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Felt:
         sequence, at, stamp, n_patches, n_contacts = _HEAD.unpack_from(record)
         middle = _HEAD.size + n_patches * _PATCH.size
         if n_patches != len(patches) or len(record) != middle + n_contacts * _CONTACT.size:
-            raise PublishError(f"a record of {len(record)} bytes says {n_patches} patches and {n_contacts} contacts")
+            raise PublishError(f"a record of {len(record)} bytes claims {n_patches} patches and {n_contacts} contacts")
         rows = zip(patches, _PATCH.iter_unpack(record[_HEAD.size : middle]), strict=True)
         sightings = [
             Sighting(patch.name, patch.frame, number, seen, when, mode.rstrip(b"\0").decode(errors="replace"))

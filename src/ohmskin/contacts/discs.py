@@ -1,4 +1,4 @@
-"""Discs fitted to data: so many as one is told to look for, places, effects and radii free.
+"""Discs fitted to data: a given number of them, with places, effects and radii free.
 
 A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
 """
@@ -48,7 +48,7 @@ class DiscFitter:
     # --- what is measured ---------------------------------------------------------------------------------------------
 
     def information(self, *scans: Difference) -> tuple[Information, Information]:
-        """What one scan says, or several fused; and the same wary of the model's error.
+        """Information of one scan, or of several fused; and the same with the model's error as noise.
 
         Raises:
             DataError: If no finite datum is left.

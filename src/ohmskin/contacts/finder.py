@@ -1,4 +1,4 @@
-"""Contacts: what an image says about who presses where."""
+"""Contacts found in an image: the places where it is pressed."""
 
 from dataclasses import dataclass
 from math import erf, sqrt
@@ -28,7 +28,7 @@ class Contact:
         radius: Of the disc that explains the data best (m); None likewise.
         force: With which it is pressed (N); None where the skin is not calibrated for force, or it is not known yet.
         force_std: Standard deviation of the force (N); None likewise.
-        pressure: Its greatest (Pa); None likewise, or where the calibration does not tell pressure from area.
+        pressure: Its greatest (Pa); None likewise, or where the calibration cannot separate pressure from area.
         area: Force over pressure (m2); None likewise.
     """
 

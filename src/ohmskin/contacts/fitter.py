@@ -267,11 +267,11 @@ class ContactFitter(DiscFitter):
 
         Args:
             told: What is measured.
-            data: The same, wary of the model's error.
+            data: The same, with the model's error as noise.
             found: The contacts.
             k: Which of them; the pair comes last.
             bar: The least gain, in units of the noise's variance; `split_bar` unless given.
-            left: What is left to say beside the contacts, if that is known.
+            left: What remains to be explained beside the contacts, if that is known.
         """
         left = left or told.less(found.caused).beside(found.slopes)
         one = found.params[k]

@@ -1,7 +1,7 @@
-"""What scans say of two-terminal resistances: all that contacts are fitted to, whatever the patterns driven.
+"""Information of scans about two-terminal resistances: all that contacts are fitted to, whatever the patterns driven.
 
 Voltages of a scan change by y = A x + D z + noise: x are the changes of the two-terminal resistances (ohm) and, last,
-a common relative change of all of them; z are errors that the data themselves cannot tell from x beforehand, such as
+a common relative change of all of them; z are errors that data alone cannot separate from x beforehand, such as
 those of currents and contact impedances, each with a standard deviation of one. With white noise the squared misfit, z
 at its best, is constant - 2 vector.x + x.matrix.x. That is sufficient: scans with errors of their own add up.
 """
@@ -58,7 +58,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What one or several scans say.
+    """Information of one or several scans.
 
     Args:
         told: The misfit, errors of all kinds at their best.
@@ -74,7 +74,7 @@ class Information:
 
     @classmethod
     def of(cls, pairs: Pairs | int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
-        """What scans say whose contacts are in the same state, and the same wary: the model's error is noise, too.
+        """Information of scans whose contacts are in the same state; and the same with the model's error as noise.
 
         Channels that are not finite are left out. Data of driven electrodes count as much less as their larger changes
         are modelled worse.
@@ -111,7 +111,7 @@ class Information:
 
     @classmethod
     def _beside(cls, rows: Rows, data: Floats, errors: Errors, pairs: int) -> tuple["Information", "Information"]:
-        """What data (n_rows,) say, and the same wary."""
+        """Information of data (n_rows,); and the same with the model's error as noise."""
         none = np.zeros((pairs, 0))
         changes = none if errors.contacts is None else errors.contacts
         larger = 1 + errors.model**2 * float(data @ data) / len(data)
@@ -121,7 +121,7 @@ class Information:
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
-        """What several say whose errors are their own."""
+        """Sum of the information of several whose errors are independent."""
         told, white = (_summed(each) for each in ([part.told for part in parts], [part.white_left for part in parts]))
         return cls(told, white, sum(part.count for part in parts))
 
@@ -136,43 +136,43 @@ class Information:
         return self.white if self.known is None else self.white.less(self.known)
 
     def less(self, known: Floats) -> "Information":
-        """What is left to say once changes (n_pairs or n,) are known to be a part of it."""
+        """The information that remains once known changes (n_pairs or n,) are subtracted."""
         known = np.ascontiguousarray(known)
         together = np.zeros(len(self.told.vector)) if self.known is None else self.known.copy()
         together[: len(known)] += known
         return Information(self.told.less(known), self.white, self.count, together)
 
     def without(self, directions: Floats) -> "Information":
-        """What is said beside changes (n_pairs or n, k), each with a standard deviation of one."""
+        """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""
         return Information(self.told.without(directions), self.white, self.count, self.known)
 
     def beside_common(self, variance: float = _COMMON**2) -> "Information":
-        """What is said beside a common relative change of all resistances, of which the variance is known (1)."""
+        """The information, with a common relative change of all resistances of known variance (1) as an error."""
         direction = np.zeros((len(self.told.vector), 1))
         direction[-1] = sqrt(variance)
         return self.without(direction)
 
     def unexplained(self, caused: Floats) -> float:
-        """Share of what is said beyond noise, if that is much, that is left beside what contacts cause (n_pairs,)."""
+        """Share of the signal beyond noise, if that is large, that contacts (their changes, n_pairs) do not explain."""
         said, left = self.signals(caused)
         return min(max(left / said, 0.0), 1.0) if said > _SAID * self.count else 0.0
 
     def signals(self, caused: Floats) -> tuple[float, float]:
-        """What is said beyond noise, and what of it is left beside what contacts cause (n_pairs,); squared sizes."""
+        """The signal beyond noise, and what remains of it after changes of contacts (n_pairs,); squared sizes."""
         beside = self.beside_common()
         return beside.told.constant - self.count, beside.less(caused).told.constant - self.count
 
     def drift(self) -> Floats:
-        """Change (n_pairs,) of each two-terminal resistance that explains what is said; none where nothing is (ohm)."""
+        """Change (n_pairs,) of each two-terminal resistance that explains the data (ohm); 0 without information."""
         ridge = _RIDGE * self.white.trace / self.count
         return likeliest(self.told.rows, self.told.lost, self.told.vector, ridge)[:-1]
 
     def beside(self, directions: Floats) -> "Information":
-        """What is said beside changes (n_pairs or n, k) of which nothing is known."""
+        """The information, with changes (n_pairs or n, k) of unknown size as errors."""
         return self.without(self._unknown(directions))
 
     def leaving_out(self, directions: Floats) -> "Information":
-        """What is said if changes (n_pairs or n, k) count for nothing, not in the size of others either."""
+        """The information without changes (n_pairs or n, k), in the size of others neither."""
         unknown = self._unknown(directions)
         return Information(self.told.without(unknown), self.white.without(unknown), self.count, self.known)
 

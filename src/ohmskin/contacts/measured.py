@@ -26,7 +26,7 @@ _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, 
 
 
 def fainter(rows: Rows, share: float) -> Rows:
-    """The same with all errors larger: data say that share of what they did."""
+    """The same with all errors larger: this share of the information remains."""
     columns, sizes, loading, quiet, starts, weights = rows
     root = np.sqrt(share)
     return columns, root * sizes, root * loading, root * quiet, starts, weights / share

@@ -16,7 +16,7 @@ class Solution:
 
     Args:
         params: (n, 4) x, y (m), effect (m2), squared radius (m2) of each.
-        cost: Squared misfit in units of its noise, what is believed beforehand included.
+        cost: Squared misfit in units of its noise, the prior included.
         normal: (4 n, 4 n) curvature: the inverse of their covariance.
         caused: (n_pairs,) what they change of the two-terminal resistances (ohm).
         slopes: (n_pairs, 4 n) its derivatives by their parameters.
@@ -78,6 +78,6 @@ def inverse(normal: Floats) -> Floats:
 def effect_std(covariance: Floats) -> float:
     """How surely there is a contact: deviation of its effect (m2), its place and size taken as given.
 
-    From their covariance (4, 4). Without knowing the place less is told of the effect, but not of whether it is zero.
+    From their covariance (4, 4). Where the place is unknown, the effect is less certain, but not whether it is zero.
     """
     return float(1 / np.sqrt(inverse(np.ascontiguousarray(covariance))[2, 2]))

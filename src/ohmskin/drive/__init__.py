@@ -1,4 +1,4 @@
-"""What to drive next: fixed sets, the paper's choice (eq. 7), choices by what is not yet known; what each is worth."""
+"""What to drive next: fixed sets, the paper's choice (eq. 7), choices by remaining uncertainty; position bounds."""
 
 from ohmskin.drive.bound import ContactPrior, best_fixed, position_bound
 from ohmskin.drive.design import Candidates, Choice, Search, exchange, greedy, pair_currents

@@ -57,7 +57,7 @@ class ContactPrior:
         return ContactPrior(*lengths, self.effect_spread, self.radius_spread)
 
     def covariance(self, targets: Sequence[Target] | None = None) -> Floats:
-        """Of one contact (4, 4), or of several (4 n, 4 n) whose positions are known as well as `targets` say."""
+        """Of one contact (4, 4), or of several (4 n, 4 n) whose positions have the covariances of `targets`."""
         places = [np.eye(2) * self.position**2] if targets is None else [target.covariance for target in targets]
         rest = np.diag([self.effect_spread**2, self.radius_spread**2])
         return np.asarray(block_diag(*(block for place in places for block in (place, rest))))

@@ -33,7 +33,7 @@ CURRENT = 1e-3  # amperes, where nothing else is said
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Injections to choose from, and what their voltages say in units of the noise.
+    """Injections to choose from, and the sensitivity of their voltages in units of the noise.
 
     Args:
         pattern: The injections, all with equally many measurements.
@@ -94,7 +94,7 @@ class Candidates:
     def rows(self, columns: Floats) -> Floats:
         """H (..., n, min(m, d), d) of a state that changes the resistances by `columns` (..., n_pairs, d) (ohm).
 
-        More rows than unknowns are reduced to as many, which say the same.
+        More rows than unknowns are reduced to as many, with the same information.
         """
         rows = self._seen(columns)
         return rows if rows.shape[-2] <= columns.shape[-1] else np.asarray(np.linalg.qr(rows, mode="r"))

@@ -19,7 +19,7 @@ _SMALL = 2e-3  # m: the triangle about a place when no element of a mesh is give
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What is believed of one contact.
+    """The belief about one contact.
 
     Args:
         position: (2,) in metres.
@@ -66,7 +66,7 @@ class Drive(Protocol):
     def adjustable(self) -> bool: ...
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The pattern of scan number `turn` (from 0), given what is believed of the contacts."""
+        """The pattern of scan number `turn` (from 0), given the belief about contacts."""
 
     def with_injections(self, count: int) -> "Drive":
         """The same drive with another number of injections a frame.
@@ -78,7 +78,7 @@ class Drive(Protocol):
 
 @dataclass(frozen=True)
 class Fixed:
-    """Always the same pattern, whatever is believed; the number of its injections is no choice."""
+    """Always the same pattern, whatever the belief; the number of its injections is fixed."""
 
     pattern: DrivePattern
     scans, adjustable = 1, False
@@ -123,7 +123,7 @@ class SecondScan:
         return part_of(self.complete, self.choose([np.asarray(anchors, float) for anchors in regions]))
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
-        """The pattern for what is believed of the contacts."""
+        """The pattern for the belief about contacts."""
         return self.pattern([target.anchors for target in targets])
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
@@ -192,7 +192,7 @@ class WithDriven:
         return self.drive.adjustable
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """What the drive wants, with driven electrodes."""
+        """The drive's pattern, with driven electrodes."""
         return self.drive.next(targets, turn).with_driven
 
     def with_injections(self, count: int) -> "WithDriven":
@@ -201,7 +201,7 @@ class WithDriven:
 
 
 class Exploration:
-    """Goes round a fixed set of injections, whatever is believed: finds contacts wherever they appear.
+    """Cycles through a fixed set of injections, whatever the belief: finds contacts wherever they appear.
 
     Args:
         electrodes: Electrode layout.

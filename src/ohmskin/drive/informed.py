@@ -32,7 +32,7 @@ _KEPT = 64  # candidates; with them the paper's sheet loses nothing, 32 electrod
 
 
 class Ranking:
-    """Injections in the order of their worth for a contact in each cell of a grid over the sheet.
+    """Injections ranked by information about a contact in each cell of a grid over the sheet.
 
     Args:
         table: Responses of contacts.
@@ -113,7 +113,7 @@ def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple
 
 
 class InformedPolicy(Exploration):
-    """Spends a frame's injections where they say most about the contacts, and keeps exploring.
+    """Spends a frame's injections where they are most informative about the contacts, and keeps exploring.
 
     Args:
         electrodes, injections, drives, period: As `Exploration`.
@@ -121,7 +121,7 @@ class InformedPolicy(Exploration):
             `candidate_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
         explore: How many of a frame's injections go round the exploring set, but no more than half. With two of four,
             95 % of new contacts and more are found within three frames (docs/policies.md).
-        exact: Weigh all candidates against what is believed now, contacts together and the ellipses of their positions
+        exact: Weigh all candidates against the present belief, contacts together and the ellipses of their positions
             included; in about a millisecond. Otherwise contacts take turns at their cell's ranking, in a tenth of that.
 
     Raises:
@@ -155,7 +155,7 @@ class InformedPolicy(Exploration):
         return None if self.exact else _ranking(*self._known, _DEPTH, (), _TRACKED, _EFFECT)
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The pattern of frame number `turn` (from 0), given what is believed of the contacts."""
+        """The pattern of frame number `turn` (from 0), given the belief about contacts."""
         return part_of(self.complete, self._choose(targets, turn))
 
     @property
@@ -185,7 +185,7 @@ class InformedPolicy(Exploration):
 
 
 class PositionDrive(SecondScan):
-    """The second scan of mode ``16P``: what says most about where contacts are, given the base scan.
+    """The second scan of mode ``16P``: the pairs most informative about where contacts are, given the base scan.
 
     Args:
         electrodes, pairs, period: As `SecondScan`; an injection may be chosen more than once.
@@ -209,7 +209,7 @@ class PositionDrive(SecondScan):
         return _ranking(*self._design(), self.pairs, tuple(self._base.tolist()), _BASED, size=_SIZE)
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
-        """The pattern for wherever contacts may be: at the places believed, and a standard deviation to all sides."""
+        """The pattern for wherever contacts may be: at their estimated places, and one standard deviation around."""
         places = [place for target in targets for place in _wherever(target)]
         return part_of(self.complete, _in_turn(self.ranking, places, self.pairs, turn=0))
 

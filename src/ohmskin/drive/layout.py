@@ -77,7 +77,7 @@ class LayoutSearch:
 
     Args:
         domain: The sheet, of a curved skin its map.
-        conductivity: In siemens per square; or what tells it on a mesh, as `Skin.conductivity_on`.
+        conductivity: In siemens per square; or a function that gives it on a mesh, as `Skin.conductivity_on`.
         mesh_size: Edge length of the finite elements (m).
         radius: Of a contact (m); contacts lie wholly on the sheet.
         noise: Standard deviation of a voltage (V).

@@ -265,7 +265,7 @@ class Engine(Closing):
         try:
             check_fit(device, self.skin, before)
             if before and any(getattr(able, name) < getattr(before, name) for name in _ROOM):
-                raise DeviceError("the device takes smaller patterns than the one before; start anew with this one")
+                raise DeviceError("the device takes smaller patterns than the one before; restart with this one")
         except DeviceError:
             device.close()
             raise

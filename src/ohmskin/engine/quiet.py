@@ -78,7 +78,7 @@ class QuietFrames:
     def _frame(self, piece: DrivePattern) -> Frame:
         frame = self._scan(piece)
         if frame.pattern != piece:  # such as of a damaged recording
-            raise DataError("a quiet frame has another pattern than was asked for; calibrate again, or record anew")
+            raise DataError("a quiet frame has another pattern than was asked for; calibrate or record again")
         return frame
 
     def _repaired(self, frames: list[Frame], bad: Sequence[int]) -> int:

@@ -30,9 +30,9 @@ class GestureModel:
         middle, spread: (n_features,) of the figures that it was trained on.
         layers: Weights (n_in, n_out) and offsets (n_out,) of each layer; tanh between, softmax at the end.
         precision: (n_gestures, n_features, n_features) inverse covariance of the standardised figures of each gesture,
-        centres: (n_gestures, n_features) and their means, by which figures unlike all gestures are told.
+        centres: (n_gestures, n_features) and their means, by which features unlike all gestures are recognised.
         limit: Squared distance from the closest gesture beyond which figures are unlike all.
-        sure: Probability from which on a gesture is told.
+        sure: Probability from which on a gesture is reported.
     """
 
     middle: Floats
@@ -90,7 +90,7 @@ class GestureModel:
         try:
             given = json.loads(text)
             if tuple(given["gestures"]) != GESTURES or tuple(given["features"]) != FEATURES:
-                raise ValueError("it tells other gestures, or by other figures")
+                raise ValueError("it is for other gestures, or has other features")
             names = ("middle", "spread", "precision", "centres")
             middle, spread, precision, centres = (np.array(given[name], float) for name in names)
             layers = tuple((np.array(w, float), np.array(b, float)) for w, b in given["layers"])

@@ -20,7 +20,7 @@ class Gesture:
         confidence: Probability of the gesture that is likeliest (0 to 1); 0 if the episode is unlike all of them.
         began: When it began (s).
         duration: How long it has lasted (s).
-        ended: Whether all contacts are lifted, so that it is told for good.
+        ended: Whether all contacts are lifted, so that it is final.
     """
 
     name: str = UNKNOWN
@@ -36,20 +36,20 @@ class Gesture:
 
 @dataclass(frozen=True, eq=False)
 class GestureState:
-    """The episode that is under way, or the last one, and the gesture told of it."""
+    """The episode that is under way, or the last one, and its gesture."""
 
     episode: Episode | None = None
     gesture: Gesture | None = None
 
 
 class GestureReader:
-    """Tells taps, strokes, pushes and grasps of contacts over time; state in, state out.
+    """Classifies contacts over time as taps, strokes, pushes and grasps; state in, state out.
 
     Contacts are of any mode, on the sheet (`ohmskin.contacts.Contact`) or in a robot's frame
     (`ohmskin.client.Contact`): place and strength are all that counts.
 
     Args:
-        model: What tells them; the one that ships unless given.
+        model: The classifier; the one that ships unless given.
     """
 
     def __init__(self, model: GestureModel | None = None) -> None:
@@ -87,7 +87,7 @@ class GestureFollower:
     """A `GestureReader` that keeps its state: call it with the time (s) and the contacts of every frame.
 
     Args:
-        model: What tells gestures; the one that ships unless given.
+        model: The classifier; the one that ships unless given.
     """
 
     def __init__(self, model: GestureModel | None = None) -> None:

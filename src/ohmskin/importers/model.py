@@ -24,8 +24,8 @@ class ImportedModel:
     Args:
         mesh: Triangles or tetrahedra.
         electrodes: Points, and groups of the mesh's facets.
-        drive: What is driven and measured, if the file says so.
-        conductivity: (n_elem,), if the file says so.
+        drive: What is driven and measured, if the file has it.
+        conductivity: (n_elem,), if the file has it.
         notes: What was left out or assumed on reading, in plain words.
     """
 

@@ -15,7 +15,7 @@ class Recording:
     Args:
         quiet: Frames of the untouched skin.
         frames: Frames to look at, in order.
-        skin: The shipped skin description that fits the format; empty if the file does not tell.
+        skin: The shipped skin description that fits the format; empty if none fits.
         notes: What was left out or assumed on reading, in plain words.
         tape: All that a recording of ours holds beside; None for others.
         positions: (n_frames, 2) where each frame was pressed (m), in any frame; None: not known.

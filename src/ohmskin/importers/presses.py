@@ -188,10 +188,10 @@ def _adjacent(
 
 
 def resolved(recording: Recording, model: TransferModel) -> Recording:
-    """A recording as voltages: what its file does not tell, signs or the untouched skin, is taken from the model.
+    """A recording as voltages: what its file lacks, signs or the untouched skin, is taken from the model.
 
     Rectified voltages take the model's signs, and so do values that are all positive where the model's are not;
-    voltages all the other way round are turned; differences are put on the model's quiet voltages. Notes tell.
+    voltages all the other way round are turned; differences are added to the model's quiet voltages. Notes list it.
     """
     pattern = recording.frames[0].pattern
     at_rest = model.voltages(pattern) * recording.frames[0].measurement_currents

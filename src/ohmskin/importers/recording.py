@@ -36,7 +36,7 @@ def read_recording(
         driven: Keep voltages measured at a driven electrode. They need a complete electrode model, or are left out.
 
     Raises:
-        DataError: If a file cannot be read, is damaged, or says what cannot be represented here.
+        DataError: If a file cannot be read, is damaged, or has content that cannot be represented here.
     """
     path = Path(path)
     if is_tape(path):

@@ -113,7 +113,7 @@ def _penalty(model: TransferModel, jacobian: Floats, prior: str, exponent: float
     if prior == "noser":
         diagonal = np.einsum("me,me->e", jacobian, jacobian) ** exponent
         if not diagonal.min() > 0:
-            raise ModelError(f"element {int(diagonal.argmin())} is felt by no datum; prior_noser needs each to be")
+            raise ModelError(f"no datum depends on element {int(diagonal.argmin())}; prior_noser needs one for each")
         return sp.csc_array(sp.diags_array(diagonal))
     if prior == "laplace":
         if np.ptp(model.conductivity) > 1e-12 * model.conductivity.max():

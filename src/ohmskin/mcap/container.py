@@ -98,7 +98,7 @@ class Container(Closing):
                     continue
                 if (left := left - len(data)) < 0:
                     told = f"{self.path} unpacks to more than {_MOST_UNPACKED} times its size"
-                    raise DataError(f"{told}, as no recording does; it is made to do harm, or damaged")
+                    raise DataError(f"{told}, as no recording does; it is damaged, or malicious")
                 yield from self._within(start, data)
 
     def message(self, place: int) -> bytes:

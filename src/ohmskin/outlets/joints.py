@@ -89,7 +89,7 @@ class JointsProcess(Closing):
 
     def __init__(self, name: str, joints: Collection[str], place: str, topic: str, token: str | None) -> None:
         if place.partition(":")[0] not in ("zenoh", "dds"):
-            raise PublishError(f"joint states cannot be heard over {place!r}; choose from zenoh and dds")
+            raise PublishError(f"joint states cannot be received over {place!r}; choose from zenoh and dds")
         check_outlet(place)
         settings = {"name": name, "joints": list(joints), "place": place, "topic": topic, "token": token}
         self._child = Child.module("ohmskin.outlets.joints", "the process that hears joint states", settings)

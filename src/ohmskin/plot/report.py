@@ -99,10 +99,11 @@ def _html_section(section: Section) -> str:
 def _html(block: Block) -> str:
     if isinstance(block, Table):
         kind, cell = ("numbers", _number) if block.numbers else ("claims", _lines)
-        head = "".join(f"<th>{escape(text)}</th>" for text in block.head)
+        head = "".join(f"<th>{escape(text)}</th>" if text else "<td></td>" for text in block.head)
         rows = "".join(f"<tr>{''.join(f'<td>{cell(text)}</td>' for text in row)}</tr>" for row in block.rows)
         table = f"<table class='{kind}'><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        return f"<div class='wide'>{table}</div>"
+        label = escape(f"Table: {', '.join(filter(None, block.head))}", quote=True)
+        return f"<div class='wide' tabindex='0' role='group' aria-label='{label}'>{table}</div>"  # keys scroll it
     if isinstance(block, Image):
         data, caption = base64.b64encode(block.picture.path.read_bytes()).decode(), escape(block.picture.caption)
         image = f"<img alt='{escape(block.picture.caption, quote=True)}' src='data:image/png;base64,{data}'>"

@@ -219,4 +219,4 @@ def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
     finally:
         said = process.communicate()[1].decode(errors="replace").strip()
         if process.returncode:  # which is also why a picture could not be written
-            raise ModelError(f"ffmpeg failed: {said.splitlines()[-1] if said else 'it does not say why'}")
+            raise ModelError(f"ffmpeg failed: {said.splitlines()[-1] if said else 'it gives no reason'}")

@@ -44,7 +44,7 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
     Args:
         mode: Names the drive.
         skin: What is driven.
-        driven: Whether the device can measure electrodes that carry the current; modes that want it do without else.
+        driven: Whether the device can measure electrodes that carry the current; without it, modes do without.
 
     Raises:
         PatternError: If there is none of that name, or the skin does not allow it.

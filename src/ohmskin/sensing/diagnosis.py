@@ -57,7 +57,7 @@ class Diagnosis:
         fits: Squared misfit and degrees of freedom of each of the newest scans, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
         puzzled: Frames since a contradiction arose whose cause is not found.
-        unlike: Share of what the frames of late said that no contacts explain.
+        unlike: Share of the data of recent frames that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since a frame with any good value (s).
     """
@@ -87,12 +87,12 @@ class Diagnosis:
         return bool(self.findings or self.bad or self.lately)
 
     def told(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
-        """The same with what is to be told: seen several times lately, or told before and not long gone.
+        """The same with the causes to report: seen several times lately, or reported before and not long gone.
 
         Args:
             causes: What was wrong with the newest frame.
             noise: Standard deviation of a voltage on the quiet skin (V).
-            confirmed: Of the causes those that are to be told at once.
+            confirmed: Of the causes those that are reported at once.
         """
         seen = {
             one: at for one, times in self.seen.items() if (at := tuple(t for t in times if self.time - t < _WITHIN))

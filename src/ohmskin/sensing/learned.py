@@ -45,7 +45,7 @@ class LearnedReader:
         return self.physics.start(before)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more; data unlike those learned from are read by physics."""
+        """The belief after one more frame; data unlike those learned from are read by physics."""
         pairs = self.physics.fitter.table.pairs
         found = self.told(before.without_drift(recent, pairs))
         if found is None:
@@ -58,7 +58,7 @@ class LearnedReader:
         return Belief(estimate, (found,), contacts, tracks, before.drift, before.unlearned + elapsed)
 
     def told(self, scans: Sequence[Difference]) -> Contact | None:
-        """The contact that scans tell of, drift taken off; None if they are unlike what was learned from, or if another
+        """The contact read from scans, without drift; None if they are unlike what was learned from, or if another
         contact, apart from it, explains most of what it leaves."""
         fitter = self.physics.fitter
         changes = self.placement.changes(scans)

@@ -29,14 +29,14 @@ _BY_CHANCE, _UNLIKE = (
 
 
 class SkinModel:
-    """A skin, and what its quiet frames say: reference data, noise, and the forward model that fits them.
+    """A skin, and what its quiet frames give: reference data, noise, and the forward model that fits them.
 
     Args:
         skin: Its description.
         model: Forward model of the untouched sheet as described; its conductivity is scaled to the quiet frames.
         quiet: Frames of the untouched skin, of every pattern that will be driven.
         quality: Which electrodes to leave out or to count less, by `ohmskin.scan.assess`; all count alike unless given.
-        impedances: (n_elec,) contact impedances (ohm); told from quiet voltages of driven electrodes unless given.
+        impedances: (n_elec,) contact impedances (ohm); estimated from quiet voltages of driven electrodes unless given.
 
     Attributes:
         baseline: Reference data and noise.
@@ -50,7 +50,7 @@ class SkinModel:
         pairs: The pairs of electrodes by whose two-terminal resistances all data are explained.
 
     Raises:
-        DataError: If the quiet frames do not tell a reference.
+        DataError: If the quiet frames give no reference.
     """
 
     def __init__(

@@ -77,7 +77,7 @@ def modes(skin: Skin) -> dict[str, Mode]:
 
 
 def default_mode(skin: Skin) -> str:
-    """The name of the mode that a loop starts in unless told otherwise."""
+    """The name of the mode that a loop starts in unless one is given."""
     return _filled(DEFAULT, skin)
 
 

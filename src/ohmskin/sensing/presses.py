@@ -79,7 +79,7 @@ class FittedLayer:
         exponent: Of its growth with pressure (1).
         conductance_std: Standard deviation of the logarithm of the conductance.
         exponent_std: Standard deviation of the exponent.
-        hysteresis: Of the foam (1), see `ContactLayer`; below 0: no press eased off that would tell.
+        hysteresis: Of the foam (1), see `ContactLayer`; below 0: unknown, as no press eased off.
         unexplained: Share of what the presses changed that no such layer explains, noise included (1).
     """
 
@@ -129,7 +129,7 @@ class PressFitter:
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
         """The layer that explains presses of known force; some ten, at places and forces all over the range.
 
-        One that eases off follows the one that it eases off from, at the same place: they tell what foam remembers.
+        One that eases off follows the one that it eases off from, at the same place: they show the foam's hysteresis.
 
         Raises:
             DataError: If there are fewer than two, a force is not positive, the first one eases off, or no finite datum
@@ -205,9 +205,9 @@ class PressFitter:
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
     def information(self, scans: Sequence[Difference], frames: float = 1.0) -> Sums:
-        """What scans say, and as many `frames` like them together; noise averages out, the model's error does not.
+        """Information of scans, for as many `frames` like them; noise averages out, the model's error does not.
 
-        With no frames, what they say if the model does not err.
+        With no frames, as if the model did not err.
         """
         fitter = self.known.fitter
         four = np.concatenate([scan.pattern.quadruples for scan in scans])

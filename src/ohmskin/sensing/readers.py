@@ -36,7 +36,7 @@ _SURE, _LITTLE = (
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What is believed after a frame.
+    """The belief after a frame: contacts, image, and what else is estimated of the skin.
 
     Args:
         estimate: Of the image.
@@ -45,10 +45,10 @@ class Belief:
         tracks: What is remembered of them.
         drift: Change of two-terminal resistances (n_pairs,) beside contacts, since the calibration (ohm), if the reader
             follows it.
-        unlearned: How long drift of single pairs has not been told (s).
-        suspects: Electrodes that alone told of a contact that others should have seen, too.
-        unexplained: Share of what the data say that the contacts, or the image that shows them, do not explain.
-        novel: How long contacts have been told by physics because data are unlike those that the reader learned
+        unlearned: Time since drift of single pairs was last estimated (s).
+        suspects: Electrodes that alone showed a contact that others should have shown, too.
+        unexplained: Share of the data that neither the contacts nor the image explain.
+        novel: How long contacts have been read by physics because data are unlike those that the reader learned
             from (s).
         solution: What was fitted to the frame, if contacts are.
         searched: How long ago contacts were looked for afresh (s).
@@ -77,7 +77,7 @@ class Belief:
         return [scan if drift is None else scan.less(drift, pairs) for scan in scans]
 
     def seen_in(self, misfit: float) -> "Belief":
-        """The same of contacts seen in an image that leaves a share of what the data say unexplained."""
+        """The same of contacts seen in an image that leaves a share of the data unexplained."""
         detections, contacts = (doubted(some, image_trust(misfit)) for some in (self.detections, self.contacts))
         return replace(self, detections=detections, contacts=contacts, unexplained=misfit)
 
@@ -104,7 +104,7 @@ class Reader(Protocol):
         ...
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more; arguments as for `Estimator.update`.
+        """The belief after one more frame; arguments as for `Estimator.update`.
 
         Raises:
             DataError: If no finite datum is left.
@@ -136,12 +136,12 @@ class DetectionReader:
         return Belief(self.estimator.start(), tracks=Tracks() if before is None else before.tracks)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more."""
+        """The belief after one more frame."""
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
         return self.follow(before, estimate, self.detect(estimate, recent))
 
     def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
-        """What is believed after a frame that showed these contacts."""
+        """The belief after a frame that showed these contacts."""
         assert isinstance(before.tracks, Tracks)
         tracks, contacts = self.tracker.update(before.tracks, found)
         return Belief(estimate, tuple(found), contacts, tracks)
@@ -168,7 +168,7 @@ class FitReader:
         return Belief(self.estimator.start(), tracks=before.tracks, drift=before.drift)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more. Contact impedances are followed while nothing touches, other drift
+        """The belief after one more frame. Contact impedances are followed while nothing touches, other drift
         always, beside the contacts."""
         assert isinstance(before.tracks, Tracks)
         drift, errors, pairs = before.drift, self.fitter.errors, self.fitter.table.pairs
@@ -239,7 +239,7 @@ class FilterReader:
         return Belief(self.estimator.start(), tracks=self.filter.lifted(before.tracks))
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """What is believed after one frame more; its scans are taken one after the other."""
+        """The belief after one more frame; its scans are taken one after the other."""
         state = before.tracks
         assert isinstance(state, TrackState)
         suspected = set(state.suspects)

@@ -44,11 +44,11 @@ class Thresholds:
 
 @dataclass(frozen=True, eq=False)
 class Percept:
-    """What one step measured and what is believed because of it.
+    """What one step measured, and the belief after it.
 
     Args:
         frames: The scans.
-        belief: What is believed.
+        belief: The belief after it.
         look: Makes the image of the base scan; None where a frame has one scan.
         diagnosis: What is known of the instrument.
     """
@@ -89,7 +89,7 @@ class SensorState:
     """What a sensor remembers from one step to the next.
 
     Args:
-        belief: What is believed.
+        belief: The belief after it.
         turn: Scans so far.
         recent: The newest scans, of drives whose frames have few injections.
         time: When the last frame was taken (s, on the device's clock); None before the first.
@@ -238,7 +238,7 @@ class Sensor:
             state: What is remembered; begin with `start`.
             scan: Scans a pattern.
 
-        A frame without any good value changes nothing; after half a second of such, nothing is believed to touch. While
+        A frame without any good value changes nothing; after half a second of such, there are no contacts. While
         values spike, a contact is reported that two frames show.
         """
         measured = self._measure(state, scan)

@@ -57,10 +57,10 @@ class ContactFilter:
         return changed(start, common_drift=common_drift, drift=state.drift, echo=state.echo, next_id=state.next_id)
 
     def update(self, state: TrackState, difference: Difference, elapsed: float) -> TrackState:
-        """What is believed after one frame more.
+        """The track state after one more frame.
 
         Args:
-            state: What was believed after the last one.
+            state: The one after the last frame.
             difference: The frame's change against the untouched skin. A common change of all resistances
                 (temperature) is followed only where it has a reference.
             elapsed: Time since the last one (s).

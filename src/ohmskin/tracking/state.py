@@ -33,7 +33,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class TrackState:
-    """What is believed to touch the skin. Start with ``ContactFilter.start()``.
+    """Contacts that are tracked, with their uncertainty. Start with ``ContactFilter.start()``.
 
     Args:
         tracks: The contacts in the order in which they came, lifted ones included.
@@ -47,8 +47,8 @@ class TrackState:
         time: Since the start (s).
         echo: Squared size of what contacts cause, or did before the foam forgot it, over the noise's variance (1).
         history: The last frames, newest first.
-        unexplained: Share of what the newest frame says that the contacts do not explain.
-        suspects: Electrodes that alone told of a contact in the newest frame.
+        unexplained: Share of the newest frame's data that the contacts do not explain.
+        suspects: Electrodes that alone showed a contact in the newest frame.
         covered: Electrodes under contacts of whose resistance nothing is taken to be known, see `Solution`.
     """
 
