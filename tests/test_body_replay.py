@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,59 @@ def test_a_recording_has_the_topics_of_ros_2_as_other_readers_read_them(body: Bo
         assert topic.hash == STORE.hash_rihs01(kind)
         told = get_types_from_msg(topic.definition, kind)
         assert [name for name, _ in told[kind][1]] == [name for name, _ in STORE.fielddefs[kind][1]]
+
+
+def test_points_markers_and_wrenches_of_a_curved_skin_are_on_its_surface_in_the_frame_of_its_link(
+    tmp_path: Path,
+) -> None:
+    folder = Path(__file__).parents[1] / "examples" / "humanoid"
+    text = BODY.replace("skin.toml", "forearm.toml").replace("[0.1, 0.0, 0.2]", "[0.0, 0.0, -0.24]")
+    for name, content in (("forearm.toml", (folder / "forearm.toml").read_text()), ("robot.urdf", URDF)):
+        (tmp_path / name).write_text(content)
+    (tmp_path / "body.toml").write_text(text)
+    curved = Body.load(tmp_path / "body.toml")
+    arm = curved.patches[1]
+    chart, middle = arm.skin.chart, np.mean(np.reshape(arm.skin.domain.bounds, (2, 2)), axis=0)
+    point = arm.patch.place(*chart.points([middle])[0])
+    normal = arm.patch.turn(*chart.frames([middle])[0, 2])
+    touched = replace(contact(arm, 1, 0.0), position=point, normal=normal, force=4.0, force_std=0.5)
+    with sensing(curved, tmp_path / "a.mcap") as (publishers, joints, merger, relay):
+        for k in range(1, 13):
+            joints.push({"elbow": 0.1})
+            for publisher, placed in zip(publishers, curved.patches, strict=True):
+                now = Sighting(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
+                publisher.show(np.where(publisher._raster.inside, 0.25, np.nan), k, time.time_ns())
+                publisher.repeat(now, [touched] if placed is arm else [])
+            assert merger.step() is not None
+            relay.wake()
+            time.sleep(0.03)
+    found = messages(tmp_path / "a.mcap")
+    kind, data = found["/ohmskin/torso/arm/points"][-1]
+    cloud = STORE.deserialize_cdr(data, kind)
+    assert cloud.header.frame_id == "forearm"
+    assert [(field.name, field.offset, field.datatype) for field in cloud.fields] == [
+        (name, 4 * k, 7) for k, name in enumerate(("x", "y", "z", "change"))
+    ]
+    x, y, z, change = np.frombuffer(cloud.data.tobytes(), "<f4").reshape(cloud.width, -1).T
+    np.testing.assert_allclose(change, 0.25)
+    sheet, height = arm.skin.sheet, z + 0.24
+    slope = (sheet.top_radius - sheet.radius) / sheet.height
+    np.testing.assert_allclose(np.hypot(x, y), sheet.radius + slope * height, atol=1e-6)
+    assert (np.ptp(np.arctan2(y, x)) > 6.0, height.min() < 0.01, height.max() > sheet.height - 0.01) == (True,) * 3
+    kind, data = found["/ohmskin/torso/markers"][-1]
+    markers = [one for one in STORE.deserialize_cdr(data, kind).markers if one.action == 0]
+    assert {one.header.frame_id for one in markers} == {"forearm"}
+    ends = [[p.x, p.y, p.z] for one in markers for p in one.points] or [
+        [one.pose.position.x, one.pose.position.y, one.pose.position.z] for one in markers
+    ]
+    assert min(np.linalg.norm(np.array(ends) - point, axis=1)) < 1e-6
+    kind, data = found[wrench_topic("torso", "forearm", ["base", "forearm"]).name][-1]
+    pushed = STORE.deserialize_cdr(data, kind)
+    force = np.array([pushed.wrench.force.x, pushed.wrench.force.y, pushed.wrench.force.z])
+    torque = np.array([pushed.wrench.torque.x, pushed.wrench.torque.y, pushed.wrench.torque.z])
+    assert pushed.header.frame_id == "forearm"
+    np.testing.assert_allclose(force, -4.0 * np.array(normal), atol=1e-9)
+    np.testing.assert_allclose(torque, np.cross(point, force), atol=1e-9)
 
 
 def test_a_recording_replays_the_body(body: Body, tmp_path: Path) -> None:
