@@ -9,6 +9,7 @@ from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
 from ohmskin.geometry.overlap import disc_overlap
+from ohmskin.scan import two_terminal
 
 RADIUS = 8e-3
 SHEET = Rectangle(0.2, 0.141)  # so that the table has another pitch along each axis
@@ -50,6 +51,24 @@ def test_at_its_places_the_table_is_the_integral_itself() -> None:
     shown = table()
     for k in np.random.default_rng(0).integers(0, len(shown.places), 12):
         assert error(shown(shown.places[k]).values[0], integral(shown.places[k], RADIUS, model())) < 1e-6
+
+
+@pytest.mark.parametrize(("way", "number"), [(((1, 0), (0, -1)), 0), (((0, 1), (1, 0)), 1)])
+def test_what_conducts_more_one_way_is_the_derivative_by_the_tensor(way: tuple, number: int) -> None:
+    sheet, radius, step = model(), 4e-3, 1e-3
+    for place in inner_places(4):
+        cover = disc_overlap(sheet.mesh, place[None], radius).toarray()[0]
+        changed = np.array(way) * (cover / sheet.mesh.measures)[:, None, None]
+        up, down = (
+            two_terminal(
+                TransferModel(
+                    sheet.mesh, sheet.electrodes, 2e-3 * (np.eye(2) + sign * step * changed)
+                ).transfer_resistance
+            )
+            for sign in (1, -1)
+        )
+        true = (up - down) / (2 * step * cover.sum())
+        assert error(table().lopsided(place)[number], true) < 0.12
 
 
 @pytest.mark.parametrize("share", [0.5, 0.6, 0.9, 1.1, 1.4, 1.5, 1.75, 2.25, 3.0])

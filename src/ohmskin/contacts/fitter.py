@@ -38,9 +38,12 @@ _LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
 NEAR = 4.0  # radii, within which two contacts may be one
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
+_LOPSIDED = 4.0  # times the model's error by which a small contact conducts more one way than across it (deviation)
+_SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
 _ANGLES = np.arange(4) * np.pi / 4
 _AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
 
+_Both = tuple[Information, Information]  # what is told; the same wary of the model's error
 _Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes covered, what is left beside, contacts
 
 
@@ -98,7 +101,7 @@ class ContactFitter(DiscFitter):
     def split_threshold(rate: float) -> float:
         """By how much a second contact must explain more, to be taken for one that is not there at that rate.
 
-        Beside a contact of any size, a pair differs by its quadrupole, which has two parts (as cos and sin of twice its
+        Beside a contact of any size, a pair differs by its quadrupole, which has two parts (cos and sin of twice its
         angle): chi-square of two degrees of freedom.
         """
         return -2 * log(rate)
@@ -120,10 +123,11 @@ class ContactFitter(DiscFitter):
 
         What was there a moment `before` need not be looked for, where that makes no difference.
         """
-        told, data = everything = told.beside_common(), data.beside_common()
+        told, data = everything = whole = told.beside_common(), data.beside_common()
         found, covered = replace(nothing(len(self.table.pairs)), cost=data.told.constant), tuple[int, ...]()
-        if before is not None and (still := self._still(everything, before)) is not None:
-            covered, told, data, found = still
+        shaped = whole if before is None else self._beside_shapes(whole, before.params)
+        if before is not None and (still := self._still(shaped, before)) is not None:
+            everything, (covered, told, data, found) = shaped, still
         while len(found.params) < self.most:
             left = told.less(found.caused) if len(found.params) else told
             beside = left.beside(found.slopes) if len(found.params) else left
@@ -149,9 +153,24 @@ class ContactFitter(DiscFitter):
                 found = best
             else:
                 break
-        return replace(found, covered=covered)
+            for _ in range(2):  # where they are by then, they have other shapes
+                everything = self._beside_shapes(whole, found.params)
+                told, data = (self._uncovered(one, covered) for one in everything)
+                found = self.refine(data, found.params) if everything is not whole else found
+        return replace(found, covered=covered, shapes=self.shapes(found.params))
 
-    def _still(self, everything: tuple[Information, Information], before: Solution) -> _Over | None:
+    def shapes(self, params: Floats) -> Floats:
+        """What small contacts of (n, 4) may change (n_pairs, 2 k) more one way than across, for one deviation (ohm)."""
+        effects, most = np.abs(params[:, 2]), _SMALL * self.table.radius**2
+        sizes = _LOPSIDED * self.model_error * effects * (1 - effects / most) ** 2
+        small = effects < most
+        return np.asarray(self.table.lopsided(params[small, :2]).T * np.repeat(sizes[small], 2))
+
+    def _beside_shapes(self, whole: _Both, params: Floats) -> _Both:
+        shapes = self.shapes(params)
+        return (whole[0].without(shapes), whole[1].without(shapes)) if shapes.size else whole
+
+    def _still(self, everything: _Both, before: Solution) -> _Over | None:
         """The contacts that were there `before` as they are now, if they would be found afresh, too.
 
         They are if each stands out by itself as one that is new must, none may be a part of another, and together they
@@ -194,7 +213,7 @@ class ContactFitter(DiscFitter):
         return found.cost + self.bar**2 * (len(found.params) + _COVERED * covered)
 
     def _over_an_electrode(
-        self, everything: tuple[Information, Information], found: Solution, covered: tuple[int, ...], better: bool
+        self, everything: _Both, found: Solution, covered: tuple[int, ...], better: bool
     ) -> _Over | None:
         """The data explained by a contact that covers one electrode more, if that explains them significantly better.
 
@@ -208,7 +227,7 @@ class ContactFitter(DiscFitter):
         away = self.table.offsets(self.table.electrodes[:, None], found.params[:, :2])
         near = (away**2).sum(axis=2) < self.squares[1]
         near[list(covered)] = False
-        # in place of one contact, and of all: the others may be there only because of the electrode
+        # in place of one contact, and of all: others may be there because of the electrode
         looks = [(number, [np.delete(found.params, k, axis=0), found.params[:0]]) for number, k in np.argwhere(near)]
         told, data = everything
         lost = bool(len(found.params)) and found.cost > _LOST * data.told.constant

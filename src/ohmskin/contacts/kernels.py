@@ -6,7 +6,7 @@ from numba import njit
 from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.contacts.measured import Rows, copy, dot
 from ohmskin.contacts.misfit import products
-from ohmskin.forward.response import Grid, Spline, respond, scatter
+from ohmskin.forward.splines import Grid, Spline, respond, scatter
 
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, as a share of the usual one
 STRONG = 1.5  # effect over area of a contact that is taken to be larger than usual if it is stronger; at most it is 2

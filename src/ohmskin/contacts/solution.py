@@ -21,6 +21,8 @@ class Solution:
         caused: (n_pairs,) what they change of the two-terminal resistances (ohm).
         slopes: (n_pairs, 4 n) its derivatives by their parameters.
         covered: Electrodes under them of whose resistance nothing is taken to be known.
+        shapes: (n_pairs, 2 k) what small ones may change besides, as they do not conduct alike all ways, for one
+            standard deviation of each (ohm); None: discs are all that was fitted.
     """
 
     params: Floats
@@ -29,6 +31,7 @@ class Solution:
     caused: Floats
     slopes: Floats
     covered: tuple[int, ...] = ()
+    shapes: Floats | None = None
 
     @property
     def covariance(self) -> Floats:

@@ -25,7 +25,6 @@ _T3 = _tuple((_FLOAT32_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1
 _INT64_2 = types.Array(_INT64, 2, "C")
 _BOOL = types.bool_
 _BOOL_1 = types.Array(_BOOL, 1, "C")
-_FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 _FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
 _INT32 = types.int32
 _INT32_2 = types.Array(_INT32, 2, "C")
@@ -33,6 +32,8 @@ _INT32_1 = types.Array(_INT32, 1, "C")
 _FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
 _FLOAT64_3_FIXED = types.Array(_FLOAT64, 3, "C", readonly=True)
 _FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
+_FLOAT64_2_A = types.Array(_FLOAT64, 2, "A")
+_FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 
 SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.kernels:all_onto", (_FLOAT64_2, _T1)),
@@ -85,7 +86,6 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),
     ("contacts.solution:inverse", (_FLOAT64_2,)),
     ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
-    ("forward.response:_respond_at", (_FLOAT64_2, _T3, _FLOAT64_3)),
     (
         "forward.sensitivity:fill_groups",
         (
@@ -104,6 +104,15 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         "forward.sensitivity:fill_pairs",
         (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _INT64_2_FIXED, _FLOAT64_2),
     ),
+    (
+        "forward.splines:lopsided",
+        (_FLOAT64_2_A, _FLOAT64_3, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _INT64_2_FIXED, _FLOAT64_2),
+    ),
+    (
+        "forward.splines:lopsided",
+        (_FLOAT64_2, _FLOAT64_3, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _INT64_2_FIXED, _FLOAT64_2),
+    ),
+    ("forward.splines:respond_at", (_FLOAT64_2, _T3, _FLOAT64_3)),
     ("geometry.overlap:_areas", (_FLOAT64_3, _FLOAT64)),
     ("inverse.modes:combined", (_INT64_2, _FLOAT64_2)),
     (

@@ -182,6 +182,8 @@ class FitReader:
         solution = self.fitter.explained(told, wary, before=known)
         if solution.covered:
             told = told.leaving_out(in_series(solution.covered, self.fitter.table.pairs))
+        if solution.shapes is not None:
+            told = told.without(solution.shapes)
         unexplained = told.unexplained(solution.caused)
         if self._drifted(told, solution):
             solution, unexplained = nothing(len(solution.caused)), 0.0

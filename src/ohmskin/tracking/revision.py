@@ -65,7 +65,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     used, told, data, _ = _resting(state, fitter, pressing)
     if used < _RESTED:
         return None
-    here = fitter.refine(data, state.params[pressing])
+    here = fitter.refine(data.without(fitter.shapes(state.params[pressing])), state.params[pressing])
     if not fitter.poor(told, here.cost):
         return None
     there = fitter.explained(told, data, bar)
