@@ -40,6 +40,7 @@ FEWER = {
     "--seconds": "1",
     "--start": "0.1",
     "--pokes": "1",
+    "--hugs": "1",
     "--own-touches": "1",
     "--free": "1",
     "--count": "3",
