@@ -30,7 +30,7 @@ _MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND, _SURELY = 5, 0.2, 50  # frames and s for which an electrode must agree to be used again; enough
 _UNLUCKY = 0.999  # probability that a misfit is larger
 _MEMORY = 40  # frames from which an offset is told from hum
-_EAGER, _PATIENCE = 3, 8  # frames in which a cause is looked for, and between two searches after these
+_EAGER, _PATIENCE = 5, 8  # frames in which a cause is looked for, and between two searches after these
 
 
 class FaultDetector:
@@ -85,7 +85,7 @@ class FaultDetector:
         squares, freedom = (sum(each) for each in zip(*fits, strict=True))
         remedy, error, puzzled, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
         if freedom and squares > limit(freedom) * freedom:
-            remedy, error = self._remedy(before, looked)
+            remedy, error = self._remedy(before, looked, len(scans))
             if remedy is None:
                 puzzled = before.puzzled + 1
                 error = max(error, *(noise * _at_most(*fit) for fit in fits[: len(scans)]))
@@ -99,7 +99,8 @@ class FaultDetector:
             self._redundant and Cause("offset") in before.lately
         ):  # hum passes through nothing twice a period, where it is not doubted
             data, kept, _ = self._data(looked, before.bad)
-            remedy = next(without_offset(data, kept), None)
+            times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in looked])
+            remedy = without_offset(data, kept, times)
             cleaned = cleaned if remedy is None else _repaired(scans, remedy)
         if remedy is not None and remedy.off is not None:
             offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
@@ -155,14 +156,18 @@ class FaultDetector:
             self._last = scan, frozenset(bad), (fit.squares, fit.freedom)
         return self._last[2]
 
-    def _remedy(self, before: Diagnosis, scans: Sequence[Difference]) -> tuple[Remedy | None, float]:
+    def _remedy(self, before: Diagnosis, scans: Sequence[Difference], newest: int) -> tuple[Remedy | None, float]:
         """What makes scans agree, unless it was looked for in vain a moment ago; and by how much they do not (V)."""
         data, kept, whole = self._data(scans, before.bad)
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise
-        if self._window:  # a finger may have come between one scan and the next
-            return next(without_offset(data, kept), None) or without_spikes(data, kept), whole.noise
         times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
+        if self._window:
+            remedy = without_offset(data, kept, times) or without_spikes(data, kept)
+            if remedy is None and Cause("offset") in before.lately:  # a finger may have come since the older scans
+                data, kept, _ = self._data(scans[:newest], before.bad)
+                remedy = without_offset(data, kept, times[: len(kept)])
+            return remedy, whole.noise
         return likeliest(data, kept, whole, times, self._most - len(before.bad)), whole.noise
 
     def _watched(
@@ -233,10 +238,12 @@ def _changes(scans: Sequence[Difference], pair: tuple[int, int]) -> Floats:
 
 
 def _repaired(scans: Sequence[Difference], remedy: Remedy) -> tuple[Difference, ...]:
-    """Scans less what contradicts in them."""
+    """Scans less what contradicts in them, as far as the remedy goes."""
     repaired, start = [], 0
     off = np.zeros(len(remedy.kept)) if remedy.off is None else remedy.off
     for scan in scans:
+        if start == len(remedy.kept):  # the remedy is of newer ones alone
+            break
         own = slice(start, start := start + scan.pattern.n_meas)
         repaired.append(replace(scan, volts=np.where(remedy.kept[own], scan.volts - off[own], np.nan)))
     return tuple(repaired)

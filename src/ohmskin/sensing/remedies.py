@@ -1,9 +1,10 @@
 """Remedies: the least that is left out of contradictory data to make the rest agree with a resistive network."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from ohmskin.arrays import Bools, Floats
 from ohmskin.scan.coherence import Coherence, NetworkData
@@ -11,6 +12,7 @@ from ohmskin.sensing.diagnosis import MAINS, Cause
 
 _LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standard deviations of its noise
 _CLOSE = 4.0  # the same where something was taken off: what is left of it would look like a contact
+_DEGREE = 4  # of what is common to all voltages, over the time of a scan: half a period of hum to a thousandth
 _SPIKES = 3  # values that may be left out of one frame
 _TESTED, _AS_WELL = 1e-3, 9.0  # least of a value that others do not tell; squared misfit by which two are told apart
 _SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
@@ -58,37 +60,43 @@ def likeliest(data: NetworkData, kept: Bools, whole: Coherence, times: Floats, m
         times: (n_meas,) when each was converted, from the start of its scan (s).
         most: Electrodes that may be left out.
     """
-    tried = [without_spikes(data, kept), _without_an_injection(data, kept, whole)]
-    tried += [
-        _without_electrodes(data, kept, whole, min(most, 1)),
-        *without_offset(data, kept),
-        *_without_hum(data, kept, times),
-    ]
-    if found := [one for one in tried if one is not None]:
-        return min(found, key=lambda one: one.fit.squares - _PRICE * one.fit.freedom)
-    return _without_electrodes(data, kept, whole, most)
+    tried = without_spikes(data, kept), _without_an_injection(data, kept, whole), without_offset(data, kept, times)
+    one = _without_electrodes(data, kept, whole, min(most, 1))
+    return _best((*tried, one)) or _without_electrodes(data, kept, whole, most)
 
 
-def without_offset(data: NetworkData, kept: Bools) -> Iterator[Remedy]:
-    """Without an offset of each scan, the same on all its voltages."""
-    return _without(data, kept, np.ones(len(kept)))
+def without_offset(data: NetworkData, kept: Bools, times: Floats) -> Remedy | None:
+    """Without an offset of each scan, or hum, the same on all its voltages.
 
-
-def _without_hum(data: NetworkData, kept: Bools, times: Floats) -> Iterator[Remedy]:
-    """Without hum at the frequency of the mains, the same on all voltages."""
+    Args:
+        data: Scans of one moment.
+        kept: (n_meas,) which of them are used.
+        times: (n_meas,) when each was converted, from the start of its scan (s).
+    """
+    tried = [_without(data, kept, np.ones(len(kept)))]
     for mains in MAINS:
         phase = 2 * np.pi * mains * times
-        yield from _without(data, kept, np.cos(phase), np.sin(phase))
+        tried.append(_without(data, kept, np.cos(phase), np.sin(phase)))
+    # of a device whose scans take another time than is known of it
+    tried.append(_without(data, kept, *legvander(2 * times / max(times.max(), 1e-12) - 1, _DEGREE).T))
+    return _best(tried)
 
 
-def _without(data: NetworkData, kept: Bools, *waves: Floats) -> Iterator[Remedy]:
+def _best(tried: Iterable[Remedy | None]) -> Remedy | None:
+    """That which makes data agree best, where what is left out, or may be of any size, counts against it."""
+    found = [one for one in tried if one is not None]
+    return min(found, key=lambda one: one.fit.squares - _PRICE * one.fit.freedom, default=None)
+
+
+def _without(data: NetworkData, kept: Bools, *waves: Floats) -> Remedy | None:
     """Without what adds to all voltages (n_meas,) like these waves, of any size in each scan."""
     own = data.scan == np.arange(data.scan[-1] + 1)[:, None]
     added = np.vstack([own * wave for wave in waves])
     fit = data.coherence(kept, added)
     off = fit.added @ added
-    if fit.excess < 1 + _CLOSE * np.sqrt(2 / max(fit.freedom, 1)) and np.abs(off[kept]).max() < data.largest(kept):
-        yield Remedy(Cause("offset"), kept, fit, off)
+    close = fit.excess < 1 + _CLOSE * np.sqrt(2 / max(fit.freedom, 1)) and fit.freedom >= len(waves)
+    smaller = np.abs(off[kept]).max() < data.largest(kept)
+    return Remedy(Cause("offset"), kept, fit, off) if close and smaller else None
 
 
 def _without_electrodes(data: NetworkData, kept: Bools, whole: Coherence, most: int) -> Remedy | None:
