@@ -31,7 +31,7 @@ DRIVES = {  # name and injections a frame, 0 where there is no choice
     "eq7": 28, "local": 28, "position": 28, "rotating": 4, "tracking": 4,
 }  # fmt: skip
 READINGS = ("centroid", "fit", "tracked", "fit, driven", "tracked, driven")  # driven: those electrodes measured, too
-TOTAL = 28  # injections from which a contact is told
+TOTAL = 28  # injections from which a contact is read
 QUIET = 40
 BEYOND = 30e-3  # m, from where on an error is a miss
 MARGIN = 10e-3
@@ -146,7 +146,7 @@ def compare(kind: str, decibels: float, seeds: int, places: int) -> list[dict[st
 
 PAGE = """# Every drive with every reader
 
-What is measured (the drive) and how contacts are told from it (the reader) are chosen apart from each other; this
+What is measured (the drive) and how contacts are read from it (the reader) are chosen separately; this
 table says what each gives. It is made by the sensors that a loop uses: `python -m benchmarks.sensors`. {about}
 
 Mean error in millimetres (95 % interval over seeds and places), median, and the share of places missed; below it the
@@ -158,7 +158,7 @@ mean in the corners. *Driven*: the electrodes that carry the current are measure
 
 - **The reader gives most.** With the same drive, contacts fitted to the data are {gain} times closer (geometric mean
   over drives and worlds) than centroids of the image.
-- **Driven electrodes tell of the corners.** With the same drive and reader (fit), measuring them divides the error by
+- **Driven electrodes carry the information on corners.** With the same drive and reader (fit), measuring them divides the error by
   {driven_open}, in the corners by {driven_corners} (geometric means).
 - **The best fixed set of 28 injections is the baseline of every adaptive claim.** With the same reader (fit), the drive
   by position information has {p_over_best} of its error (in the order above), the paper's eq. (7) {o_over_best}; with

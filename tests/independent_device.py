@@ -82,14 +82,15 @@ class Sheet:
 class IndependentDevice:
     """Serves the sheet over TCP on a port of its own.
 
-    `opened` are electrodes whose wire is off; `odd` says what is wrong with the next frames, one word for each.
+    `opened` are electrodes whose wire is off; `odd` says what is wrong with the next frames, one word for each;
+    `hum` is of 50 Hz, on all voltages (V).
     """
 
     def __init__(self, seed: int, noise: float = 1e-4) -> None:
         self.sheet, self.noise, self._rng = Sheet(seed), noise, np.random.default_rng(seed + 100)
         self._gains = 1 + 1e-3 * self._rng.normal(size=(16, 16))
         self.opened, self.odd = set[int](), list[str]()
-        self._clock, self._number = 0.0, 0
+        self._clock, self._number, self.hum = 0.0, 0, 0.0
         self._server = socket.create_server(("127.0.0.1", 0))
         self.url = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
         threading.Thread(target=self._serve, daemon=True).start()
@@ -152,6 +153,8 @@ class IndependentDevice:
         injection, plus, minus = measured.T
         volts = current[injection] * (one[plus, injection] - one[minus, injection])
         volts = volts + self.noise * rng.normal(size=len(volts))
+        when = self._clock + SETTLE * (injection + 1) + CONVERSION * np.arange(len(volts))
+        volts += self.hum * np.sin(2 * np.pi * 50 * when)
         loose = np.isin(measured[:, 1:], [*self.opened]).any(axis=1)
         volts = np.where(loose, 0.3 * rng.normal(size=len(volts)), volts)  # a wire that is off hears all around it
         told = current * self._gains[source, sink] * (1 + 1e-5 * rng.normal(size=len(current)))

@@ -108,6 +108,35 @@ def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     assert np.mean(broken) < 1.5 * np.mean(sound)
 
 
+def presses(loop: Loop) -> tuple[list[float], int]:
+    """Errors (m) from the sixth frame of each of ten presses on, and in how many frames there is not one contact."""
+    (device, engine), off, odd = loop, [], 0
+    for place in np.random.default_rng(3).uniform(0.02, 0.18, (10, 2)).tolist():
+        device.sheet.touch({0: (*place, PRESSURE)})
+        touches = felt(engine, 20)[5:]
+        off += [error for touch in touches for error in errors(touch, tuple(place))]
+        odd += sum(len(touch.contacts) != 1 for touch in touches)
+        device.sheet.touch({})
+        felt(engine, 8)
+    return off, odd
+
+
+@pytest.mark.parametrize("mode", ["16P", "16T"])
+def test_presses_are_felt_under_hum(loop: Loop, mode: str) -> None:
+    device, engine = loop
+    engine.set_mode(mode)
+    sound, odd = presses(loop)
+    for device.hum in (1e-3, 5e-3):
+        felt(engine, 20)
+        assert not any(touch.contacts for touch in felt(engine, 200))
+        off, odder = presses(loop)
+        assert np.mean(off) < 1.5 * np.mean(sound) + 0.5e-3
+        assert odder <= odd + 0.05 * len(off)
+    device.hum = 0.0
+    engine.set_mode("16P")
+    felt(engine, 20)
+
+
 @pytest.mark.parametrize("odd", ["nan", "zero", "failed", "cut", "spike"])
 def test_one_odd_reply_ends_nothing(loop: Loop, odd: str) -> None:
     device, engine = loop

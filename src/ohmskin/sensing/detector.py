@@ -103,7 +103,7 @@ class FaultDetector:
             remedy = without_offset(data, kept, times)
             cleaned = cleaned if remedy is None else _repaired(scans, remedy)
         if remedy is not None and remedy.off is not None:
-            offsets = (*offsets, (now, float(remedy.off[: scans[0].pattern.n_meas].mean())))[-_MEMORY:]
+            offsets = (*offsets, (now, float(remedy.off[0])))[-_MEMORY:]
             rest = max(remedy.fit.noise / noise, 1.0)
             cleaned = tuple(scan.times(1 / (_NOT_ALIKE * rest)) for scan in cleaned)
         blamed = {e for cause in causes for e in cause.electrodes}
