@@ -158,8 +158,8 @@ mean in the corners. *Driven*: the electrodes that carry the current are measure
 
 - **The reader gives most.** With the same drive, contacts fitted to the data are {gain} times closer (geometric mean
   over drives and worlds) than centroids of the image.
-- **Driven electrodes carry the information on corners.** With the same drive and reader (fit), measuring them divides the error by
-  {driven_open}, in the corners by {driven_corners} (geometric means).
+- **Driven electrodes carry the information on corners.** With the same drive and reader (fit), measuring them
+  divides the error by {driven_open}, in the corners by {driven_corners} (geometric means).
 - **The best fixed set of 28 injections is the baseline of every adaptive claim.** With the same reader (fit), the drive
   by position information has {p_over_best} of its error (in the order above), the paper's eq. (7) {o_over_best}; with
   driven electrodes {p_over_best_driven} and {o_over_best_driven}. {verdict}
