@@ -336,19 +336,34 @@ def test_force_is_shown_with_its_deviation_where_it_is_known_and_strength_is_no_
 
 
 @pytest.mark.parametrize("width", [320, 390, 1024])
-def test_columns_do_not_collide(chromium: Browser, touched: SyntheticLoop, width: int) -> None:
+@pytest.mark.parametrize("force", [False, True])
+def test_columns_do_not_collide(
+    chromium: Browser, touched: SyntheticLoop, monkeypatch: pytest.MonkeyPatch, width: int, force: bool
+) -> None:
     touched.header = {"state": "running", "message": "", "demo": False, "mode": "16T", **AS_USUAL}
+    publish = touched.view.publish
+
+    def felt(header: dict[str, Any], base: np.ndarray, image: np.ndarray) -> None:
+        known = {"x": 0.1198, "y": 0.1198, "confidence": 1.0} | ({"force": 16.04, "force_std": 12.9} if force else {})
+        publish(header | {"contacts": [contact | known for contact in header["contacts"]]}, base, image)
+
+    monkeypatch.setattr(touched.view, "publish", felt)
     reader = Reader(chromium, touched, viewport={"width": width, "height": 800})
     page = reader.page
-    expect(page.locator("#contacts tbody tr")).to_have_count(1)
-    for force in (False, True):
-        if force:
-            page.evaluate("document.documentElement.dataset.force = true")
-        too_wide = page.evaluate(
-            """() => [...document.querySelectorAll("#contacts th, #contacts td")]
-                .filter((cell) => cell.scrollWidth > cell.clientWidth + 1).map((cell) => cell.textContent)"""
-        )
-        assert too_wide == []
+    expect(page.get_by_role("cell", name="119.8")).to_have_count(2)
+    expect(page.get_by_role("cell", name="16.0 ±12.9")).to_have_count(int(force))
+    found = page.evaluate(
+        """() => [...document.querySelectorAll("#contacts tr")].flatMap((row) => {
+            const boxes = [...row.cells].filter((cell) => cell.offsetWidth).map((cell) => {
+                const range = document.createRange();
+                range.selectNodeContents(cell);
+                return [cell.textContent, range.getBoundingClientRect()];
+            });
+            const end = document.getElementById("contacts").parentElement.getBoundingClientRect().right + 1;
+            return boxes.filter(([, box], k) => box.right > (boxes[k + 1]?.[1].left - 3 || end)).map(([text]) => text);
+        })"""
+    )
+    assert found == []
     reader.close()
 
 
