@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
-from ohmskin.closing import every
+from ohmskin.closing import signs_of_life
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
@@ -96,7 +96,6 @@ for _group, _commands in _COMMANDS.items():
         app.command(_spec, name=_name, group=_panel, sort_key=_number, help=f"{_help}\n\nExample: `{_example}`")
 app.register_install_completion_command(help="Install completion for your shell, or `--shell` bash, zsh or fish.")
 _OPTIONS = Group.create_ordered("Options")
-_SIGN_EVERY = 2.0  # s between signs of life while a command is imported, which takes some 10 s on a busy machine
 for _name in ("--help", "--version", "--install-completion"):
     app[_name].group = _OPTIONS
 
@@ -107,7 +106,7 @@ def main() -> None:
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         _check_command(arguments)
-        with every(_SIGN_EVERY, lambda: print("loading", file=sys.stderr, flush=True)):
+        with signs_of_life("loading"):
             command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         with _compiling():
