@@ -54,10 +54,17 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
             blamed = [residuals.told_by for residuals in history].count(suspect) >= _BLAMED
             state = changed(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
             continue
-        covariance = found.covariance
+        if not state.pressing:  # several may have come at once, and one alone would be led astray by the others
+            told, data = (
+                Information.together([getattr(residuals.reading, name) for residuals in used])
+                for name in ("beside", "wary")
+            )
+            several = fitter.explained(told, data)
+            found = several if len(several.params) > 1 else found
         moved = speed * (state.time - used[-1].time) / 2
-        covariance[[0, 1], [0, 1]] += moved**2
-        state = state.with_contact(found.params[0], covariance, speed)
+        for params, covariance in zip(found.params, found.covariances, strict=True):
+            covariance[[0, 1], [0, 1]] += moved**2
+            state = state.with_contact(params, covariance, speed)
         variance = state.common_drift[1]
         state = changed(
             state, history=tuple(_reviewed(residuals, fitter, found.params, variance) for residuals in state.history)
