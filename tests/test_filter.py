@@ -427,7 +427,8 @@ def test_two_that_come_together_are_two_from_the_fifth_frame_on(world: str) -> N
         rig, both = Rig(world, 50, number), [press(world, tuple(middle + side * half)) for side in (1, -1)]
         rig.run(4, *both)
         for _ in range(12):
-            assert len((state := rig.frame(*both)).contacts) == 2, middle
+            state = rig.frame(*both)
+            assert len(state.contacts) == 2, middle
         errors += [miss(state, tuple(middle + side * half)) for side in (1, -1)]
     assert np.mean(errors) < 3e-3
 
