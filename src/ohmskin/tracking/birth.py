@@ -55,11 +55,9 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
             state = changed(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
             continue
         if not state.pressing:  # several may have come at once, and one alone would be led astray by the others
-            told, data = (
-                Information.together([getattr(residuals.reading, name) for residuals in used])
-                for name in ("beside", "wary")
-            )
-            several = fitter.explained(told, data)
+            readings = [residuals.reading for residuals in used]
+            plain = Information.together([reading.beside for reading in readings])
+            several = fitter.explained(plain, Information.together([reading.wary for reading in readings]))
             found = several if len(several.params) > 1 else found
         moved = speed * (state.time - used[-1].time) / 2
         for params, covariance in zip(found.params, found.covariances, strict=True):
