@@ -92,7 +92,7 @@ def test_a_slide_leaves_nothing_behind(loop: Loop) -> None:
 def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     """Positions err by half more, at most, in the mean over electrodes and places."""
     device, engine = loop
-    some = (0.09, 0.11), (0.05, 0.05), (0.12, 0.16)
+    some = [(x, y) for x, y in np.random.default_rng(7).uniform(0.02, 0.18, (12, 2))]
     sound = [errors(pressed(loop, place), place)[0] for place in some]
     broken: list[float] = []
     for electrode in (0, 5, 12, 15):
