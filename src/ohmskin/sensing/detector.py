@@ -99,8 +99,7 @@ class FaultDetector:
             self._redundant and Cause("offset") in before.lately
         ):  # hum passes through nothing twice a period, where it is not doubted
             data, kept, _ = self._data(looked, before.bad)
-            times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in looked])
-            remedy = without_offset(data, kept, times)
+            remedy = without_offset(data, kept, self._times(looked))
             cleaned = cleaned if remedy is None else _repaired(scans, remedy)
         if remedy is not None and remedy.off is not None:
             offsets = (*offsets, (now, float(remedy.off[0])))[-_MEMORY:]
@@ -147,6 +146,10 @@ class FaultDetector:
         kept = data.without(bad)
         return data, kept, data.coherence(kept)
 
+    def _times(self, scans: Sequence[Difference]) -> Floats:
+        """When each voltage (n_meas,) of scans was converted, from the start of its scan (s)."""
+        return np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
+
     def _fit(self, scan: Difference, bad: Mapping[int, object]) -> tuple[float, int]:
         """Squared misfit of one scan, and its degrees of freedom; remembered, as a base scan is examined twice."""
         if not self._redundant:
@@ -161,7 +164,7 @@ class FaultDetector:
         data, kept, whole = self._data(scans, before.bad)
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise
-        times = np.concatenate([self._known.skin.cost.times(scan.pattern) for scan in scans])
+        times = self._times(scans)
         if self._window:
             remedy = without_offset(data, kept, times) or without_spikes(data, kept)
             if remedy is None and Cause("offset") in before.lately:  # a finger may have come since the older scans
