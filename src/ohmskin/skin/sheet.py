@@ -37,7 +37,7 @@ class Sheet:
     there is the part `angle` of a turn about the direction of x, or all of it, a sleeve; a ``sphere``, the cap of a
     ball of `radius` about the origin down to `angle` from the positive z axis, and an ``ellipsoid``, the same, its pole
     at `height`; a ``capsule``, half a ball on a wall of `radius` and `height`; and ``revolution``, whatever `profile`
-    [distance from the axis, z] says. Its map, on which electrodes are placed and contacts told, is `RevolutionChart`.
+    [distance from the axis, z] says. Its map, where electrodes are placed and contacts reported, is `RevolutionChart`.
 
     A ``mesh`` is cut from the triangles of a `file` (STL, OBJ, ...; `scale` metres per unit of it) that lies beside the
     skin file, or of a `link` of a URDF file and its `visual`, which also say its scale and place: those of a named
