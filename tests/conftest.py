@@ -2,19 +2,18 @@
 
 import os
 
-# Before NumPy comes: small solves are quicker with one thread, and the same to the last bit. Before numba comes: two
-# processes that compile at once would overwrite each other's index of compiled functions, so each worker has its own.
+# Before NumPy comes: small solves are quicker with one thread, and the same to the last bit. Before numba comes: what
+# one worker has compiled, no other one has to.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba-main"))
-os.environ["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"].replace(  # a worker inherits its parent's
-    ".pytest_cache/numba-main", f".pytest_cache/numba-{os.environ.get('PYTEST_XDIST_WORKER', 'main')}"
-)
+os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba"))
 
 import faulthandler
+import fcntl
 import shutil
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +40,12 @@ hypothesis.settings.register_profile("patient", deadline=None)  # others on the 
 hypothesis.settings.load_profile("patient")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """A worker begins with what was compiled before there were workers."""
-    compiled = Path(os.environ["NUMBA_CACHE_DIR"])
-    before = compiled.with_name("numba-main")
-    if hasattr(config, "workerinput") and before.is_dir() and not compiled.exists():
-        shutil.copytree(before, compiled)
+@pytest.hookimpl(trylast=True)
+def pytest_sessionstart() -> None:
+    """Two workers that keep what they compiled of one function at once would mix up its index: they take turns."""
+    from numba.core.caching import IndexDataCacheFile
+
+    IndexDataCacheFile.save = in_turn(IndexDataCacheFile.save)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -109,6 +108,18 @@ def chromium() -> Iterator[Any]:
         LEFTOVERS.keep()
         yield browser
         browser.close()
+
+
+def in_turn(call: Callable[..., None]) -> Callable[..., None]:
+    """A function that only one process at a time is in."""
+
+    @wraps(call)
+    def taking_turns(*arguments: Any) -> None:
+        with open(os.path.join(os.environ["NUMBA_CACHE_DIR"], "turn"), "a") as turn:
+            fcntl.flock(turn, fcntl.LOCK_EX)  # until it is closed
+            call(*arguments)
+
+    return taking_turns
 
 
 def recordings(name: str) -> Path:

@@ -1,5 +1,6 @@
 """A device without a wire, for tests of what lies above it."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ from ohmskin.skin import VirtualSkin
 
 
 class DirectDevice(Device):
-    """A `VirtualSkin` in this process. Set `gone` to pull its plug, `blind` to clip an electrode."""
+    """A `VirtualSkin` in this process. Set `gone` to pull its plug, `blind` to clip an electrode, `spoil` to change
+    frames."""
 
     def __init__(self, virtual: VirtualSkin, serial: int = 1) -> None:
         count = len(virtual.skin.electrodes)
@@ -20,11 +22,14 @@ class DirectDevice(Device):
             Capabilities("direct", count, 24, 512, features=Feature.VIRTUAL | Feature.DRIVEN_MEASURED, serial=serial),
         )
         self.virtual, self.gone, self.blind = virtual, False, False
+        self.spoil: Callable[[Frame], Frame] | None = None
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         if self.gone:
             raise DeviceLost("the plug was pulled")
         frame = self.virtual.scan(pattern)
+        if self.spoil is not None:
+            frame = self.spoil(frame)
         if not self.blind:
             return frame
         unseen = (pattern.measurements[:, 1:] == 5).any(axis=1)  # electrode 5 clips

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba-main"))
+os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba"))
 
 MEMORY = 2**30  # bytes beside what is there before the first case
 _START = 300.0  # s that a child may take to begin

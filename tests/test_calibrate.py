@@ -14,7 +14,7 @@ from ohmskin.calibrate import PressGuide, PressSample, calibrate_quiet, fit_forc
 from ohmskin.cli.calibrate import calibrate
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, DeviceError, OhmskinError, SkinError
-from ohmskin.scan import n_pairs
+from ohmskin.scan import Frame, n_pairs
 from ohmskin.skin import Calibration, Fault, Press, Skin, VirtualSkin
 
 PAPER = Skin.load("paper")
@@ -64,17 +64,17 @@ def test_contacts_worse_than_described_are_told() -> None:
 
 
 def test_drift_is_told_from_noise() -> None:
-    class Drifting(DirectDevice):
-        def _scan(self, pattern, timeout):  # type: ignore[no-untyped-def]
-            frame = super()._scan(pattern, timeout)
-            walk.append(walk[-1] + rng.normal(0, 1e-3 * np.sqrt(frame.time - times[-1]), pattern.n_meas))
-            times.append(frame.time)
-            return replace(frame, voltages=frame.voltages + walk[-1])
+    def drifting(frame: Frame) -> Frame:
+        walk.append(walk[-1] + rng.normal(0, 1e-3 * np.sqrt(frame.time - times[-1]), len(frame.voltages)))
+        times.append(frame.time)
+        return replace(frame, voltages=frame.voltages + walk[-1])
 
     rng = np.random.default_rng(0)
     walk, times = [np.zeros(1)], [0.0]
     slow = replace(PAPER, converter=replace(PAPER.converter, settle=0.01))  # some 15 s in all
-    found = calibrate_quiet(Drifting(VirtualSkin(slow, 2)), slow, scans=12)
+    device = DirectDevice(VirtualSkin(slow, 2))
+    device.spoil = drifting
+    found = calibrate_quiet(device, slow, scans=12)
     assert found.drift == pytest.approx(1e-3, rel=0.25)
 
 
@@ -233,7 +233,7 @@ def test_mistakes_are_told_before_anything_is_measured(
     monkeypatch.chdir(tmp_path)
     device = DirectDevice(VirtualSkin(PAPER, 1))
     monkeypatch.setattr("ohmskin.cli.calibrate.open_skin", lambda *_: (device, PAPER))
-    monkeypatch.setattr(DirectDevice, "_scan", lambda *_: pytest.fail("scanned"))
+    device.spoil = lambda _: pytest.fail("scanned")
     out = Path(settings.pop("out", "mine.toml"))
     with pytest.raises(OhmskinError, match=words):
         calibrate(output=out, **settings)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_client import FLOOD, PATCHES, until
+from test_client import FLOOD, PATCHES, half_written, until
 
 from ohmskin.client import Board, Contact, Felt, Patch, Sighting
 from ohmskin.client.board import board_path
@@ -141,12 +141,9 @@ def test_a_slot_that_is_seen_half_written_is_not_taken(reader: Path, offset: int
     with board() as writer, listening(reader) as ask:
         writer.write(pack(touch(1), SKIN))
         assert ask()["felt"][0][0] == "1"
-        writer.write(pack(touch(2, LIGHT), SKIN))
-        at = writer._slots_at + 2 % 8 * writer._slot_bytes + offset
-        before = writer._memory[at]
-        writer._memory[at] = before ^ 1
-        assert ask()["felt"][0][0] == "1"  # the one before, ever older
-        writer._memory[at] = before
+        writer.write(second := pack(touch(2, LIGHT), SKIN))
+        with half_written(second, offset):
+            assert ask()["felt"][0][0] == "1"  # the one before, ever older
         assert ask()["felt"][0][0] == "2"
 
 

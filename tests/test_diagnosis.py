@@ -28,14 +28,9 @@ class FaultyDevice(DirectDevice):
 
     def __init__(self, skin: Skin, seed: int) -> None:
         super().__init__(VirtualSkin(skin, seed, contacts=4))
-        self.spoil: Spoil | None = None
 
     def break_wire(self, electrode: int | None) -> None:
         self.virtual.rewire(*([] if electrode is None else [Fault("open", (electrode,))]))
-
-    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
-        frame = super()._scan(pattern, timeout)
-        return self.spoil(frame) if self.spoil else frame
 
 
 @pytest.fixture(scope="module")

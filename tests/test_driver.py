@@ -23,7 +23,7 @@ from ohmskin.device.layout import Kind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
 from ohmskin.device.protocol import Decoder, encode
 from ohmskin.device.session import Session
-from ohmskin.device.transport import SerialTransport, open_transport
+from ohmskin.device.transport import SerialTransport, SocketTransport, open_transport
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.device.wire import WireDevice
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused, PatternError, ProtocolError
@@ -663,13 +663,15 @@ def test_a_host_that_was_suspended_takes_the_reply_that_came_meanwhile(
 ) -> None:
     with connect(url) as device:
         device.scan(RIM)
-        read, times = device._transport.read, iter([1.0])
+        read, times = SocketTransport.read, iter([1.0])
 
-        def suspended(timeout: float) -> bytes:
+        def suspended(self: SocketTransport, timeout: float) -> bytes:
+            if threading.current_thread() is not threading.main_thread():  # the server's
+                return read(self, timeout)
             time.sleep(pause := next(times, 0.0))
-            return b"" if pause else read(timeout)
+            return b"" if pause else read(self, timeout)
 
-        monkeypatch.setattr(device._transport, "read", suspended)
+        monkeypatch.setattr(SocketTransport, "read", suspended)
         np.testing.assert_array_equal(device.scan(RIM, timeout=0.5).voltages, voltages(RIM))
     assert skin.scans == 2
 

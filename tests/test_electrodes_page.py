@@ -84,15 +84,13 @@ def test_clicks_on_the_page_place_electrodes_by_surface_coordinates(tmp_path: Pa
             box = page.locator("#space").bounding_box()
             page.mouse.click(box["x"] + at["x"], box["y"] + at["y"])
             until(lambda count=count: page.evaluate("ohmskin.state.electrodes.length") == count)
-        where = "ohmskin.body._camera.position.toArray()"
+        where = "ohmskin.body.camera.position.toArray()"
         camera = page.evaluate(where)
         page.mouse.move(box["x"] + at["x"], box["y"] + at["y"] - 40)
         page.mouse.down()
         page.mouse.move(box["x"] + at["x"] + 60, box["y"] + at["y"], steps=5)
         page.mouse.up()
-        until(
-            lambda: np.abs(np.subtract(page.evaluate("ohmskin.body._camera.position.toArray()"), camera)).max() > 0.01
-        )
+        until(lambda: np.abs(np.subtract(page.evaluate("ohmskin.body.camera.position.toArray()"), camera)).max() > 0.01)
         assert page.evaluate("ohmskin.state.electrodes.length") == len(wanted)  # a drag turns, and places nothing
         page.locator("#x").fill("60")
         page.locator("#y").fill("40")

@@ -169,14 +169,11 @@ def test_a_gap_in_the_second_scan_does_not_ask_for_a_third(engine: Engine) -> No
 
 
 def test_a_calibration_that_fails_leaves_the_one_before(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    before, scan = engine.known, DirectDevice._scan
-
-    def blind(self: DirectDevice, pattern: DrivePattern, timeout: float) -> Frame:
-        frame = scan(self, pattern, timeout)
-        return replace(frame, voltages=np.full(pattern.n_meas, np.nan))
-
+    before = engine.known
     with monkeypatch.context() as patch:
-        patch.setattr(DirectDevice, "_scan", blind)
+        patch.setattr(
+            engine.device, "spoil", lambda frame: replace(frame, voltages=np.full_like(frame.voltages, np.nan))
+        )
         with pytest.raises(DataError):
             engine.calibrate()
     assert (engine.state, engine.known) == (State.RUNNING, before)
@@ -275,7 +272,7 @@ def test_a_reply_that_makes_no_sense_ends_a_connection_and_no_loop(
         engine.calibrate()
         told.append("calibrated")
         next(pending)
-        monkeypatch.setattr(devices[0], "_scan", odd)
+        devices[0].spoil = odd
         assert engine.step() is None
         assert engine.state is State.LOST
         assert told[-1] == f"device lost: {error}; reconnecting"
@@ -315,8 +312,7 @@ def test_a_device_that_takes_less_than_before_is_not_used_and_one_that_takes_lon
 
 def test_quiet_frames_of_another_pattern_are_refused(skin: Skin) -> None:
     device = DirectDevice(VirtualSkin(skin, seed=1))
-    scan = device._scan
-    device._scan = lambda pattern, timeout: scan(adjacent([range(12)]), timeout)  # type: ignore[method-assign]
+    device.spoil = lambda _: device.virtual.scan(adjacent([range(12)]))
     with (
         Engine(lambda: device, skin, "16O") as engine,
         pytest.raises(DataError, match="another pattern than was asked"),
@@ -345,7 +341,7 @@ def test_another_device_that_cannot_be_calibrated_is_tried_again_and_not_taken_f
 ) -> None:
     monkeypatch.setattr("ohmskin.engine.engine._RETRY_AFTER", 0.0)
     first, silent, sound = (DirectDevice(VirtualSkin(skin, seed=k), serial=k) for k in (1, 2, 2))
-    monkeypatch.setattr(silent, "_scan", lambda pattern, timeout: _unseen(pattern))
+    silent.spoil = lambda frame: _unseen(frame.pattern)
     pending = iter([first, silent, sound])
     with Engine(lambda: next(pending), skin) as engine:
         engine.calibrate()

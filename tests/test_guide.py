@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Page, expect
 from test_view_browser import Reader, SyntheticLoop, make_setup
 
 
@@ -18,14 +18,24 @@ def reader(chromium: Browser) -> Iterator[Reader]:
     loop.close()
 
 
-def judged(reader: Reader, change: str) -> dict[str, str]:
+@pytest.fixture(scope="module")
+def scripts(chromium: Browser) -> Iterator[Page]:
+    """A page that only calls the page's own functions."""
+    loop = SyntheticLoop(make_setup())
+    reader = Reader(chromium, loop)
+    yield reader.page
+    reader.close()
+    loop.close()
+
+
+def judged(page: Page, change: str) -> dict[str, str]:
     """What the page says of presses that were felt where a change of the true place (m) says."""
     script = """async () => {
         const { judge, placesOn } = await import("/static/guide.js");
         const domain = { kind: "rectangle", width: 0.2, height: 0.2 };
         return judge(placesOn(domain).map(([x, y]) => [[x, y], %s]), domain);
     }"""
-    told: dict[str, str] = reader.page.evaluate(script % change)
+    told: dict[str, str] = page.evaluate(script % change)
     return told
 
 
@@ -76,12 +86,12 @@ def test_known_weights_calibrate_newtons_and_say_what_is_saved(reader: Reader) -
     expect(guide.get_by_text("Saved: newtons, in paper-calibrated.toml")).to_be_visible()
 
 
-def test_places_are_spread_inside_any_outline(reader: Reader) -> None:
+def test_places_are_spread_inside_any_outline(scripts: Page) -> None:
     script = """async () => {
         const { placesOn } = await import("/static/guide.js");
         return [placesOn({ kind: "disc", radius: 0.1 }), placesOn({ kind: "rectangle", width: 0.2, height: 0.1 })];
     }"""
-    disc, sheet = (np.array(places) for places in reader.page.evaluate(script))
+    disc, sheet = (np.array(places) for places in scripts.evaluate(script))
     assert disc.shape == sheet.shape == (10, 2)
     assert np.hypot(*disc.T).max() <= 0.1 - 0.12 * 0.2 + 1e-9
     assert sheet.min() >= 0.012 - 1e-9
@@ -103,7 +113,7 @@ def test_places_are_spread_inside_any_outline(reader: Reader) -> None:
         ("[y, x]", "Check the wiring", "fits better mirrored across a diagonal"),
     ],
 )
-def test_the_verdict_names_what_is_wrong(reader: Reader, change: str, verdict: str, says: Any) -> None:
-    told = judged(reader, change)
+def test_the_verdict_names_what_is_wrong(scripts: Page, change: str, verdict: str, says: Any) -> None:
+    told = judged(scripts, change)
     assert told["verdict"] == verdict
     assert says in told["text"]

@@ -418,10 +418,10 @@ def test_hostile_messages_are_data_errors(topic: str, content: bytes) -> None:
 def test_recovery_that_is_interrupted_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_frames(tmp_path / "a.mcap", some_frames(300))
 
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ohmskin.mcap.repair._commit", interrupted)
+    monkeypatch.setattr("ohmskin.mcap.repair.Disk.commit", interrupted)
     with pytest.raises(KeyboardInterrupt):
         recover(tmp_path / "a.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]

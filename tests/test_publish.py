@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ import ohmskin
 from ohmskin.body.body import axes
 from ohmskin.client import Patch, Sighting
 from ohmskin.client.felt import felt
-from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts
+from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts, domain
 from ohmskin.contacts import Contact as SheetContact
 from ohmskin.errors import DataError, OhmskinError, PublishError
 from ohmskin.mcap.schemas import FIELD
@@ -42,6 +42,7 @@ from ohmskin.outlets.messages import (
     encode_wrench,
 )
 from ohmskin.outlets.outlet import KINDS, open_outlet
+from ohmskin.outlets.process import wrenches
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.outlets.relay import RelayProcess
 from ohmskin.outlets.topics import TEXTS, Topic, contacts_topic, wrench_topic
@@ -170,13 +171,22 @@ def test_both_outlets_speak_in_the_domain_of_the_environment(monkeypatch: pytest
 
 
 def test_a_dds_endpoint_tells_the_hash_of_its_type() -> None:
+    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.domain import DomainParticipant
     from cyclonedds.qos import Policy
 
-    topic = contacts_topic("skin")
-    outlet: Any = open_outlet("dds", [topic], "node", None)
-    told = outlet._writers[topic].get_qos()[Policy.Userdata].data
-    outlet.close()
-    assert told == f"typehash={CONTACTS_HASH};".encode()
+    told: list[bytes] = []
+
+    def found() -> bool:
+        seen = reader.take(N=100)
+        told.extend(one.qos[Policy.Userdata].data for one in seen if one.topic_name.endswith("contacts"))
+        return bool(told)
+
+    with closing(open_outlet("dds", [contacts_topic("skin")], "node", None)):
+        listener = DomainParticipant(domain())
+        reader = BuiltinDataReader(listener, BuiltinTopicDcpsPublication)
+        until(found)
+    assert set(told) == {f"typehash={CONTACTS_HASH};".encode()}
 
 
 def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:
@@ -378,19 +388,16 @@ def relay() -> Iterator[RelayProcess]:
 
 
 def test_a_wrench_is_told_of_each_link_whose_skins_all_tell_forces_and_have_been_heard_of() -> None:
-    from ohmskin.outlets.process import Relay
-
     patches = [Patch(name, link, newtons=name != "d") for name, link in zip("abcde", "xxyzw", strict=True)]
     links = ["x", "y", "w"]  # d, on z, is not calibrated for force
-    relay, sent = object.__new__(Relay), list[str]()
-    relay._wrenches = {link: wrench_topic("arm", link, links) for link in links}
-    relay._send = lambda topic, stamp, data: sent.append(topic.name)  # type: ignore[method-assign]
     seen = [Sighting(name, link, 1, 0.0, STAMP) for name, link in zip("abce", "xxyw", strict=True)]
     contacts = [replace(CONTACT, patch="a", frame="x"), replace(CONTACT, patch="c", frame="y", force=None)]
-    relay._send_wrenches(felt(1, [*seen[:3], Sighting("d", "z", 1, 0.0, STAMP), Sighting("e", "w")], contacts), patches)
-    assert sent == ["/ohmskin/arm/wrench/x"]  # of y the force is not known yet, and e was never heard of
-    relay._send_wrenches(felt(2, seen, contacts[:1]), patches)
-    assert sent[1:] == [f"/ohmskin/arm/wrench/{link}" for link in links]
+    first = felt(1, [*seen[:3], Sighting("d", "z", 1, 0.0, STAMP), Sighting("e", "w")], contacts)
+    known = ("x", STAMP, contacts[:1])  # of y the force is not known yet, and e was never heard of
+    assert list(wrenches(first, patches, links)) == [known]
+    later = felt(2, seen, contacts[:1])
+    assert list(wrenches(later, patches, links)) == [(link, STAMP, contacts[: link == "x"]) for link in links]
+    assert wrench_topic("arm", "x", links).name == "/ohmskin/arm/wrench/x"
     assert wrench_topic("skin", "arm/base-link", ["arm/base-link"]).name == "/ohmskin/wrench"
     assert wrench_topic("arm", "arm/base-link", ["arm/base-link", "x"]).name == "/ohmskin/arm/wrench/arm_base_link"
 

@@ -23,13 +23,14 @@ class SpoiltDevice(DirectDevice):
 
     def __init__(self, *faults: Fault, spoil: Spoil = lambda frame: frame) -> None:
         super().__init__(VirtualSkin(Skin.load("paper"), 3, faults, contacts=4))
-        self.spoil, self.pressed, self.count = spoil, lambda count: False, 0
-        self.pressed: Callable[[int], bool]
+        self.spoil, self.count = spoil, 0
+        self.pressed: Callable[[int], bool] | None = lambda count: False
 
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         self.count += 1
-        self.virtual.press(0, 0.1, 0.1, 8e-3, 20e3 if self.pressed(self.count) else 0.0)
-        return self.spoil(super()._scan(pattern, timeout))
+        if self.pressed is not None:
+            self.virtual.press(0, 0.1, 0.1, 8e-3, 20e3 if self.pressed(self.count) else 0.0)
+        return super()._scan(pattern, timeout)
 
 
 def quiet_of(device: SpoiltDevice) -> tuple[QuietFrames, list[Frame]]:
@@ -127,7 +128,7 @@ def test_an_electrode_that_is_open_from_the_start_is_named_and_done_without() ->
         engine.calibrate()
         assert told == ["electrode 5: open: almost no current flows when it is driven; check its wire; left out"]
         assert not any(engine.step().contacts for _ in range(20))  # type: ignore[union-attr]
-        device._scan = super(SpoiltDevice, device)._scan  # type: ignore[method-assign]
+        device.pressed = None
         engine.press(0, AT, RADIUS, PRESSURE)
         touches = [engine.step() for _ in range(12)][4:]
         places = [contact.position for touch in touches if touch for contact in touch.contacts]

@@ -109,8 +109,8 @@ def test_tracking_replays_the_live_loop_and_the_same_bytes_however_quick_the_mac
             np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-9)
     assert any(touch.contacts for touch in live)
     with pytest.MonkeyPatch.context() as patch:
-        slow = ReplayDevice._scan
-        patch.setattr(ReplayDevice, "_scan", lambda *arguments: (time.sleep(2e-3), slow(*arguments))[1])
+        slow = ReplayDevice.scan
+        patch.setattr(ReplayDevice, "scan", lambda *arguments: (time.sleep(2e-3), slow(*arguments))[1])
         assert digest(tmp_path / "a.mcap") == first
 
 
@@ -421,7 +421,7 @@ def test_the_commands_do_what_they_say(recorded: tuple[Path, list[ohm.Touch]], t
 
     def run(*arguments: str) -> str:
         done = command_line.ohmskin(*arguments, cwd=tmp_path)
-        assert (done.returncode, re.sub("[.]+\n|(compiling, once|.*; calibrating: ).*\n", "", done.stderr)) == (0, "")
+        assert (done.returncode, re.sub("(compiling, once|.*; calibrating: ).*\n", "", done.stderr)) == (0, "")
         return done.stdout
 
     lines = [json.loads(line) for line in run("replay", str(path), "--json", "--speed", "inf").splitlines()]

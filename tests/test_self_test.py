@@ -159,19 +159,11 @@ def test_a_dead_instrument_is_one_finding_not_sixteen() -> None:
 # --- the instrument ---------------------------------------------------------------------------------------------------
 
 
-class Bent(DirectDevice):
-    """An instrument that changes its frames."""
-
-    def __init__(self, change: Callable[[Frame], Frame], faults: tuple[str, ...] = ()) -> None:
-        super().__init__(virtual(PAPER, faults, 3))
-        self._change = change
-
-    def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
-        return self._change(super()._scan(pattern, timeout))
-
-
 def outcome(change: Callable[[Frame], Frame] = lambda frame: frame, *faults: str) -> SelfTest:
-    return self_test(Bent(change, faults), PAPER)
+    """Of an instrument that changes its frames."""
+    instrument = DirectDevice(virtual(PAPER, faults, 3))
+    instrument.spoil = change
+    return self_test(instrument, PAPER)
 
 
 def test_an_instrument_in_order_is_measured_and_nothing_remarked() -> None:
@@ -361,10 +353,10 @@ def test_the_wiring_of_the_twin_obeys_its_circuit() -> None:
     def across(resistance: np.ndarray, a: int, b: int) -> float:
         return float(resistance[a, a] + resistance[b, b] - 2 * resistance[a, b])
 
-    bridged = virtual(PAPER, ("short 7 8 200",), 1)._resistance
+    bridged = virtual(PAPER, ("short 7 8 200",), 1).transfer_resistance
     assert across(bridged, 7, 8) == pytest.approx(1 / (1 / across(r, 7, 8) + 1 / 200))
     assert across(bridged, 0, 5) < across(r, 0, 5)
-    swapped = virtual(PAPER, ("swap 1 2",), 1)._resistance
+    swapped = virtual(PAPER, ("swap 1 2",), 1).transfer_resistance
     assert across(swapped, 1, 9) == pytest.approx(across(r, 2, 9))
     assert across(swapped, 1, 2) == pytest.approx(across(r, 1, 2))
     opened = virtual(PAPER, ("open 3",), 1)

@@ -518,11 +518,11 @@ def test_a_press_off_the_sheet_is_refused_and_changes_nothing() -> None:
 def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing() -> None:
     skin = VirtualSkin(Skin.load("paper"), seed=0)
     skin.press(1, 0.1, 0.1, 8e-3, 2e4)
-    before, resistance = skin.presses, skin._resistance
+    before, resistance = skin.presses, skin.transfer_resistance
     with pytest.raises(SkinError, match=r"36\d+ contacts of patches take about \d+ s to model; allowed are 5000"):
         skin.press(2, 0.1, 0.1, 1.0, 2e4)
     assert skin.presses == before
-    assert skin._resistance is resistance
+    assert skin.transfer_resistance is resistance
     skin.press(1, 0.1, 0.1, 8e-3, 0.0)
 
 

@@ -12,7 +12,6 @@ import pytest
 from tiers import LONG, SLOWEST, TABLE, Need, needs
 
 FOLDER = Path(__file__).parent
-WORKER = "PYTEST_XDIST_WORKER"
 FAILING = """
 import subprocess, sys, threading
 import pytest
@@ -55,22 +54,28 @@ def test_what_is_missing_is_skipped_with_its_package_and_fails_in_ci(monkeypatch
         needs("no-such-program", package="nowhere")
 
 
-def test_each_worker_keeps_what_it_compiles_in_a_folder_of_its_own() -> None:
-    """Two processes that write one index would mix up each other's entries."""
+def test_workers_take_turns_to_keep_what_they_compiled(tmp_path: Path) -> None:
+    """Two processes that write one index at once would mix up each other's entries."""
+    script = """if True:
+        import sys, time
+        from pathlib import Path
+        from conftest import in_turn
+        count = Path(sys.argv[1])
 
-    kept = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", WORKER)}
-    script = f"""if True:
-        import importlib, os, conftest
-        print(parent := os.environ["NUMBA_CACHE_DIR"])
-        for place, worker in ((parent, "gw0"), (parent, "gw1"), ("/elsewhere", "gw0")):
-            os.environ.update(NUMBA_CACHE_DIR=place, {WORKER}=worker)
-            print(importlib.reload(conftest).os.environ["NUMBA_CACHE_DIR"])
+        @in_turn
+        def one_more(k):
+            number = int(count.read_text())
+            time.sleep(1e-3)
+            count.write_text(str(number + 1))
+
+        for k in range(100):
+            one_more(k)
         """
-    done = subprocess.run([sys.executable, "-c", script], env=kept, cwd=FOLDER, capture_output=True, text=True)
-    parent, *workers, elsewhere = done.stdout.split()
-    assert parent.endswith("numba-main")
-    assert len({parent, *workers}) == 3
-    assert elsewhere == "/elsewhere"
+    (count := tmp_path / "count").write_text("0")
+    command, settings = [sys.executable, "-c", script, str(count)], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    both = [subprocess.Popen(command, env=settings, cwd=FOLDER) for _ in range(2)]
+    assert [process.wait(120) for process in both] == [0, 0]
+    assert count.read_text() == "200"
 
 
 def test_a_run_ends_after_a_failed_set_up_and_takes_its_children_with_it(tmp_path: Path) -> None:

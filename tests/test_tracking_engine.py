@@ -12,7 +12,7 @@ from direct import DirectDevice
 from ohmskin.device import Capabilities
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.errors import PatternError
-from ohmskin.scan import DrivePattern, Frame
+from ohmskin.scan import Frame
 from ohmskin.skin import Skin, VirtualSkin
 
 PLACES = [(0.05, 0.12), (0.1, 0.1), (0.03, 0.03), (0.17, 0.05), (0.16, 0.16), (0.155, 0.105)]
@@ -188,13 +188,7 @@ def test_the_same_frames_give_the_same_contacts(skin: Skin) -> None:
     """What a recording holds is enough: the device's time counts, not the host's."""
     device = DirectDevice(VirtualSkin(skin, seed=4))
     frames: list[Frame] = []
-    inner = device._scan
-
-    def recorded(pattern: DrivePattern, timeout: float) -> Frame:
-        frames.append(inner(pattern, timeout))
-        return frames[-1]
-
-    device._scan = recorded  # type: ignore[method-assign]
+    device.listen(frames.append)
     with open_engine(skin, device) as engine:
         engine.calibrate()
         first = []
@@ -205,12 +199,12 @@ def test_the_same_frames_give_the_same_contacts(skin: Skin) -> None:
     again = DirectDevice(VirtualSkin(skin, seed=99))
     queue = iter(frames)
 
-    def replayed(pattern: DrivePattern, timeout: float) -> Frame:
+    def replayed(scanned: Frame) -> Frame:
         frame = next(queue)
-        assert frame.pattern == pattern
+        assert frame.pattern == scanned.pattern
         return frame
 
-    again._scan = replayed  # type: ignore[method-assign]
+    again.spoil = replayed
     with open_engine(skin, again) as engine:
         engine.calibrate()
         assert [run(engine, 1).contacts for _ in range(25)] == first

@@ -9,6 +9,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -251,15 +252,21 @@ def test_header_with_numpy_values_and_numbers_that_are_not_finite() -> None:
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
+def asked(view: LiveView, count: int) -> list[dict[str, Any]]:
+    """So many commands, as soon as they have arrived."""
+    told: list[dict[str, Any]] = []
+    until(lambda: told.extend(view.commands()) or len(told) >= count)
+    return told
+
+
 def test_commands_arrive_in_order_and_ids_name_the_browser(fresh: LiveView) -> None:
     with open_socket(fresh) as one, open_socket(fresh) as two:
         names = [json.loads(browser.recv(60))["client"] for browser in (one, two)]
         one.send(to_json(PRESS))
-        until(lambda: fresh._pending)
+        told = asked(fresh, 1)
         two.send(to_json(PRESS | {"x": 0.1}))
         two.send(to_json({"type": "mode", "mode": "16O"}))
-        until(lambda: len(fresh._pending) == 3)
-        assert fresh.commands() == [
+        assert told + asked(fresh, 2) == [
             PRESS | {"id": f"{names[0]}:a"},
             PRESS | {"id": f"{names[1]}:a", "x": 0.1},
             {"type": "mode", "mode": "16O"},
@@ -273,10 +280,8 @@ def test_presses_of_a_browser_that_leaves_are_lifted(fresh: LiveView) -> None:
         for key in "abc":
             browser.send(to_json(PRESS | {"id": key}))
         browser.send(to_json({"type": "lift", "id": "b"}))
-        until(lambda: len(fresh._pending) == 4)
-        fresh.commands()
-    until(lambda: len(fresh._pending) == 2)
-    assert fresh.commands() == [{"type": "lift", "id": f"{name}:{key}"} for key in "ac"]
+        asked(fresh, 4)
+    assert asked(fresh, 2) == [{"type": "lift", "id": f"{name}:{key}"} for key in "ac"]
 
 
 REFUSED = [
@@ -355,8 +360,7 @@ def test_refused_command_is_answered_and_the_browser_stays(fresh: LiveView) -> N
         browser.send(b"binary")
         assert "text" in json.loads(browser.recv(60))["message"]
         browser.send(to_json({"type": "calibrate"}))
-        until(lambda: fresh._pending)
-        assert fresh.commands() == [{"type": "calibrate"}]
+        assert asked(fresh, 1) == [{"type": "calibrate"}]
 
 
 def test_message_that_is_too_long_ends_the_connection(fresh: LiveView) -> None:
@@ -402,21 +406,22 @@ def test_taken_port_gives_the_next_one() -> None:
 
 
 def test_close_leaves_no_process_and_is_safe_twice() -> None:
+    before = set(threading.enumerate())
     view = LiveView(SETUP, port=0)
-    child = psutil.Process(view._child.process.pid)
+    child = psutil.Process(view.pid)
     with open_socket(view) as browser:
         browser.recv(60)
         view.close()
         view.close()
     assert not child.is_running()
-    assert not [thread for thread in view._threads if thread.is_alive()]
+    assert set(threading.enumerate()) <= before
     assert not view.wants_frame()
     view.publish({"sequence": 1}, IMAGE, IMAGE)
     assert view.commands() is not None
 
 
 def test_interrupt_is_left_to_the_loop(view: LiveView) -> None:
-    os.kill(view._child.process.pid, signal.SIGINT)
+    os.kill(view.pid, signal.SIGINT)
     time.sleep(0.2)
     assert get(view).status == 200
 
@@ -426,7 +431,7 @@ def test_loop_survives_the_death_of_the_page(caplog: pytest.LogCaptureFixture) -
         with open_socket(view) as browser:
             browser.recv(60)
             until(view.wants_frame)
-            psutil.Process(view._child.process.pid).kill()
+            psutil.Process(view.pid).kill()
             until(lambda: not view.wants_frame())
         view.publish({"sequence": 1}, IMAGE, IMAGE)
         until(lambda: "has ended" in caplog.text)
@@ -434,7 +439,7 @@ def test_loop_survives_the_death_of_the_page(caplog: pytest.LogCaptureFixture) -
 
 def test_page_ends_when_its_loop_is_killed() -> None:
     code = f"from ohmskin.view import LiveView; v = LiveView({SETUP!r}, port=0)\n"
-    code += "print(v._child.process.pid, flush=True); input()"
+    code += "print(v.pid, flush=True); input()"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as loop:
         assert loop.stdout is not None
         child = psutil.Process(int(loop.stdout.readline()))

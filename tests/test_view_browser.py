@@ -1,15 +1,17 @@
 """The live page as its readers have it: in a real browser, with a synthetic loop behind it."""
 
 import io
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from ohmskin.view import LiveView
 
@@ -102,7 +104,7 @@ class SyntheticLoop:
         radius = self.setup["skin"]["domain"].get("radius", np.inf)
         noise = np.random.default_rng(1)
         start = time.monotonic()
-        while not self._stop.wait(0.03):
+        while not self._stop.wait(0.05):
             raster = self.setup["raster"]
             x, y = np.meshgrid(*(raster[f"{a}0"] + raster["pitch"] * np.arange(raster[f"n{a}"]) for a in "xy"))
             self.sequence += 1
@@ -185,13 +187,19 @@ class SyntheticLoop:
         }
 
 
+@cache
+def _context(chromium: Browser, options: str) -> BrowserContext:
+    """One for all pages with these options, as JSON: a page in a new one takes a second longer."""
+    return chromium.new_context(**json.loads(options))
+
+
 class Reader:
     """Someone at the page: opens it, and fails the test on any error in its console."""
 
     def __init__(self, chromium: Browser, loop: SyntheticLoop, **options: Any) -> None:
         self.loop = loop
         self.errors: list[str] = []
-        self.context = chromium.new_context(**{"viewport": {"width": 1440, "height": 900}} | options)
+        self.context = _context(chromium, json.dumps({"viewport": {"width": 1440, "height": 900}} | options))
         self.page: Page = self.context.new_page()
         self.page.on(
             "console",
@@ -228,7 +236,8 @@ class Reader:
         return sorted((p["x"], p["y"]) for p in self.loop.presses.values())
 
     def close(self) -> None:
-        self.context.close()
+        self.page.evaluate("localStorage.clear()")
+        self.page.close()
         assert self.errors == []
 
 

@@ -17,7 +17,7 @@ from ohmskin.engine.notices import Notices
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimator, FrameWise, Settings, gauss_newton
-from ohmskin.scan import Difference, DrivePattern, Frame
+from ohmskin.scan import Difference, Frame
 from ohmskin.skin import Fault, Mode, Skin, VirtualSkin
 from ohmskin.view.session import Session
 from ohmskin.view.wire import check_setup, read_command
@@ -75,8 +75,8 @@ class Page:
 class Looker:
     """Somebody at the page of a virtual skin."""
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
+    def __init__(self, session: Session, device: DirectDevice) -> None:
+        self.session, self.device = session, device
         self.page: Page = session.view  # type: ignore[assignment]
 
     def send(self, kind: str, **fields: object) -> list[dict[str, Any]]:
@@ -86,6 +86,10 @@ class Looker:
         for _ in range(8):
             self.session.step()
         return self.page.told
+
+
+def missing(frame: Frame) -> Frame:
+    return replace(frame, voltages=np.full_like(frame.voltages, np.nan))
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +102,7 @@ def calibrated() -> Iterator[Looker]:
         device = DirectDevice(VirtualSkin(skin, seed=3))
         with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", Page(), False) as session:
             session.calibrate()
-            yield Looker(session)
+            yield Looker(session, device)
 
 
 @pytest.fixture
@@ -126,11 +130,8 @@ def test_modes_come_with_plain_names_in_the_skins_order_and_those_of_the_paper_l
 def test_a_calibration_that_cannot_be_is_told_on_the_page_and_ends_nothing(
     looker: Looker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def noisy(self: DirectDevice, pattern: DrivePattern, timeout: float) -> Frame:
-        return Frame(pattern, np.full(pattern.n_meas, np.nan), np.full(pattern.n_inj, 1e-3))
-
     with monkeypatch.context() as patch:
-        patch.setattr(DirectDevice, "_scan", noisy)
+        patch.setattr(looker.device, "spoil", missing)
         told = looker.send("calibrate")
     assert any("every voltage of a frame is missing" in header["message"] for header in told)
     assert looker.send("pause", paused=False)[-1]["state"] == "running"
@@ -179,11 +180,9 @@ def test_presses_of_known_weights_are_saved_with_the_skin_as_newtons(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     paper = Skin.load("paper")
-    with (
-        Engine(lambda: DirectDevice(VirtualSkin(paper, seed=3)), paper) as engine,
-        Session(engine, "", Page(), False) as session,
-    ):
-        looker = Looker(session)
+    device = DirectDevice(VirtualSkin(paper, seed=3))
+    with Engine(lambda: device, paper) as engine, Session(engine, "", Page(), False) as session:
+        looker = Looker(session, device)
         looker.send("mode", mode="16O")
         session.calibrate()
         looker.send("begin")
@@ -208,7 +207,7 @@ def test_a_lost_device_takes_no_new_press_and_gets_those_it_had_again() -> None:
     device = DirectDevice(VirtualSkin(Skin.load("paper"), seed=3))
     with Engine(lambda: device, Skin.load("paper")) as engine, Session(engine, "", Page(), False) as session:
         session.calibrate()
-        looker = Looker(session)
+        looker = Looker(session, device)
         press = {"x": PLACE[0], "y": PLACE[1], "radius": 8e-3, "pressure": 2e4}
         looker.send("press", id="held", **press)
         device.gone = True
@@ -225,12 +224,11 @@ def test_the_page_is_told_what_is_doubted_where_and_both_thresholds(looker: Look
     assert last["base_threshold"] > 0
     assert last["threshold"] > 0
     assert last["base_threshold"] != last["threshold"]
-    device: Any = looker.session._engine.device
-    device.blind = True  # voltages at electrode 5 clip
+    looker.device.blind = True  # voltages at electrode 5 clip
     try:
         (finding,) = looker.send("lift_all")[-1]["findings"]
     finally:
-        device.blind = False
+        looker.device.blind = False
     assert "clip" in finding["words"]
     assert finding["electrodes"] == []
     for _ in range(40):
@@ -239,11 +237,7 @@ def test_the_page_is_told_what_is_doubted_where_and_both_thresholds(looker: Look
 
 
 def test_frames_without_any_image_do_not_end_the_loop(looker: Looker, monkeypatch: pytest.MonkeyPatch) -> None:
-    device: Any = looker.session._engine.device
-    scan = device._scan
-    monkeypatch.setattr(
-        device, "_scan", lambda *args: replace(f := scan(*args), voltages=np.full_like(f.voltages, np.nan))
-    )
+    monkeypatch.setattr(looker.device, "spoil", missing)
     assert looker.send("mode", mode="16T")[-1]["state"] == "running"
     monkeypatch.undo()
     assert looker.send("lift_all")[-1]["state"] == "running"
@@ -254,7 +248,7 @@ def test_electrodes_that_were_bad_at_the_calibration_are_told_with_their_words(m
     device = DirectDevice(VirtualSkin(skin, seed=3, faults=[Fault.parse("open 6")]))
     with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", Page(), False) as session:
         session.calibrate()
-        finding = Looker(session).send("lift_all")[-1]["findings"][0]
+        finding = Looker(session, device).send("lift_all")[-1]["findings"][0]
     assert finding["electrodes"] == [6]
     assert finding["words"].startswith("electrode 6: open")
 

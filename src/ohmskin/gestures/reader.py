@@ -1,4 +1,4 @@
-"""Classifies gestures of contacts as they come."""
+"""Tells gestures of contacts as they come."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

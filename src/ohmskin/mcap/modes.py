@@ -1,4 +1,4 @@
-"""The modes that a recording was made with: a JSON object in its metadata, an entry for each name."""
+"""What a recording tells of the modes that it was made with: a JSON object in its metadata, an entry for each name."""
 
 import json
 from collections.abc import Mapping

@@ -76,9 +76,16 @@ class WriterPipe:
         return self._child.process.pid
 
     @property
+    def waiting(self) -> int:
+        """Bytes that the pipe has not taken yet."""
+        return self._size
+
+    @property
     def progress(self) -> Progress:
-        """How it goes, as of a fraction of a second ago."""
+        """How it goes, as of a fraction of a second ago; what waits is handed over."""
         with self._lock:
+            if not self._closed:
+                self._push()
             self._listen()
             said = self._said
             trouble = said.get("trouble", "")

@@ -1,12 +1,12 @@
 """The publishing process: reads boards, encodes messages, hands them to its outlets. The loop never waits for it.
 
-It reads from standard input what to publish where (`ohmskin.child`), then any byte whenever there is something new.
+It is told on standard input what to publish where (`ohmskin.child`), then any byte whenever there is something new.
 """
 
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from ohmskin.child import begin
 from ohmskin.client.board import BoardReader
 from ohmskin.client.cdr import Decoder
-from ohmskin.client.felt import Felt, Patch, SharedMemory
+from ohmskin.client.felt import Contact, Felt, Patch, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
@@ -80,7 +80,8 @@ class Relay:
             return
         patches = self._board.patches
         self._send(self._contacts, felt.stamp, encode_contacts(felt))
-        self._send_wrenches(felt, patches)
+        for link, stamp, pushing in wrenches(felt, patches, self._wrenches):
+            self._send(self._wrenches[link], stamp, encode_wrench(pushing, link, stamp))
         self._send_posture()
         now = time.monotonic()
         if now < self._due:
@@ -103,17 +104,6 @@ class Relay:
         """Close outlets and boards."""
         self._stack.close()
 
-    def _send_wrenches(self, felt: Felt, patches: Sequence[Patch]) -> None:
-        """What pushes each link, all its contacts together: zero when nothing does, nothing while that is not known."""
-        telling = {patch.name for patch in patches if patch.newtons}
-        for link, topic in self._wrenches.items():
-            seen = [one for one in felt.patches if one.frame == link and one.patch in telling]
-            names = [one.patch for one in seen]
-            own = [contact for contact in felt.contacts if contact.patch in names]
-            if all(one.sequence for one in seen) and not any(contact.force is None for contact in own):
-                stamp = min(one.stamp for one in seen)
-                self._send(topic, stamp, encode_wrench(own, link, stamp))
-
     def _send_posture(self) -> None:
         """How the joints stand and where the links are, if that is new."""
         if not self._root or (record := self._states.newest()) is None:
@@ -128,6 +118,18 @@ class Relay:
     def _send(self, topic: Topic, stamp: int, data: bytes) -> None:
         for outlet in self.outlets:
             outlet.send(topic, stamp, data)
+
+
+def wrenches(felt: Felt, patches: Sequence[Patch], links: Iterable[str]) -> Iterator[tuple[str, int, list[Contact]]]:
+    """Links, with the time (ns) and all the contacts that push them: none when nothing does; no link of which that is
+    not known."""
+    telling = {patch.name for patch in patches if patch.newtons}
+    for link in links:
+        seen = [one for one in felt.patches if one.frame == link and one.patch in telling]
+        names = [one.patch for one in seen]
+        own = [contact for contact in felt.contacts if contact.patch in names]
+        if all(one.sequence for one in seen) and not any(contact.force is None for contact in own):
+            yield link, min(one.stamp for one in seen), own
 
 
 def main() -> None:

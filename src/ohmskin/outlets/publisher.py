@@ -57,12 +57,12 @@ class Publisher(Closing):
     ) -> None:
         check_settings(token, images)
         self.patch = patch = replace(patch, newtons=skin.tells_force)
-        self._raster = Raster(skin.mesh(), _PIXELS)
+        self.raster = Raster(skin.mesh(), _PIXELS)
         self._every, self._due, self._health_due = 1 / images, 0.0, 0.0
         self._chart, self._name, self._about = skin.chart, name, skin.name
         setup = {"skin": skin.name, "domain": describe_domain(skin), "patches": [asdict(patch)]}
-        about = setup | Picture.setup(self._raster) | Picture.in_space(self._raster, self._chart, patch)
-        size = Picture.size(self._raster)
+        about = setup | Picture.setup(self.raster) | Picture.in_space(self.raster, self._chart, patch)
+        size = Picture.size(self.raster)
         with ExitStack() as stack:
             self._board = stack.enter_context(Board(name, setup, LARGEST))
             self._picture = stack.enter_context(Board(f"{name}.image", about, size))
@@ -79,7 +79,7 @@ class Publisher(Closing):
         self._board.write(pack(self.felt(touch, stamp), [self.patch]))
         if (now := time.monotonic()) >= self._due:
             self._due = now + self._every
-            self.show(self._raster(touch.percept.image.values), touch.sequence, stamp)
+            self.show(self.raster(touch.percept.image.values), touch.sequence, stamp)
         if now >= self._health_due:
             self._health_due = now + _HEALTH_EVERY
             message = "; ".join(finding.words for finding in touch.percept.findings)[:_LONGEST_MESSAGE]
@@ -97,8 +97,8 @@ class Publisher(Closing):
         Raises:
             DataError: If it is one.
         """
-        if pixels.shape != self._raster.inside.shape:
-            raise DataError(f"an image of {pixels.shape} pixels; this skin has {self._raster.inside.shape}")
+        if pixels.shape != self.raster.inside.shape:
+            raise DataError(f"an image of {pixels.shape} pixels; this skin has {self.raster.inside.shape}")
         self._picture.write(Picture.pack(pixels, sequence, stamp))
 
     def felt(self, touch: Touch, stamp: int) -> Felt:

@@ -107,6 +107,11 @@ class VirtualSkin:
             self._presses, self._resistance, self._stale = presses, resistance, False
             self._foam, self._modelled, self._foam_time = foam, foam, self._time
 
+    @property
+    def transfer_resistance(self) -> Floats:
+        """(n_elec, n_elec) transfer resistances between terminals without noise, as last modelled (ohm)."""
+        return self._resistance
+
     def duration(self, pattern: DrivePattern) -> float:
         """How long the instrument takes for a scan (s)."""
         return self.skin.cost.time(pattern)

@@ -88,6 +88,11 @@ class LiveView(Closing):
         self._shape = (int(setup["raster"]["ny"]), int(setup["raster"]["nx"]))
         self._outbox.put((b"S", to_json(setup).encode()))
 
+    @property
+    def pid(self) -> int:
+        """Number of the page's process."""
+        return self._child.process.pid
+
     def wants_frame(self) -> bool:
         """Whether a browser waits for a frame."""
         return self._credits > 0

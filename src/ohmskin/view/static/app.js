@@ -34,7 +34,7 @@ let everConnected = false;
 let refusal = { text: "", until: 0 };
 let notice = {};
 let frameTime = performance.now();
-let textTime = 0;
+let [textTime, textDue] = [0, null]; // a moment, a timer
 let summaryTime = 0;
 let section = null; // where the cross-sections run, [x, y]
 let through = null; // id of the contact that they run through
@@ -144,7 +144,7 @@ function draw(now) {
   touch.flush();
   if (setup) drawPicture(now);
   if (now - textTime > TEXT_EVERY || !ready) showText(now);
-  else setTimeout(requestDraw, TEXT_EVERY); // the last change must not stay unsaid
+  else textDue ??= setTimeout(requestDraw, 1.1 * TEXT_EVERY); // the last change must not stay unsaid
   if (unacknowledged !== null) {
     link.send({ type: "ack", sequence: unacknowledged });
     unacknowledged = null;
@@ -159,8 +159,7 @@ function drawPicture(now) {
     fields.map.set(frame.image);
     fields.base.set(frame.base);
     const [[a, b], [c, d]] = [fields.map.extremes(), fields.base.extremes()];
-    const { threshold = 0, base_threshold = 0 } = frame.header;
-    range.follow(Math.min(a, c), Math.max(b, d), Math.max(threshold, base_threshold), now);
+    range.follow(Math.min(a, c), Math.max(b, d), frame.header.threshold ?? 0, now);
     placeSection();
   }
   const scene = scenes(theme, Boolean(notice.unknown));
@@ -243,6 +242,7 @@ function placeSection() {
 
 function showText(now) {
   textTime = now;
+  textDue = clearTimeout(textDue) ?? null;
   const silence = (now - frameTime) / 1000;
   if (now > refusal.until) refusal = { text: "", until: 0 };
   const header = frame?.header;

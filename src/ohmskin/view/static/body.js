@@ -1,7 +1,6 @@
 // A robot in space: its links, its skins coloured by what they feel, its contacts as arrows. Metres, z up.
 
 import { number, paint } from "./colour.js";
-import { doubtful, force, unsure } from "./contacts.js";
 import { INK } from "./ink.js";
 import * as THREE from "./vendor/three.js";
 
@@ -126,23 +125,23 @@ export class BodyView {
     [this._canvas, this._box, this._open, this._pick] = [canvas, box, open, pick];
     this._renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
     this._renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
-    this._camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
-    this._camera.up.set(0, 0, 1);
+    this.camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
+    this.camera.up.set(0, 0, 1);
     this._scene = new THREE.Scene();
     const light = new THREE.DirectionalLight(0xffffff, 0.45 * Math.PI);
     light.position.set(0.3, 0.5, 1);
-    this._camera.add(light); // what faces the reader has the very colour of the scale
-    this._scene.add(this._camera, new THREE.AmbientLight(0xffffff, 0.62 * Math.PI));
-    this._links = new Map();
-    for (const [name, pose] of Object.entries(robot.links)) this._links.set(name, posed(new THREE.Group(), pose));
-    this._scene.add(...this._links.values());
+    this.camera.add(light); // what faces the reader has the very colour of the scale
+    this._scene.add(this.camera, new THREE.AmbientLight(0xffffff, 0.62 * Math.PI));
+    this.links = new Map();
+    for (const [name, pose] of Object.entries(robot.links)) this.links.set(name, posed(new THREE.Group(), pose));
+    this._scene.add(...this.links.values());
     for (const { link, pose, shape, size, colour } of robot.visuals) {
       const material = new THREE.MeshLambertMaterial({ color: new THREE.Color(...colour) });
-      this._links.get(link).add(posed(new THREE.Mesh(SHAPES[shape](...size), material), pose));
+      this.links.get(link).add(posed(new THREE.Mesh(SHAPES[shape](...size), material), pose));
     }
     this._scene.updateMatrixWorld(true);
-    this._skins = [];
-    this._arrows = [];
+    this.skins = [];
+    this.arrows = [];
     this._balls = [];
     this._labels = [];
     this._aimed = null; // where the pointer went down, to pick
@@ -153,7 +152,7 @@ export class BodyView {
     for (const [kind, act] of [["down", this._down], ["move", this._move], ["up", this._up], ["cancel", this._up]]) {
       canvas.addEventListener(`pointer${kind}`, act.bind(this)); // before the controls listen
     }
-    this._controls = new THREE.OrbitControls(this._camera, canvas);
+    this._controls = new THREE.OrbitControls(this.camera, canvas);
     this._controls.addEventListener("change", () => this._draw());
     new ResizeObserver(() => this._resize()).observe(canvas);
   }
@@ -166,8 +165,8 @@ export class BodyView {
 
   /** Where a point of a link's frame is on the page (px), and whether it is in front of the camera. */
   place(link, at) {
-    const world = new THREE.Vector3(...at).applyMatrix4(this._links.get(link).matrixWorld);
-    const { x, y, z } = world.clone().project(this._camera);
+    const world = new THREE.Vector3(...at).applyMatrix4(this.links.get(link).matrixWorld);
+    const { x, y, z } = world.clone().project(this.camera);
     const [w, h] = [this._canvas.clientWidth, this._canvas.clientHeight];
     return { x: ((x + 1) / 2) * w, y: ((1 - y) / 2) * h, shown: z < 1, world };
   }
@@ -175,7 +174,7 @@ export class BodyView {
   /** Links as the joints have put them by now. */
   pose(links) {
     for (const [name, pose] of Object.entries(links)) {
-      const link = this._links.get(name);
+      const link = this.links.get(name);
       link?.matrix.set(...pose);
       link?.updateMatrixWorld(true);
     }
@@ -186,21 +185,21 @@ export class BodyView {
     let [arrows, balls] = [0, 0];
     this._patches = patches;
     patches.forEach((patch, which) => {
-      const link = this._links.get(patch.link);
+      const link = this.links.get(patch.link);
       if (!link) return;
       if (patch.points) {
-        this._skins[which]?.mesh.removeFromParent();
-        this._skins[which] = new Skin(patch, which);
-        link.add(this._skins[which].mesh);
+        this.skins[which]?.mesh.removeFromParent();
+        this.skins[which] = new Skin(patch, which);
+        link.add(this.skins[which].mesh);
         this._fit();
       }
-      const [skin, fresh] = [this._skins[which], known && patch.age !== null && patch.age <= stale];
+      const [skin, fresh] = [this.skins[which], known && patch.age !== null && patch.age <= stale];
       skin?.show(patch, fresh, theme, limit, threshold);
       const silent = patch.age === null ? "not heard of" : known ? `silent for ${number(patch.age, 1)} s` : "unknown";
       const at = skin?.middle ?? [0, 0, 0];
       this._labels.push({ link: patch.link, at, up: skin?.radius ?? 0, name: patch.name, text: fresh ? "" : silent });
       for (const contact of fresh ? patch.contacts : []) {
-        const arrow = (this._arrows[arrows++] ??= new Arrow());
+        const arrow = (this.arrows[arrows++] ??= new Arrow());
         link.add(arrow);
         this._contact(patch, contact, arrow, theme);
       }
@@ -215,26 +214,25 @@ export class BodyView {
       }
     });
     for (const ball of this._balls.slice(balls)) ball.removeFromParent();
-    for (const arrow of this._arrows.slice(arrows)) arrow.removeFromParent();
+    for (const arrow of this.arrows.slice(arrows)) arrow.removeFromParent();
     this._draw();
   }
 
-  _contact(patch, contact, arrow, theme) {
-    const { id, in: at, normal, force: newtons, self_touch: own } = contact;
-    const told = force(contact);
-    const length = told ? Math.min(LONGEST, Math.max(SHORT, PER_NEWTON * Math.abs(newtons))) : FIXED;
-    const { other, doubt, felt, quiet } = INK[theme];
-    arrow.point(at, normal, length, own ? other : doubtful(contact) ? doubt : told ? felt : quiet);
-    const size = told ? `${told} N` : patch.newtons ? "force not known yet" : "uncalibrated";
-    const text = [`#${id}`, size, unsure(contact), own && "self-touch"].filter(Boolean).join(" · ");
+  _contact(patch, { id, in: at, normal, force, force_std: std, self_touch: own }, arrow, theme) {
+    const told = force !== null && force !== undefined;
+    const length = told ? Math.min(LONGEST, Math.max(SHORT, PER_NEWTON * Math.abs(force))) : FIXED;
+    arrow.point(at, normal, length, own ? INK[theme].other : told ? INK[theme].felt : INK[theme].quiet);
+    const doubt = std === null || std === undefined ? "" : ` ± ${number(std, 1)}`;
+    const why = patch.newtons ? "force not known yet" : "uncalibrated";
+    const text = `#${id} · ${told ? `${number(force, 1)}${doubt} N` : why}${own ? " · self-touch" : ""}`;
     const tail = at.map((v, axis) => v + (length + 0.01) * normal[axis]);
     this._labels.push({ link: patch.link, at: tail, up: 0, text, normal, of: patch.name });
   }
 
   _draw() {
     if (this._fitted < 0) return;
-    this._renderer.render(this._scene, this._camera);
-    const high = this._canvas.clientHeight / (2 * Math.tan((this._camera.fov * Math.PI) / 360));
+    this._renderer.render(this._scene, this.camera);
+    const high = this._canvas.clientHeight / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
     this._labels.forEach((label, which) => {
       const { x, y, shown, world } = this.place(label.link, label.at);
       const line = this._line(which);
@@ -246,7 +244,7 @@ export class BodyView {
       line.dataset.silent = Boolean(label.name && label.text);
       line.dataset.patch = label.name ?? label.of;
       line.dataset.mark = label.mark ?? "";
-      const beside = (0.8 * label.up * high) / world.distanceTo(this._camera.position);
+      const beside = (0.8 * label.up * high) / world.distanceTo(this.camera.position);
       const moved = `translate(${(x + beside).toFixed(1)}px, ${y.toFixed(1)}px)`;
       line.style.transform = `${label.name ? "translate(0, -50%)" : "translate(-50%, -50%)"} ${moved}`;
     });
@@ -255,8 +253,8 @@ export class BodyView {
 
   /** Whether the skin under a label faces away. */
   _behind({ link, normal }, world) {
-    const out = new THREE.Vector3(...normal).transformDirection(this._links.get(link).matrixWorld);
-    return out.dot(this._camera.position.clone().sub(world)) < 0;
+    const out = new THREE.Vector3(...normal).transformDirection(this.links.get(link).matrixWorld);
+    return out.dot(this.camera.position.clone().sub(world)) < 0;
   }
 
   _line(which) {
@@ -270,13 +268,13 @@ export class BodyView {
   /** The whole robot, from the front, its left and above; again when another patch comes. */
   _fit() {
     const bounds = new THREE.Box3().setFromObject(this._scene).getBoundingSphere(new THREE.Sphere());
-    const count = this._skins.filter(Boolean).length;
+    const count = this.skins.filter(Boolean).length;
     if (this._moved || count <= this._fitted || !(bounds.radius > 0)) return;
     this._fitted = count;
-    const wide = Math.min(1, this._camera.aspect);
-    const far = (0.88 * bounds.radius) / Math.sin((this._camera.fov * Math.PI) / 360) / wide;
+    const wide = Math.min(1, this.camera.aspect);
+    const far = (0.88 * bounds.radius) / Math.sin((this.camera.fov * Math.PI) / 360) / wide;
     this._controls.target.copy(bounds.center);
-    this._camera.position.set(0.8, 0.5, 0.4).normalize().multiplyScalar(far).add(bounds.center);
+    this.camera.position.set(0.8, 0.5, 0.4).normalize().multiplyScalar(far).add(bounds.center);
     this._controls.update();
   }
 
@@ -285,8 +283,8 @@ export class BodyView {
     if (!w || !h) return;
     this._renderer.setPixelRatio(Math.min(2, devicePixelRatio));
     this._renderer.setSize(w, h, false);
-    this._camera.aspect = w / h;
-    this._camera.updateProjectionMatrix();
+    this.camera.aspect = w / h;
+    this.camera.updateProjectionMatrix();
     this._fitted = -1;
     this._fit();
     this._draw();
@@ -300,8 +298,8 @@ export class BodyView {
       1 - ((event.clientY - box.top) / box.height) * 2,
     );
     const ray = new THREE.Raycaster();
-    ray.setFromCamera(at, this._camera);
-    const solid = [...this._links.values()].flatMap((link) =>
+    ray.setFromCamera(at, this.camera);
+    const solid = [...this.links.values()].flatMap((link) =>
       link.children.filter((child) => child.isMesh && !(child instanceof Ball)),
     );
     const hit = ray.intersectObjects(only ? [only] : solid, false)[0]; // arrows are groups

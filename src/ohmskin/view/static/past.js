@@ -10,12 +10,12 @@ const [LANE, BAR, FOOT, LEFT] = [13, 11, 17, 2]; // px
 
 export class Past {
   constructor() {
-    this._bars = []; // { kind, id, lane, from, to }, of times in s
+    this.bars = []; // { kind, id, lane, from, to }, of times in s
   }
 
   /** What is known now (s): contacts, whether nobody knows what touches the skin, whether something is in doubt. */
   add(now, contacts, unknown, doubt) {
-    this._bars = this._bars.filter((bar) => bar.to > now - SPAN);
+    this.bars = this.bars.filter((bar) => bar.to > now - SPAN);
     if (unknown) this._extend(now, "unknown", 0);
     else if (doubt) this._extend(now, "doubt", 0);
     for (const contact of unknown ? [] : contacts)
@@ -23,22 +23,22 @@ export class Past {
   }
 
   get contacts() {
-    return new Set(this._bars.filter(({ lane }) => lane !== null).map(({ id }) => id)).size;
+    return new Set(this.bars.filter(({ lane }) => lane !== null).map(({ id }) => id)).size;
   }
 
   _extend(now, kind, id) {
-    const bar = this._bars.findLast((bar) => bar.id === id && bar.kind === kind && now - bar.to < GAP);
+    const bar = this.bars.findLast((bar) => bar.id === id && bar.kind === kind && now - bar.to < GAP);
     if (bar) {
       bar.to = now;
       return;
     }
     const lane = kind === "contact" || kind === "unsure" ? this._laneFor(now, id) : null;
-    this._bars.push({ kind, id, lane, from: now, to: now });
+    this.bars.push({ kind, id, lane, from: now, to: now });
   }
 
   // The one that this contact has, else the highest that has been free for a while.
   _laneFor(now, id) {
-    const others = this._bars.filter((bar) => bar.lane !== null && bar.to > now - 3);
+    const others = this.bars.filter((bar) => bar.lane !== null && bar.to > now - 3);
     const own = others.find((bar) => bar.id === id);
     const used = new Set(others.map((bar) => bar.lane));
     return own ? own.lane : [...Array(used.size + 1).keys()].find((lane) => !used.has(lane));
@@ -50,14 +50,14 @@ export class Past {
     const bottom = height - FOOT;
     c.clearRect(0, 0, width, height);
     c.font = `11px ${FONT}`;
-    for (const { kind, from, to } of this._bars.filter(({ lane }) => lane === null)) {
+    for (const { kind, from, to } of this.bars.filter(({ lane }) => lane === null)) {
       c.fillStyle = kind === "unknown" ? ink.grid : ink.doubt;
       if (kind === "unknown") c.fillRect(x(from), 0, Math.max(1, x(to) - x(from)), bottom);
       else c.fillRect(x(from), bottom - 3, Math.max(1, x(to) - x(from)), 3);
     }
     c.textBaseline = "middle";
     c.textAlign = "left";
-    for (const { kind, id, lane, from, to } of this._bars) {
+    for (const { kind, id, lane, from, to } of this.bars) {
       const y = (lane + 0.5) * LANE;
       if (lane === null || y + LANE / 2 > bottom) continue;
       const [left, wide] = [x(from), Math.max(3, x(to) - x(from))];
