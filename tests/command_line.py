@@ -3,6 +3,7 @@ interpreter."""
 
 import io
 import os
+import re
 import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -26,5 +27,7 @@ def ohmskin(*arguments: str, cwd: Path | None = None) -> "CompletedProcess[str]"
             main()
         except SystemExit as end:
             status = end.code if isinstance(end.code, int) else 0
-    said = err.getvalue().replace("loading\n", "")  # signs of life, which depend on how busy the machine is
+    said = re.sub(
+        "^[.]+\n", "", err.getvalue(), flags=re.MULTILINE
+    )  # signs of life, which depend on how busy the machine is
     return CompletedProcess(list(arguments), status, out.getvalue(), said)

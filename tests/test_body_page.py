@@ -71,7 +71,7 @@ class Felt:
         point = np.array(self.patch.position) + self.chart.points([place])[0] @ axes
         return point, self.chart.frames([place])[0, 2] @ axes
 
-    def speak(self, *places: tuple[float, float], ago: float = 0.0, **known: Any) -> None:
+    def speak(self, *places: tuple[float, float], ago: float = 0.0, confidence: float = 0.9, **known: Any) -> None:
         """Tell of contacts at places of the map, of which this is known, with an image that has a bump at each."""
         self._sequence += 1
         seen = Sighting(
@@ -81,7 +81,7 @@ class Felt:
             Contact(
                 *(k + 1, self.patch.name, self.patch.frame),
                 *(tuple(part.tolist()) for part in self.at(place)),
-                *(1e-4, 2e-4, 0.9, 0.3),
+                *(1e-4, 2e-4, confidence, 0.3),
                 **known,
             )
             for k, place in enumerate(places)
@@ -239,7 +239,11 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         until(lambda: there(f"{colours.format(1)} > 20"))
         assert there("!document.getElementById('fixed').hidden && document.getElementById('newtons').hidden")
         felt["known"] = {"force": 7.34, "force_std": 0.2}
-        until(lambda: there(f"{labels}.includes('#1 · 7.3 ± 0.2 N')"))
+        until(lambda: there(f"{labels}.includes('#1 · 7.3 ±0.2 N')"))
+        felt["known"]["confidence"] = 0.6
+        until(lambda: there(f"{labels}.includes('#1 · 7.3 ±0.2 N · 60 % sure')"))
+        until(lambda: "mm · 7.3 ±0.2 N · 60 % sure" in there("document.querySelectorAll('.told')[1].textContent"))
+        del felt["known"]["confidence"]
         (arrow,) = [a for a in there("ohmskin.body.arrows.map((a) => [a.position.toArray(), a.shaft.scale.z])") if a]
         np.testing.assert_allclose(arrow[0], forearm.at(place)[0], atol=1e-4)
         assert arrow[1] == pytest.approx(7.34 * 0.02 - 0.022)
@@ -248,7 +252,7 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         with Board("half.links", {"links": list(moved.links)}, 4096) as links:
             links.write(np.stack(list(moved.links.values())).tobytes())
             felt["known"] |= {"self_touch": True}
-            until(lambda: there(f"{labels}.includes('#1 · 7.3 ± 0.2 N · self-touch')"))
+            until(lambda: there(f"{labels}.includes('#1 · 7.3 ±0.2 N · self-touch')"))
             pose = "ohmskin.body.links.get('forearm').matrixWorld.elements"
             until(lambda: np.allclose(np.reshape(there(pose), (4, 4)).T, moved.links["forearm"]))
 

@@ -18,6 +18,7 @@ from live_process import all_gone, children, live, serving
 from waiting import until
 
 from ohmskin.cli import app
+from ohmskin.cli.life import LIFE
 
 
 def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "subprocess.CompletedProcess[str]":
@@ -77,7 +78,7 @@ def is_one_line(result: "subprocess.CompletedProcess[str]", says: str) -> None:
     assert result.returncode == 2
     assert says in result.stderr
     assert "Traceback" not in result.stderr
-    assert len(re.sub("^loading\n", "", result.stderr, flags=re.MULTILINE).strip().splitlines()) == 1
+    assert len(re.sub("^[.]+\n", "", result.stderr, flags=re.MULTILINE).strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
@@ -118,7 +119,7 @@ def test_a_mistyped_command_imports_none() -> None:
     script = "from command_line import ohmskin, sys; ohmskin('lve'); print(*(m for m in sys.modules if 'cli.' in m))"
     folder = str(Path(__file__).parent)
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, timeout=300)
-    assert (result.stdout.strip(), result.stderr) == ("", "")
+    assert (result.stdout.strip(), result.stderr) == ("ohmskin.cli.life", "")
 
 
 @pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
@@ -173,7 +174,37 @@ def test_a_command_that_takes_long_to_import_shows_signs_of_life_in_a_pipe_too()
         main()
         """
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300)
-    assert result.stderr.startswith("loading\n")
+    assert re.fullmatch("[.]+\n", result.stderr)
+    assert "Usage" in result.stdout
+
+
+def test_signs_of_life_come_in_silence_alone_and_on_a_line_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("ohmskin.cli.life._EVERY", 0.2)
+    said: list[str] = []
+
+    def silence(seconds: float) -> None:
+        time.sleep(seconds)
+        said.append(capsys.readouterr().err)
+
+    with LIFE:
+        times = [time.monotonic()]
+        while times[-1] < times[0] + 1.0:
+            print("busy", file=sys.stderr)
+            time.sleep(0.02)
+            times.append(time.monotonic())
+        silence(0.0)
+        silence(1.0)
+        print("phase")
+        silence(0.0)
+        LIFE.end()
+        silence(0.6)
+    busy, silent, between, after = said
+    assert "." not in busy or max(np.diff(times)) > 0.15  # on a machine that is busier still
+    assert re.fullmatch("[.]+", silent)
+    assert between == "\n"
+    assert after == ""
 
 
 def test_ctrl_c_while_it_imports_says_nothing() -> None:
@@ -197,7 +228,7 @@ def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=300)
     assert process.returncode == 130
-    assert re.sub("loading\n|starting the virtual skin\n|calibrating\n|compiling, once.*\n", "", err) == ""
+    assert re.sub("[.]+\n|compiling, once.*\n", "", err) == ""
     assert "recording to" not in out
 
 
@@ -224,7 +255,7 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
             reader.join()
             frames += [json.loads(line) for line in rest]
         assert sensed.returncode == 0
-    assert (pressed.returncode, pressed.stderr.replace("loading\n", "")) == (0, "")
+    assert (pressed.returncode, re.sub("^[.]+\n", "", pressed.stderr)) == (0, "")
     assert frames[0]["mode"] == "16P"
     assert frames[0]["contacts"] == []
     places = [contact["position"] for frame in frames for contact in frame["contacts"]]

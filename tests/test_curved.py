@@ -42,6 +42,8 @@ SHEETS = {
     "sleeve": Sheet(shape="cylinder", radius=0.045, height=0.142),
     "cone": Sheet(shape="cone", radius=0.06, top_radius=0.03, height=0.138),
     "cap": Sheet(shape="sphere", radius=0.1, angle=1.2),
+    "ellipsoid": Sheet(shape="ellipsoid", radius=0.08, height=0.05, angle=1.3),
+    "capsule": Sheet(shape="capsule", radius=0.05, height=0.03),
     "vase": Sheet(shape="revolution", profile=((0.04, 0.0), (0.06, 0.05), (0.05, 0.1), (0.07, 0.15)), angle=2.5),
 }
 AREAS = {
@@ -49,6 +51,7 @@ AREAS = {
     "sleeve": 2 * np.pi * 0.045 * 0.142,
     "cone": np.pi * 0.09 * np.hypot(0.03, 0.138),
     "cap": 2 * np.pi * 0.1**2 * (1 - np.cos(1.2)),
+    "capsule": 2 * np.pi * 0.05 * (0.05 + 0.03),
 }
 
 

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.util
+import inspect
 import os
 import pkgutil
 import re
@@ -14,7 +15,9 @@ import venv
 import zipfile
 from email import message_from_bytes
 from email.message import Message
+from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -43,6 +46,36 @@ def test_every_package_exports_what_it_names() -> None:
             package = importlib.import_module(module.name)
             for name in getattr(package, "__all__", []):
                 assert hasattr(package, name), f"{module.name}.{name}"
+
+
+def documented_constants(package: ModuleType) -> set[str]:
+    """Names of a package's modules with a text below their assignment, which the API reference takes."""
+    found = set()
+    for path in Path(package.__path__[0]).rglob("*.py"):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        for one, below in pairwise(body):
+            targets = one.targets if isinstance(one, ast.Assign) else [getattr(one, "target", None)]
+            if isinstance(below, ast.Expr) and isinstance(getattr(below.value, "value", None), str):
+                found |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return found
+
+
+def test_every_public_name_has_what_the_reference_shows_of_it() -> None:
+    """`make docs` takes the pages of the reference from `__all__`, and what they say from docstrings."""
+    packages = [ohmskin]
+    for found in pkgutil.walk_packages(ohmskin.__path__, "ohmskin."):
+        if found.ispkg and hasattr(package := importlib.import_module(found.name), "__all__"):
+            packages.append(package)
+    assert len(packages) > 20
+    silent = []
+    for package in packages:
+        constants = documented_constants(package)
+        for name in package.__all__:
+            thing = getattr(package, name)
+            described = inspect.isclass(thing) or inspect.isroutine(thing) or hasattr(thing, "py_func")
+            if not (thing.__doc__ if described else name in constants):
+                silent.append(f"{package.__name__}.{name}")
+    assert silent == []
 
 
 @pytest.mark.parametrize(

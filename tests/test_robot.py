@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -349,7 +351,8 @@ def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     missed = replace(felt, reaction=np.nan, peak_force=21.0)
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
     none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
-    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], free=lambda *_: 0, **none)
+    still = SimpleNamespace(time=0.0)
+    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], free=lambda *_: 0, wearer=still, **none)
     monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
     told = ohmskin("robot", "--most-force", "20", "--most-reaction", "0.05")
     assert told.returncode == 1
@@ -357,3 +360,25 @@ def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     assert "poke 2: no answer exceeds the limit of 0.05 s" in told.stderr
     assert "poke 1" not in told.stderr
     assert ohmskin("robot", "--most-force", "25").returncode == 0
+
+
+def test_pokes_and_free_motion_say_how_far_they_are_in_a_pipe_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    felt = Encounter("skin", "forearm", (0.1, 0.1), "forearm", 0.02, 5.0, (1e-3,))
+
+    def pokes(*_: Any) -> Iterator[Encounter]:
+        yield felt
+        time.sleep(2.2)
+        yield felt
+
+    def free(_: float, show: Any) -> int:
+        show(SimpleNamespace(time=52.0))
+        time.sleep(2.2)
+        return 0
+
+    none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
+    demonstration = SimpleNamespace(pokes=pokes, free=free, wearer=SimpleNamespace(time=10.0), **none)
+    monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
+    monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
+    told = ohmskin("robot", "--pokes", "2", "--free", "600")
+    assert "pokes: 1 of 2 done" in told.stderr
+    assert "free motion: 42 of 600 s" in told.stderr

@@ -32,7 +32,7 @@ for column, case in enumerate(cases):
     recording = ohm.read_recording(data / f"datamat_{case}.mat")
     baseline, frame = ohm.Baseline.learn(recording.quiet), recording.frames[0]
     change = baseline.difference(frame)
-    noise = 0.02 * float(np.sqrt(np.nanmean(change.volts**2)))  # one frame tells no noise; targets are far above it
+    noise = 0.02 * float(np.sqrt(np.nanmean(change.volts**2)))  # one frame has no noise estimate; targets are far above
     iterated = AbsoluteGaussNewton(model, noise, "matern", baseline=baseline)
     variation = AbsoluteGaussNewton(model, noise, outline=0.02, baseline=baseline, rounds=25)
     images = {

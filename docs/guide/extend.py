@@ -34,7 +34,7 @@ class BackProjection:
         sensitivity, volts = np.vstack(rows), np.concatenate([d.volts for d in differences])
         known = np.isfinite(volts)
         power = np.einsum("me,me->e", sensitivity[known], sensitivity[known])
-        weights = sensitivity[known].T / (power + 0.1 * power.max())[:, None]  # a place hardly felt must not win
+        weights = sensitivity[known].T / (power + 0.1 * power.max())[:, None]  # a place of low sensitivity must not win
         noise = float(np.std(volts[known]))
         return ohm.Image(weights @ volts[known], lambda e: noise * np.linalg.norm(weights[np.atleast_1d(e)], axis=1))
 

@@ -21,7 +21,7 @@ with (
     Recorder(file, skin) as recorder,
     ohm.Engine(lambda: recorder.tee(ohm.connect("virtual:", skin=skin, seed=1)), skin) as engine,
 ):
-    recorder.watch(engine)  # so that the file tells what each frame was scanned for
+    recorder.watch(engine)  # so that the file has the mode of each frame
     engine.calibrate()
     engine.press(1, (0.06, 0.12), radius=8e-3, pressure=20e3)
     for _ in range(10):

@@ -17,7 +17,7 @@ class Child:
     Args:
         command: What to run; `module` makes a child of one of our modules.
         name: What to call it in messages.
-        settings: What it is told first: nothing secret stands in a command, which others on the machine can read.
+        settings: What it gets first: nothing secret stands in a command, which others on the machine can read.
         environment: Added to ours.
         stdout, stderr, pass_fds: As for `subprocess.Popen`.
 

@@ -1,10 +1,9 @@
 """What ends with a `with`: processes, files, connections, and what is done every few seconds until then."""
 
-import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import Self
 
 
@@ -38,8 +37,3 @@ def every(seconds: float, do: Callable[[], object]) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-
-
-def signs_of_life(words: str) -> AbstractContextManager[None]:
-    """Print words on standard error every two seconds as long as the `with` lasts."""
-    return every(2.0, lambda: print(words, file=sys.stderr, flush=True))

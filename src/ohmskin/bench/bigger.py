@@ -1,7 +1,7 @@
 """Bigger skins, live: what set-up, calibration and frames cost with 36 to 256 electrodes, and how right they are.
 
 Sheets grow with their electrodes, which stay as far apart; everything else is the paper's skin and the documented
-defaults. Each skin and mode is measured in a process of its own, so that its memory can be told.
+defaults. Each skin and mode is measured in a process of its own, so that its memory can be measured.
 """
 
 from dataclasses import replace

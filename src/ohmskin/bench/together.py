@@ -22,7 +22,7 @@ def together(effort: Effort) -> Iterator[Figure]:
     count = 2 if effort.quick else 8
     name = f"{count} skins tracking on {os.cpu_count()} cores, each"
     if not Path("/proc/self/stat").is_file():
-        yield Figure(f"{name}: frames per second", None, "1/s", least=_LEAST, note="processes are told by /proc alone")
+        yield Figure(f"{name}: frames per second", None, "1/s", least=_LEAST, note="needs /proc")
         return
     with TemporaryDirectory() as folder:
         body = Path(folder) / "body.toml"

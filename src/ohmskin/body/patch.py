@@ -26,7 +26,7 @@ _PRESS_EVERY = 1 / 30  # s: a press takes a virtual skin as long as 25 scans
 
 
 def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading.Event) -> None:
-    """Sense with one patch until it is told to stop; when the device cannot be reached, say so and try again.
+    """Sense with one patch until it is stopped; when the device cannot be reached, say so and try again.
 
     Args:
         settings: `device`, `skin` (TOML), `mode`, `patch`, `name` of its boards, most `images` per second, and whether
@@ -64,8 +64,13 @@ def _run(
     stop: threading.Event,
 ) -> None:
     """Calibrate and sense; a demonstration finger wanders over the skin that is `pressed`."""
+
+    def go_on(_: float) -> None:
+        if stop.is_set():
+            raise SystemExit
+
     answer(state="calibrating", message="")
-    engine.calibrate()
+    engine.calibrate(go_on)
     gc.collect()
     gc.freeze()
     due, press_at, began = 0.0, 0.0, time.monotonic()

@@ -22,7 +22,7 @@ from ohmskin.outlets.publisher import check_settings
 from ohmskin.outlets.relay import RelayProcess
 
 _RESTART_AFTER = 1.0
-_STOP_TIMEOUT = 5.0
+_STOP_TIMEOUT = 3.0  # s, for all of them together
 _NAP = 0.0005
 _LOOK_EVERY = 0.1  # s between two looks at whether processes have ended
 _IMAGES = 30.0  # on boards, per second: as many as pages draw
@@ -73,9 +73,9 @@ class PatchProcess:
         """Ask it to end."""
         self._child.stop()
 
-    def close(self) -> None:
-        """End it. Safe twice."""
-        self._end(_STOP_TIMEOUT)
+    def close(self, patience: float = _STOP_TIMEOUT) -> None:
+        """End it; kill it if it has not ended after so many seconds. Safe twice."""
+        self._end(patience)
 
     def _start(self) -> None:
         self._again = 0.0
@@ -195,8 +195,9 @@ class Patches(Closing):
     def _end_processes(self) -> None:
         for process in self._processes:
             process.stop()
+        end = time.monotonic() + _STOP_TIMEOUT
         for process in self._processes:
-            process.close()
+            process.close(max(0.0, end - time.monotonic()))
 
 
 class Merger(Closing):

@@ -2,7 +2,7 @@
 
 Each press is taken for one contact at the place of the model's that explains it best; what the channels then measure
 is held against what the model says they should. Gains and errors of the channels found so weigh the next search. A
-channel that tells nothing ends with a small gain or a large error, one the other way round with a negative gain.
+channel without information ends with a small gain or a large error, one the other way round with a negative gain.
 """
 
 from collections.abc import Callable, Sequence

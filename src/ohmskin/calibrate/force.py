@@ -46,7 +46,7 @@ class ForceCurve:
         hysteresis: Largest mean difference of strength between unloading and loading at a force, by the largest.
         scatter: Standard deviation of strength between places at one force, as a share, mean over the forces.
         missed: Samples that were not felt.
-        flat: Forces (N) that strength did not tell from the next lower one, where the skin is saturated or too coarse.
+        flat: Forces (N) no stronger felt than the next lower one, where the skin is saturated or too coarse.
     """
 
     strengths: tuple[float, ...]

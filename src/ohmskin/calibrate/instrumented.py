@@ -24,7 +24,7 @@ _OLD = 0.2  # s, after which a reading counts no more
 
 
 class LoadCell:
-    """The newest force that something else measured; whoever hears it tells it, from any thread."""
+    """The newest force that another instrument measured; set from any thread."""
 
     def __init__(self) -> None:
         self._lock, self._newest = threading.Lock(), (np.nan, -np.inf)
@@ -36,7 +36,7 @@ class LoadCell:
 
     @property
     def force(self) -> float:
-        """Force (N); NaN if nothing was told lately."""
+        """Force (N); NaN without a recent one."""
         with self._lock:
             force, at = self._newest
         return force if time.monotonic() - at < _OLD else float("nan")

@@ -80,7 +80,7 @@ class Settling:
         noise: Standard deviation of `left`.
         settle_time: Waiting time of the device (s).
         needed: Waiting time after which less than the noise would be left of the largest step (s); NaN where nothing
-            is left to tell it from, so that the present time is enough.
+            is left to estimate it from, so that the present time is enough.
     """
 
     left: float

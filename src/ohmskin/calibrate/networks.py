@@ -1,4 +1,4 @@
-"""Networks that tell offsets of positions, trained by scikit-learn; the loop needs NumPy alone."""
+"""Networks that estimate offsets of positions, trained by scikit-learn; the loop needs NumPy alone."""
 
 import warnings
 from typing import Any

@@ -1,6 +1,6 @@
 """A map of positions from presses of known places: a similarity, and on what it leaves a Gaussian process and networks.
 
-What it is worth is told by cross-validation of the whole of it: presses are never judged by what was learned from them.
+Its accuracy is estimated by cross-validation of all of it: presses are never judged by what was learned from them.
 """
 
 from collections.abc import Callable, Sequence
@@ -117,7 +117,7 @@ def learn_positions(
 
     Args:
         pattern: That was driven.
-        found: (n, 2) places that physics tells (m); NaN where a press was not felt.
+        found: (n, 2) places by the physical model (m); NaN where a press was not felt.
         changes: (n, n_meas) of the voltages, in units of their error.
         places: (n, 2) where it was pressed (m), in any frame.
         size: Of the sheet (m).

@@ -37,7 +37,8 @@ def calibrate_quiet(
         skin: What it should be; its own calibration, if any, is not used.
         version: Of ohmskin, to be noted down.
         scans: Scans of all pairs, 3 at least. The longer they take, the better drift is separated from noise.
-        report: Told what the skin is like, and if electrodes and sheet cannot be told and stay as described.
+        report: Called with what was found, and with a sentence if electrodes and sheet cannot be estimated and stay
+            as described.
 
     Raises:
         DataError: If an electrode is not in order; the message says which.
@@ -84,7 +85,8 @@ def calibrate_quiet(
 def self_calibrated(skin: Skin, frame: Frame, noise: float) -> tuple[Skin, SheetFit]:
     """The skin with its electrodes where they are, its sheet as uneven as it is, and its contacts as they are.
 
-    At corners a contact cannot be told from the sheet about it: no four-terminal resistance knows of either.
+    At corners a contact impedance cannot be distinguished from the sheet about it: no four-terminal resistance
+    depends on either.
 
     Args:
         skin: With conductivity and pair resistances of its calibration.

@@ -1,7 +1,7 @@
 """Self-calibration: positions of the electrodes and conductivity of the sheet, from one complete scan in volts.
 
 Screws go in a millimetre or two off, and a sprayed sheet is uneven by some per cent; both cost more accuracy than noise
-does. The four-terminal resistances of all injections, in which contact resistances do not count, tell both:
+does. The four-terminal resistances of all injections, in which contact resistances do not count, determine both:
 Gauss-Newton from the description, with priors of what may well be, on the estimator's own mesh, so that what that gets
 wrong of the untouched sheet is made good, too.
 """

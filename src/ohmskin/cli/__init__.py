@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
-from ohmskin.closing import signs_of_life
+from ohmskin.cli.life import LIFE
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
@@ -83,7 +83,8 @@ def _shown(default: Any) -> Any:
 app = App(
     name="ohmskin",
     help="A sense of touch from a handful of electrodes. Start with: `ohmskin live`\n\n"
-    "Exit status: 0 done, 1 a check found a fault, 2 an error, reported in one line, 130 interrupted (Ctrl-C).",
+    "Exit status: 0 done, 1 a check found a fault, 2 an error, reported in one line, 130 interrupted (Ctrl-C) before "
+    "it was done.",
     version=ohmskin.__version__,
     result_action="return_value",
     default_parameter=Parameter(negative_iterable=(), show_default=_shown),
@@ -104,27 +105,31 @@ def main() -> None:
     """Run the command line. A mistake of the user gets one line on stderr and exit status 2."""
     arguments = [re.sub(r"^--out(?=$|=)", "--output", argument) for argument in sys.argv[1:]]  # its name until 0.1
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        _check_command(arguments)
-        with signs_of_life("loading"):
-            command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        with _compiling():
-            command(*bound.args, **bound.kwargs)
-    except (OhmskinError, CycloptsError) as error:
-        print(f"ohmskin: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except BrokenPipeError:  # the reader of our output, `head` say, has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
-    except OSError as error:  # such as a file name that is too long
-        print(f"ohmskin: {harmless(str(error))}", file=sys.stderr)
-        sys.exit(2)
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with LIFE:
+        try:
+            _run(arguments)
+        except (OhmskinError, CycloptsError) as error:
+            print(f"ohmskin: {error}", file=sys.stderr)
+            sys.exit(2)
+        except KeyboardInterrupt:
+            sys.exit(130)
+        except BrokenPipeError:  # the reader of our output, `head` say, has gone
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(0)
+        except OSError as error:  # such as a file name that is too long
+            print(f"ohmskin: {harmless(str(error))}", file=sys.stderr)
+            sys.exit(2)
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+
+
+def _run(arguments: list[str]) -> None:
+    _check_command(arguments)
+    command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with _compiling():
+        command(*bound.args, **bound.kwargs)
 
 
 def _compiling() -> AbstractContextManager[None]:

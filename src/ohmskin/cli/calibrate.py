@@ -20,6 +20,7 @@ from ohmskin.calibrate import (
     press_plan,
     read_table,
 )
+from ohmskin.cli.life import LIFE
 from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, watched, write
 from ohmskin.device import Device
 from ohmskin.engine import Engine
@@ -93,6 +94,8 @@ def calibrate(
                 with Engine(lambda: opened, calibrated, mode) as engine:
                     console.print(f"calibrating mode {engine.mode.name}")
                     engine.calibrate()
+                    if not engine.device.capabilities.virtual:
+                        LIFE.end()  # it waits for presses
                     if force_from:
                         _listen(engine, sampler, force_from, force_topic)
                     else:

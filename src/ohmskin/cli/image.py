@@ -105,7 +105,7 @@ def image(
 
 
 def noise_freedom(quiet: Sequence[Frame]) -> int:
-    """Degrees of freedom with which quiet frames tell their noise: by repeats, or by reciprocity of a single one."""
+    """Degrees of freedom of the noise estimated from quiet frames: by repeats, or by reciprocity of a single one."""
     return max(len(quiet) - 1, 1) * quiet[0].pattern.n_meas // (1 if len(quiet) > 1 else 2)
 
 

@@ -30,7 +30,6 @@ from ohmskin.cli.options import (
 )
 from ohmskin.client import Patch
 from ohmskin.client.fields import as_json
-from ohmskin.closing import signs_of_life
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
@@ -99,8 +98,7 @@ def live(
             tell(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
             tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
-            with signs_of_life("calibrating"):
-                engine.calibrate()
+            engine.calibrate()
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
@@ -108,8 +106,7 @@ def live(
             if address := getattr(engine.device, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             say(f"{engine.mode.label}; calibrating: keep the skin untouched")
-            with signs_of_life("calibrating"):
-                session.calibrate()
+            session.calibrate()
             commands["tare"] = session.calibrate
             loop.sinks.append(_Arrivals())
             loop.run(stop, seconds, session.step)

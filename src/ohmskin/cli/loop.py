@@ -4,13 +4,12 @@ import gc
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TextIO
 
 from ohmskin.cli.options import AS_THE_MODE, Demo, DeviceUrl, Imaging, ModeName, Seconds, SkinName, Stop, open_skin, say
-from ohmskin.closing import signs_of_life
 from ohmskin.device import Device
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
@@ -117,45 +116,41 @@ def open_loop(
     loop, and which share of it.
     """
 
-    with ExitStack() as waiting:
+    def meanwhile(description: Skin) -> None:
+        if not mode or mode_named(description, mode).reader != "centroid":
+            compile_ahead(starting)
+        starting("starting the virtual skin", None)
+        prepare(description, mode)
 
-        def meanwhile(description: Skin) -> None:
-            if not mode or mode_named(description, mode).reader != "centroid":
-                compile_ahead(starting)
-            starting("starting the virtual skin", None)
-            waiting.enter_context(signs_of_life("starting the virtual skin"))
-            prepare(description, mode)
+    opened, description = open_skin(device, skin, meanwhile=meanwhile)
+    first = [opened]
+    try:
+        recorder = Recorder(record, description, images) if record is not None else None
+    except BaseException:
+        opened.close()
+        raise
 
-        opened, description = open_skin(device, skin, meanwhile=meanwhile)
-        first = [opened]
-        try:
-            recorder = Recorder(record, description, images) if record is not None else None
-        except BaseException:
-            opened.close()
-            raise
+    def open_device() -> Device:
+        found = first.pop() if first else open_skin(device, skin)[0]
+        return recorder.tee(found) if recorder else found
 
-        def open_device() -> Device:
-            found = first.pop() if first else open_skin(device, skin)[0]
-            return recorder.tee(found) if recorder else found
+    def report(sentence: str) -> None:
+        if recorder:
+            recorder.note(sentence)
+        tell(sentence)
 
-        def report(sentence: str) -> None:
+    try:
+        with Engine(open_device, description, mode, report, **asdict(imaging)) as engine:
             if recorder:
-                recorder.note(sentence)
-            tell(sentence)
-
-        try:
-            with Engine(open_device, description, mode, report, **asdict(imaging)) as engine:
-                waiting.close()
-                if recorder:
-                    recorder.watch(engine)
-                player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
-                sinks: list[Callable[[Touch], None]] = (
-                    [recorder.publish, ProgressReport(recorder, quiet)] if recorder else []
-                )
-                yield Loop(engine, player, sinks, tell)
-        finally:
-            if recorder:
-                print(_summary(recorder.path, recorder.close()), file=out, flush=True)
+                recorder.watch(engine)
+            player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
+            sinks: list[Callable[[Touch], None]] = (
+                [recorder.publish, ProgressReport(recorder, quiet)] if recorder else []
+            )
+            yield Loop(engine, player, sinks, tell)
+    finally:
+        if recorder:
+            print(_summary(recorder.path, recorder.close()), file=out, flush=True)
 
 
 def refuse_existing(file: Path) -> None:
@@ -202,7 +197,6 @@ def record(
     stop = Stop()
     with open_loop(device, skin, mode, imaging, say, file, images) as loop:
         say(f"{loop.engine.mode.label}; calibrating: keep the skin untouched")
-        with signs_of_life("calibrating"):
-            loop.engine.calibrate()
+        loop.engine.calibrate()
         say(f"recording to {file}   (Ctrl-C ends)")
         loop.run(stop, seconds, demo=demo)

@@ -68,8 +68,9 @@ def patches(
             robot = loaded.robot.told() if loaded.robot else None
             page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address, robot)).url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
-        stop.listen()
-        show = _Table(all_patches) if sys.stdout.isatty() else _Changes(all_patches)
+        table = sys.stdout.isatty()
+        stop.listen(silent=not table)
+        show = _Table(all_patches) if table else _Changes(all_patches)
         while not stop and not all_patches.ended and time.monotonic() < end:
             show(all_patches.step())
 

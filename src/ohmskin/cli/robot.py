@@ -3,23 +3,23 @@
 import json as json_module
 import math
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
-from rich.progress import track
 
 from ohmskin.body import Body
 from ohmskin.cli.options import Flag, check_seed
+from ohmskin.closing import every
 from ohmskin.errors import OhmskinError
 from ohmskin.skin import Skin
 
 if TYPE_CHECKING:
     from ohmskin.robot import Encounter
 
-
+T = TypeVar("T")
 _MOST = 10_000  # pokes
 
 
@@ -85,7 +85,9 @@ def robot(
         from ohmskin.robot.film import video as to_video
     console = Console(stderr=True)
     with ExitStack() as stack:
+        tell = stack.enter_context(_progress(console))
         poked = loaded if isinstance(loaded, Body) else arm(loaded)
+        tell("calibrating" + (f" {len(poked.patches)} skins" if len(poked.patches) > 1 else ""))
         demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, manner)
         shows = []
         if video or picture:
@@ -99,12 +101,24 @@ def robot(
             for each in shows:
                 each(moment)
 
-        encounters = list(track(demonstration.pokes(pokes, show), "poking", total=pokes, console=console))
-        hugging = demonstration.hugs(hugs, show)
-        hugged = list(track(hugging, "hugging", total=hugs, console=console, disable=not hugs))
-        own = demonstration.own_touches(own_touches, show)
-        touches = list(track(own, "touching itself", total=own_touches, console=console, disable=not own_touches))
-        invented = demonstration.free(free, show)
+        def listed(what: str, made: Iterable[T], total: int) -> list[T]:
+            done = list[T]()
+            tell(f"{what}: 0 of {total} done")
+            for one in made:
+                done.append(one)
+                tell(f"{what}: {len(done)} of {total} done")
+            return done
+
+        encounters = listed("pokes", demonstration.pokes(pokes, show), pokes)
+        hugged = listed("hugs", demonstration.hugs(hugs, show), hugs)
+        touches = listed("self-touches", demonstration.own_touches(own_touches, show), own_touches)
+        start = demonstration.wearer.time
+
+        def watch(moment: Moment) -> None:
+            tell(f"free motion: {moment.time - start:.0f} of {free:g} s")
+            show(moment)
+
+        invented = demonstration.free(free, watch)
     if picture and not picture.exists():
         console.print("no poke was felt; no picture was written")
     figures = summary(encounters, touches, hugged) | {"free_motion": free, "invented_in_free_motion": invented}
@@ -117,6 +131,24 @@ def robot(
         _tell(figures)
     if over:
         sys.exit(1)
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Callable[[str], None]]:
+    """Yields what is told what is being done: shown at once on a terminal, elsewhere in a line every two seconds."""
+    doing = ""
+
+    def tell(what: str) -> None:
+        nonlocal doing
+        doing = what
+        if status:
+            status.update(what)
+
+    with ExitStack() as stack:
+        status = stack.enter_context(console.status("")) if console.is_terminal else None
+        if not status:
+            stack.enter_context(every(2.0, lambda: console.print(doing, highlight=False)))
+        yield tell
 
 
 def _tell(figures: dict[str, Any]) -> None:

@@ -23,7 +23,7 @@ class Client(Closing):
 
     Args:
         address: ``shm:NAME`` on the same machine, or ``zenoh:NAME@tcp/HOST:PORT`` (extra `zenoh`); the name is what
-            `ohmskin live --name` gave, ``skin`` unless told otherwise.
+            `ohmskin live --name` gave, ``skin`` unless given.
         token: What the sender asks for over zenoh, if it does.
 
     Raises:

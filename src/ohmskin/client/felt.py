@@ -286,7 +286,7 @@ def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
             for p in setup["patches"]
         )
     except (KeyError, TypeError) as error:
-        what = f"the setup of a board does not tell its patches ({error!r})"
+        what = f"the setup of a board lacks its patches ({error!r})"
         raise PublishError(f"{what}; is its writer of another version?") from error
 
 

@@ -78,7 +78,7 @@ FIELDS = (
     Field("covariance", "m2", "of the position; NaN if not known", 2, optional=True),
     Field("force", "N", "NaN if the skin is not calibrated for force, or it is not known yet", optional=True),
     Field("force_std", "N", "standard deviation of the force; NaN likewise", optional=True),
-    Field("pressure", "Pa", "the greatest; NaN likewise, or if the calibration does not tell it", optional=True),
+    Field("pressure", "Pa", "the greatest; NaN likewise, or if the calibration does not determine it", optional=True),
     Field("area", "m2", "force over pressure; NaN likewise", optional=True),
     Field("self_touch", "", "1: another link touches here, 0: none; NaN if not known", 0, "", True, True, True),
 )

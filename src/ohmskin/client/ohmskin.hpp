@@ -339,7 +339,7 @@ class Client {
         told_.push_back(std::move(told));
         told_boot_ = board_.boot();
     } catch (const std::out_of_range&) {
-        throw Error("the setup of " + board_.path() + " does not tell its patches; is its writer of another version?");
+        throw Error("the setup of " + board_.path() + " lacks its patches; is its writer of another version?");
     }
     Board board_;
     Felt felt_;

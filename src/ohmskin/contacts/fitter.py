@@ -249,7 +249,7 @@ class ContactFitter(DiscFitter):
     def _likely(self, data: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
         """The electrode that one contact more most likely covers, if there is one that promises a contact at all.
 
-        That is told by what the contact does beside the electrode's own resistance.
+        That is estimated from what the contact does beside the electrode's own resistance.
         """
         left = data.less(found.caused).told if len(found.params) else data.told
         alone, over = self._at_electrodes

@@ -48,8 +48,8 @@ class Misfit:
         constant: That of nothing.
         lost: (k, n) rows whose products with themselves are to be taken off the curvature.
         errors: How many of these are of errors, and lost from the start.
-        powers: What is known of powers beside these errors, see `scores`: the pairs that data tell of, what changes do
-            to these, powers of changes, and as far as rounding reaches.
+        powers: What is known of powers beside these errors, see `scores`: the pairs that data determine, what changes
+            do to these, powers of changes, and as far as rounding reaches.
     """
 
     rows: Rows
@@ -101,8 +101,8 @@ class Misfit:
     def scores(self, changes: Floats) -> tuple[Floats, Floats]:
         """Products of changes (n, m) with the gradient, and the squares of their sizes (m,).
 
-        The last row of the changes is zero, and they are always the same ones: what has been told once of what the data
-        say before something was taken off is told no more. Of many pairs, data tell of some alone.
+        The last row of the changes is zero, and they are always the same ones: what has been computed once for the data
+        before something was taken off is not computed again. Of many pairs, data determine only some.
         """
         if id(changes) not in self.powers:
             there = np.bincount(self.rows[0].ravel().astype(np.intp), minlength=len(changes)) > 0

@@ -21,7 +21,7 @@ class Multiplexer(Protocol):
     """A board that connects two electrodes to the excitation. Failures are OSError or DeviceError."""
 
     def connect(self, source: int, sink: int) -> None:
-        """Connect a source and a sink electrode; back only when the switches have been told."""
+        """Connect a source and a sink electrode; returns only when the switches have been set."""
 
     def release(self) -> None:
         """Connect nothing, so that no current flows."""
@@ -57,7 +57,7 @@ class MuxDaqDevice(Device):
         name: Name of the device.
 
     Raises:
-        DeviceError: If a number is out of range (ProtocolError if it is one that the capabilities tell).
+        DeviceError: If a number is out of range (ProtocolError if it is one of the capabilities).
     """
 
     def __init__(

@@ -108,7 +108,7 @@ def recorded_capabilities(recording: Recording) -> Capabilities:
     """Those of the recorded device, so that patterns are split as they were; presses excepted.
 
     Raises:
-        DataError: If a recording of ours does not tell them.
+        DataError: If a recording of ours does not have them.
     """
     if (tape := recording.tape) is None:
         pattern = recording.frames[0].pattern

@@ -52,7 +52,7 @@ class VirtualInstrument:
 
 
 def twin_capabilities(skin: Skin, name: str, conversion_time: float) -> Capabilities:
-    """What an instrument tells that simulates a skin; another boot number each time."""
+    """Capabilities of an instrument that simulates a skin; another boot number each time."""
     source = Feature.VOLTAGE_SOURCE if skin.excitation.source == "voltage" else Feature(0)
     beside = Feature.AUXILIARY if skin.auxiliary.kind else Feature(0)
     return Capabilities(
@@ -122,7 +122,7 @@ class VirtualDevice(WireDevice):
                 return found[0]
         errors = self._child.process.stderr
         assert errors is not None
-        why = errors.read().decode(errors="replace").strip()
+        why = errors.read().decode(errors="replace").lstrip(".\n").strip()  # but its signs of life
         raise DeviceLost(f"the virtual skin did not start: {why or 'no reason given'}")
 
     def _close(self) -> None:

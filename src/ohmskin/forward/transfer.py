@@ -35,7 +35,7 @@ class TransferModel(ReadOnly):
         conductivity: (n_elem,), of tensors the geometric mean of the principal conductivities.
         potentials: (n_nodes, n_elec) potential for 1 A into each electrode and out of the first (V).
         electrode_potentials: (n_elec, n_elec) potential of each electrode (rows), likewise (V).
-        pairs: The pairs of electrodes that it tells two-terminal quantities of; all unless made by `over`.
+        pairs: The pairs of electrodes whose two-terminal quantities it has; all unless made by `over`.
         quadratures: Where each area electrode touches the skin, by its number.
         gradients: (n_elem, dim + 1, d) of the shape functions (1/m), in coordinates in which the skin is isotropic.
 
@@ -94,7 +94,7 @@ class TransferModel(ReadOnly):
         )
 
     def over(self, pairs: Pairs) -> "TransferModel":
-        """The same model, what it tells of pairs of electrodes being of these alone; costs nothing."""
+        """The same model, with two-terminal quantities of these pairs of electrodes alone; costs nothing."""
         return self if pairs is self.pairs else self._with(pairs=pairs)
 
     def _with(self, **changed: Any) -> "TransferModel":

@@ -3,7 +3,7 @@
 Everything that senses works on a map of the skin in the plane. The map is conformal: a small square of the skin is a
 small square of the map, `scale` times smaller. A sheet of the same conductance per square everywhere then has the same
 potentials on the map as on the skin, whatever its curvature, so that forward model, drives, images and contacts need
-know nothing of space; only lengths and areas are told by the scale. A flat skin is its own map.
+know nothing of space; only lengths and areas need the scale. A flat skin is its own map.
 """
 
 from collections.abc import Sequence

@@ -18,7 +18,7 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
     """A mesh of tetrahedra if there are any, else of triangles. Nodes at one place are joined, unused ones dropped.
 
     Args:
-        path: Any format that meshio reads, told by its ending.
+        path: Any format that meshio reads, by its ending.
         scale: Metres per unit of the file: 1e-3 for millimetres.
 
     Raises:

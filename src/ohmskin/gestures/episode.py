@@ -1,4 +1,4 @@
-"""One episode of touch, from the first contact until all are lifted, and the figures that gestures are told by."""
+"""One episode of touch, from the first contact until all are lifted, and the features that classify gestures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

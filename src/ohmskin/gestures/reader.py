@@ -1,4 +1,4 @@
-"""Tells gestures of contacts as they come."""
+"""Classifies gestures of contacts as they come."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

@@ -1,4 +1,4 @@
-"""Simulated gestures: contacts as a skin tells them over time, with everything about them random.
+"""Simulated gestures: contacts as a skin reports them over time, with everything about them random.
 
 Sizes of skins, rates of frames, speeds, forces, places, numbers of fingers, noise of place and strength, frames in
 which a contact is missed, names that are lost: all are drawn anew for each gesture.
@@ -82,7 +82,7 @@ def fingers(gesture: str, size: float, random: np.random.Generator) -> list[Fing
 
 
 def as_seen(pressing: Sequence[Finger], random: np.random.Generator) -> Stream:
-    """The contacts that a skin tells of fingers, frame by frame, with noise."""
+    """The contacts that a skin reports of fingers, frame by frame, with noise."""
     period = 1 / np.exp(random.uniform(np.log(15), np.log(120)))
     noise, uneven = np.exp(random.uniform(np.log(0.3e-3), np.log(5e-3))), random.uniform(0.02, 0.25)
     missed, usual = random.uniform(0, 0.06), np.exp(random.uniform(np.log(1e-5), np.log(1e-3)))

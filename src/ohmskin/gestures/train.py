@@ -74,7 +74,7 @@ def train_gestures(seed: int = 0, count: int = 2400, progress: Callable[[str], N
 
 
 def _nothing() -> GestureModel:
-    """A model that tells nothing: for what needs the figures alone."""
+    """An untrained model: for what needs the features alone."""
     n, count = len(FEATURES), len(GESTURES)
     zeros = np.zeros((count, n))
     return GestureModel(

@@ -1,4 +1,4 @@
-"""The order of adjacent measurements where a file does not tell it: told from the voltages, which are largest beside
+"""The order of adjacent measurements where a file does not state it: found from the voltages, which are largest beside
 the driven electrodes.
 
 Electrodes are on a rim, in the order of their numbers; n drive their neighbours in turn. Voltages are between

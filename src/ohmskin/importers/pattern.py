@@ -43,7 +43,7 @@ class ImportedPattern:
     notes: tuple[str, ...] = ()
 
     def frame(self, values: Floats, what: str, number: int = 0) -> Frame:
-        """The frame of values (count,) in the file's order. Its number is its time, too, which the file does not tell.
+        """The frame of values (count,) in the file's order. Its number is its time, too, which the file does not have.
 
         Raises:
             DataError: If there are more or fewer values than the pattern has measurements.

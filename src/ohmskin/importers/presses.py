@@ -94,7 +94,7 @@ def read_table(
 
 
 def _in_metres(places: Floats, unit: str) -> tuple[Floats, tuple[str, ...]]:
-    """Places (n, 2) in metres; what is wider than skins are is taken for millimetres where no unit is told."""
+    """Places (n, 2) in metres; what is wider than skins are is taken for millimetres where no unit is given."""
     if not unit and len(places) and max(np.ptp(places, axis=0)) > _WIDEST:
         wide = f"places span {max(np.ptp(places, axis=0)):g}"
         return 1e-3 * places, (f"{wide} without a unit: taken for millimetres",)
@@ -230,7 +230,7 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
 
 
 def _with_noise(quiet: Sequence[Frame], frames: Sequence[Frame], notes: list[str]) -> Sequence[Frame]:
-    """Quiet frames that tell a noise: one alone does not, as what channels err by in the same way at rest is none."""
+    """Quiet frames that noise can be estimated from: not one alone, as errors that repeat at rest are no noise."""
     if len(quiet) > 1:
         return quiet
     (rest,) = quiet

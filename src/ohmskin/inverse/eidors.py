@@ -2,7 +2,7 @@
 
 ``inv_solve_diff_GN_one_step`` gives, with the sensitivity J to conductivity (not to its relative change) and a prior's
 matrix R, the reconstruction matrix (J^T J + h^2 R)^-1 J^T. A `GaussNewton` with the same penalty makes the same images;
-here it is made from h, and its matrix and noise figure are told. To set noise and amplitude of one instead, see there.
+here it is made from h, and has its matrix and noise figure. To set noise and amplitude of one instead, see there.
 """
 
 from dataclasses import dataclass

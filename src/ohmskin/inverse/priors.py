@@ -3,7 +3,7 @@
 A prior is a function from a mesh to the penalty of an image. The simplest penalty is a sparse symmetric positive
 definite matrix R (n_elem, n_elem), the penalty of an image x being x^T R x. `Penalty` also takes images that hang on
 other unknowns than one per triangle. Functions such as ``matern(0.03)`` return a prior with settings. What each of
-them believes is told in docs/guide/priors.md.
+them assumes is in docs/guide/priors.md.
 
 Total variation and sparsity are not quadratic: they have estimators of their own.
 """

@@ -38,7 +38,7 @@ class Role(IntEnum):
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """A recorded frame and what is told about it.
+    """A recorded frame and what is known of it.
 
     Args:
         voltages, currents, time, sequence, flags, auxiliary: As in `Frame`.
@@ -46,7 +46,7 @@ class FrameRecord:
         stamp: When it arrived, by the calendar (ns since 1970).
         pattern: Digest of its pattern.
         role: What it was scanned for.
-        mode: Name of the drive mode; empty if not told.
+        mode: Name of the drive mode; empty if not recorded.
     """
 
     voltages: Floats

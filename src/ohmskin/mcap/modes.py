@@ -1,4 +1,4 @@
-"""What a recording tells of the modes that it was made with: a JSON object in its metadata, an entry for each name."""
+"""The modes that a recording was made with: a JSON object in its metadata, an entry for each name."""
 
 import json
 from collections.abc import Mapping

@@ -67,8 +67,8 @@ class Tape(Closing):
         touches, images, log: `TouchRecord`, pixels (ny, nx) and sentences, in order.
         modes: Names of the modes of frames; `mode_of` numbers them.
         mode_of: (n,) mode of each frame, an index into `modes`.
-        recorded_modes: What the recorder told of modes, by name: entries such as ``drive``, ``reader``, ``estimator``.
-            Empty in recordings that do not tell.
+        recorded_modes: What was recorded of modes, by name: entries such as ``drive``, ``reader``, ``estimator``.
+            Empty in recordings without them.
 
     Raises:
         DataError: If it is not a recording of ours, or nothing in it can be read.
@@ -166,7 +166,7 @@ class Tape(Closing):
         return arrived, roles, modes, patterns
 
     def _describe(self) -> None:
-        """Read what the file tells of itself."""
+        """Read the file's description of itself."""
         self.metadata = {name: record.metadata for name, record in self._file.metadata.items()}
         if "ohmskin" not in self.metadata or not len(self.frames):
             topics = sorted({channel.topic[:60] for channel in self._file.channels.values()})[:12]

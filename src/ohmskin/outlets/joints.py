@@ -1,6 +1,6 @@
 """Joint states of a robot that speaks ROS 2 (`sensor_msgs/msg/JointState`), passed on to the board of its body.
 
-A process of its own listens until its standard input ends, where it is told first what to hear (`ohmskin.child`).
+A process of its own listens until its standard input ends, from which it first reads what to hear (`ohmskin.child`).
 """
 
 import logging

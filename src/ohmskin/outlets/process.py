@@ -1,6 +1,6 @@
 """The publishing process: reads boards, encodes messages, hands them to its outlets. The loop never waits for it.
 
-It is told on standard input what to publish where (`ohmskin.child`), then any byte whenever there is something new.
+It reads from standard input what to publish where (`ohmskin.child`), then any byte whenever there is something new.
 """
 
 import json

@@ -2,7 +2,7 @@
 
 Data go to ``<domain>/<topic>/<type>/<hash>``, each message with number, time stamp and sender attached; liveliness
 tokens
-``@ros2_lv/...`` tell nodes what there is.
+``@ros2_lv/...`` announce to nodes what there is.
 """
 
 import hashlib

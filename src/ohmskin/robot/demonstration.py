@@ -89,7 +89,7 @@ class Demonstration:
         computing: Time for computing in each cycle (s).
 
     Raises:
-        ModelError: If a skin is not virtual, there is no such manner, or it needs newtons and a skin tells none.
+        ModelError: If a skin is not virtual, there is no such manner, or it needs newtons and a skin is uncalibrated.
     """
 
     def __init__(

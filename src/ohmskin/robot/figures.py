@@ -20,7 +20,7 @@ class Encounter:
         reaction: Time from the first touch to the first command that yields (s); NaN if it was not felt.
         peak_force: Largest force (N).
         errors: Distance between the sensed and the true place, frame by frame (m).
-        forces: Force and what was told of it (N), frame by frame where it was told.
+        forces: True and estimated force (N), frame by frame where it was estimated.
         invented: Contacts reported where nothing was.
         self_touches: Frames in which the poke was taken for a touch of the robot's own.
     """
@@ -47,8 +47,8 @@ class Hug:
         reaction: Time from the first touch to the first command that yields (s); NaN if nothing was felt.
         peak_forces: Largest force on each of `patches` (N).
         errors: Distance between the sensed and the true places, contact by contact and frame by frame (m).
-        forces: Force and what was told of it (N), likewise where it was told.
-        totals: Sums of the forces on all skins and of what was told of them (N), of frames in which all were told.
+        forces: True and estimated force (N), likewise where it was estimated.
+        totals: Sums of the true and of the estimated forces on all skins (N), of frames in which all were estimated.
         invented: Contacts reported where nothing was.
     """
 
@@ -120,7 +120,7 @@ def summary(
 
 
 def _off(forces: Sequence[Sequence[tuple[float, float]]]) -> dict[str, float] | None:
-    """Share by which what is told of forces is off."""
+    """Relative error of estimated forces."""
     true, told = np.concatenate([np.zeros((0, 2)), *(np.reshape(one, (-1, 2)) for one in forces)]).T
     return _spread(np.abs(told / true - 1))
 

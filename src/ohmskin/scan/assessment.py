@@ -1,4 +1,4 @@
-"""Assessment: which electrodes can be trusted, told from the data alone.
+"""Assessment: which electrodes can be trusted, judged from the data alone.
 
 Nothing here knows the sheet. Four things are looked at, each for the electrodes behind the measurements: values that
 are missing or clipped; signals that are absent although current should flow; disagreement with every resistive network

@@ -148,7 +148,7 @@ class Baseline:
         is repeated, the noise is taken from the disagreement of reciprocal measurements, which must be equal.
 
         Raises:
-            DataError: If there is no frame, or too few finite values to tell the noise.
+            DataError: If there is no frame, or too few finite values to estimate the noise.
         """
         frames = list(frames)
         if not frames:
@@ -220,7 +220,7 @@ def terms_of(pattern: DrivePattern, pairs: Pairs) -> Ints:
 
 
 def _reciprocity_error(frame: Frame) -> float:
-    """Noise (V) told from one frame: R(ab, cd) and R(cd, ab) must be equal, their difference is noise.
+    """Noise (V) estimated from one frame: R(ab, cd) and R(cd, ab) must be equal, their difference is noise.
 
     Raises:
         DataError: If no measurement of the frame has its reciprocal in it.

@@ -175,7 +175,7 @@ def _resistances(pattern: DrivePattern, n_elec: int) -> tuple[Ints, Floats]:
 
 
 def _renumbered(columns: Sequence[Ints], n_elec: int) -> tuple[Ints, int]:
-    """The numbers (n_meas, 5) among those resistances alone that scans tell of, and how many these are."""
+    """The numbers (n_meas, 5) among those resistances alone that scans determine, and how many these are."""
     whole = np.concatenate(columns)
     told = np.zeros(n_pairs(n_elec) + 1, bool)
     told[whole] = True

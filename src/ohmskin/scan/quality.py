@@ -1,4 +1,4 @@
-"""Data quality: what the data tell of the electrodes, and weights that allow for it."""
+"""Data quality: what the data show of the electrodes, and weights that allow for it."""
 
 from dataclasses import dataclass, replace
 

@@ -37,7 +37,7 @@ class Repeats:
 
     @cached_property
     def scatter(self) -> Floats:
-        """Variance (n_meas,) told from successive frames, so that slow drift is no noise (V2)."""
+        """Variance (n_meas,) estimated from successive frames, so that slow drift is no noise (V2)."""
         return known_mean(np.diff(self.voltages, axis=0) ** 2) / 2
 
     @cached_property

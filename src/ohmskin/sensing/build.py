@@ -129,7 +129,7 @@ def _rehearse(sensor: Sensor) -> None:
 
 
 def _learned(sensor: Sensor, finder: ContactFinder) -> tuple[Thresholds, float]:
-    """gamma_0 from quiet frames: their highest values, or predicted noise where frames are too few to tell; and how
+    """gamma_0 from quiet frames: their highest values, or predicted noise where frames are too few; and how
     long the images of one take (s)."""
     known = sensor.known
     repeats = known.quiet.repeats

@@ -227,7 +227,7 @@ class FaultDetector:
 
 
 def _at_most(squares: float, freedom: int) -> float:
-    """Times by which the errors of data with that misfit may be larger than expected; few degrees tell it badly."""
+    """Times by which the errors of data with that misfit may be larger than expected, given its degrees of freedom."""
     return max(1.0, sqrt(squares / chdtri(freedom, _UNLUCKY))) if freedom else 1.0
 
 

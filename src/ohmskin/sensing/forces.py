@@ -73,7 +73,7 @@ class Presses:
 
     Args:
         ids: Of the contacts, rising.
-        fits: What they may be, the likeliest first; none: too many or too wide to tell.
+        fits: What they may be, the likeliest first; none: too many or too wide to determine.
         data: What the last frames say; None: nothing yet.
         exact: What the last ones say, as if no model erred: by how much presses have changed since.
         scans: What has been measured since, and
@@ -143,7 +143,7 @@ class PressFollower:
     def _pressing(
         self, state: Presses, before: dict[int, tuple[Foam, float]], elapsed: float
     ) -> tuple[dict[int, FittedPress], dict[int, tuple[Foam, float]]]:
-        """What presses, of which foam shows more than there is; and the foam as of the last change worth telling."""
+        """What presses, of which foam shows more than there is; and the foam as of the last change that counts."""
         layer = self.fitter.sheet.skin.contact_layer
         if not layer.remembers:
             return state.told, {}
@@ -256,7 +256,7 @@ class PressFollower:
 
 
 class ForceCurve:
-    """Forces by the curve of a calibration: of what was pressed then. What is wider or narrower is told wrongly.
+    """Forces by the curve of a calibration: of what was pressed then. What is wider or narrower gets a wrong force.
 
     Args:
         known: What is known of the skin.
@@ -278,7 +278,7 @@ class ForceCurve:
 
 
 def forces_of(known: SkinModel, mode: Mode) -> Forces | None:
-    """What tells forces of a skin in a mode; None if it was not calibrated for that."""
+    """What estimates forces of a skin in a mode; None if it was not calibrated for that."""
     calibration = known.skin.calibration
     if calibration.layer_conductance:
         return PressFollower(PressFitter(known), known.skin.imaging.pairs)

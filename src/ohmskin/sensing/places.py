@@ -52,7 +52,7 @@ class Placement:
         return changes if self.map.distances(changes[None])[0] <= self.map.limit else None
 
     def moved(self, contacts: Sequence[Contact], changes: Floats | None) -> tuple[Contact, ...]:
-        """Contacts where the map tells; of a single one by the changes, too, if they are known."""
+        """Contacts where the map puts them; of a single one by the changes, too, if they are known."""
         if not contacts or any(contact.radius is None for contact in contacts):
             return tuple(contacts)
         features = self.map.features(changes[None]) if changes is not None and len(contacts) == 1 else None
@@ -83,7 +83,7 @@ def placement_of(known: SkinModel) -> Placement | None:
 
 
 def placed(placement: Placement | None, belief: Belief, scans: Sequence[Difference], pairs: Pairs) -> Belief:
-    """A belief with its contacts at the places that a position map tells; as it is if there is none.
+    """A belief with its contacts at the places of a position map; as it is if there is none.
 
     A single contact is placed by all that scans say, if that is like what was learned from; several by their places.
     Contacts that are not fitted stay where they are.

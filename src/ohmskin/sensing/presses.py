@@ -1,8 +1,8 @@
-"""How hard something presses: presses on the contact layer fitted to data, so that force is told apart from area.
+"""How hard something presses: presses on the contact layer fitted to data, so that force is separated from area.
 
-A contact's strength alone does not tell its force: under more pressure the layer saturates, a wider finger is felt more
-strongly, and where patches end matters. So the patches themselves are modelled (`PressedSheet`), and of each contact
-place, radius and pressure are fitted together. Force is the integral of the pressure.
+A contact's strength alone does not determine its force: under more pressure the layer saturates, a wider finger is felt
+more strongly, and where patches end matters. So the patches themselves are modelled (`PressedSheet`), and of each
+contact place, radius and pressure are fitted together. Force is the integral of the pressure.
 """
 
 from collections.abc import Callable, Sequence

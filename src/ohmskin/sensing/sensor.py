@@ -136,7 +136,7 @@ class Locator:
     Args:
         estimator: Makes the image.
         finder: Threshold gamma_0, least share of the highest region, and dip between two.
-        fitter: Fits contacts to the scan; None: they are told from the image.
+        fitter: Fits contacts to the scan; None: they are estimated from the image.
     """
 
     estimator: GaussNewton

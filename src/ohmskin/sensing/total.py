@@ -16,10 +16,10 @@ _APART = 5.0  # standard deviations by which a total may differ from that of the
 
 
 class TotalForce:
-    """Brings the forces of contacts to the total that the auxiliary channel tells.
+    """Brings the forces of contacts to the total that the auxiliary channel measures.
 
     Args:
-        known: What is known of the skin; its quiet frames tell what the channel reads at rest.
+        known: What is known of the skin; its quiet frames have what the channel reads at rest.
     """
 
     def __init__(self, known: SkinModel) -> None:
@@ -28,7 +28,7 @@ class TotalForce:
         self._rest_variance = self._channel.noise**2 / max(len(known.quiet.auxiliary), 1)
 
     def total(self, frames: Sequence[Frame]) -> tuple[float, float]:
-        """The total force on the skin that frames tell, and its variance (N, N2); NaN where they do not."""
+        """The total force on the skin that frames measure, and its variance (N, N2); NaN where they do not."""
         reading, variance = self._mean([frame.auxiliary for frame in frames])
         force = (reading - self._rest) / self._channel.gain
         off = (variance + self._rest_variance) / self._channel.gain**2
@@ -37,7 +37,7 @@ class TotalForce:
     def __call__(self, contacts: tuple[Contact, ...], frames: Sequence[Frame]) -> tuple[Contact, ...]:
         """Contacts with forces that add up to the total, each changed the more the less sure it was (a Kalman update).
 
-        Contacts that tell no force share what is left of the total by their strengths. A total that the contacts
+        Contacts of unknown force share what is left of the total by their strengths. A total that the contacts
         cannot have is of something that is no contact yet, or beside the skin: then they stay as they are.
         """
         if not (self._there and contacts):
@@ -70,7 +70,7 @@ class TotalForce:
 
 
 def _told(contacts: Sequence[Contact], total: float, least: float) -> tuple[Floats, Floats]:
-    """Forces (n,) of contacts and their standard deviations (N), these at least so large where contacts tell none: then
+    """Forces (n,) of contacts and their standard deviations (N), these at least so large where they are not known: then
     they share by their strengths what is left of the total."""
     forces = np.array([np.nan if contact.force is None else contact.force for contact in contacts])
     stds = np.array([contact.force_std or least for contact in contacts])

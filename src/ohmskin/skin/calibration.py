@@ -29,7 +29,7 @@ class Calibration:
         contact_impedances: (n_elec,) of the electrodes (ohm); as described unless given.
         unexplained: Root mean square of what is left of four-terminal resistances, as a share of theirs: as described,
             and with positions and conductivity as found.
-        contact_resistance: Median series resistance at an electrode beyond the described (ohm); 0 if too small to tell.
+        contact_resistance: Median series resistance at an electrode beyond the described (ohm); 0 if too small.
         misfit: Root mean square of measured less modelled pair resistances, as a share of the resistance.
         noise: Standard deviation of a voltage (V).
         drift: Standard deviation of a quiet voltage after a second, growing with the root of time (V / s^0.5).

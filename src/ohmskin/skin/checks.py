@@ -138,7 +138,7 @@ def _range(told: Any) -> str:
 
 
 def check_expense(domain: Domain, pairs: int, size: float) -> None:
-    """Raise SkinError if a model with edges of `size` (m) would take too long or too much memory; it tells how much."""
+    """Raise SkinError if a model with edges of `size` (m) would take too long or too much memory, and how much."""
     rim, triangles = domain.perimeter / size, 2.31 * domain.area / size**2
     if 4 * rim > triangles and rim > _MOST_ON_RIM:  # Delaunay's method takes the square of points on parallel lines
         long = f"a strip with edges of {size:.3g} m has {rim:.0f} nodes on its rim, {_MOST_ON_RIM} are allowed"

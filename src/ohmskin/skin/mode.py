@@ -14,7 +14,7 @@ class Mode:
     Args:
         name: Its label, such as ``16O``.
         drive: What is measured.
-        reader: How contacts are told from it.
+        reader: How contacts are estimated from it.
         estimator: What makes the image.
         prior: What the estimator believes beforehand.
         rule: How the regularisation parameter is chosen.
@@ -57,7 +57,7 @@ class Mode:
 
     @classmethod
     def of(cls, name: str, entries: Any) -> "Mode":
-        """The mode that a skin file or a recording tells of.
+        """The mode that a skin file or a recording describes.
 
         Raises:
             SkinError: If an entry is unknown, missing or of the wrong type.

@@ -1,6 +1,6 @@
 """Where contacts really are: a map learned from presses of known places, kept as text in a skin's calibration.
 
-A Gaussian process, and from some hundred presses on an ensemble of networks beside it: what both tell is averaged.
+A Gaussian process, and from some hundred presses on an ensemble of networks beside it: their estimates are averaged.
 """
 
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ class Networks:
         layers: Weights (n_networks, n_in, n_out) and offsets (n_networks, 1, n_out) of each layer.
         middle, spread: (2 + n_features + 1,) of what they are given: places, features as shares of their size, and
             the logarithm of that.
-        scale: Of what they tell (m).
+        scale: Of their output (m).
     """
 
     layers: tuple[tuple[Floats, Floats], ...]
@@ -124,7 +124,7 @@ def inputs(at: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class PositionMap:
-    """From the place that physics tells to the place pressed.
+    """From the place by the physical model to the place pressed.
 
     Args:
         registration: From the sheet to the frame that the presses' places were given in.
@@ -175,7 +175,7 @@ class PositionMap:
         """Places (n, 2) of contacts in the frame of the presses (m), and variances (n,) along each axis (m2).
 
         Args:
-            positions: (n, 2) as physics tells them, on the sheet (m).
+            positions: (n, 2) by the physical model, on the sheet (m).
             features: (n, n_features); None: not known.
         """
         regression, trust = (self.near, self.trust[0]) if features is None else (self.full, self.trust[1])

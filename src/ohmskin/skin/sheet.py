@@ -22,6 +22,9 @@ from ohmskin.skin.urdf import link_mesh
 _TURN = 2 * np.pi
 _PROFILE = 60  # points of the profile of a cap
 _MOST_CORNERS = 400
+_SHAPES = (
+    "rectangle", "disc", "polygon", "cylinder", "cone", "sphere", "ellipsoid", "capsule", "revolution", "mesh"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,9 @@ class Sheet:
     corners [x, y] of `outline`. In space, about the z
     axis: a ``cylinder`` of `radius` from z = 0 to `height`, and a ``cone`` from `radius` to `top_radius`, of which
     there is the part `angle` of a turn about the direction of x, or all of it, a sleeve; a ``sphere``, the cap of a
-    ball of `radius` about the origin down to `angle` from the positive z axis; and ``revolution``, whatever `profile`
-    [distance from the axis, z] says. Its map, on which electrodes are placed and contacts told, is `RevolutionChart`.
+    ball of `radius` about the origin down to `angle` from the positive z axis, and an ``ellipsoid``, the same, its pole
+    at `height`; a ``capsule``, half a ball on a wall of `radius` and `height`; and ``revolution``, whatever `profile`
+    [distance from the axis, z] says. Its map, where electrodes are placed and contacts reported, is `RevolutionChart`.
 
     A ``mesh`` is cut from the triangles of a `file` (STL, OBJ, ...; `scale` metres per unit of it) that lies beside the
     skin file, or of a `link` of a URDF file and its `visual`, which also say its scale and place: those of a named
@@ -50,7 +54,7 @@ class Sheet:
     `gauge_factor`.
     """
 
-    shape: str = choice("rectangle", "rectangle", "disc", "polygon", "cylinder", "cone", "sphere", "revolution", "mesh")
+    shape: str = choice("rectangle", *_SHAPES)
     width: float = number(0.2, 1e-3, 10, "m")
     height: float = number(0.2, 1e-3, 10, "m")
     radius: float = number(0.1, 1e-3, 10, "m")
@@ -171,10 +175,15 @@ def _chart(sheet: Sheet) -> Chart:
         return FlatChart(pierced(Polygon(sheet.outline), sheet.holes))
     if sheet.shape == "revolution":
         return RevolutionChart(sheet.profile, sheet.angle, sheet.holes)
-    if sheet.shape == "sphere":
+    if sheet.shape in ("sphere", "ellipsoid"):
         if sheet.angle > 0.9 * np.pi:
             raise GeometryError(f"a cap reaches {sheet.angle:.3g} rad from its pole; it may reach 2.8 rad, see angle")
-        polar = np.linspace(0, sheet.angle, _PROFILE)
-        return RevolutionChart(sheet.radius * np.column_stack([np.sin(polar), np.cos(polar)]), holes=sheet.holes)
+        polar, top = np.linspace(0, sheet.angle, _PROFILE), sheet.radius if sheet.shape == "sphere" else sheet.height
+        return RevolutionChart(np.column_stack([sheet.radius * np.sin(polar), top * np.cos(polar)]), holes=sheet.holes)
+    if sheet.shape == "capsule":
+        polar, wall = np.linspace(0, np.pi / 2, _PROFILE), np.linspace(sheet.height, 0, _PROFILE)[1:]
+        half = np.column_stack([np.sin(polar), np.cos(polar)]) * sheet.radius + [0, sheet.height]
+        profile = np.vstack([half, np.column_stack([np.full(len(wall), sheet.radius), wall])])
+        return RevolutionChart(profile, holes=sheet.holes)
     top = sheet.radius if sheet.shape == "cylinder" else sheet.top_radius
     return RevolutionChart([(sheet.radius, 0.0), (top, sheet.height)], sheet.angle, sheet.holes)

@@ -120,7 +120,7 @@ def numbers_of(text: str, count: int, what: str) -> Floats:
     """So many numbers (n,) of a text.
 
     Raises:
-        SkinError: If it has others; it tells `what` they are of.
+        SkinError: If it has others; the message says of `what`.
     """
     words = text.split()
     if len(words) != count or not all(

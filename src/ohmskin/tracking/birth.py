@@ -26,7 +26,7 @@ def birth_threshold(fitter: ContactFitter) -> float:
 
 
 def scored(residuals: Residuals, fitter: ContactFitter) -> Residuals:
-    """The residuals with their scores; one electrode alone tells of no contact."""
+    """The residuals with their scores; one electrode alone is no evidence of a contact."""
     score, power = fitter.scores(residuals.unforeseen)
     if residuals.told_by is not None:
         score, power = np.zeros_like(score), _NOTHING * power
@@ -91,8 +91,8 @@ def _found(
 def _told_by_one(
     state: TrackState, fitter: ContactFitter, found: Solution, used: Sequence[Residuals]
 ) -> tuple[int, int] | None:
-    """The electrode whose voltages alone tell of a contact that others should see, too, and the frame in which they
-    tell most of it; None where others do.
+    """The electrode whose voltages alone show a contact that others should see, too, and the frame in which they
+    show it most; None where others do.
 
     Its voltages have changed by far more than all others, on which the contact's effect would be larger than it is.
     """

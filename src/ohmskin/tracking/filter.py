@@ -3,7 +3,7 @@
 Every contact is a disc that moves: place, effect, squared radius, velocity, with one covariance for all contacts. A
 frame corrects it (iterated extended Kalman filter: the most probable state given the frame and what was believed
 before). What the contacts do not explain is kept for a dozen frames and searched for new ones; what stays unexplained
-is learned as drift. The rules are told in docs/guide/tracking.md.
+is learned as drift. The rules are in docs/guide/tracking.md.
 """
 
 import numpy as np

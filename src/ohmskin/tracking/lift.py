@@ -11,7 +11,7 @@ _SETTLED = 5.0  # settling times after which nothing is left of a lifted contact
 
 
 def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: float, elapsed: float) -> TrackState:
-    """The state with lifted contacts told from pressing ones; what is left of lifted ones goes over into the drift.
+    """The state with lifted contacts separated from pressing ones; what is left of lifted ones becomes drift.
 
     Args:
         state: After a frame.

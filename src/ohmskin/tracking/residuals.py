@@ -50,7 +50,7 @@ class Residuals:
         time: When it was taken (s).
         unforeseen: The innovation beside the common change, as far as that is not known.
         score, power: (n_places,) of a contact more at each place.
-        told_by: The electrode whose voltages alone told of a contact that others should have seen.
+        told_by: The electrode whose voltages alone showed a contact that others should have seen.
     """
 
     reading: Reading

@@ -266,7 +266,7 @@ async def serve_page(
         converse: Serves the socket.
         largest: Bytes of the largest message that a browser may send.
         settings: Host, port and token.
-        tell: Told the port.
+        tell: Called with the port.
         when_over: Takes what is to be called in the end, in any thread.
     """
 

@@ -1,4 +1,4 @@
-"""When adapting pays: chosen injections against the best fixed set of as many; and how light a touch is felt where."""
+"""When adaptive drive gains: chosen injections against the best fixed set of as many; the lightest touch by place."""
 
 from dataclasses import dataclass
 from itertools import product

@@ -281,7 +281,7 @@ SECTIONS = {
     "static": ("Contacts at rest", _static),
     "driven": ("Driven electrodes, and the corners", _driven),
     "time": ("The same in equal time", _time),
-    "gain": ("When adapting pays", lambda done: []),
+    "gain": ("When adaptive drive gains", lambda done: []),
     "moving": ("Moving contacts", _moving),
     "pairs": ("Two contacts or one", _pairs),
     "press": ("Light presses, hard presses, and force", _press),

@@ -1,4 +1,4 @@
-"""Sections of the report: what goes wrong, when adapting pays, the lightest touch. Goals, tables and pictures."""
+"""Sections of the report: faults, when adaptive drive gains, the lightest touch. Goals, tables and pictures."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -128,7 +128,7 @@ def trouble_tables(done: Outcome[Any]) -> list[Block]:
     ]
 
 
-# --- when adapting pays -----------------------------------------------------------------------------------------------
+# --- when adaptive drive gains ---------------------------------------------------------------------------------------
 
 
 def best_round(task: Any, result: Result) -> tuple[Floats, Floats, str]:
@@ -204,10 +204,10 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
         axes.grid(axis="y")
     grid[0].legend(frameon=False)
     caption = (
-        "When adapting pays: the mean error with chosen injections over that with fixed ones, same reader, with 95 % "
-        "bootstrap intervals over seeds and places; below 1 it pays. Left to right: over noise, injections a frame, "
-        "and contacts (16P against the best fixed set of as many), and a moving contact tracked (16T against the "
-        "better of two fixed rounds)."
+        "When adaptive drive gains: the mean error with chosen injections over that with fixed ones, same reader, with "
+        "95 % bootstrap intervals over seeds and places; below 1 it gains. Left to right: over noise, injections a "
+        "frame, and contacts (16P against the best fixed set of as many), and a moving contact tracked (16T against "
+        "the better of two fixed rounds)."
     )
     return [("gain", canvas, caption)]
 

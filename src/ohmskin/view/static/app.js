@@ -159,7 +159,8 @@ function drawPicture(now) {
     fields.map.set(frame.image);
     fields.base.set(frame.base);
     const [[a, b], [c, d]] = [fields.map.extremes(), fields.base.extremes()];
-    range.follow(Math.min(a, c), Math.max(b, d), frame.header.threshold ?? 0, now);
+    const { threshold = 0, base_threshold = 0 } = frame.header;
+    range.follow(Math.min(a, c), Math.max(b, d), Math.max(threshold, base_threshold), now);
     placeSection();
   }
   const scene = scenes(theme, Boolean(notice.unknown));

@@ -1,6 +1,7 @@
 // A robot in space: its links, its skins coloured by what they feel, its contacts as arrows. Metres, z up.
 
 import { number, paint } from "./colour.js";
+import { doubtful, force, unsure } from "./contacts.js";
 import { INK } from "./ink.js";
 import * as THREE from "./vendor/three.js";
 
@@ -218,13 +219,14 @@ export class BodyView {
     this._draw();
   }
 
-  _contact(patch, { id, in: at, normal, force, force_std: std, self_touch: own }, arrow, theme) {
-    const told = force !== null && force !== undefined;
-    const length = told ? Math.min(LONGEST, Math.max(SHORT, PER_NEWTON * Math.abs(force))) : FIXED;
-    arrow.point(at, normal, length, own ? INK[theme].other : told ? INK[theme].felt : INK[theme].quiet);
-    const doubt = std === null || std === undefined ? "" : ` ± ${number(std, 1)}`;
-    const why = patch.newtons ? "force not known yet" : "uncalibrated";
-    const text = `#${id} · ${told ? `${number(force, 1)}${doubt} N` : why}${own ? " · self-touch" : ""}`;
+  _contact(patch, contact, arrow, theme) {
+    const { id, in: at, normal, force: newtons, self_touch: own } = contact;
+    const told = force(contact);
+    const length = told ? Math.min(LONGEST, Math.max(SHORT, PER_NEWTON * Math.abs(newtons))) : FIXED;
+    const { other, doubt, felt, quiet } = INK[theme];
+    arrow.point(at, normal, length, own ? other : doubtful(contact) ? doubt : told ? felt : quiet);
+    const size = told ? `${told} N` : patch.newtons ? "force not known yet" : "uncalibrated";
+    const text = [`#${id}`, size, unsure(contact), own && "self-touch"].filter(Boolean).join(" · ");
     const tail = at.map((v, axis) => v + (length + 0.01) * normal[axis]);
     this._labels.push({ link: patch.link, at: tail, up: 0, text, normal, of: patch.name });
   }

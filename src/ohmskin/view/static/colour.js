@@ -122,17 +122,19 @@ export class Range {
     this.auto = true;
     this.limit = 1;
     this._below = BELOW[0];
+    this._threshold = 0;
     this._quietSince = 0;
     this._otherwiseSince = null; // since when the data have spoken for another `_below`
     this._fresh = true;
   }
 
-  /** Lower end of the shown scale; it always contains zero and some of the other sign. */
+  /** Lower end of the shown scale; it always contains zero, some of the other sign, and what may be noise. */
   get low() {
-    return -this._below * this.limit;
+    return -Math.max(this._below * this.limit, this._threshold);
   }
 
   follow(low, high, threshold, now) {
+    this._threshold = threshold;
     this._followLimit(low, high, threshold, now);
     const below = BELOW.find((share) => -low <= share * this.limit) ?? 1;
     if (below === this._below) this._otherwiseSince = null;

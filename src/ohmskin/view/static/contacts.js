@@ -38,9 +38,9 @@ export function strongest(contacts, kept = null) {
   return contacts.reduce((best, next) => (best && size(best) >= size(next) ? best : next), null);
 }
 
-/** Whether a contact is to look doubtful. */
-export function doubtful(contact) {
-  return contact.confidence < SURE;
+/** Whether a contact, or a gesture, is to look doubtful. */
+export function doubtful({ confidence }) {
+  return confidence < SURE;
 }
 
 // The ellipse that holds the true place 95 times in 100; with a cross, so that a very sure one is seen too.
@@ -74,6 +74,11 @@ export function ellipse([xx, xy, yy]) {
   return { major: axis(middle + spread), minor: axis(middle - spread), angle: Math.atan2(2 * xy, xx - yy) / 2 };
 }
 
+/** How sure a doubtful contact is, in words; else "". */
+export function unsure(contact) {
+  return doubtful(contact) ? `${number(100 * contact.confidence, 0)} % sure` : "";
+}
+
 /** Force in newtons with its standard deviation, if it is known; else "". */
 export function force(contact) {
   if (!Number.isFinite(contact.force)) return "";
@@ -86,7 +91,7 @@ function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   const id = `#${contact.id}`;
   const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
   const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
-  const doubt = doubtful(contact) ? `${number(100 * contact.confidence, 0)} % sure` : "";
+  const doubt = unsure(contact);
   const effect = force(contact) ? `${force(contact)} N` : `strength ${number(1e4 * contact.strength, 2)}`;
   const below = doubt ? `${effect} · ` : effect;
   c.font = `600 11px ${FONT}`;

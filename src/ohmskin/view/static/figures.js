@@ -86,6 +86,7 @@ export function showContacts(contacts, none, gesture) {
   const told = gesture && gesture.name !== "unknown";
   const doing = told ? `${gesture.name} ${Math.round(100 * gesture.confidence)} %` : "";
   byId("contact-count").textContent = [contacts.length || "", doing].filter(Boolean).join(" · ");
+  byId("contact-count").dataset.doubtful = told && (doubtful(gesture) || contacts.some(doubtful));
 }
 
 function addRow(body) {

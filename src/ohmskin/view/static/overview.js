@@ -2,6 +2,7 @@
 // and how fresh they are; or the map of one of them, large (#NAME).
 
 import { Range, number } from "./colour.js";
+import { force, unsure } from "./contacts.js";
 import { Field } from "./field.js";
 import { heightFor } from "./frame.js";
 import { drawMap, drawScale } from "./map.js";
@@ -85,7 +86,8 @@ class Card {
   _lines({ contacts }, all) {
     const lines = contacts.map((contact) => {
       const place = contact.in.map((v) => number(1000 * v, 0)).join(", ");
-      return `#${contact.id}: (${place}) mm · ${number(1e4 * contact.extent, 1)} cm²`;
+      const size = force(contact) ? `${force(contact)} N` : `${number(1e4 * contact.extent, 1)} cm²`;
+      return [`#${contact.id}: (${place}) mm`, size, unsure(contact)].filter(Boolean).join(" · ");
     });
     const left = lines.length - LINES + 1;
     return (all || left < 2 ? lines : [...lines.slice(0, LINES - 1), `and ${left} more`]).join("\n") || "No contact";
