@@ -260,6 +260,8 @@ def test_meshes_fields_and_currents_are_drawn_in_one_call_each(mesh: Mesh) -> No
     assert draw_mesh(axes, mesh, electrodes=electrodes).get_array() is None
     by_element = draw_mesh(axes, mesh, np.full(mesh.n_elem, 7.0))
     assert np.array_equal(by_element.get_array(), np.full(faces, 7.0))  # type: ignore[arg-type]
+    signed = draw_mesh(axes, mesh, np.linspace(-1.0, 3.0, mesh.n_elem))
+    assert min(signed.to_rgba(0.0)[:3]) > 0.9  # zero is near white
     by_node = draw_mesh(axes, mesh, model.potentials[:, 1], electrodes, edges=False)
     assert by_node.get_array().shape == (faces,)  # type: ignore[union-attr]
     figure.canvas.draw()

@@ -30,19 +30,20 @@ for contact in felt:
     print("felt at", *np.round(contact.position, 3), "m, normal", *np.round(contact.normal, 2))
 
 mesh, image = skin.mesh(), touch.percept.image
-figure = Figure(figsize=(10, 3.9), layout="constrained")
+figure = Figure(figsize=(10, 4.2), layout="constrained")
 axes = figure.add_subplot(1, 2, 1)
 draw_mesh(axes, mesh, image.values, skin.electrodes, edges=False)
 for contact in touch.contacts:
     axes.plot(*1e3 * np.array(contact.position), "k+", markersize=14)
-axes.set(title="on the map, whose left and right sides are one")
+axes.set_title("on the map, whose left and right sides are one", pad=12)
 axes = figure.add_subplot(1, 2, 2, projection="3d")
 shown = draw_mesh(axes, mesh.mapped(chart.points), image.values, edges=False)
 for contact in felt:
     arrow = np.array(contact.position) + np.outer([0.03, 0.002], contact.normal)
     axes.plot(*1e3 * arrow.T, "k", linewidth=2)
-axes.set(title="on the arm, with normals")
+axes.set(title="on the arm, with normals", xticks=[-40, 0, 40], yticks=[-40, 0, 40])
 axes.view_init(25, -35)
+axes.set_box_aspect((90, 90, 142), zoom=0.85)  # mm, with room for the labels
 figure.colorbar(shown, ax=figure.axes, label="relative change of conductivity", shrink=0.8)
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else ".") / "curved.png"

@@ -64,8 +64,8 @@ def _short(done: Done, claims: Sequence[Claim]) -> list[Block]:
     text = (
         f"**{yes} of {len(claims)} tested claims of the paper are {YES}, {undecided} are {OPEN} and {no} are {NO}.** "
         f"Of the {len(key)} that matter most, below, {sum(claim.verdict == YES for claim in key)} are {YES}. "
-        f"Most of the claims are {YES} for {best} ({100 * shares[best]:.0f} %), "
-        f"fewest for {worst} ({100 * shares[worst]:.0f} %)."
+        f"The largest share is {YES} for {best} ({100 * shares[best]:.0f} %), "
+        f"the smallest for {worst} ({100 * shares[worst]:.0f} %)."
     )
     return [text, Table(("claims of", *_VERDICTS), [(n, *map(str, each)) for n, each in counts.items()]), *_claims(key)]
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import CenteredNorm
 from matplotlib.patheffects import withStroke
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 from mpl_toolkits.mplot3d import Axes3D
@@ -16,7 +17,7 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Electrodes, Mesh
-from ohmskin.plot.colours import AMOUNT
+from ohmskin.plot.colours import AMOUNT, SIGNED
 
 _DENSITY = 1.2  # of lines of current, as Matplotlib counts
 _GRID = 120  # points along the longer side of the grid on which lines of current are followed
@@ -26,6 +27,8 @@ def draw_mesh(
     axes: Axes, mesh: Mesh, values: ArrayLike | None = None, electrodes: Electrodes | None = None, edges: bool = True
 ) -> ScalarMappable:
     """Draw a mesh, coloured by values by element (n_elem,) or by node (n_nodes,) if there are any; in millimetres.
+
+    Values of both signs are coloured from zero, as on the live page.
 
     Args:
         axes: Where to draw; ``projection="3d"`` for meshes in space, of which a body shows its boundary.
@@ -54,7 +57,9 @@ def draw_mesh(
         shifts = 1e3 * np.array([[-mesh.period, 0], [0, 0], [mesh.period, 0]])
         corners = (1e3 * mesh.corners + shifts[:, None, None]).reshape(-1, 3, 2)
         colours = None if colours is None else np.tile(colours, 3)
-    made: PolyCollection = (Poly3DCollection if in_space else PolyCollection)(corners, cmap=AMOUNT, **style)
+    signed = colours is not None and np.nanmin(colours) < 0 < np.nanmax(colours)
+    style |= {"cmap": SIGNED, "norm": CenteredNorm()} if signed else {"cmap": AMOUNT}
+    made: PolyCollection = (Poly3DCollection if in_space else PolyCollection)(corners, **style)
     if colours is None:
         made.set_facecolor("white" if edges else "0.9")
     else:
