@@ -11,6 +11,7 @@ from ohmskin.errors import ModelError
 from ohmskin.forward import FloatingPatches, LocalUpdate, TransferModel, fit_background
 from ohmskin.forward.assembly import assemble
 from ohmskin.forward.logarithm import log_means
+from ohmskin.forward.quadrature import Surface
 from ohmskin.geometry import Electrodes, Rectangle, mesh_domain, thicken
 from ohmskin.scan import DrivePattern, all_pairs, measure_others
 
@@ -102,9 +103,9 @@ def test_a_thick_skin_can_be_pressed_on_its_face() -> None:
     assert (patches.kept >= inside).all()
     assert FloatingPatches(model, [[0.1, 0.1, 0.0], [0.1, 0.1, 0.02]], [0, 0]).kept.tolist() == [True, False]
     joint = random_press(patches, 1, 30)
-    rows, weights = patches._corners, patches._weights
+    nodes, weights, _ = Surface(body).project(patches.points)
     at = np.zeros((len(joint), body.n_nodes))
-    np.add.at(at, (np.arange(len(joint))[:, None], patches.update.nodes[rows]), weights)
+    np.add.at(at, (np.arange(len(joint))[:, None], nodes), weights)
     near = np.abs(at @ body.nodes - patches.points).max(axis=1) < 1e-12
     assert (near == inside[patches.kept]).all()
     on = joint > 0

@@ -50,6 +50,7 @@ def test_verdicts_need_the_order_and_the_certainty() -> None:
     assert ladder([low, np.full(20, np.nan)])[0] == NO
     assert not ordered([low, low])
     assert fewer(low, high) == 1.0
+    assert fewer(low, low) == fewer(high, low) == 0.0
 
 
 def test_a_limit_must_be_reached_by_the_whole_interval() -> None:

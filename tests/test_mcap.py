@@ -306,11 +306,15 @@ def test_files_of_others_are_refused_kindly(tmp_path: Path) -> None:
     writer = Writer(str(path), compression=CompressionType.ZSTD)
     writer.start()
     channel = writer.register_channel("/camera", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"uint8 a"))
-    writer.add_message(channel, 1, b"\0\1\0\0\7", 1)
+    writer.add_message(channel, 1, b"\0\1\0\0\7", 2, 3)
     writer.finish()
     with pytest.raises(DataError, match="holds no frames of ohmskin; its topics are /camera"):
         Tape(path)
-    assert recover(path).messages == 1  # but mended it can be, zstd and all
+    done = recover(path)
+    assert done.messages == 1  # but mended it can be, zstd and all
+    with Container(done.path) as container:
+        ((_, _, message),) = container.messages()
+    assert (message.log_time, message.publish_time, message.sequence, message.data) == (1, 2, 3, b"\0\1\0\0\7")
     write_frames(tmp_path / "new.mcap", some_frames(3))
     content = (tmp_path / "new.mcap").read_bytes()
     (tmp_path / "new.mcap").write_bytes(content.replace(b"format\1\0\0\0001", b"format\1\0\0\0009"))

@@ -111,6 +111,8 @@ def test_scans_repeat_with_their_seed_and_are_new_each_time_a_pattern_is_driven_
     first, second = scan(pattern).voltages, scan(pattern).voltages
     assert np.array_equal(where.scan(contacts, 3)(pattern).voltages, first)
     assert not np.array_equal(where.scan(contacts, 4)(pattern).voltages, first)
+    none, faint = (where.scan(touch, 3)(pattern).voltages for touch in ((), (disc(0.1, 0.1, 5e-3, 1e-9),)))
+    assert np.std(faint - none) > where.noise  # noise of its own
     exact = worlds.voltages(worlds.touched("discs", "grid", contacts), pattern)
     noise = np.concatenate([first - exact, second - exact])
     assert np.std(noise) == pytest.approx(where.noise, rel=4 / np.sqrt(2 * len(noise)))

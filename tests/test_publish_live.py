@@ -104,7 +104,7 @@ def test_the_contact_is_where_it_was_pressed(published: dict[str, Any], store: A
     ]
     places = np.array([(c.position.x, c.position.y, c.position.z) for m in messages for c in m.contacts])
     assert len(places) > 20
-    assert np.abs(np.median(places, axis=0) - [0.06, 0.14, 0.0]).max() < 12e-3
+    assert np.abs(np.median(places, axis=0) - [0.06, 0.14, 0.0]).max() < 4e-3
     numbers = np.array([m.sequence for m in messages])
     assert (np.diff(numbers) > 0).all()
     assert {(m.patches[0].name, m.patches[0].frame_id, m.patches[0].mode) for m in messages} == {

@@ -18,8 +18,8 @@ def test_the_loop_prints_the_contact_it_pressed(capsys: pytest.CaptureFixture[st
     printed = re.findall(r"position=\(([\d.]+), ([\d.]+)\)", capsys.readouterr().out)
     assert printed
     x, y = map(float, printed[-1])
-    assert abs(x - 0.05) < 0.012
-    assert abs(y - 0.12) < 0.012
+    assert abs(x - 0.05) < 0.003
+    assert abs(y - 0.12) < 0.003
 
 
 def test_the_mathematics_images_a_touch_where_it_is(capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,7 +68,7 @@ def changing(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 touch = engine.step()
                 assert touch is not None
                 recorder.publish(touch)
-        engine._scan(engine.drive(engine.mode).next((), 0))  # the device goes before the second scan
+        engine.device.scan(engine.drive(engine.mode).next((), 0))  # the device goes before the second scan
     return path
 
 

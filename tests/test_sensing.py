@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ from ohmskin.sensing import (
 from ohmskin.sensing.model import kinds_of_noise
 from ohmskin.sensing.quiet import QuietScans
 from ohmskin.skin import Mode, Skin, VirtualSkin, shipped_skins
+from ohmskin.tracking import TrackState
 
 PAPER = Skin.load("paper")
 PLACES = [(0.055, 0.12), (0.14, 0.05)]
@@ -103,6 +105,40 @@ def test_any_drive_goes_with_any_reader(drive: str, reader: str) -> None:
     found = misses(used, PLACES[:1], 12 if few else 5 if reader == "tracked" else 3)
     assert max(found) < BOUNDS[reader], f"{1e3 * max(found):.1f} mm"
     assert quiet(used) == 0
+
+
+def test_frames_far_apart_and_times_that_go_back_count_as_a_second() -> None:
+    class Noting:
+        """Notes how much time it is told has passed."""
+
+        def update(self, before: Any, new: Any, recent: Any, elapsed: float) -> Any:
+            passed.append(elapsed)
+            return inner.update(before, new, recent, elapsed)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(inner, name)
+
+    used, twin, passed = build(Mode("any", "rim", "fit"), known(), drive_named("rim")), VirtualSkin(PAPER, seed=12), []
+    inner, state = used.reader, used.start()
+    used.reader = Noting()  # type: ignore[assignment]
+    for now in (3.0, 3.25, 10.0, 9.0, 9.5):
+        state, _ = used.step(state, lambda p, now=now: replace(twin.scan(p), time=now))  # type: ignore[misc]
+    assert passed == [1.0, 0.25, 1.0, 1.0, 0.5]
+
+
+def test_while_tracking_images_are_made_of_as_many_injections_as_an_optimal_scan_has() -> None:
+    """Frames of a few injections each: they follow each other faster than fingers move."""
+    used, twin = sensor("tracking", "tracked"), VirtualSkin(PAPER, seed=12)
+    twin.press(0, *PLACES[0], 8e-3, 20e3)
+    state = used.start()
+    for _ in range(8):
+        state, percept = used.step(state, twin.scan)
+    tracks, estimator = state.belief.tracks, used.reader.estimator
+    assert isinstance(tracks, TrackState)
+    recent = [difference.undriven for difference in tracks.recent(PAPER.imaging.pairs)]
+    assert sum(difference.pattern.n_inj for difference in recent) >= PAPER.imaging.pairs > recent[0].pattern.n_inj
+    expected = estimator.update(estimator.start(), recent[:1], recent, 0.0).image.values
+    np.testing.assert_allclose(percept.image.values, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_a_combination_without_sense_is_refused_in_words() -> None:

@@ -124,7 +124,7 @@ LONG = {
     "test_firmware_loop.py::test_a_session_finds": "frames of the same board in the same emulator",
     "test_forces.py::test_ten_known": "the same presses of one skin in test_presses.py",
     "test_foam.py::test_forces_are_followed": "forces that change in test_forces.py, and what foam adds in this file",
-    "test_fuzzing.py::test_twenty_seconds": "some mutations of each kind",
+    "test_fuzzing.py::test_ten_seconds": "some mutations of each kind",
     "test_guides.py::test_a_drive_an_estimator": "modes of a skin's own, and what others register, in test_sensing.py",
     "test_guides.py::test_example_runs*[[]curved": "curved skins in test_curved.py, and the text of all",
     "test_guides.py::test_example_runs*[[]drive_design": "another example, and the text of all",
