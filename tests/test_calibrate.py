@@ -208,7 +208,7 @@ def test_a_calibration_that_makes_no_sense_is_told(text: str, message: str) -> N
 
 
 def test_the_virtual_skin_calibrates_itself_from_the_command_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "ohmskin", "calibrate", "--places", "2", "--weights", "200", "--weights", "500"]
+    command = [sys.executable, "-m", "ohmskin", "calibrate", "--places", "2", "--weights", "200", "500"]
     arguments = ["--output", "mine.toml", "--picture", "force.png", "--mode", "16I"]
     done = subprocess.run([*command, *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stderr

@@ -188,6 +188,23 @@ def doubt(screens: Screens, stack: ExitStack, recording: Path) -> None:
     screens.take("doubt")
 
 
+def newtons(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    calibrated = str(recording.with_name("calibrated.toml"))
+    presses = ("--places", "2", "--weights", "200", "700")
+    subprocess.run([sys.executable, "-m", "ohmskin", "calibrate", *presses, "--output", calibrated], check=True)
+    address, skin = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1", "--skin", calibrated))
+    url, _ = stack.enter_context(
+        running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address, "--skin", calibrated)
+    )
+    page = screens.open(url)
+    screens.press((0.06, 0.13))
+    until(page, f"{FRAME}.contacts[0]?.force && {FRAME}.gesture?.name === 'push'")
+    screens.take("newtons")
+    skin.terminate()
+    until(page, f"{FRAME}.state === 'lost'")
+    screens.take("newtons-lost")
+
+
 def replay(screens: Screens, stack: ExitStack, recording: Path) -> None:
     url, _ = stack.enter_context(running("replay", str(recording), "--no-browser", "--port", "0"))
     page = screens.open(url)
@@ -227,6 +244,7 @@ SCENES: dict[Callable[[Screens, ExitStack, Path], None], set[str]] = {
     live: {"quiet", "help", "guide", "one", "three", "tracking", "expert", "lost"},
     starting: {"starting"},
     doubt: {"doubt"},
+    newtons: {"newtons", "newtons-lost"},
     replay: {"replay", "replay-end"},
     body: {"body", "patch"},
     docs: {"docs"},

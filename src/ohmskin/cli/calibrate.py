@@ -21,7 +21,7 @@ from ohmskin.calibrate import (
     read_table,
 )
 from ohmskin.cli.life import LIFE
-from ohmskin.cli.options import SkinName, check_picture, check_writable, open_skin, say, watched, write
+from ohmskin.cli.options import Numbers, SkinName, check_picture, check_writable, open_skin, say, watched, write
 from ohmskin.device import Device
 from ohmskin.engine import Engine
 from ohmskin.errors import DeviceError, OhmskinError
@@ -42,7 +42,7 @@ def calibrate(
     output: Path | None = None,
     picture: Path | None = None,
     mode: str = "",
-    weights: tuple[float, ...] = (100.0, 200.0, 400.0, 700.0, 1000.0),
+    weights: Numbers = (100.0, 200.0, 400.0, 700.0, 1000.0),
     places: int = 5,
     presses: Path | None = None,
     force_from: str = "",
