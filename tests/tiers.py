@@ -190,6 +190,8 @@ LONG = {
     "test_sheet.py::test_electrodes_are_found*[[]pressed": "the same on discs, and the quiet virtual skin",
     "test_shipped_recordings.py::test_a_newcomers_recording*[[]False": "the same with a demonstration finger",
     "test_skin.py::test_a_press_does_what_finite*[[]light": "hard, small and overlapping ones",
+    "test_terminal.py::test_ctrl_c": "Ctrl-C while a command is imported and while a loop calibrates",
+    "test_terminal.py::test_a_sign_of_life": "that signs of life come in silence",
     "test_tracking_engine.py::test_the_guides_example": "the same tracking, frame by frame",
     "test_trouble.py::test_a_gain_is_told": "contacts read from the same set-up in test_policies.py",
     "test_trouble.py::test_pairs_that_drift": "drift of the whole skin, and of single contacts, in test_filter.py",

@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
-from ohmskin.cli.life import LIFE
+from ohmskin.cli.life import LIFE, interrupt
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
@@ -127,7 +127,7 @@ def main() -> None:
 def _run(arguments: list[str]) -> None:
     _check_command(arguments)
     command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, interrupt)
     with _compiling():
         command(*bound.args, **bound.kwargs)
 

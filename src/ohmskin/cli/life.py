@@ -1,7 +1,8 @@
-"""Signs of life of a command that is silent for long: while it is imported, starts, calibrates and computes."""
+"""Signs of life of a command: while it is imported, starts, calibrates and computes; and its end at Ctrl-C."""
 
 import sys
 import time
+from _thread import interrupt_main
 from contextlib import suppress
 from threading import Event, RLock, Thread
 from typing import Any, Self, TextIO, cast
@@ -66,6 +67,21 @@ class SignsOfLife:
         with suppress(OSError, ValueError):  # nobody reads it any more
             self._streams[1].write(text)
             self._streams[1].flush()
+
+
+def interrupt(*_: object) -> None:
+    """End the command at Ctrl-C: raise KeyboardInterrupt.
+
+    It may be raised within a compiler or a destructor. What these leave half made is not reported when it is deleted,
+    and if they swallow it, it is raised again.
+    """
+
+    def unraisable(swallowed: "sys.UnraisableHookArgs") -> None:
+        if issubclass(swallowed.exc_type, KeyboardInterrupt):
+            interrupt_main()
+
+    sys.unraisablehook = unraisable
+    raise KeyboardInterrupt
 
 
 LIFE = SignsOfLife()

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from ohmskin.child import when_input_ends
-from ohmskin.cli.life import LIFE
+from ohmskin.cli.life import LIFE, interrupt
 from ohmskin.device import Device, connect
 from ohmskin.device.registry import scheme_of
 from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
@@ -160,7 +160,7 @@ class Stop(threading.Event):
 
     def _ask(self, number: int, _: object) -> None:
         if self.is_set() or not self._listening:
-            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(0)
+            interrupt() if number == signal.SIGINT else sys.exit(0)
         self.set()
 
     def __bool__(self) -> bool:

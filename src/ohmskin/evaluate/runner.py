@@ -2,10 +2,12 @@
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -75,8 +77,13 @@ def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(tasks)), spawn, initializer=_die_with_parent)
+
+    def submit(task: Task) -> Future[Result]:
+        with _ctrl_c_is_ours():  # this may start a worker
+            return pool.submit(_run, task)
+
     try:
-        submitted = ((pool.submit(_run, task), task) for task in tasks)
+        submitted = ((submit(task), task) for task in tasks)
         futures = dict(islice(submitted, _AHEAD * jobs))
         while futures:
             for future in wait(futures, return_when=FIRST_COMPLETED).done:
@@ -91,6 +98,19 @@ def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
         pool.shutdown(wait=False, cancel_futures=True)
         for process in list((pool._processes or {}).values()):  # no public way to stop a running task
             process.terminate()
+
+
+@contextmanager
+def _ctrl_c_is_ours() -> Iterator[None]:
+    """Processes that are started meanwhile never see Ctrl-C; this one sees it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _run(task: Experiment) -> Result:

@@ -1,0 +1,105 @@
+"""Commands in a terminal: a sign of life every three seconds, and a clean end at Ctrl-C."""
+
+import os
+import pty
+import re
+import select
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from test_documentation import with_presses
+
+BODY = Path(__file__).parents[1] / "examples" / "body" / "body.toml"
+RECORDING = Path("recordings", "touch.mcap")  # of `ohmskin examples`
+COMMANDS = {
+    "live": "live --no-browser --port 0",
+    "calibrate": "calibrate --output mine.toml",
+    "patches": f"patches {BODY} --no-browser --port 0",
+    "layout": "layout",
+    "learn": "learn presses.csv --skin my-skin.toml",
+    "robot": "robot --pokes 5",
+    "reproduce": "reproduce --quick --jobs 2",
+    "policies": "policies --quick --jobs 2",
+    "bench": "bench --quick",
+}
+ENDING = ("live", "calibrate", "layout", "robot", f"replay {RECORDING} --headless", f"image {RECORDING}")
+OPTIONS = {"live": " --headless --seconds 1", "calibrate": " --places 2 --weights 200 500", "robot": " --pokes 1"}
+
+
+class Terminal:
+    """A command in a pseudo-terminal.
+
+    Args:
+        command: What is typed behind `ohmskin`.
+        folder: Where.
+
+    Attributes:
+        text: What it printed.
+        silence: The longest time without output, s.
+    """
+
+    def __init__(self, command: str, folder: Path, **environment: str) -> None:
+        self.text, self.silence = "", 0.0
+        self._pid, self._fd = pty.fork()
+        if self._pid == 0:
+            os.chdir(folder)
+            arguments = [sys.executable, "-m", "ohmskin", *command.split()]
+            os.execvpe(sys.executable, arguments, {**os.environ, "TERM": "xterm", **environment})
+        self._last = time.monotonic()
+
+    def read(self, seconds: float) -> bool:
+        """Take what it prints for so long (s); whether it still runs."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            ready, _, _ = select.select([self._fd], [], [], left)
+            self.silence = max(self.silence, time.monotonic() - self._last)
+            if ready:
+                self._last = time.monotonic()
+                try:
+                    data = os.read(self._fd, 65536)
+                except OSError:  # it has ended
+                    return False
+                self.text += data.decode(errors="replace")
+        return True
+
+    def interrupt(self) -> list[psutil.Process]:
+        """Press Ctrl-C, and return the processes that it has by then."""
+        children = psutil.Process(self._pid).children(recursive=True)
+        os.write(self._fd, b"\x03")
+        return children
+
+    def end(self) -> int:
+        """Its exit status, as a shell gives it."""
+        while self.read(60):
+            pass
+        os.close(self._fd)
+        status = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
+        return status if status >= 0 else 128 - status
+
+
+@pytest.mark.parametrize("after", [0.4, 3.0, 8.0])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_ctrl_c_ends_a_command_without_a_traceback_or_a_child(name: str, after: float, tmp_path: Path) -> None:
+    if name == "learn":
+        with_presses(tmp_path)
+    terminal = Terminal(COMMANDS[name], tmp_path)
+    runs = terminal.read(after)
+    children = terminal.interrupt() if runs else []
+    status = terminal.end()
+    assert status in (130, *((0,) if name in ("live", "patches") else ()), *(() if runs else (2,))), terminal.text
+    assert "Traceback" not in terminal.text
+    assert re.split(r"\^C", terminal.text)[-1].count("ohmskin:") == 0
+    _, left = psutil.wait_procs(children, timeout=20)
+    assert [child for child in left if child.status() != psutil.STATUS_ZOMBIE] == []
+
+
+@pytest.mark.parametrize("command", ENDING)
+def test_a_sign_of_life_comes_every_three_seconds_while_all_is_compiled(command: str, tmp_path: Path) -> None:
+    assert Terminal("examples", tmp_path).end() == 0
+    cold = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    terminal = Terminal(f"{command}{OPTIONS.get(command, '')}", tmp_path, **cold)
+    assert terminal.end() == 0, terminal.text
+    assert terminal.silence < 3.0, terminal.text
