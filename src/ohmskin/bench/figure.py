@@ -18,7 +18,7 @@ class Figure:
         unit: Its unit; "times" for ratios.
         least, most: The target's bounds; None where there is no such bound. Without either it is information.
         low, high: Lower and upper quartile over the rounds.
-        note: What lies behind it: absolute times, sizes.
+        note: What it is made of: absolute times, sizes.
         data: The same, for machines.
     """
 

@@ -73,7 +73,7 @@ def _sections(found: Mapping[str, Sequence[Figure]], quick: bool, plots: Sequenc
     sections = [Section("Benchmarks", [*_PREFACE, machine, f"{counted}{'; --quick' if quick else ''}."], "#")]
     for name, group in found.items():
         title = (GROUPS[name].__doc__ or name).splitlines()[0].rstrip(".")
-        head = ("figure", "value", "spread", "target", "", "behind it")
+        head = ("figure", "value", "spread", "target", "", "from")
         sections.append(Section(title, [Table(head, [figure.row(figure.verdict) for figure in group])]))
     caption = "CPU seconds of the set-up against the number of triangles"
     pictures = [Image(caption, Picture(plot.stem, plot, f"{caption}, one thread.")) for plot in plots]

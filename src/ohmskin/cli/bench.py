@@ -32,7 +32,7 @@ def bench(
     with console.status("measuring") as status:
         found = run(quick, only, lambda name, figure: status.update(f"{name}: {figure.name}"))
     table = Table(box=None, padding=(0, 1))
-    for title in ("figure", "value", "spread", "target", "", "behind it"):
+    for title in ("figure", "value", "spread", "target", "", "from"):
         table.add_column(title, justify="right" if title == "value" else "left", overflow="fold")
     for figure in (figure for group in found.values() for figure in group):
         colour, verdict = _COLOURS[figure.verdict], figure.verdict
