@@ -111,8 +111,8 @@ def test_the_likeliest_change_is_that_of_the_normal_equations() -> None:
     scan = Difference(pattern, np.full(pattern.n_meas, 1e-3), random.normal(size=pattern.n_meas))
     errors = Errors(1e-3, gain=1e-3, contacts=5 * in_series(range(42), near))
     told, _ = Information.of(near, errors, [scan])
-    matrix, vector = told.told.matrix[:-1, :-1], told.told.vector[:-1]
-    found = likeliest(told.told.rows, told.told.lost, told.told.vector, 0.05)
+    matrix, vector = told.misfit.matrix[:-1, :-1], told.misfit.vector[:-1]
+    found = likeliest(told.misfit.rows, told.misfit.lost, told.misfit.vector, 0.05)
     exact = np.linalg.solve(matrix + 0.05 * np.eye(len(matrix)), vector)
     assert_allclose(found[:-1], exact, atol=1e-6 * np.abs(exact).max())
     assert found[-1] == 0

@@ -150,22 +150,24 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     wrong = np.column_stack(directions)[known]
     whole = np.column_stack([rows, reference, np.concatenate([scan.volts for scan in scans])])[known]
     covariance = 0.3**2 * np.eye(known.sum()) + wrong @ wrong.T
-    np.testing.assert_allclose(products(found.told), whole.T @ np.linalg.solve(covariance, whole), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        products(found.misfit), whole.T @ np.linalg.solve(covariance, whole), rtol=1e-8, atol=1e-8
+    )
     np.testing.assert_allclose(products(found.white), whole.T @ whole / 0.3**2, rtol=1e-9, atol=1e-9)
     change, beside = np.random.default_rng(3).normal(size=(2, 120, 3))
     columns = np.vstack([change, np.zeros(3)])
     left = whole - np.column_stack([np.zeros((known.sum(), 121)), rows[known] @ change[:, 0]])
     less = found.less(change[:, 0])
-    np.testing.assert_allclose(products(less.told), left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7)
+    np.testing.assert_allclose(products(less.misfit), left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7)
     assert less.signal == pytest.approx(np.sqrt(np.mean(left[:, -1] ** 2)) / 0.3)
     covariance += (rows[known] @ beside) @ (rows[known] @ beside).T
-    marginal = products(less.without(beside).told)
+    marginal = products(less.without(beside).misfit)
     np.testing.assert_allclose(marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
     for one in (found, less, less.without(beside)):  # of the same places, whatever has been taken off since
-        expected = np.einsum("pn,nm,pm->p", change.T, one.told.matrix[:-1, :-1], change.T)
-        np.testing.assert_allclose(one.told.scores(columns)[1], expected, rtol=1e-8)
-        np.testing.assert_allclose(one.told.sizes(change), np.sqrt(expected), rtol=1e-8)
-    for one in (found.told, found.white, less.without(beside).told):  # written out, and told of changes one by one
+        expected = np.einsum("pn,nm,pm->p", change.T, one.misfit.matrix[:-1, :-1], change.T)
+        np.testing.assert_allclose(one.misfit.scores(columns)[1], expected, rtol=1e-8)
+        np.testing.assert_allclose(one.misfit.sizes(change), np.sqrt(expected), rtol=1e-8)
+    for one in (found.misfit, found.white, less.without(beside).misfit):  # written out, and told of changes one by one
         np.testing.assert_allclose(one.seen(np.eye(121)), one.matrix, rtol=1e-8, atol=1e-9 * np.abs(one.matrix).max())
         ones, others = (np.ascontiguousarray(each.T) for each in (change, beside))
         both = np.stack([np.sum(a * (b @ one.matrix[:-1, :-1]), axis=1) for a, b in
@@ -174,7 +176,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
             paired(one.rows, one.lost, ones, others), both, rtol=1e-7, atol=1e-7 * np.abs(both).max()
         )
     assert found.white.trace == pytest.approx(np.trace(found.white.matrix[:-1, :-1]))
-    blind, seeing = (np.abs(one.told.matrix[:-1, :-1] @ beside).max() for one in (less.beside(beside), less))
+    blind, seeing = (np.abs(one.misfit.matrix[:-1, :-1] @ beside).max() for one in (less.beside(beside), less))
     assert blind < 1e-5 * seeing
     assert found.size(change[:, 0]) == pytest.approx(np.linalg.norm(rows[known] @ change[:, 0]) / 0.3)
     for scan in scans:
@@ -188,7 +190,7 @@ def test_directions_that_depend_on_each_other_are_taken_off_once() -> None:
     few = 1e6 * random.standard_normal((120, 6))
     many = few @ random.standard_normal((6, 40))
     told, _ = Information.of(16, Errors(0.1), [random_difference(COMPLETE, 1)])
-    misfit = replace(told.told, vector=random.standard_normal(121), constant=1e3)
+    misfit = replace(told.misfit, vector=random.standard_normal(121), constant=1e3)
     once, often = misfit.without(few), misfit.without(many)
     np.testing.assert_allclose(often.matrix, once.matrix, atol=1e-6 * np.abs(misfit.matrix).max())
     assert often.constant == pytest.approx(once.constant, rel=1e-6)
@@ -201,16 +203,16 @@ def test_data_of_driven_electrodes_count_as_much_less_as_their_larger_changes_er
     (plain, _), (told, wary) = (Information.of(16, Errors(0.1, model=model), [scan]) for model in (0.0, 0.05))
     usual, theirs = (np.hypot(0.1, 0.05 * np.sqrt(np.mean(scan.volts[kind] ** 2))) for kind in (~driven, driven))
     expected = np.sum(scan.volts[~driven] ** 2) + np.sum((usual / theirs * scan.volts[driven]) ** 2)
-    assert plain.told.constant == pytest.approx(np.sum(scan.volts**2) / 0.1**2)
-    assert told.told.constant == pytest.approx(expected / 0.1**2)
-    assert wary.told.constant == pytest.approx(told.told.constant / (1 + (0.05 * told.signal) ** 2))
+    assert plain.misfit.constant == pytest.approx(np.sum(scan.volts**2) / 0.1**2)
+    assert told.misfit.constant == pytest.approx(expected / 0.1**2)
+    assert wary.misfit.constant == pytest.approx(told.misfit.constant / (1 + (0.05 * told.signal) ** 2))
 
 
 def test_what_a_pattern_cannot_see_takes_nothing_from_what_it_says() -> None:
     scan = random_difference(base_pattern(SKIN.electrodes), 2)  # of electrodes that carry no current
     found, _ = Information.of(16, Errors(1e-6, contacts=in_series(range(16), 16)), [scan])
     beside = found.beside(in_series(range(16), 16))
-    np.testing.assert_allclose(beside.told.matrix, found.told.matrix, rtol=0, atol=1e-6 * found.told.matrix.max())
+    np.testing.assert_allclose(beside.misfit.matrix, found.misfit.matrix, rtol=0, atol=1e-6 * found.misfit.matrix.max())
 
 
 @pytest.mark.parametrize("place", PLACES[:5])

@@ -81,7 +81,7 @@ class DiscFitter:
 
     def scores(self, left: Information) -> tuple[Floats, Floats]:
         """Score and power (n_places,) of a further contact at each place: their ratio is its effect (m2)."""
-        return left.told.scores(self._candidates)
+        return left.misfit.scores(self._candidates)
 
     def heights(self, score: Floats, power: Floats) -> Floats:
         """Standard deviations by which scores stand out; signed where contacts only raise the conductivity."""
@@ -121,7 +121,7 @@ class DiscFitter:
             information: (4 n, 4 n) inverse of its covariance, likewise.
             rounds: Most steps.
         """
-        told, best = data.told, nothing(len(data.told.vector) - 1, np.inf)
+        told, best = data.misfit, nothing(len(data.misfit.vector) - 1, np.inf)
         for one in np.array(start[..., :PER_CONTACT], float).reshape(-1, *start.shape[-2:-1], PER_CONTACT):
             known, prior = mean, information
             if known is None or prior is None:

@@ -124,7 +124,7 @@ class ContactFitter(DiscFitter):
         What was there a moment `before` need not be looked for, where that makes no difference.
         """
         told, data = everything = whole = told.beside_common(), data.beside_common()
-        found, covered = replace(nothing(len(self.table.pairs)), cost=data.told.constant), tuple[int, ...]()
+        found, covered = replace(nothing(len(self.table.pairs)), cost=data.misfit.constant), tuple[int, ...]()
         shaped = whole if before is None else self._beside_shapes(whole, before.params)
         if before is not None and (still := self._still(shaped, before)) is not None:
             everything, (covered, told, data, found) = shaped, still
@@ -135,7 +135,7 @@ class ContactFitter(DiscFitter):
             more = [self.split(told, data, found, k, bar, beside) for k in range(len(found.params))]
             height = self.heights(score, power).max()
             sure = height >= self.bar + self.model_error * told.size(found.caused)
-            if sure or height > max(self.bar, sqrt(_HALF * left.told.constant)):
+            if sure or height > max(self.bar, sqrt(_HALF * left.misfit.constant)):
                 one = self.added(data, score, power, found.params)
                 away = (self.table.offsets(one.params[:-1, :2], one.params[-1, :2]) ** 2).sum(axis=1)
                 apart = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
@@ -230,7 +230,7 @@ class ContactFitter(DiscFitter):
         # in place of one contact, and of all: others may be there because of the electrode
         looks = [(number, [np.delete(found.params, k, axis=0), found.params[:0]]) for number, k in np.argwhere(near)]
         told, data = everything
-        lost = bool(len(found.params)) and found.cost > _LOST * data.told.constant
+        lost = bool(len(found.params)) and found.cost > _LOST * data.misfit.constant
         if lost or (not better and (self.poor(told, found.cost) or not len(found.params))):
             looks += [(number, [found.params, found.params[:0]]) for number in self._likely(told, found, covered)]
         for number, replaced in looks:
@@ -251,7 +251,7 @@ class ContactFitter(DiscFitter):
 
         That is estimated from what the contact does beside the electrode's own resistance.
         """
-        left = data.less(found.caused).told if len(found.params) else data.told
+        left = data.less(found.caused).misfit if len(found.params) else data.misfit
         alone, over = self._at_electrodes
         own, power, mixed = paired(left.rows, left.lost, alone, over).T
         told = np.divide(mixed, own, np.zeros(len(own)), where=own > 1e-12 * np.max(own))  # of driven ones alone
@@ -301,8 +301,8 @@ class ContactFitter(DiscFitter):
         values = self.table(self.onto(one[:2] + np.concatenate([axes, -axes, [[0.0, 0.0]]])), own).values
         ahead, behind = values[:-1].reshape(2, *axes.shape[:1], -1)
         bend = ahead + behind - 2 * values[-1]
-        power = left.told.sizes(bend.T)
-        height = bend @ left.told.vector[:-1] / np.maximum(power, 1e-6 * power.max())
+        power = left.misfit.sizes(bend.T)
+        height = bend @ left.misfit.vector[:-1] / np.maximum(power, 1e-6 * power.max())
         bar = self.split_bar if bar is None else bar
         if height.max() ** 2 < _PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
             return None

@@ -61,13 +61,13 @@ class Information:
     """Information of one or several scans.
 
     Args:
-        told: The misfit, errors of all kinds at their best.
+        misfit: With errors of all kinds at their best.
         white: The same if voltages erred by white noise alone, and nothing were known.
         count: Data.
         known: (n_pairs + 1,) changes that are known; None: nothing is.
     """
 
-    told: Misfit
+    misfit: Misfit
     white: Misfit
     count: int
     known: Floats | None = None
@@ -122,7 +122,7 @@ class Information:
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
         """Sum of the information of several whose errors are independent."""
-        told, white = (_summed(each) for each in ([part.told for part in parts], [part.white_left for part in parts]))
+        told, white = (_summed(each) for each in ([part.misfit for part in parts], [part.white_left for part in parts]))
         return cls(told, white, sum(part.count for part in parts))
 
     @property
@@ -138,17 +138,17 @@ class Information:
     def less(self, known: Floats) -> "Information":
         """The information that remains once known changes (n_pairs or n,) are subtracted."""
         known = np.ascontiguousarray(known)
-        together = np.zeros(len(self.told.vector)) if self.known is None else self.known.copy()
+        together = np.zeros(len(self.misfit.vector)) if self.known is None else self.known.copy()
         together[: len(known)] += known
-        return Information(self.told.less(known), self.white, self.count, together)
+        return Information(self.misfit.less(known), self.white, self.count, together)
 
     def without(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""
-        return Information(self.told.without(directions), self.white, self.count, self.known)
+        return Information(self.misfit.without(directions), self.white, self.count, self.known)
 
     def beside_common(self, variance: float = _COMMON**2) -> "Information":
         """The information, with a common relative change of all resistances of known variance (1) as an error."""
-        direction = np.zeros((len(self.told.vector), 1))
+        direction = np.zeros((len(self.misfit.vector), 1))
         direction[-1] = sqrt(variance)
         return self.without(direction)
 
@@ -160,12 +160,12 @@ class Information:
     def signals(self, caused: Floats) -> tuple[float, float]:
         """The signal beyond noise, and what remains of it after changes of contacts (n_pairs,); squared sizes."""
         beside = self.beside_common()
-        return beside.told.constant - self.count, beside.less(caused).told.constant - self.count
+        return beside.misfit.constant - self.count, beside.less(caused).misfit.constant - self.count
 
     def drift(self) -> Floats:
         """Change (n_pairs,) of each two-terminal resistance that explains the data (ohm); 0 without information."""
         ridge = _RIDGE * self.white.trace / self.count
-        return likeliest(self.told.rows, self.told.lost, self.told.vector, ridge)[:-1]
+        return likeliest(self.misfit.rows, self.misfit.lost, self.misfit.vector, ridge)[:-1]
 
     def beside(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) of unknown size as errors."""
@@ -174,7 +174,7 @@ class Information:
     def leaving_out(self, directions: Floats) -> "Information":
         """The information without changes (n_pairs or n, k), in the size of others neither."""
         unknown = self._unknown(directions)
-        return Information(self.told.without(unknown), self.white.without(unknown), self.count, self.known)
+        return Information(self.misfit.without(unknown), self.white.without(unknown), self.count, self.known)
 
     def _unknown(self, directions: Floats) -> Floats:
         """Changes (n_pairs or n, k) as large as they are where nothing is known of them."""
@@ -183,7 +183,7 @@ class Information:
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
-        told, rows = self.told, fainter(self.told.rows, share)
+        told, rows = self.misfit, fainter(self.misfit.rows, share)
         less = Misfit(rows, share * told.vector, share * told.constant, sqrt(share) * told.lost, told.errors)
         return Information(less, self.white, self.count, self.known)
 

@@ -215,7 +215,7 @@ class PressFitter:
         errors = Errors(
             fitter.errors.noise, fitter.errors.gain, fitter.errors.contacts, self._model_error * np.sqrt(repeats)
         )
-        return Information.of(fitter.table.pairs, errors, scans)[1].told.sums
+        return Information.of(fitter.table.pairs, errors, scans)[1].misfit.sums
 
     def start(self, contacts: Sequence[Contact], size: float = 1.0) -> Floats:
         """Parameters (4 n,) of presses at contacts: x, y (m), logarithms of radius (m), that many usual ones, and of

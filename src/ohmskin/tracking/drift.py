@@ -31,7 +31,7 @@ def without_drift(state: TrackState, fitter: ContactFitter, difference: Differen
 def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:
     """The state with the common change of all resistances that its newest frame shows beside all its contacts."""
     newest = state.history[0]
-    told, share = newest.innovation.told, fitter.allowance(newest.innovation)
+    told, share = newest.innovation.misfit, fitter.allowance(newest.innovation)
     change = np.zeros(len(told.vector))
     change[-1] = 1.0
     if not (curvature := float(told.sizes(change[:, None])[0]) ** 2):

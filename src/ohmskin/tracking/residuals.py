@@ -34,7 +34,7 @@ def energy_of(data: Information, caused: Floats) -> float:
     What errors of currents and contact impedances leave of it bounds it: near an electrode nearly all is in that
     electrode's own resistance, of which nothing is taken to be known.
     """
-    return min(data.size(caused) ** 2, _OTHERWISE * float(data.told.sizes(caused[:, None])[0]) ** 2)
+    return min(data.size(caused) ** 2, _OTHERWISE * float(data.misfit.sizes(caused[:, None])[0]) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
