@@ -92,10 +92,10 @@ def physical(estimator: GaussNewton, *differences: Difference, amplitudes: Array
 
 
 def cross_validation(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data are foretold. Knows no noise."""
+    """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data are predicted. Needs no noise."""
     at = _Spectrum(estimator, differences, amplitudes)
     curve = at.n_data * at.residuals**2 / (at.n_data - at.filters.sum(axis=1)) ** 2
-    return at.choice("cross-validation", curve, "squared error of foretelling data left out (V2); smallest")
+    return at.choice("cross-validation", curve, "squared error of predicting data left out (V2); smallest")
 
 
 def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
