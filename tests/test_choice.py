@@ -84,7 +84,7 @@ def test_discrepancy_leaves_as_much_as_noise_would() -> None:
 
 
 def test_cross_validation_is_leaving_each_datum_out_on_average() -> None:
-    """For each amplitude, GCV agrees with the mean squared error of foretelling one datum from all others."""
+    """For each amplitude, GCV agrees with the mean squared error of predicting one datum from all others."""
     _, difference = truth(1)
     choice = cross_validation(estimator(), difference)
     rows = CURRENT * estimator().modes.rows(PATTERN)

@@ -182,3 +182,36 @@ def test_a_first_session_needs_no_extra(tmp_path: Path) -> None:
         command = [sys.executable, "-c", BARE, *line.split()]
         done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
         assert done.returncode == 0, f"{line}: {done.stderr}"
+
+
+IDIOMS = (  # with what stands in their place
+    ("nothing listens on", "no device at"),
+    ("has lost its program", "connection to ohmskin lost"),
+    ("waits for device", "waiting for device"),
+    ("drawn/s", "displayed fps"),
+    ("informed injections", "information-optimal injections"),
+    ("tell most", "most informative"),
+    ("surer contacts", "more precise"),
+    ("double-click it away", "double-click to remove"),
+    ("comes out", "confirmed"),
+    ("Figures wanted", "Figures to make"),
+    ("hardly a voltage", "almost no voltage"),
+    ("no free software", "not free software"),
+    ("Traps that are gone", "Pitfalls handled for you"),
+    ("foretell", "predict"),
+    ("adapting pays", "adaptive drive gains"),
+)
+
+
+def test_idioms_stay_away() -> None:
+    files = [*PAGES, *(path for kind in ("py", "js", "html") for path in (ROOT / "src").rglob(f"*.{kind}"))]
+    files = [path for path in files if "vendor" not in path.parts]
+    assert len(files) > 300
+    texts = {path: " ".join(path.read_text(encoding="utf-8").split()) for path in files}
+    found = [
+        f"{path}: {idiom!r}; say {better!r}"
+        for path, text in texts.items()
+        for idiom, better in IDIOMS
+        if idiom in text
+    ]
+    assert found == []
