@@ -225,6 +225,13 @@ def test_cdr_aligns_as_ros_does() -> None:
             assert decoder.take("?i") == (True, -2)
 
 
+def test_a_sequence_that_cannot_fit_is_refused_before_it_is_read() -> None:
+    whole = Encoder().put("I", 3).done() + bytes(24)
+    assert Decoder(whole).count(8) == 3
+    with pytest.raises(DataError, match="it has 3 entries, which do not fit"):
+        Decoder(whole[:-1]).count(8)
+
+
 def test_a_recording_reads_as_any_other(recorded: tuple[Path, list[ohm.Touch]]) -> None:
     path, touches = recorded
     recording = read_recording(path)

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -241,6 +242,14 @@ def test_bytes_that_are_no_contacts_give_one_error(data: bytes) -> None:
     for candidate in (b"\0\1\0\0" + data, good[: len(data)], good[: len(data)] + data):
         with suppress(DataError):
             decode_contacts(candidate, 0.0)
+
+
+def test_a_contact_of_a_patch_that_the_message_does_not_name_is_refused() -> None:
+    data = encode_contacts(felt(1, [SIGHTING], [replace(CONTACT, id=123456789)]))
+    own, strange = (struct.pack("<Ii", patch, 123456789) for patch in (0, 1))
+    assert data.count(own) == 1
+    with pytest.raises(DataError, match="a contact of patch 1 in a message of 1 patches"):
+        decode_contacts(data.replace(own, strange), 0.0)
 
 
 def test_an_image_is_read_in_its_own_frame(store: Any) -> None:
