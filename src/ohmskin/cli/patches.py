@@ -8,6 +8,7 @@ from typing import Any
 from ohmskin.body.body import Body
 from ohmskin.body.patches import Patches
 from ohmskin.cli.arrivals import Arrivals
+from ohmskin.cli.life import LIFE
 from ohmskin.cli.options import HERE, Flag, Page, Repeated, Seconds, Stop, check_publishing, say
 from ohmskin.client.felt import Felt
 from ohmskin.view.overview import Overview
@@ -87,6 +88,7 @@ class _Table:
         self._newest, self._count = felt or self._newest, self._count + (felt is not None)
         if (now := time.monotonic()) < self._due or (felt := self._newest) is None:
             return
+        LIFE.end()  # the table is one from here on
         print(f"{'patch':<16}  {'link':<16}  frames/s  latency p50/p99  contacts  age")
         for seen in felt.patches:
             status = self._patches.status[seen.patch]

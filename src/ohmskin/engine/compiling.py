@@ -15,7 +15,7 @@ from ohmskin.engine.signatures import SIGNATURES
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
-_TELL_EVERY = 2.0  # s
+_TELL_EVERY = 1.5  # s, sooner than signs of life on the command line
 _FUNCTIONS = 2 * len(SIGNATURES)  # as each has some that only it calls
 
 
@@ -50,9 +50,9 @@ def _own(event: event.Event) -> bool:
 
 @contextmanager
 def compiling(tell: Callable[[str], None], threaded: bool = True) -> Iterator[None]:
-    """Say that functions are being compiled when that begins, and every two seconds while it goes on.
+    """Say that functions are being compiled when that begins, and every second or two while it goes on.
 
-    Not `threaded`, it is said by the thread that compiles alone, at the next function after these two seconds.
+    Not `threaded`, it is said by the thread that compiles alone, at the next function after that.
     """
     listener = _Listener(tell)
     ticking = every(_TELL_EVERY / 4, listener.tell) if threaded else nullcontext()
