@@ -20,7 +20,7 @@ from ohmskin.evaluate.shapes import Shape
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.scan import Difference, DrivePattern, adjacent
 from ohmskin.scan.pairs import in_series
-from ohmskin.sensing.sensor import targets_of
+from ohmskin.sensing.locator import targets_of
 from ohmskin.skin import Skin
 from ohmskin.tracking import ContactFilter, Motion, TrackState
 from ohmskin.tracking.birth import birth_threshold

@@ -41,7 +41,8 @@ class DiscFitter:
         chosen = table.spaced(1.25 * table.radius)
         self.places: Floats = table.places[chosen]
         candidates = table(self.places).values.T  # (n_pairs, n_places), and a row that no pair has
-        self._candidates = np.ascontiguousarray(np.concatenate([candidates, np.zeros((1, len(chosen)))]))
+        candidates = np.concatenate([candidates, np.zeros((1, len(chosen)))])
+        self._candidates = np.ascontiguousarray(candidates, np.float32)
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self._least = -np.inf if bipolar else 1e-3 * table.radius**2
 

@@ -13,7 +13,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from ohmskin.arrays import Floats
+from ohmskin.contacts import follow
 from ohmskin.contacts.discs import DiscFitter, cost_of
+from ohmskin.contacts.follow import CLEAR, HALF, PROMISED, STILL, USUAL
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.misfit import paired
@@ -27,21 +29,13 @@ from ohmskin.scan.pairs import in_series
 _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
 _OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
 _APART = 1.15  # of it, from which on no shape of one contact looks like them
-_CLEAR = 3.0  # times more that one contact then leaves, from which on there are two whatever the model may get wrong
 _LOST = 0.7  # share of the data that contacts leave which explain little
 _COVERED = 0.25  # of what a contact costs, that an electrode does of which nothing is taken to be known
-_USUAL = 0.2  # share of the variance allowed to the model's errors that they usually take
-_HALF = 0.5  # of what is left, that a contact more must promise to explain if errors of the model might do it, too
-_PROMISED = 0.02  # share of the gain asked of a split that a small one must promise, to be worth a fit
-_WIDE, _WIDEST = 1.5, 2.0  # usual radii of a contact beyond which a pair may be as far apart as it is wide, and must be
+_WIDEST = 2.0  # usual radii of a contact beyond which a pair must be as far apart as it is wide
 _LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
 NEAR = 4.0  # radii, within which two contacts may be one
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
-_LOPSIDED = 4.0  # times the model's error by which a small contact conducts more one way than across it (deviation)
-_SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
-_ANGLES = np.arange(4) * np.pi / 4
-_AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
 
 _Both = tuple[Information, Information]  # what is told; the same wary of the model's error
 _Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes covered, what is left beside, contacts
@@ -93,6 +87,8 @@ class ContactFitter(DiscFitter):
         self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
+        limits = self._least, *self.squares, model_error, self.bar, self.split_bar
+        self._settings = np.array([table.radius, *limits, float(bipolar)])
         alone = np.ascontiguousarray(in_series(range(table.n_elec), table.pairs).T)
         # (n_elec, n_pairs) each: in series with each electrode, of contacts there
         self._at_electrodes = alone, table(table.electrodes).values.copy()
@@ -123,11 +119,15 @@ class ContactFitter(DiscFitter):
 
         What was there a moment `before` need not be looked for, where that makes no difference.
         """
+        last = None if before is None else self.followed(told, data, before)
+        if last is not None and last[1]:
+            return last[0]
         told, data = everything = whole = told.beside_common(), data.beside_common()
         found, covered = replace(nothing(len(self.table.pairs)), cost=data.misfit.constant), tuple[int, ...]()
-        shaped = whole if before is None else self._beside_shapes(whole, before.params)
-        if before is not None and (still := self._still(shaped, before)) is not None:
-            everything, (covered, told, data, found) = shaped, still
+        if last is not None and before is not None:
+            found, covered = last[0], before.covered
+            everything = self._beside_shapes(whole, before.params)
+            told, data = (self._uncovered(one, covered) for one in everything)
         while len(found.params) < self.most:
             left = told.less(found.caused) if len(found.params) else told
             beside = left.beside(found.slopes) if len(found.params) else left
@@ -135,7 +135,7 @@ class ContactFitter(DiscFitter):
             more = [self.split(told, data, found, k, bar, beside) for k in range(len(found.params))]
             height = self.heights(score, power).max()
             sure = height >= self.bar + self.model_error * told.size(found.caused)
-            if sure or height > max(self.bar, sqrt(_HALF * left.misfit.constant)):
+            if sure or height > max(self.bar, sqrt(HALF * left.misfit.constant)):
                 one = self.added(data, score, power, found.params)
                 away = (self.table.offsets(one.params[:-1, :2], one.params[-1, :2]) ** 2).sum(axis=1)
                 apart = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
@@ -161,38 +161,35 @@ class ContactFitter(DiscFitter):
 
     def shapes(self, params: Floats) -> Floats:
         """What small contacts of (n, 4) may change (n_pairs, 2 k) more one way than across, for one deviation (ohm)."""
-        effects, most = np.abs(params[:, 2]), _SMALL * self.table.radius**2
-        sizes = _LOPSIDED * self.model_error * effects * (1 - effects / most) ** 2
-        small = effects < most
-        return np.asarray(self.table.lopsided(params[small, :2]).T * np.repeat(sizes[small], 2))
+        own = np.ascontiguousarray(params[:, :PER_CONTACT])
+        return np.asarray(follow.shapes_of(own, self.table.radius, self.model_error, self.table.spline).T)
 
     def _beside_shapes(self, whole: _Both, params: Floats) -> _Both:
         shapes = self.shapes(params)
         return (whole[0].without(shapes), whole[1].without(shapes)) if shapes.size else whole
 
-    def _still(self, everything: _Both, before: Solution) -> _Over | None:
-        """The contacts that were there `before` as they are now, if they would be found afresh, too.
+    def followed(
+        self, told: Information, data: Information, before: Solution, search: bool = True
+    ) -> tuple[Solution, bool] | None:
+        """The contacts that were there `before` as they are now, and whether these are surely all.
 
-        They are if each stands out by itself as one that is new must, none may be a part of another, and together they
-        leave no more than is usual.
+        None if they would not be found afresh, too: they are if each stands out by itself as one that is new must,
+        none may be a part of another, and together they leave no more than is usual. Without a `search` for more, they
+        are never surely all.
         """
         params = self.within(before.params)
         away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
         away[np.diag_indices(len(params))] = np.inf
         if not 0 < len(params) <= self.most or away.min() < NEAR * self.table.radius:
             return None
-        told, data = (self._uncovered(one, before.covered) for one in everything)
-        found = self.refine(data, params)
-        if self.poor(told, found.cost) or not {*before.covered} <= {*self.covered(found.params)}:
+        told, data = (self._uncovered(one, before.covered) for one in (told, data))
+        state, cost, normal, caused, slopes, shapes = follow.followed(
+            told.misfit.part, data.misfit.part, told.white.part, params, self._settings, self.table.sheet,
+            self.table.spline, self._candidates, search and self.table.pairs.whole,
+        )  # fmt: skip
+        if state == follow.GONE or not {*before.covered} <= {*self.covered(params)}:
             return None
-        for k, covariance in enumerate(found.covariances):
-            effect = found.params[k, 2]
-            height = abs(effect) / effect_std(covariance)
-            others = found.caused - effect * found.slopes[:, PER_CONTACT * k + 2]
-            sure = height > self.bar + self.model_error * told.size(others)
-            if not sure and found.cost + height**2 < _CLEAR * max(found.cost, self.bar**2):
-                return None
-        return before.covered, told, data, found
+        return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T), state == STILL
 
     def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
@@ -206,7 +203,7 @@ class ContactFitter(DiscFitter):
     def poor(self, told: Information, cost: float) -> bool:
         """Whether a fit of that cost leaves more of what is measured than is usual, noise and the model's errors."""
         share = self.allowance(told)
-        return cost > told.count * (share + _USUAL * (1 - share))
+        return cost > told.count * (share + USUAL * (1 - share))
 
     def _price(self, found: Solution, covered: int) -> float:
         """What a fit leaves unexplained, and what its contacts and the electrodes covered cost (noise's variance)."""
@@ -294,24 +291,17 @@ class ContactFitter(DiscFitter):
         """
         left = left or told.less(found.caused).beside(found.slopes)
         one = found.params[k]
-        # an equal pair differs from one contact by the second derivative along its axis: does any promise a gain?
         usual, own = self.table.radius, np.sqrt(one[3])
-        reaches = np.array([usual, own] if own > _WIDE * usual else [usual])
-        axes = (reaches[:, None, None] * _AXES).reshape(-1, 2)
-        values = self.table(self.onto(one[:2] + np.concatenate([axes, -axes, [[0.0, 0.0]]])), own).values
-        ahead, behind = values[:-1].reshape(2, *axes.shape[:1], -1)
-        bend = ahead + behind - 2 * values[-1]
-        power = left.misfit.sizes(bend.T)
-        height = bend @ left.misfit.vector[:-1] / np.maximum(power, 1e-6 * power.max())
+        axes, height = follow.bends(left.misfit.part, one, usual, self.table.sheet, self.table.spline)
         bar = self.split_bar if bar is None else bar
-        if height.max() ** 2 < _PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
+        if height.max() ** 2 < PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
             return None
         mean, information = self.expected(np.zeros(len(found.params) + 1))
         unlike = np.zeros(len(mean))
         unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
         information += np.outer(unlike, unlike)
         others, half = np.delete(found.params, k, axis=0), np.tile([one[2] / 2, usual**2 / 2], (2, 1))
-        likely = axes[np.argsort(-height)[:_LIKELY]] if len(reaches) == 1 else axes
+        likely = axes[np.argsort(-height)[:_LIKELY]] if len(axes) == len(follow.AXES) else axes
         pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in likely)
         starts = np.array([np.vstack([others, pair]) for pair in pairs])
         best = self.refine(data, starts, mean, information, _FEW)
@@ -339,7 +329,7 @@ class ContactFitter(DiscFitter):
     def clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether one contact more, the last one, explains most of what is left, and is apart from all others."""
         gaps = [self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1)]
-        return few.cost > max(share * _CLEAR, 1) * max(many.cost, bar) and min(gaps, default=np.inf) > _APART
+        return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and min(gaps, default=np.inf) > _APART
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""

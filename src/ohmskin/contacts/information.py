@@ -19,6 +19,7 @@ from ohmskin.contacts.misfit import Misfit, likeliest
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import Pairs
+from ohmskin.scan.pattern import joined
 
 _UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 _COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
@@ -86,23 +87,20 @@ class Information:
         pairs = Pairs.all(pairs)
         if not scans:
             raise DataError("no scan to find contacts in; give at least one")
-        four = np.concatenate([scan.pattern.quadruples for scan in scans])
-        if four.max() >= pairs.n_elec:
-            last = pairs.n_elec - 1
-            raise PatternError(f"the pattern names electrode {four.max()}; there are {last + 1} (0..{last})")
-        driven = np.concatenate([scan.pattern.driven for scan in scans])
-        volts = np.concatenate([scan.volts for scan in scans])
-        amperes = np.concatenate([scan.currents for scan in scans])
-        starts = np.cumsum([0, *(scan.pattern.n_inj for scan in scans)])
-        which = np.concatenate([scan.pattern.measurements[:, 0] + n for scan, n in zip(scans, starts, strict=False)])
-        zeros = [np.zeros(scan.pattern.n_meas) for scan in scans]
+        whole = joined(tuple(scan.pattern for scan in scans))
+        if (last := whole.quadruples.max()) >= pairs.n_elec:
+            raise PatternError(f"the pattern names electrode {last}; there are {pairs.n_elec} (0..{pairs.n_elec - 1})")
+        volts, amperes = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("volts", "currents"))
         quiet, loading = (
-            np.concatenate([own if own is not None else zero for own, zero in zip(given, zeros, strict=True)])
+            np.concatenate(
+                [np.zeros(len(scan.volts)) if own is None else own for own, scan in zip(given, scans, strict=True)]
+            )
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
         loaded = any(scan.source_loading is not None for scan in scans)
-        given = four, which, driven, amperes, volts, quiet, loading, pairs.numbers
-        rows, data = measured(*given, int(starts[-1]), loaded, errors.noise, errors.model)
+        four, which = whole.quadruples, whole.measurements[:, 0]
+        given = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers
+        rows, data = measured(*given, whole.n_inj, loaded, errors.noise, errors.model)
         if not len(data):
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
         if errors.contacts is not None and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
@@ -112,11 +110,9 @@ class Information:
     @classmethod
     def _beside(cls, rows: Rows, data: Floats, errors: Errors, pairs: int) -> tuple["Information", "Information"]:
         """Information of data (n_rows,); and the same with the model's error as noise."""
-        none = np.zeros((pairs, 0))
-        changes = none if errors.contacts is None else errors.contacts
-        larger = 1 + errors.model**2 * float(data @ data) / len(data)
-        ways = (changes, errors.gain, 1.0), (changes, errors.gain, larger), (none, 0.0, 1.0)
-        told, wary, white = (_misfit(*beside_errors(rows, data, *way)) for way in ways)
+        contacts = np.zeros((pairs, 0)) if errors.contacts is None else errors.contacts
+        parts = beside_errors(rows, data, contacts, errors.gain, errors.model)
+        told, wary, white = (Misfit(*part, len(part[1])) for part in parts)
         return cls(told, white, len(data)), cls(wary, white, len(data))
 
     @classmethod
@@ -154,7 +150,10 @@ class Information:
 
     def unexplained(self, caused: Floats) -> float:
         """Share of the signal beyond noise, if that is large, that contacts (their changes, n_pairs) do not explain."""
-        said, left = self.signals(caused)
+        return self.share_unexplained(*self.signals(caused))
+
+    def share_unexplained(self, said: float, left: float) -> float:
+        """The same, given the signal beyond noise and what is left of it, see `signals`."""
         return min(max(left / said, 0.0), 1.0) if said > _SAID * self.count else 0.0
 
     def signals(self, caused: Floats) -> tuple[float, float]:
@@ -184,16 +183,12 @@ class Information:
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
         told, rows = self.misfit, fainter(self.misfit.rows, share)
-        less = Misfit(rows, share * told.vector, share * told.constant, sqrt(share) * told.lost, told.errors)
+        less = Misfit(rows, sqrt(share) * told.lost, share * told.vector, share * told.constant, told.errors)
         return Information(less, self.white, self.count, self.known)
 
     def size(self, changes: Floats) -> float:
         """How large changes (n_pairs or n,) are in the data, in standard deviations of white noise."""
         return float(self.white.sizes(changes[:, None])[0])
-
-
-def _misfit(rows: Rows, lost: Floats, vector: Floats, constant: float) -> Misfit:
-    return Misfit(rows, vector, constant, lost, len(lost))
 
 
 def _summed(parts: Sequence[Misfit]) -> Misfit:
@@ -213,4 +208,4 @@ def _summed(parts: Sequence[Misfit]) -> Misfit:
     )
     vector, constant = reduce(np.add, [part.vector for part in parts]), sum(part.constant for part in parts)
     lost = np.concatenate([part.lost for part in parts])
-    return Misfit(rows, vector, constant, lost, len(lost))
+    return Misfit(rows, lost, vector, constant, len(lost))

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Bools, Floats, Ints
+from ohmskin.arrays import Bools, Floats, Ints, Singles
 
-_BLOCK = 32  # changes of which powers are worked out at once: they stay in the nearest cache
 Rows = tuple[Any, Floats, Floats, Floats, Ints, Floats]
+Part = tuple[Rows, Floats, Floats, float]  # rows, those lost, vector and constant of a `Misfit`
 
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
 
@@ -139,35 +139,33 @@ def along_quiet(rows: Rows, data: Floats, out: Floats) -> None:
             out[k] += quiet[m] * data[m]
 
 
-@njit(cache=True, nogil=True)
-def powers(rows: Rows, changes: Floats) -> Floats:
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def powers(rows: Rows, changes: Singles) -> Singles:
     """Squared sizes in the data of changes, beside errors of currents, the changes (n_pairs + 1, n) in columns, the
     last row zero."""
     columns, sizes, loading, quiet, starts, weights = rows
-    n, pairs = changes.shape[1], len(changes)
-    out, some = np.zeros(n), np.zeros((pairs, _BLOCK))
-    value, inner, total = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
-    for low in range(0, n, _BLOCK):
-        many = min(_BLOCK, n - low)
-        for k in range(pairs):
-            copy(changes[k, low:], some[k, :many])
-        total[:] = 0.0
-        for k in range(len(weights)):
-            inner[:] = 0.0
-            for m in range(starts[k], starts[k + 1]):  # loops that write one array each, or they are not vectorised
-                a, b, c, d = columns[m, 0], columns[m, 1], columns[m, 2], columns[m, 3]
-                for p in range(_BLOCK):
-                    value[p] = sizes[m] * (some[a, p] + some[b, p] - some[c, p] - some[d, p])
-                if len(loading):
-                    add(-loading[m], some[columns[m, 4]], value)
-                for p in range(_BLOCK):
-                    total[p] += value[p] * value[p]
-                for p in range(_BLOCK):
-                    inner[p] += quiet[m] * value[p]
-            for p in range(_BLOCK):
-                total[p] -= weights[k] * inner[p] * inner[p]
-        copy(total, out[low : low + many])
-    return out
+    n = changes.shape[1]
+    value, inner, total = np.empty(n, np.float32), np.empty(n, np.float32), np.zeros(n, np.float32)
+    for k in range(len(weights)):
+        inner[:] = 0.0
+        for m in range(starts[k], starts[k + 1]):  # loops that write one array each, or they are not vectorised
+            one, two = changes[columns[m, 0]], changes[columns[m, 1]]
+            three, four = changes[columns[m, 2]], changes[columns[m, 3]]
+            size, at_rest = np.float32(sizes[m]), np.float32(quiet[m])
+            for p in range(n):
+                value[p] = size * (one[p] + two[p] - three[p] - four[p])
+            if len(loading):
+                load, own = np.float32(loading[m]), changes[columns[m, 4]]
+                for p in range(n):
+                    value[p] -= load * own[p]
+            for p in range(n):
+                total[p] += value[p] * value[p]
+            for p in range(n):
+                inner[p] += at_rest * value[p]
+        weight = np.float32(weights[k])
+        for p in range(n):
+            total[p] -= weight * inner[p] * inner[p]
+    return total
 
 
 @njit(cache=True, nogil=True)
@@ -199,51 +197,83 @@ def gram(rows: Rows, pairs: int) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def beside_errors(
-    rows: Rows, data: Floats, contacts: Floats, gain: float, variance: float
-) -> tuple[Rows, Floats, Floats, float]:
-    """What data (n_rows,) say if they err, beside noise of that variance, by currents and contacts, as `Misfit` has it.
+def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model: float) -> tuple[Part, Part, Part]:
+    """What data (n_rows,) say if they err, beside white noise, by currents and contacts; each part as `Misfit` has it.
 
     Args:
         rows: Theirs, for noise of variance 1.
         data: In the same units.
         contacts: (n_pairs, k) changes of two-terminal resistances of one standard deviation of further errors.
         gain: Standard deviation of the relative error of a current (1).
-        variance: Of the noise.
+        model: How far the model errs, as a share of the root mean square of the data (1).
 
     Returns:
-        The rows; those lost, (k, n_pairs + 1); the downhill gradient (n_pairs + 1,), halved; the squared misfit.
+        What they say; the same with the model's error as noise; and if noise is all that there is.
     """
-    columns, starts, pairs, k, many = rows[0], rows[4], len(contacts), contacts.shape[1], len(data)
-    root, injections = 1 / np.sqrt(variance), len(starts) - 1
-    quiet, weights = root * rows[3], np.zeros(injections)
-    for i in range(injections):
-        power = 0.0
-        for m in range(starts[i], starts[i + 1]):
-            power += quiet[m] ** 2
-        weights[i] = gain**2 / (1 + gain**2 * power)
-    scaled = (columns, root * rows[1], root * rows[2], quiet, starts, weights)
-    # each further error, and last the data, beside errors of the currents
-    errors, seen = np.empty((k + 1, many)), np.zeros((k + 1, pairs + 1))
-    beside, inner = np.empty(many), np.empty(injections)
-    own = np.zeros((k + 1, k + 1))
-    for i in range(k + 1):
-        if i < k:
-            apply(scaled, contacts[:, i], pairs, errors[i])
-        else:
-            for m in range(many):
-                errors[i, m] = root * data[m]
-        along_quiet(scaled, errors[i], inner)
-        for j in range(injections):
-            for m in range(starts[j], starts[j + 1]):
-                beside[m] = errors[i, m] - weights[j] * inner[j] * quiet[m]
-        apply_transposed(scaled, beside, pairs, seen[i])
-        for j in range(i + 1):
-            own[i, j] = dot(beside, errors[j])
+    columns, sizes, loading, quiet, starts, _ = rows
+    pairs, k, injections = len(contacts), contacts.shape[1], len(starts) - 1
+    changes = np.zeros((pairs + 1, k))  # the last of no pair
+    changes[:pairs] = contacts
+    # each further error, and last the data: in the gradient, beside quiet data, and with each other
+    error, seen = np.empty(k + 1), np.zeros((pairs + 2, k + 1))
+    inner, own, along = np.zeros((injections, k + 1)), np.zeros((k + 1, k + 1)), np.zeros((injections, pairs + 2))
+    squares = np.zeros(injections)
+    for j in range(injections):
+        for m in range(starts[j], starts[j + 1]):
+            a, b, c, d, e = columns[m, 0], columns[m, 1], columns[m, 2], columns[m, 3], columns[m, 4]
+            size, at_rest, load = sizes[m], quiet[m], loading[m] if len(loading) else 0.0
+            for i in range(k):
+                error[i] = size * (changes[a, i] + changes[b, i] - changes[c, i] - changes[d, i]) - load * changes[e, i]
+            error[k] = data[m]
+            for i in range(k + 1):  # each element by itself: slices of so few take longer than what is done to them
+                value = size * error[i]
+                seen[a, i] += value
+                seen[b, i] += value
+                seen[c, i] -= value
+                seen[d, i] -= value
+                seen[e, i] -= load * error[i]
+                seen[pairs + 1, i] += at_rest * error[i]
+                inner[j, i] += at_rest * error[i]
+            for i in range(k + 1):
+                for h in range(k + 1):
+                    own[i, h] += error[i] * error[h]
+            along[j, a] += size * at_rest
+            along[j, b] += size * at_rest
+            along[j, c] -= size * at_rest
+            along[j, d] -= size * at_rest
+            along[j, e] -= load * at_rest
+            along[j, pairs + 1] += at_rest**2
+            squares[j] += at_rest**2
+    gradients, at_rests = np.empty((k + 1, pairs + 1)), np.empty((injections, pairs + 1))
+    for p in range(pairs + 1):
+        row = p if p < pairs else pairs + 1
+        gradients[:, p], at_rests[:, p] = seen[row], along[:, row]
+    white = rows, np.zeros((0, pairs + 1)), gradients[k].copy(), float(own[k, k])
+    larger = 1 + model**2 * float(own[k, k]) / len(data)
+    return (
+        _beside(rows, gradients, inner, own, at_rests, squares, gain, 1.0),
+        _beside(rows, gradients, inner, own, at_rests, squares, gain, larger),
+        white,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _beside(
+    rows: Rows, seen: Floats, inner: Floats, own: Floats, quiet: Floats, squares: Floats, gain: float, variance: float
+) -> Part:
+    """What the last of errors, the data, say beside the others and errors of currents, and noise of that variance."""
+    k, share, weights = len(seen) - 1, 1 / variance, np.zeros(len(squares))
+    seen, own = share * seen, share * own
+    for j in range(len(squares) if gain > 0 else 0):
+        weights[j] = gain**2 / (1 + gain**2 * share * squares[j])
+        for i in range(k + 1):
+            less = -weights[j] * share * inner[j, i]
+            add(share * less, quiet[j], seen[i])
+            for h in range(i + 1):
+                own[i, h] += less * share * inner[j, h]
     trace = 1.0
     for i in range(k):
         trace += 1e-13 * own[i, i]
-    lost = seen[:k]
     for i in range(k + 1):  # Cholesky, rows as it goes on; the last is of the data
         for j in range(i + (i < k)):
             total = own[i, j] + (trace if i == j else 0.0)
@@ -251,11 +281,11 @@ def beside_errors(
                 total -= own[i, h] * own[j, h]
             own[i, j] = np.sqrt(total) if i == j else total / own[j, j]
         for j in range(i):
-            for p in range(pairs + 1):
-                seen[i, p] -= own[i, j] * seen[j, p]
-        for p in range(pairs + 1 if i < k else 0):
-            seen[i, p] /= own[i, i]
-    constant = own[k, k]
+            add(-own[i, j], seen[j], seen[i])
+        if i < k:
+            seen[i] /= own[i, i]
+    constant, root = own[k, k], np.sqrt(share)
     for j in range(k):
         constant -= own[k, j] ** 2
-    return scaled, lost, seen[k].copy(), float(constant)
+    scaled = (rows[0], root * rows[1], root * rows[2], root * rows[3], rows[4], weights)
+    return scaled, seen[:k].copy(), seen[k].copy(), float(constant)

@@ -6,13 +6,14 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.contacts import measured
-from ohmskin.contacts.measured import Rows
+from ohmskin.contacts.measured import Part, Rows
 
 _SOME, _ALL = 0.7, slice(None)  # share of the pairs below which it pays to leave out those that data say nothing of
 _SOLVED = 1e-8  # share of the gradient that is left once it is as good as nothing
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
+SINGLE = 1e-5  # the same of powers in single precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,26 +45,31 @@ class Misfit:
 
     Args:
         rows: What changes do to the data.
-        vector: (n,) its downhill gradient at nothing, halved; n = n_pairs + 1.
+        lost: (k, n) rows whose products with themselves are to be taken off the curvature; n = n_pairs + 1.
+        vector: (n,) its downhill gradient at nothing, halved.
         constant: That of nothing.
-        lost: (k, n) rows whose products with themselves are to be taken off the curvature.
         errors: How many of these are of errors, and lost from the start.
         powers: What is known of powers beside these errors, see `scores`: the pairs that data determine, what changes
             do to these, powers of changes, and as far as rounding reaches.
     """
 
     rows: Rows
+    lost: Floats
     vector: Floats
     constant: float
-    lost: Floats
     errors: int = 0
-    powers: dict[int, tuple[Ints | slice, Floats, Floats, float]] = field(default_factory=dict, repr=False)
+    powers: dict[int, tuple[Ints | slice, Singles, Singles, Singles]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def matrix(self) -> Floats:
         """(n, n) its curvature, halved."""
         whole = measured.gram(self.rows, len(self.vector) - 1)
         return np.asarray(whole - self.lost.T @ self.lost)
+
+    @property
+    def part(self) -> Part:
+        """What compiled steps need of it."""
+        return self.rows, self.lost, self.vector, self.constant
 
     @property
     def trace(self) -> float:
@@ -79,14 +85,14 @@ class Misfit:
 
     def less(self, known: Floats) -> "Misfit":
         """What is left once changes (n_pairs or n,) are known."""
-        vector, constant = _less(self.rows, self.lost, self.vector, self.constant, known)
-        return Misfit(self.rows, vector, constant, self.lost, self.errors, self.powers)
+        vector, constant = less(self.rows, self.lost, self.vector, self.constant, known)
+        return Misfit(self.rows, self.lost, vector, constant, self.errors, self.powers)
 
     def without(self, directions: Floats) -> "Misfit":
         """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
         vector, lost = self.vector.copy(), np.empty((len(self.lost) + directions.shape[1], len(self.vector)))
-        taken = _taken_off(self.rows, self.lost, np.ascontiguousarray(directions.T), vector, lost)
-        return Misfit(self.rows, vector, self.constant - taken, lost, self.errors, self.powers)
+        taken = taken_off(self.rows, self.lost, np.ascontiguousarray(directions.T), vector, lost)
+        return Misfit(self.rows, lost, vector, self.constant - taken, self.errors, self.powers)
 
     def seen(self, changes: Floats) -> Floats:
         """What changes (m, n_pairs or n) do to the gradient (m, n)."""
@@ -98,8 +104,8 @@ class Misfit:
         """How large each of changes (n_pairs or n, k) is in the data (k,) (1)."""
         return sizes(self.rows, self.lost, np.ascontiguousarray(changes.T))
 
-    def scores(self, changes: Floats) -> tuple[Floats, Floats]:
-        """Products of changes (n, m) with the gradient, and the squares of their sizes (m,).
+    def scores(self, changes: Singles) -> tuple[Floats, Floats]:
+        """Products of changes (n, m) with the gradient, and the squares of their sizes (m,), to some 1e-6.
 
         The last row of the changes is zero, and they are always the same ones: what has been computed once for the data
         before something was taken off is not computed again. Of many pairs, data determine only some.
@@ -113,15 +119,18 @@ class Misfit:
                 rows = ((np.cumsum(there) - 1).astype(np.uint64)[rows[0]], *rows[1:])
             whole = measured.powers(rows, own)
             known = _less_lost(whole, self.lost[: self.errors, seen], own)
-            self.powers[id(changes)] = seen, own, known, _ROUNDED * whole.max()
+            self.powers[id(changes)] = seen, own, known, SINGLE * np.maximum(whole, whole.max() * SINGLE)
         seen, own, known, least = self.powers[id(changes)]
         power = np.maximum(_less_lost(known, self.lost[self.errors :, seen], own), least)
-        return self.vector[seen] @ own, power
+        return (self.vector[seen].astype(np.float32) @ own).astype(float), power.astype(float)
 
 
-def _less_lost(power: Floats, lost: Floats, changes: Floats) -> Floats:
+def _less_lost(power: Singles, lost: Floats, changes: Singles) -> Singles:
     """Powers of changes (n, m) beside rows (k, n) that are lost."""
-    return np.asarray(power - ((lost @ changes) ** 2).sum(axis=0)) if len(lost) else power
+    if not len(lost):
+        return power
+    product = lost.astype(np.float32) @ changes
+    return np.asarray(power - np.einsum("km,km->m", product, product))
 
 
 @njit(cache=True, nogil=True)
@@ -168,7 +177,7 @@ def likeliest(rows: Rows, lost: Floats, vector: Floats, ridge: float) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _less(rows: Rows, lost: Floats, vector: Floats, constant: float, known: Floats) -> tuple[Floats, float]:
+def less(rows: Rows, lost: Floats, vector: Floats, constant: float, known: Floats) -> tuple[Floats, float]:
     """Vector (n,) and constant of what is left once a change (n_pairs or n,) is known."""
     left = np.empty((1, len(vector)))
     seen(rows, lost, known.reshape((1, len(known))), left)
@@ -217,7 +226,7 @@ def sizes(rows: Rows, lost: Floats, changes: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _taken_off(rows: Rows, lost: Floats, directions: Floats, vector: Floats, out: Floats) -> float:
+def taken_off(rows: Rows, lost: Floats, directions: Floats, vector: Floats, out: Floats) -> float:
     """What is lost, into `out` (k + m, n), once directions (m, n_pairs or n) are taken off beside what was (k, n).
 
     One is taken after the other, and off the `vector` (n,); so much is taken off the constant.

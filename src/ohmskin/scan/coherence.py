@@ -9,7 +9,6 @@ off, hum, an offset or a spike contradict every network; a touch never does, how
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
 from math import sqrt
 
 import numpy as np
@@ -18,7 +17,7 @@ from numba import njit
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.scan.baseline import Difference
 from ohmskin.scan.pairs import n_pairs, pair_numbers
-from ohmskin.scan.pattern import DrivePattern
+from ohmskin.scan.pattern import DrivePattern, joined
 
 _SINGULAR = 1e-9  # share of its own information that is left of a resistance beside the others, below which it has none
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
@@ -85,20 +84,17 @@ class NetworkData:
     """
 
     def __init__(self, scans: Sequence[Difference], n_elec: int, instrument: Instrument) -> None:
-        starts = list(accumulate((scan.pattern.n_inj for scan in scans), initial=0))
-        self.quadruples: Ints = np.concatenate([scan.pattern.quadruples for scan in scans])
-        self.injection: Ints = np.concatenate(
-            [scan.pattern.measurements[:, 0] + start for scan, start in zip(scans, starts, strict=False)]
-        )
-        self.scan: Ints = np.repeat(np.arange(len(scans)), [scan.pattern.n_meas for scan in scans])
-        self._driven = np.concatenate([scan.pattern.driven for scan in scans])
+        patterns = tuple(scan.pattern for scan in scans)
+        whole = joined(patterns)
+        self.quadruples, self.injection, self._driven = whole.quadruples, whole.measurements[:, 0], whole.driven
+        self.scan: Ints = np.repeat(np.arange(len(scans)), [pattern.n_meas for pattern in patterns])
+        self._columns, signs, self._count = _resistances(whole, n_elec)
         self._volts, currents = (np.concatenate([getattr(scan, name) for scan in scans]) for name in _GIVEN)
         self._quiet, loading = (_together(scans, name) for name in ("reference", "source_loading"))
         self.known: Bools = np.isfinite(self._volts) & np.isfinite(currents)
-        columns, signs = zip(*(_resistances(scan.pattern, n_elec) for scan in scans), strict=True)
-        self._entries = np.concatenate(signs) * currents[:, None]
-        self._columns, self._count = _renumbered(columns, n_elec)
-        self._entries[:, 4] = -loading * currents
+        self._entries = signs * currents[:, None]
+        if loading.any():
+            self._entries[:, 4] = -loading * currents
         self._instrument = instrument
 
     def largest(self, kept: Bools) -> float:
@@ -166,21 +162,17 @@ _GIVEN = ("volts", "currents")
 
 
 @lru_cache(maxsize=256)
-def _resistances(pattern: DrivePattern, n_elec: int) -> tuple[Ints, Floats]:
-    """The numbers (n_meas, 5) of the two-terminal resistances behind each voltage, the last its injection's own, and
-    their signs: 0 for the last one, and for the F_ii = 0 of a driven electrode."""
+def _resistances(pattern: DrivePattern, n_elec: int) -> tuple[Ints, Floats, int]:
+    """The numbers (n_meas, 5) of the two-terminal resistances behind each voltage, among those alone that the pattern
+    tells of, the last its injection's own; their signs: 0 for the last one, and for the F_ii = 0 of a driven electrode;
+    and how many they are."""
     ends = pattern.quadruples[:, _ENDS]
-    signs = np.append(_SIGNS, 0.0) * (ends[..., 0] != ends[..., 1])
-    return np.ascontiguousarray(pair_numbers(n_elec)[ends[..., 0], ends[..., 1]]), signs
-
-
-def _renumbered(columns: Sequence[Ints], n_elec: int) -> tuple[Ints, int]:
-    """The numbers (n_meas, 5) among those resistances alone that scans determine, and how many these are."""
-    whole = np.concatenate(columns)
+    columns = pair_numbers(n_elec)[ends[..., 0], ends[..., 1]]
     told = np.zeros(n_pairs(n_elec) + 1, bool)
-    told[whole] = True
+    told[columns] = True
     told[-1] = True  # of no pair, the last one
-    return (np.cumsum(told) - 1)[whole], int(told.sum()) - 1
+    signs = np.append(_SIGNS, 0.0) * (ends[..., 0] != ends[..., 1])
+    return np.ascontiguousarray((np.cumsum(told) - 1)[columns]), signs, int(told.sum()) - 1
 
 
 def _together(scans: Sequence[Difference], name: str) -> Floats:

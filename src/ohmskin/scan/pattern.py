@@ -4,7 +4,8 @@ import operator
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import accumulate
 
 import numpy as np
 import scipy.sparse as sp
@@ -166,6 +167,14 @@ class DrivePattern(ReadOnly):
 
     def __hash__(self) -> int:
         return self.digest
+
+
+@lru_cache(maxsize=1024)
+def joined(patterns: tuple[DrivePattern, ...]) -> DrivePattern:
+    """Patterns driven one after the other as one; the same ones give the same object again."""
+    starts = accumulate((pattern.n_inj for pattern in patterns), initial=0)
+    measurements = [p.measurements + np.array([start, 0, 0]) for p, start in zip(patterns, starts, strict=False)]
+    return DrivePattern.valid(np.concatenate([p.injections for p in patterns]), np.concatenate(measurements))
 
 
 def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePattern:

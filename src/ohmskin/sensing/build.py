@@ -18,10 +18,11 @@ from ohmskin.sensing.compiled import compiled
 from ohmskin.sensing.doubt import doubted, image_misfit, image_trust, trust
 from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
+from ohmskin.sensing.locator import Locator
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import recorded_mode
 from ohmskin.sensing.readers import DetectionReader, Reader, centroid, fit, tracked
-from ohmskin.sensing.sensor import Locator, Percept, Sensor, Thresholds
+from ohmskin.sensing.sensor import Percept, Sensor, Thresholds
 from ohmskin.skin import Mode, Skin
 
 READERS: Registry[Callable[[SkinModel, Estimator, float], Reader]] = Registry(

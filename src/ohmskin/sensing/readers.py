@@ -52,6 +52,7 @@ class Belief:
             from (s).
         solution: What was fitted to the frame, if contacts are.
         searched: How long ago contacts were looked for afresh (s).
+        explains: Whether contacts explain the data as well as they do usually.
     """
 
     estimate: Estimate
@@ -65,6 +66,7 @@ class Belief:
     novel: float = 0.0
     solution: Solution | None = field(default=None, repr=False)
     searched: float = 0.0
+    explains: bool = False
 
     @property
     def image(self) -> Image:
@@ -184,8 +186,9 @@ class FitReader:
             told = told.leaving_out(in_series(solution.covered, self.fitter.table.pairs))
         if solution.shapes is not None:
             told = told.without(solution.shapes)
-        unexplained = told.unexplained(solution.caused)
-        if self._drifted(told, solution):
+        said, left = told.signals(solution.caused)
+        unexplained = told.share_unexplained(said, left)
+        if self._drifted(told, solution, said, left):
             solution, unexplained = nothing(len(solution.caused)), 0.0
         found = doubted(self.fitter.contacts(solution), trust(unexplained))
         if errors.contacts is not None and not found:
@@ -196,12 +199,15 @@ class FitReader:
             drift, unlearned = learned if drift is None else drift + learned, 0.0
         tracks, contacts = self.tracker.update(before.tracks, found)
         belief = Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
-        return replace(belief, solution=solution, searched=searched)
+        explains = bool(found) and not self.fitter.poor(told, solution.cost)
+        return replace(belief, solution=solution, searched=searched, explains=explains)
 
     @staticmethod
-    def _drifted(told: Information, solution: Solution) -> bool:
-        """Whether contacts explain the lesser part of a small change, so that it is rather drift."""
-        said, left = told.signals(solution.caused)
+    def _drifted(told: Information, solution: Solution, said: float, left: float) -> bool:
+        """Whether contacts explain the lesser part of a small change, so that it is rather drift.
+
+        Of the signal beyond noise, `said` is all, `left` what they leave.
+        """
         sure = left > max(_DRIFT * said, _SURE * np.sqrt(2 * told.count))
         return bool(len(solution.params)) and sure and said < _LITTLE * told.count
 

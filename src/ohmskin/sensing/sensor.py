@@ -7,20 +7,20 @@ from typing import Protocol
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
-from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution, find_regions, on_skin
-from ohmskin.drive import Drive, Target
+from ohmskin.contacts import Contact, on_skin
+from ohmskin.drive import Drive
 from ohmskin.geometry import Cells
-from ohmskin.inverse import GaussNewton, Image
-from ohmskin.inverse.estimators import Estimate, Made
+from ohmskin.inverse import Image
+from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.doubt import as_measured, image_misfit
 from ohmskin.sensing.forces import Forces, Presses
+from ohmskin.sensing.locator import Locator, targets_of
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import placed, placement_of
-from ohmskin.sensing.readers import Belief, DetectionReader, Reader, undriven
+from ohmskin.sensing.readers import Belief, DetectionReader, Reader
 from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
@@ -129,58 +129,6 @@ class Implementation(Protocol):
         """A frame measured and read; the scans made so far if it cannot read these data."""
 
 
-@dataclass(frozen=True, eq=False)
-class Locator:
-    """Tells roughly where a base scan shows contacts: the regions of its image (eq. 6), or what is fitted to it.
-
-    Args:
-        estimator: Makes the image.
-        finder: Threshold gamma_0, least share of the highest region, and dip between two.
-        fitter: Fits contacts to the scan; None: they are estimated from the image.
-    """
-
-    estimator: GaussNewton
-    finder: ContactFinder
-    fitter: ContactFitter | None = None
-
-    def look(self, scans: Sequence[Difference]) -> Estimate:
-        """The image of scans."""
-        return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
-
-    def targets(self, scans: Sequence[Difference], look: Estimate, before: Solution | None = None) -> list[Target]:
-        """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
-
-        Those that were fitted to the last frame are seen more quickly.
-        """
-        if self.fitter is None:
-            return self._regions(look.image)
-        told, wary = self.fitter.information(*scans)
-        found = targets_of(self.fitter.contacts(self.fitter.explained(told, wary, before=before)))
-        if found:
-            return found
-        height = self.fitter.heights(*self.fitter.scores(told))
-        radius = self.fitter.table.radius
-        return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
-
-    def _regions(self, image: Image) -> list[Target]:
-        cells, finder, values = self.estimator.cells, self.finder, image.values
-        threshold = max(finder.threshold, finder.fraction * float(values.max()))
-        regions = find_regions(values, cells, threshold, finder.dip)
-        if not regions:
-            peak = cells.centroids[int(np.argmax(values))]
-            return [self._target(peak, 0.0, cells.centroids[cells.closest_elements(peak[None], 3)[0]], cells)]
-        found = []
-        for region in regions:
-            effect = float(values[region.elements] @ cells.measures[region.elements])
-            found.append(self._target(region.centroid, effect, region.anchors, cells, region.elements))
-        return found
-
-    @staticmethod
-    def _target(place: Floats, effect: float, anchors: Floats, cells: Cells, elements: Ints | None = None) -> Target:
-        radius = 0.0 if elements is None else float(np.sqrt(cells.measures[elements].sum() / np.pi))
-        return Target(place, radius**2 * np.eye(2), effect, radius, anchors)
-
-
 class Sensor:
     """A drive and a reader. State in, state out; the same frames give the same contacts.
 
@@ -247,7 +195,7 @@ class Sensor:
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
         quick = all(self.known.soundness(frame)[1].all() for frame in measured.frames) and not self._doubts(state)
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
-        if found is not None and len(found[0].detections) <= len(state.belief.detections):  # nothing new to doubt
+        if found is not None and not self._surprises(state.belief, found[0]):
             diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
             scans, judged = measured.scans, True
         else:
@@ -276,9 +224,16 @@ class Sensor:
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
-        felt = state.belief.detections and self.implementation is None  # examined more quickly than read
         every = state.turn // self.drive.scans % _EXAMINED == 0
-        return bool(self.window or felt or every or state.diagnosis.troubled)
+        return bool(self.window or every or state.diagnosis.troubled or self._unsure(state.belief))
+
+    def _unsure(self, belief: Belief) -> bool:
+        """Whether contacts may be what a fault looks like: they explain the data less well than they do usually."""
+        return bool(belief.detections) and not belief.explains and self.implementation is None
+
+    def _surprises(self, before: Belief, belief: Belief) -> bool:
+        """Whether a frame shows anything new, which is to be doubted."""
+        return len(belief.detections) > len(before.detections) or self._unsure(belief)
 
     def _read(
         self,
@@ -338,13 +293,3 @@ class Sensor:
 def _any_known(scans: Sequence[Difference]) -> bool:
     """Whether anything is known of scans."""
     return any(bool((np.isfinite(scan.volts) & np.isfinite(scan.currents)).any()) for scan in scans)
-
-
-def targets_of(contacts: Sequence[Contact]) -> list[Target]:
-    """Contacts as a drive wants them; one without a covariance is known as well as it is large."""
-    targets = []
-    for c in contacts:
-        square = c.extent / np.pi if c.radius is None else c.radius**2
-        covariance = square * np.eye(2) if c.covariance is None else np.array(c.covariance)
-        targets.append(Target(np.array(c.position), covariance, c.strength, float(np.sqrt(square))))
-    return targets

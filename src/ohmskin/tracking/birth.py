@@ -128,6 +128,6 @@ def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, varia
         innovation=innovation,
         residual=residuals.residual.less(caused),
         energy=residuals.energy + energy_of(residuals.reading.data, caused),
-        unforeseen=innovation.beside_common(variance),
+        unforeseen=innovation.beside_common(variance).without(fitter.shapes(params)),
     )
     return scored(reviewed, fitter)

@@ -110,7 +110,7 @@ class ContactFilter:
         faded = after.echo * float(np.exp(-2 * elapsed / self.motion.creeping))
         energy = max(energy_of(reading.data, seen.caused), faded)
         effects = {track.id: float(effect) for track, effect in zip(after.tracks, after.mean[:, 2], strict=True)}
-        unforeseen = innovation.beside_common(after.common_drift[1])
+        unforeseen = innovation.beside_common(after.common_drift[1]).without(self.fitter.shapes(after.params))
         residual = reading.data.less(seen.caused)
         newest = Residuals(reading, innovation, residual, energy, effects, after.time, unforeseen)
         history = (scored(newest, self.fitter), *after.history[: LONGEST - 1])

@@ -62,11 +62,11 @@ def _without_double(state: TrackState, fitter: ContactFitter) -> TrackState:
             if not one.lifted:
                 heir = min(beside, key=lambda j: float(apart[k, j]))
                 tracks[heir] = changed(tracks[heir], id=min(one.id, tracks[heir].id))
-            return _known_gone(changed(state, tracks=tuple(tracks)), fitter, k)
+            return known_gone(changed(state, tracks=tuple(tracks)), fitter, k)
     return state
 
 
-def _known_gone(state: TrackState, fitter: ContactFitter, k: int) -> TrackState:
+def known_gone(state: TrackState, fitter: ContactFitter, k: int) -> TrackState:
     """The state without a contact, its effect known to be zero; what that says of the others is used."""
     at = STATE * k + 2
     gain = state.covariance[:, at] / state.covariance[at, at]

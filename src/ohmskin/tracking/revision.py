@@ -1,4 +1,4 @@
-"""Revisions: a contact is moved elsewhere, two are taken for one, or one for two, where the last frames say so."""
+"""Revisions: a contact is moved elsewhere, two are taken for one, one for two or none, where the last frames say so."""
 
 from collections.abc import Sequence
 
@@ -10,12 +10,13 @@ from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import NEAR, ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import PER_CONTACT
+from ohmskin.tracking.lift import known_gone
 from ohmskin.tracking.state import STATE, TrackState
 
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
 _RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
-_HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again
+_HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again, and a faint one is none
 
 
 def revision_threshold(fitter: ContactFitter) -> float:
@@ -42,6 +43,8 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     pressing = state.pressing
     if (seen := _afresh(state, fitter, bar, speed)) is not None:
         return seen
+    if (rest := _without_needless(state, fitter, bar)) is not None:
+        return rest
     for k in pressing:
         young = state.tracks[k].since >= state.history[-1].time  # its first frame may have misled
         if young and (placed := _placed(state, fitter, speed, k)) is not None:
@@ -65,7 +68,7 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     used, told, data, _ = _resting(state, fitter, pressing)
     if used < _RESTED:
         return None
-    here = fitter.refine(data.without(fitter.shapes(state.params[pressing])), state.params[pressing])
+    here = fitter.refine(data, state.params[pressing])
     if not fitter.poor(told, here.cost):
         return None
     there = fitter.explained(told, data, bar)
@@ -79,6 +82,20 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
         name = state.tracks[pressing[named[n]]].id if n in named else None
         after = after.with_contact(params, covariance, speed, name)
     return changed(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})))
+
+
+def _without_needless(state: TrackState, fitter: ContactFitter, bar: float) -> TrackState | None:
+    """The state without its faintest contact, if the others explain the last frames as usual, and nearly as well."""
+    pressing = state.pressing
+    if len(pressing) < 2:
+        return None
+    faintest = min(pressing, key=lambda k: abs(float(state.mean[k, 2])))
+    others = [k for k in pressing if k != faintest]
+    _, told, data, _ = _resting(state, fitter, pressing)
+    few, many = (fitter.refine(data, state.params[some]) for some in (others, pressing))
+    if few.cost - many.cost > _HYSTERESIS * bar or fitter.poor(told, few.cost):
+        return None
+    return changed(known_gone(state, fitter, faintest), history=())
 
 
 def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
@@ -127,8 +144,9 @@ def _merged(
 def _resting(
     state: TrackState, fitter: ContactFitter, chosen: Sequence[int]
 ) -> tuple[int, Information, Information, float]:
-    """In how many of the newest frames all contacts rested; what these say, less all but the chosen ones; as it is
-    fitted; and how much of it may be errors of the others' model (noise's variance)."""
+    """In how many of the newest frames all contacts rested; what these say, less all but the chosen ones, beside shapes
+    that small ones may have; as it is fitted; and how much of it may be errors of the others' model (noise's variance).
+    """
     chosen, pressing = list(chosen), state.pressing
     speed = float(np.linalg.norm(state.mean[pressing, PER_CONTACT:], axis=1).max())
     came = max(state.tracks[k].since for k in pressing)
@@ -145,4 +163,6 @@ def _resting(
     others = fitter.responses(np.delete(state.params, chosen, axis=0))[0]
     told = Information.together([reading.beside for reading in used])
     data = Information.together([reading.wary for reading in used])
-    return len(used), told.less(others), data.less(others), (fitter.model_error * told.size(others)) ** 2
+    shapes = fitter.shapes(state.params[chosen])
+    told, data = (each.less(others).without(shapes) for each in (told, data))
+    return len(used), told, data, (fitter.model_error * told.size(others)) ** 2

@@ -1,0 +1,198 @@
+"""Contacts that were there a moment ago as they are now, if data say nothing else; in one compiled pass."""
+
+import numpy as np
+from numba import njit
+
+from ohmskin.arrays import Floats, Singles
+from ohmskin.contacts.kernels import STRONG, all_onto, expected, refined
+from ohmskin.contacts.measured import Part, dot, powers
+from ohmskin.contacts.misfit import less, sizes, taken_off
+from ohmskin.contacts.solution import inverse
+from ohmskin.forward.splines import Grid, Spline, lopsided, respond_at
+
+COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
+UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
+USUAL = 0.2  # share of the variance allowed to the model's errors that they usually take
+CLEAR = 3.0  # times more that one contact then leaves, from which on there are two whatever the model may get wrong
+HALF = 0.5  # of what is left, that a contact more must promise to explain if errors of the model might do it, too
+PROMISED = 0.02  # share of the gain asked of a split that a small one must promise, to be worth a fit
+WIDE = 1.5  # usual radii of a contact beyond which a pair may be as far apart as it is wide
+LOPSIDED = 4.0  # times the model's error by which a small contact conducts more one way than across it (deviation)
+SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
+SINGLE = 1e-5  # share of a power that rounding to single precision reaches once others are taken off
+_ANGLES = np.arange(4) * np.pi / 4
+AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
+GONE, UNSURE, STILL = 0, 1, 2  # a contact is not as it was; all are, but there may be more; there are no others
+
+
+@njit(cache=True, nogil=True)
+def followed(
+    told: Part, wary: Part, white: Part, params: Floats, settings: Floats, sheet: Grid, spline: Spline,
+    candidates: Singles, search: bool,
+) -> tuple[int, float, Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Contacts `params` (n, 4), in place, fitted where they were, and whether these are all.
+
+    Args:
+        told: What is measured.
+        wary: The same with the model's error as noise.
+        white: If voltages err by white noise alone.
+        params: What was there.
+        settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1),
+            the bar of a contact more (deviations), that of a split (squared misfit), and whether contacts may lower
+            the conductivity, too.
+        sheet: Where contacts may be.
+        spline: What they do.
+        candidates: (n_pairs + 1, n_places) what those do that are looked for.
+        search: Whether to look for more of them.
+
+    Returns:
+        `GONE`, `UNSURE` or `STILL`; cost, normal, caused and slopes (4 n, n_pairs) of a solution; shapes (2 k, n_pairs)
+        that it was fitted beside.
+    """
+    radius, least, smallest, largest, error, bar, split_bar = settings[:7]
+    count, n = len(white[0][1]), len(params)
+    common = np.zeros((1, len(told[2])))
+    common[0, -1] = COMMON
+    shapes = shapes_of(params, radius, error, spline)
+    mean, prior = expected(params[:, 2].copy(), radius, sheet[0], sheet[1], sheet[5])
+    fit = _beside(_beside(wary, common), shapes)
+    cost, normal, caused, slopes = refined(
+        params, fit[0], fit[1], fit[2], fit[3], mean, prior, 40, radius, least, smallest, largest, sheet, spline, np.inf
+    )
+    signal = max(white[3], 0.0) / count
+    share = 1 / (1 + error**2 * signal)
+    if cost > count * (share + USUAL * (1 - share)):
+        return GONE, cost, normal, caused, slopes, shapes
+    covariance, others = inverse(normal), np.empty((1, len(caused)))
+    for k in range(n):
+        own = inverse(np.ascontiguousarray(covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4]))
+        height = abs(params[k, 2]) * np.sqrt(own[2, 2])
+        for p in range(len(caused)):
+            others[0, p] = caused[p] - params[k, 2] * slopes[4 * k + 2, p]
+        if height <= bar + error * sizes(white[0], white[1], others)[0] and cost + height**2 < CLEAR * max(
+            cost, bar**2
+        ):
+            return GONE, cost, normal, caused, slopes, shapes
+    if not search:
+        return UNSURE, cost, normal, caused, slopes, shapes
+    for k in range(n):
+        if abs(params[k, 2]) > STRONG * np.pi * radius**2:
+            return UNSURE, cost, normal, caused, slopes, shapes
+    left = _beside(_beside(told, common), shapes)
+    vector, constant = less(left[0], left[1], left[2], left[3], caused)
+    left = _beside((left[0], left[1], vector, constant), _unknown(white, slopes))
+    everything = error * sizes(white[0], white[1], caused.reshape((1, -1)))[0]
+    most = _highest(left, candidates, settings[7] > 0.0)
+    if most >= bar + everything or most > max(bar, np.sqrt(HALF * constant)):
+        return UNSURE, cost, normal, caused, slopes, shapes
+    for k in range(n):
+        _, height = bends(left, params[k], radius, sheet, spline)
+        if height.max() ** 2 >= PROMISED * (split_bar + everything**2):
+            return UNSURE, cost, normal, caused, slopes, shapes
+    return STILL, cost, normal, caused, slopes, shapes_of(params, radius, error, spline)
+
+
+@njit(cache=True, nogil=True)
+def shapes_of(params: Floats, radius: float, error: float, spline: Spline) -> Floats:
+    """What small contacts of (n, 4) may change (2 k, n_pairs) more one way than across, for one deviation (ohm).
+
+    Args:
+        params: Contacts.
+        radius: The usual one (m).
+        error: Of the model (1).
+        spline: What contacts do.
+    """
+    effects, most = np.abs(params[:, 2]), SMALL * radius**2
+    small = np.flatnonzero(effects < most)
+    out = np.empty((2 * len(small), len(spline[8])))
+    lopsided(params[small], spline[7], spline[1], spline[2], spline[3], spline[4], spline[8], out)
+    for k in range(len(small)):
+        effect = effects[small[k]]
+        out[2 * k : 2 * k + 2] *= LOPSIDED * error * effect * (1 - effect / most) ** 2
+    return out
+
+
+@njit(cache=True, nogil=True)
+def bends(left: Part, one: Floats, radius: float, sheet: Grid, spline: Spline) -> tuple[Floats, Floats]:
+    """How a contact (4,) may be two: axes (n, 2) (m), and the gain (n,) that a small pair along each promises.
+
+    An equal pair differs from one contact by the second derivative along its axis.
+
+    Args:
+        left: What remains to be explained beside the contacts.
+        one: The contact.
+        radius: The usual one (m).
+        sheet: Where contacts may be.
+        spline: What they do.
+    """
+    own, many = np.sqrt(one[3]), len(AXES)
+    axes = np.empty((2 * many if own > WIDE * radius else many, 2))
+    for k in range(len(axes)):
+        axes[k] = (radius if k < many else own) * AXES[k % many]
+    places = np.empty((2 * len(axes) + 1, 2))
+    for k in range(len(places)):
+        places[k] = one[:2]
+    places[: len(axes)] += axes
+    places[len(axes) : -1] -= axes
+    all_onto(places, sheet)
+    discs, found = np.empty((len(places), 3)), np.empty((len(places), 4, len(spline[8])))
+    discs[:, :2], discs[:, 2] = places, min(one[3], spline[5][-1])
+    respond_at(discs, spline, found)
+    bend = found[: len(axes), 2] + found[len(axes) : -1, 2] - 2 * found[-1, 2]
+    power, height = sizes(left[0], left[1], bend), np.empty(len(axes))
+    for k in range(len(axes)):
+        height[k] = dot(left[2], bend[k]) / max(power[k], 1e-6 * power.max())
+    return axes, height
+
+
+@njit(cache=True, nogil=True)
+def _beside(part: Part, directions: Floats) -> Part:
+    """The part with changes (m, n_pairs or n_pairs + 1) as errors, each with a standard deviation of one."""
+    vector, lost = part[2].copy(), np.empty((len(part[1]) + len(directions), len(part[2])))
+    taken = taken_off(part[0], part[1], directions, vector, lost)
+    return part[0], lost, vector, part[3] - taken
+
+
+@njit(cache=True, nogil=True)
+def _unknown(white: Part, directions: Floats) -> Floats:
+    """Changes (m, n_pairs) that data show, as large as they are where nothing is known of them."""
+    size = sizes(white[0], white[1], directions)
+    seen = np.flatnonzero(size > 0)
+    out = directions[seen]
+    for k in range(len(seen)):
+        out[k] /= UNSAID * size[seen[k]]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _highest(left: Part, candidates: Singles, bipolar: bool) -> float:
+    """Standard deviations by which the score of the likeliest of more contacts stands out, as `Misfit.scores`."""
+    whole, score = powers(left[0], candidates), np.zeros(candidates.shape[1], np.float32)
+    power, product = whole.copy(), np.empty(len(whole), np.float32)
+    _combined(left[2], candidates, score)
+    for one in left[1]:
+        product[:] = 0.0
+        _combined(one, candidates, product)
+        for k in range(len(power)):
+            power[k] -= product[k] * product[k]
+    most, best = whole.max() * SINGLE, 0.0
+    for k in range(len(whole)):
+        height = score[k] / np.sqrt(max(power[k], SINGLE * max(whole[k], most)))
+        best = max(best, abs(height) if bipolar else height)
+    return best
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _combined(shares: Floats, rows: Singles, out: Singles) -> None:
+    """Adds shares (n,) of rows (n, m) to `out` (m,); four at a time, as memory is what takes the time."""
+    n = len(shares)
+    for k in range(0, n - 3, 4):
+        a, b, c, d = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
+        one, two = np.float32(shares[k]), np.float32(shares[k + 1])
+        three, four = np.float32(shares[k + 2]), np.float32(shares[k + 3])
+        for p in range(len(out)):
+            out[p] += one * a[p] + two * b[p] + three * c[p] + four * d[p]
+    for k in range(n - n % 4, n):
+        last, one = rows[k], np.float32(shares[k])
+        for p in range(len(out)):
+            out[p] += one * last[p]

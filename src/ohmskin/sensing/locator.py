@@ -1,0 +1,78 @@
+"""Where a base scan shows contacts, for the drive that measures there next."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.arrays import Floats, Ints
+from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution, find_regions
+from ohmskin.drive import Target
+from ohmskin.geometry import Cells
+from ohmskin.inverse import GaussNewton, Image
+from ohmskin.inverse.estimators import Estimate, Made
+from ohmskin.scan import Difference
+from ohmskin.sensing.readers import undriven
+
+
+@dataclass(frozen=True, eq=False)
+class Locator:
+    """Tells roughly where a base scan shows contacts: the regions of its image (eq. 6), or what is fitted to it.
+
+    Args:
+        estimator: Makes the image.
+        finder: Threshold gamma_0, least share of the highest region, and dip between two.
+        fitter: Fits contacts to the scan; None: they are estimated from the image.
+    """
+
+    estimator: GaussNewton
+    finder: ContactFinder
+    fitter: ContactFitter | None = None
+
+    def look(self, scans: Sequence[Difference]) -> Estimate:
+        """The image of scans."""
+        return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
+
+    def targets(self, scans: Sequence[Difference], look: Estimate, before: Solution | None = None) -> list[Target]:
+        """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
+
+        Those that were fitted to the last frame are seen more quickly; whether more have come, all scans tell.
+        """
+        if self.fitter is None:
+            return self._regions(look.image)
+        told, wary = self.fitter.information(*scans)
+        last = None if before is None else self.fitter.followed(told, wary, before, search=False)
+        found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.explained(told, wary)))
+        if found:
+            return found
+        height = self.fitter.heights(*self.fitter.scores(told))
+        radius = self.fitter.table.radius
+        return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
+
+    def _regions(self, image: Image) -> list[Target]:
+        cells, finder, values = self.estimator.cells, self.finder, image.values
+        threshold = max(finder.threshold, finder.fraction * float(values.max()))
+        regions = find_regions(values, cells, threshold, finder.dip)
+        if not regions:
+            peak = cells.centroids[int(np.argmax(values))]
+            return [self._target(peak, 0.0, cells.centroids[cells.closest_elements(peak[None], 3)[0]], cells)]
+        found = []
+        for region in regions:
+            effect = float(values[region.elements] @ cells.measures[region.elements])
+            found.append(self._target(region.centroid, effect, region.anchors, cells, region.elements))
+        return found
+
+    @staticmethod
+    def _target(place: Floats, effect: float, anchors: Floats, cells: Cells, elements: Ints | None = None) -> Target:
+        radius = 0.0 if elements is None else float(np.sqrt(cells.measures[elements].sum() / np.pi))
+        return Target(place, radius**2 * np.eye(2), effect, radius, anchors)
+
+
+def targets_of(contacts: Sequence[Contact]) -> list[Target]:
+    """Contacts as a drive wants them; one without a covariance is known as well as it is large."""
+    targets = []
+    for c in contacts:
+        square = c.extent / np.pi if c.radius is None else c.radius**2
+        covariance = square * np.eye(2) if c.covariance is None else np.array(c.covariance)
+        targets.append(Target(np.array(c.position), covariance, c.strength, float(np.sqrt(square))))
+    return targets
