@@ -122,6 +122,21 @@ def presses(loop: Loop) -> tuple[list[float], int]:
 
 
 @pytest.mark.parametrize("mode", ["16P", "16T"])
+def test_one_press_is_one_contact(loop: Loop, mode: str) -> None:
+    """Nothing beside it, such as the shape of its patches might be taken for; where that once happened, too."""
+    device, engine = loop
+    engine.set_mode(mode)
+    counts = []
+    for place in [(0.163, 0.159), (0.049, 0.156), *np.random.default_rng(5).uniform(0.01, 0.19, (14, 2)).tolist()]:
+        device.sheet.touch({0: (*place, PRESSURE)})
+        counts += [len(touch.contacts) for touch in felt(engine, 30)[5:]]
+        device.sheet.touch({})
+        felt(engine, 8)
+    engine.set_mode("16P")
+    assert np.mean(np.array(counts) == 1) > 0.99
+
+
+@pytest.mark.parametrize("mode", ["16P", "16T"])
 def test_presses_are_felt_under_hum(loop: Loop, mode: str) -> None:
     device, engine = loop
     engine.set_mode(mode)

@@ -1,6 +1,7 @@
 """Revisions: a contact is moved elsewhere, two are taken for one, one for two or none, where the last frames say so."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -41,33 +42,34 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
         turn: Which contact's turn it is to be looked at for two, counted on from one revision to the next.
     """
     pressing = state.pressing
-    if (seen := _afresh(state, fitter, bar, speed)) is not None:
+    if not pressing:
+        return state
+    rested = _Rested.of(state, fitter)
+    if (seen := _afresh(rested, bar, speed)) is not None:
         return seen
-    if (rest := _without_needless(state, fitter, bar)) is not None:
-        return rest
     for k in pressing:
         young = state.tracks[k].since >= state.history[-1].time  # its first frame may have misled
-        if young and (placed := _placed(state, fitter, speed, k)) is not None:
+        if young and (placed := _placed(rested, speed, k)) is not None:
             return placed
     for place, k in enumerate(pressing):
         for other in pressing[place + 1 :]:
             apart = float(np.linalg.norm(fitter.table.offsets(state.mean[k, :2], state.mean[other, :2])))
             near = apart < NEAR * fitter.table.radius
-            if near and (merged := _merged(state, fitter, bar, speed, (k, other))) is not None:
+            if near and (merged := _merged(rested, bar, speed, (k, other))) is not None:
                 return merged
-    if pressing and len(pressing) < fitter.most:
-        return _split(state, fitter, bar, speed, pressing[turn % len(pressing)])
+    if (rest := _without_needless(rested, bar)) is not None:
+        return rest
+    if len(pressing) < fitter.most:
+        return _split(rested, bar, speed, pressing[turn % len(pressing)])
     return state
 
 
-def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) -> TrackState | None:
+def _afresh(rested: "_Rested", bar: float, speed: float) -> TrackState | None:
     """The state with other contacts, if these explain the last frames, in which all rested, significantly better."""
-    pressing = state.pressing
-    if not pressing:
+    state, fitter, pressing = rested.state, rested.fitter, rested.state.pressing
+    if rested.count < _RESTED:
         return None
-    used, told, data, _ = _resting(state, fitter, pressing)
-    if used < _RESTED:
-        return None
+    told, data, _ = rested.less_all_but(pressing)
     here = fitter.refine(data, state.params[pressing])
     if not fitter.poor(told, here.cost):
         return None
@@ -84,23 +86,24 @@ def _afresh(state: TrackState, fitter: ContactFitter, bar: float, speed: float) 
     return changed(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})))
 
 
-def _without_needless(state: TrackState, fitter: ContactFitter, bar: float) -> TrackState | None:
+def _without_needless(rested: "_Rested", bar: float) -> TrackState | None:
     """The state without its faintest contact, if the others explain the last frames as usual, and nearly as well."""
-    pressing = state.pressing
+    state, fitter, pressing = rested.state, rested.fitter, rested.state.pressing
     if len(pressing) < 2:
         return None
     faintest = min(pressing, key=lambda k: abs(float(state.mean[k, 2])))
     others = [k for k in pressing if k != faintest]
-    _, told, data, _ = _resting(state, fitter, pressing)
+    told, data, _ = rested.less_all_but(pressing)
     few, many = (fitter.refine(data, state.params[some]) for some in (others, pressing))
     if few.cost - many.cost > _HYSTERESIS * bar or fitter.poor(told, few.cost):
         return None
     return changed(known_gone(state, fitter, faintest), history=())
 
 
-def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> TrackState | None:
+def _placed(rested: "_Rested", speed: float, k: int) -> TrackState | None:
     """The state with one contact where the frames since it came want it, if that is elsewhere."""
-    _, told, data, _ = _resting(state, fitter, [k])
+    state, fitter = rested.state, rested.fitter
+    told, data, _ = rested.less_all_but([k])
     here, there = fitter.refine(data, state.params[[k]]), fitter.added(data, *fitter.scores(told))
     if here.cost - there.cost < _ELSEWHERE:
         return None
@@ -112,9 +115,10 @@ def _placed(state: TrackState, fitter: ContactFitter, speed: float, k: int) -> T
     return changed(state, mean=mean, covariance=covariance, history=())
 
 
-def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k: int) -> TrackState:
+def _split(rested: "_Rested", bar: float, speed: float, k: int) -> TrackState:
     """The state with one contact as two, if these explain the last frames better; the closer one keeps the name."""
-    _, told, data, error = _resting(state, fitter, [k])
+    state, fitter = rested.state, rested.fitter
+    told, data, error = rested.less_all_but([k])
     two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar + error)
     if two is None:
         return state
@@ -124,11 +128,10 @@ def _split(state: TrackState, fitter: ContactFitter, bar: float, speed: float, k
     return changed(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
 
 
-def _merged(
-    state: TrackState, fitter: ContactFitter, bar: float, speed: float, both: tuple[int, int]
-) -> TrackState | None:
+def _merged(rested: "_Rested", bar: float, speed: float, both: tuple[int, int]) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
-    _, told, data, error = _resting(state, fitter, both)
+    state, fitter = rested.state, rested.fitter
+    told, data, error = rested.less_all_but(both)
     pair = state.params[list(both)].copy()
     pair[1, :2] = pair[0, :2] + fitter.table.offsets(pair[1, :2], pair[0, :2])
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
@@ -141,28 +144,47 @@ def _merged(
     return changed(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
-def _resting(
-    state: TrackState, fitter: ContactFitter, chosen: Sequence[int]
-) -> tuple[int, Information, Information, float]:
-    """In how many of the newest frames all contacts rested; what these say, less all but the chosen ones, beside shapes
-    that small ones may have; as it is fitted; and how much of it may be errors of the others' model (noise's variance).
+@dataclass(frozen=True, eq=False)
+class _Rested:
+    """What the newest frames say in which all contacts rested.
+
+    Args:
+        state: The state after them.
+        fitter: What explains data by contacts.
+        count: How many they are.
+        told: What they say, together.
+        data: The same, wary of the model's error.
     """
-    chosen, pressing = list(chosen), state.pressing
-    speed = float(np.linalg.norm(state.mean[pressing, PER_CONTACT:], axis=1).max())
-    came = max(state.tracks[k].since for k in pressing)
-    play = [3 * state.effect(k)[1] + 0.1 * abs(state.mean[k, 2]) for k in pressing]
-    used = []
-    for residuals in state.history:
-        effects = np.array([residuals.effects.get(state.tracks[k].id, np.nan) for k in pressing])
-        absent = np.isnan(effects).any() and residuals.time < came
-        changed = (np.abs(effects - state.mean[pressing, 2]) > play).any()
-        if absent or changed or (state.time - residuals.time) * speed > fitter.table.radius / 4:
-            break
-        used.append(residuals.reading)
-    used = used or [state.history[0].reading]
-    others = fitter.responses(np.delete(state.params, chosen, axis=0))[0]
-    told = Information.together([reading.beside for reading in used])
-    data = Information.together([reading.wary for reading in used])
-    shapes = fitter.shapes(state.params[chosen])
-    told, data = (each.less(others).without(shapes) for each in (told, data))
-    return len(used), told, data, (fitter.model_error * told.size(others)) ** 2
+
+    state: TrackState
+    fitter: ContactFitter
+    count: int
+    told: Information
+    data: Information
+
+    @classmethod
+    def of(cls, state: TrackState, fitter: ContactFitter) -> "_Rested":
+        pressing = state.pressing
+        speed = float(np.linalg.norm(state.mean[pressing, PER_CONTACT:], axis=1).max())
+        came = max(state.tracks[k].since for k in pressing)
+        play = [3 * state.effect(k)[1] + 0.1 * abs(state.mean[k, 2]) for k in pressing]
+        used = []
+        for residuals in state.history:
+            effects = np.array([residuals.effects.get(state.tracks[k].id, np.nan) for k in pressing])
+            absent = np.isnan(effects).any() and residuals.time < came
+            changed = (np.abs(effects - state.mean[pressing, 2]) > play).any()
+            if absent or changed or (state.time - residuals.time) * speed > fitter.table.radius / 4:
+                break
+            used.append(residuals.reading)
+        used = used or [state.history[0].reading]
+        parts = ([reading.beside for reading in used], [reading.wary for reading in used])
+        return cls(state, fitter, len(used), *map(Information.together, parts))
+
+    def less_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float]:
+        """What they say, and wary of the model's error, less all contacts but the chosen ones, beside shapes that small
+        ones may have; and how much of it may be errors of the others' model (noise's variance)."""
+        params, fitter = self.state.params, self.fitter
+        others = fitter.responses(np.delete(params, chosen, axis=0))[0]
+        shapes = fitter.shapes(params[list(chosen)])
+        told, data = (each.less(others).without(shapes) for each in (self.told, self.data))
+        return told, data, (fitter.model_error * self.told.size(others)) ** 2
