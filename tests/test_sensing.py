@@ -183,6 +183,14 @@ def test_estimators_without_a_parameter_for_a_rule_refuse_it_in_words(estimator:
         known(9e-3).estimator(estimator, "paper", "l-curve")
 
 
+@pytest.mark.parametrize("estimator", ["greit", "total-variation", "sparse-bayes", "absolute-variation"])
+def test_estimators_with_a_prior_of_their_own_refuse_another_in_words(estimator: str) -> None:
+    with pytest.raises(
+        ModelError, match=f"{estimator}' has a prior of its own, and no use for 'laplacian'; .*leave it out"
+    ):
+        known(9e-3).estimator(estimator, "laplacian")
+
+
 @pytest.mark.parametrize("rule", RULES)
 def test_any_rule_finds_a_press(rule: str) -> None:
     """Where the image is highest; the L-curve makes so much of noise that its threshold exceeds a press."""

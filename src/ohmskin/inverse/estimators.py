@@ -208,6 +208,16 @@ def _without_rule(s: Settings, name: str) -> None:
         raise ModelError(f"estimator {name!r} chooses no parameter by the rule {s.rule!r}; {takes}, or use 'physical'")
 
 
+def _without_prior(s: Settings, name: str) -> None:
+    """Raise ModelError if a prior or rule is asked for that an estimator with a prior of its own has no use for."""
+    _without_rule(s, name)
+    if s.prior != "paper":
+        takes = "gauss-newton, positive, kalman and absolute take one"
+        raise ModelError(
+            f"estimator {name!r} has a prior of its own, and no use for {s.prior!r}; {takes}, or leave it out"
+        )
+
+
 def positive(s: Settings) -> Estimator:
     """One-step Gauss-Newton, nowhere negative."""
     if s.bipolar:
@@ -226,20 +236,20 @@ def kalman(s: Settings) -> Estimator:
 
 def greit(s: Settings) -> Estimator:
     """GREIT."""
-    _without_rule(s, "greit")
+    _without_prior(s, "greit")
     return FrameWise(Greit(s.model, s.noise), s.model.mesh)
 
 
 def total_variation(s: Settings) -> Estimator:
     """Total variation."""
-    _without_rule(s, "total-variation")
+    _without_prior(s, "total-variation")
     own = TotalVariation(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
 
 def sparse_bayes(s: Settings) -> Estimator:
     """Sparse Bayesian learning."""
-    _without_rule(s, "sparse-bayes")
+    _without_prior(s, "sparse-bayes")
     own = SparseBayes(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
@@ -252,7 +262,7 @@ def absolute(s: Settings) -> Estimator:
 
 def absolute_variation(s: Settings) -> Estimator:
     """Iterated Gauss-Newton on absolute voltages with total variation."""
-    _without_rule(s, "absolute-variation")
+    _without_prior(s, "absolute-variation")
     outline = 0.1 * float(np.ptp(s.model.mesh.nodes, axis=0).max())
     own = AbsoluteGaussNewton(s.model, s.noise, outline=outline, amplitude=s.amplitude, model_error=s.model_error)
     return FrameWise(own, s.model.mesh)
