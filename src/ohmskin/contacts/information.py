@@ -98,7 +98,7 @@ class Information:
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
         loaded = any(scan.source_loading is not None for scan in scans)
-        four, which = whole.quadruples, whole.measurements[:, 0]
+        four, which = whole.quadruples, np.ascontiguousarray(whole.measurements[:, 0])
         given = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers
         rows, data = measured(*given, whole.n_inj, loaded, errors.noise, errors.model)
         if not len(data):

@@ -26,7 +26,6 @@ _T4 = _tuple((_FLOAT32_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1
 _FLOAT32_2 = types.Array(_FLOAT32, 2, "C")
 _BOOL = types.bool_
 _INT64_2 = types.Array(_INT64, 2, "C")
-_INT64_1_A_FIXED = types.Array(_INT64, 1, "A", readonly=True)
 _BOOL_1 = types.Array(_BOOL, 1, "C")
 _FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
 _INT32 = types.int32
@@ -69,7 +68,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         "contacts.measured:measured",
         (
             _INT64_2,
-            _INT64_1_A_FIXED,
+            _INT64_1,
             _BOOL_1,
             _FLOAT64_1,
             _FLOAT64_1,
@@ -114,7 +113,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("inverse.modes:combined", (_INT64_2, _FLOAT64_2)),
     (
         "scan.coherence:_coherence",
-        (_INT64_2, _FLOAT64_2_F, _FLOAT64_2, _INT64_1_A_FIXED, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64, _INT64),
+        (_INT64_2, _FLOAT64_2_F, _FLOAT64_2, _INT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64, _INT64),
     ),
 )
 """Module, name and argument types of each function; none that the virtual skin has compiled."""
