@@ -265,6 +265,7 @@ TABLE = (
 )
 
 SLOWEST = (  # long tests first; then files that wait for browsers, boards and devices, among those that compute
+    "test_terminal.py",
     "test_fuzzing.py",
     "test_documentation.py",
     "test_reproduce.py",
