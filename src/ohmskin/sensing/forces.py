@@ -229,7 +229,7 @@ class PressFollower:
                 cost, normal, gradient = trial
                 fit = replace(after[0], damping=fit.damping / 8, found=fit.found, covariance=fit.covariance)
             else:
-                fit = replace(fit, damping=8 * fit.damping)
+                fit = replace(fit, damping=max(8 * fit.damping, _DAMPED))  # bold as many good steps made it
             step = _step(normal, gradient, fit.damping)
         cost -= float(step @ gradient)
         near, covariance = _near(step) and fit.damping <= _DAMPED, inverse(normal)
