@@ -6,12 +6,10 @@ from numba import njit
 from ohmskin.arrays import Floats, Singles
 from ohmskin.contacts.kernels import STRONG, all_onto, expected, refined
 from ohmskin.contacts.measured import Part, dot, powers
-from ohmskin.contacts.misfit import less, sizes, taken_off
+from ohmskin.contacts.misfit import COMMON, SINGLE, UNSAID, less, sizes, taken_off
 from ohmskin.contacts.solution import inverse
 from ohmskin.forward.splines import Grid, Spline, lopsided, respond_at
 
-COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
-UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 USUAL = 0.2  # share of the variance allowed to the model's errors that they usually take
 CLEAR = 3.0  # times more that one contact then leaves, from which on there are two whatever the model may get wrong
 HALF = 0.5  # of what is left, that a contact more must promise to explain if errors of the model might do it, too
@@ -19,7 +17,6 @@ PROMISED = 0.02  # share of the gain asked of a split that a small one must prom
 WIDE = 1.5  # usual radii of a contact beyond which a pair may be as far apart as it is wide
 LOPSIDED = 4.0  # times the model's error by which a small contact conducts more one way than across it (deviation)
 SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
-SINGLE = 1e-5  # share of a power that rounding to single precision reaches once others are taken off
 _ANGLES = np.arange(4) * np.pi / 4
 AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
 GONE, UNSURE, STILL = 0, 1, 2  # a contact is not as it was; all are, but there may be more; there are no others

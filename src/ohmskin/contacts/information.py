@@ -15,14 +15,12 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts.measured import Rows, beside_errors, fainter, measured
-from ohmskin.contacts.misfit import Misfit, likeliest
+from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import Pairs
 from ohmskin.scan.pattern import joined
 
-_UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
-_COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
 _SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
 _RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where data say nothing
 
@@ -142,7 +140,7 @@ class Information:
         """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""
         return Information(self.misfit.without(directions), self.white, self.count, self.known)
 
-    def beside_common(self, variance: float = _COMMON**2) -> "Information":
+    def beside_common(self, variance: float = COMMON**2) -> "Information":
         """The information, with a common relative change of all resistances of known variance (1) as an error."""
         direction = np.zeros((len(self.misfit.vector), 1))
         direction[-1] = sqrt(variance)
@@ -178,7 +176,7 @@ class Information:
     def _unknown(self, directions: Floats) -> Floats:
         """Changes (n_pairs or n, k) as large as they are where nothing is known of them."""
         sizes = self.white.sizes(directions)
-        return np.asarray(directions[:, sizes > 0] / (_UNSAID * sizes[sizes > 0]))
+        return np.asarray(directions[:, sizes > 0] / (UNSAID * sizes[sizes > 0]))
 
     def times(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""

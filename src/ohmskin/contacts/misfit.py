@@ -14,6 +14,8 @@ _SOME, _ALL = 0.7, slice(None)  # share of the pairs below which it pays to leav
 _SOLVED = 1e-8  # share of the gradient that is left once it is as good as nothing
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
 SINGLE = 1e-5  # the same of powers in single precision
+COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
+UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
 
 
 @dataclass(frozen=True, eq=False)
