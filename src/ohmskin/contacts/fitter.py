@@ -59,6 +59,8 @@ class ContactFitter(DiscFitter):
     Attributes:
         bar: Standard deviations by which the score of a new contact must stand out.
         split_bar: By how much two contacts must explain data better than one, in units of the noise's variance.
+        compiled: What compiled steps need of it: settings, see `followed`, the sheet, what contacts do, and what those
+            do that are looked for.
 
     Raises:
         ModelError: If a setting is out of range.
@@ -88,7 +90,8 @@ class ContactFitter(DiscFitter):
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
         limits = self._least, *self.squares, model_error, self.bar, self.split_bar
-        self._settings = np.array([table.radius, *limits, float(bipolar)])
+        settings = np.array([table.radius, *limits, float(bipolar)])
+        self.compiled = settings, table.sheet, table.spline, self._candidates
         alone = np.ascontiguousarray(in_series(range(table.n_elec), table.pairs).T)
         # (n_elec, n_pairs) each: in series with each electrode, of contacts there
         self._at_electrodes = alone, table(table.electrodes).values.copy()
@@ -184,8 +187,8 @@ class ContactFitter(DiscFitter):
             return None
         told, data = (self._uncovered(one, before.covered) for one in (told, data))
         state, cost, normal, caused, slopes, shapes = follow.followed(
-            told.misfit.part, data.misfit.part, told.white.part, params, self._settings, self.table.sheet,
-            self.table.spline, self._candidates, search and self.table.pairs.whole,
+            told.misfit.part, data.misfit.part, told.white.part, params, *self.compiled,
+            search and self.table.pairs.whole, 1.0 if search else CLEAR,
         )  # fmt: skip
         if state == follow.GONE or not {*before.covered} <= {*self.covered(params)}:
             return None
@@ -292,7 +295,7 @@ class ContactFitter(DiscFitter):
         left = left or told.less(found.caused).beside(found.slopes)
         one = found.params[k]
         usual, own = self.table.radius, np.sqrt(one[3])
-        axes, height = follow.bends(left.misfit.part, one, usual, self.table.sheet, self.table.spline)
+        axes, height = self.pairs(left, one)
         bar = self.split_bar if bar is None else bar
         if height.max() ** 2 < PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
             return None
@@ -308,6 +311,11 @@ class ContactFitter(DiscFitter):
         two = self.refine(data, best.params, mean, information)
         least = _OVERLAP if own < _WIDEST * usual else _APART
         return two if self._distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
+
+    def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
+        """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
+        stand out, given what remains to be explained beside all contacts."""
+        return follow.bends(left.misfit.part, one, self.table.radius, self.table.sheet, self.table.spline)
 
     def several(self, told: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.

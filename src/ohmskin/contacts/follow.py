@@ -25,7 +25,7 @@ GONE, UNSURE, STILL = 0, 1, 2  # a contact is not as it was; all are, but there 
 @njit(cache=True, nogil=True)
 def followed(
     told: Part, wary: Part, white: Part, params: Floats, settings: Floats, sheet: Grid, spline: Spline,
-    candidates: Singles, search: bool,
+    candidates: Singles, search: bool, patience: float,
 ) -> tuple[int, float, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Contacts `params` (n, 4), in place, fitted where they were, and whether these are all.
 
@@ -41,6 +41,7 @@ def followed(
         spline: What they do.
         candidates: (n_pairs + 1, n_places) what those do that are looked for.
         search: Whether to look for more of them.
+        patience: Times more than usual that they may leave of the data.
 
     Returns:
         `GONE`, `UNSURE` or `STILL`; cost, normal, caused and slopes (4 n, n_pairs) of a solution; shapes (2 k, n_pairs)
@@ -52,13 +53,13 @@ def followed(
     common[0, -1] = COMMON
     shapes = shapes_of(params, radius, error, spline)
     mean, prior = expected(params[:, 2].copy(), radius, sheet[0], sheet[1], sheet[5])
-    fit = _beside(_beside(wary, common), shapes)
+    fit = beside(beside(wary, common), shapes)
     cost, normal, caused, slopes = refined(
         params, fit[0], fit[1], fit[2], fit[3], mean, prior, 40, radius, least, smallest, largest, sheet, spline, np.inf
     )
     signal = max(white[3], 0.0) / count
     share = 1 / (1 + error**2 * signal)
-    if cost > count * (share + USUAL * (1 - share)):
+    if cost > patience * count * (share + USUAL * (1 - share)):
         return GONE, cost, normal, caused, slopes, shapes
     covariance, others = inverse(normal), np.empty((1, len(caused)))
     for k in range(n):
@@ -75,9 +76,9 @@ def followed(
     for k in range(n):
         if abs(params[k, 2]) > STRONG * np.pi * radius**2:
             return UNSURE, cost, normal, caused, slopes, shapes
-    left = _beside(_beside(told, common), shapes)
+    left = beside(beside(told, common), shapes)
     vector, constant = less(left[0], left[1], left[2], left[3], caused)
-    left = _beside((left[0], left[1], vector, constant), _unknown(white, slopes))
+    left = beside((left[0], left[1], vector, constant), _unknown(white, slopes))
     everything = error * sizes(white[0], white[1], caused.reshape((1, -1)))[0]
     most = _highest(left, candidates, settings[7] > 0.0)
     if most >= bar + everything or most > max(bar, np.sqrt(HALF * constant)):
@@ -143,7 +144,7 @@ def bends(left: Part, one: Floats, radius: float, sheet: Grid, spline: Spline) -
 
 
 @njit(cache=True, nogil=True)
-def _beside(part: Part, directions: Floats) -> Part:
+def beside(part: Part, directions: Floats) -> Part:
     """The part with changes (m, n_pairs or n_pairs + 1) as errors, each with a standard deviation of one."""
     vector, lost = part[2].copy(), np.empty((len(part[1]) + len(directions), len(part[2])))
     taken = taken_off(part[0], part[1], directions, vector, lost)
@@ -161,9 +162,19 @@ def _unknown(white: Part, directions: Floats) -> Floats:
     return out
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@njit(cache=True, nogil=True)
 def _highest(left: Part, candidates: Singles, bipolar: bool) -> float:
-    """Standard deviations by which the score of the likeliest of more contacts stands out, as `Misfit.scores`."""
+    """Standard deviations by which the score of the likeliest of more contacts stands out."""
+    (score, power), best = scored(left, candidates), 0.0
+    for k in range(len(power)):
+        height = score[k] / np.sqrt(power[k])
+        best = max(best, abs(height) if bipolar else height)
+    return best
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def scored(left: Part, candidates: Singles) -> tuple[Singles, Singles]:
+    """Score and power (n_places,) of a contact more at each place, as `Misfit.scores`."""
     whole, score = powers(left[0], candidates), np.zeros(candidates.shape[1], np.float32)
     power, product = whole.copy(), np.empty(len(whole), np.float32)
     _combined(left[2], candidates, score)
@@ -172,11 +183,10 @@ def _highest(left: Part, candidates: Singles, bipolar: bool) -> float:
         _combined(one, candidates, product)
         for k in range(len(power)):
             power[k] -= product[k] * product[k]
-    most, best = whole.max() * SINGLE, 0.0
+    most = whole.max() * np.float32(SINGLE)
     for k in range(len(whole)):
-        height = score[k] / np.sqrt(max(power[k], SINGLE * max(whole[k], most)))
-        best = max(best, abs(height) if bipolar else height)
-    return best
+        power[k] = max(power[k], np.float32(SINGLE) * max(whole[k], most))
+    return score, power
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -184,6 +194,8 @@ def _combined(shares: Floats, rows: Singles, out: Singles) -> None:
     """Adds shares (n,) of rows (n, m) to `out` (m,); four at a time, as memory is what takes the time."""
     n = len(shares)
     for k in range(0, n - 3, 4):
+        if shares[k] == 0.0 and shares[k + 1] == 0.0 and shares[k + 2] == 0.0 and shares[k + 3] == 0.0:
+            continue  # of pairs that data say nothing of
         a, b, c, d = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
         one, two = np.float32(shares[k]), np.float32(shares[k + 1])
         three, four = np.float32(shares[k + 2]), np.float32(shares[k + 3])

@@ -14,7 +14,7 @@ from math import sqrt
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts.measured import Rows, beside_errors, fainter, measured
+from ohmskin.contacts.measured import Part, Rows, beside_errors, fainter, measured
 from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
@@ -135,6 +135,12 @@ class Information:
         together = np.zeros(len(self.misfit.vector)) if self.known is None else self.known.copy()
         together[: len(known)] += known
         return Information(self.misfit.less(known), self.white, self.count, together)
+
+    def as_left(self, part: Part, known: Floats | None = None) -> "Information":
+        """What a compiled step has left of it, once changes (n_pairs,) are known; None: nothing is."""
+        told = self.misfit
+        changes = None if known is None else np.append(known, 0.0)
+        return Information(Misfit(*part, told.errors, told.powers), self.white, self.count, changes)
 
     def without(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""

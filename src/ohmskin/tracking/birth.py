@@ -9,7 +9,8 @@ from ohmskin.arrays import Floats, changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
-from ohmskin.tracking.residuals import Residuals, energy_of
+from ohmskin.tracking.kernels import energy_of, standing_out
+from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
@@ -75,17 +76,16 @@ def _found(
 ) -> tuple[Solution | None, Sequence[Residuals]]:
     """The contact that stands out most over some of the newest frames, if it does enough, and those frames."""
     windows = _WINDOWS[: np.searchsorted(_WINDOWS, len(history), side="right")]
-    told = np.array([(residuals.score, residuals.power) for residuals in history])
-    score, power = np.add.accumulate(told)[windows - 1].swapaxes(0, 1)
-    energy = np.cumsum(np.array([residuals.energy for residuals in history]))[windows - 1, None]
-    shared = 1 + (windows[:, None] - 1) * common
-    height = fitter.heights(score, power * shared) - fitter.model_error * np.sqrt(energy)
-    window, place = np.unravel_index(np.argmax(height), height.shape)
-    used = history[: int(windows[window])]
-    if height[window, place] < bar:
+    score, power = (np.array([getattr(one, name) for one in history], np.float32) for name in ("score", "power"))
+    energy = np.array([one.energy for one in history])
+    window, _, height = standing_out(score, power, energy, windows, common, fitter.model_error, fitter.bipolar)
+    count = int(windows[window])
+    used = history[:count]
+    if height < bar:
         return None, used
+    score, power = (told[:count].sum(axis=0, dtype=float) for told in (score, power))
     data = Information.together([residuals.unforeseen for residuals in used])
-    return fitter.added(data.times(fitter.allowance(data)), score[window], power[window]), used
+    return fitter.added(data.times(fitter.allowance(data)), score, power), used
 
 
 def _told_by_one(
@@ -122,12 +122,12 @@ def _told_by_one(
 def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:
     """The residuals after one contact more (1, 4) has been found in them, given the variance of the common change."""
     caused, slopes = fitter.responses(params)
-    innovation = residuals.innovation.less(caused).beside(slopes)
+    data, innovation = residuals.reading.data, residuals.innovation.less(caused).beside(slopes)
     reviewed = changed(
         residuals,
         innovation=innovation,
         residual=residuals.residual.less(caused),
-        energy=residuals.energy + energy_of(residuals.reading.data, caused),
+        energy=residuals.energy + energy_of(data.misfit.part, data.white.part, caused),
         unforeseen=innovation.beside_common(variance).without(fitter.shapes(params)),
     )
     return scored(reviewed, fitter)

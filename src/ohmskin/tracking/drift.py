@@ -5,27 +5,16 @@ import numpy as np
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.scan import Difference
-from ohmskin.scan.pairs import in_series
 from ohmskin.tracking.motion import Motion
-from ohmskin.tracking.residuals import Reading
 from ohmskin.tracking.state import TrackState
 
 
-def without_drift(state: TrackState, fitter: ContactFitter, difference: Difference) -> Reading:
-    """A frame without the drift and the temperature of the state, beside resistances of electrodes under contacts.
-
-    Raises:
-        DataError: If no finite datum is left.
-    """
+def without_drift(state: TrackState, fitter: ContactFitter, difference: Difference) -> Difference:
+    """A frame without the drift and the temperature of the state."""
     volts = difference.volts - difference.caused_by(state.drift, fitter.table.pairs)
     if difference.reference is not None:
         volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
-    corrected = changed(difference, volts=volts)
-    data, wary = fitter.information(corrected)
-    if state.covered:
-        data, wary = (each.leaving_out(in_series(state.covered, fitter.table.pairs)) for each in (data, wary))
-    beside = (each.beside_common(state.common_drift[1]) for each in (data, wary))
-    return Reading(corrected, data, *beside)
+    return changed(difference, volts=volts)
 
 
 def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:

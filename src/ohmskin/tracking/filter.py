@@ -6,20 +6,22 @@ before). What the contacts do not explain is kept for a dozen frames and searche
 is learned as drift. The rules are in docs/guide/tracking.md.
 """
 
+from math import exp, sqrt
+
 import numpy as np
 
-from ohmskin.arrays import Floats, changed
+from ohmskin.arrays import changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.information import Information
-from ohmskin.contacts.solution import PER_CONTACT, Solution, inverse, nothing
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
-from ohmskin.tracking.birth import LONGEST, birth_threshold, scored, with_births
+from ohmskin.scan.pairs import in_series
+from ohmskin.tracking import kernels
+from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
 from ohmskin.tracking.drift import learned, with_common_drift, without_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
-from ohmskin.tracking.residuals import Reading, Residuals, energy_of
+from ohmskin.tracking.residuals import Reading, Residuals
 from ohmskin.tracking.revision import just_came, revision_threshold, with_revision
 from ohmskin.tracking.state import STATE, TrackState
 
@@ -75,46 +77,51 @@ class ContactFilter:
         before = moved(state, fitter, motion, elapsed)
         under = set(fitter.covered(before.params[before.pressing]))
         before = changed(before, suspects=(), covered=tuple(e for e in state.covered if e in under))
-        reading = without_drift(before, fitter, difference)
-        state, seen = self._corrected(before, reading)
-        state = self._remembered(before, state, reading, seen, elapsed)
+        state = self._updated(before, without_drift(before, fitter, difference), elapsed)
+        data = state.history[0].reading.data
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
         state = with_lifts(with_common_drift(state, fitter), fitter, self.bar, motion.settling, elapsed)
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history:
             state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
-        unexplained = reading.data.unexplained(fitter.responses(state.params)[0]) if state.pressing else 0.0
+        unexplained = data.unexplained(fitter.responses(state.params)[0]) if state.pressing else 0.0
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
-    def _corrected(self, state: TrackState, reading: Reading) -> tuple[TrackState, Solution]:
-        """The state after a frame, its contacts being those that it holds, and how they explain it."""
-        measured = state.measured
-        if not state.tracks:
-            return state, nothing(len(state.drift))
-        before = state.covariance[np.ix_(measured, measured)]
-        known = inverse(before)
-        seen = self.fitter.refine(reading.wary, state.params, state.params.ravel(), known, rounds=3)
-        gain = state.covariance[:, measured] @ known
-        mean = state.mean + (gain @ (seen.params - state.params).ravel()).reshape(state.mean.shape)
-        mean[:, :PER_CONTACT] = seen.params
-        covariance = state.covariance - gain @ (before - inverse(seen.normal)) @ gain.T
-        return changed(state, mean=mean, covariance=(covariance + covariance.T) / 2), seen
+    def _updated(self, before: TrackState, difference: Difference, elapsed: float) -> TrackState:
+        """The state after a frame, its contacts being those that it holds, and the frame among its history.
 
-    def _remembered(
-        self, before: TrackState, after: TrackState, reading: Reading, seen: Solution, elapsed: float
-    ) -> TrackState:
-        """The state with a frame among its history, from what was believed before and after it."""
-        innovation = _innovation(before, after, reading, seen)
+        What resistances of electrodes under contacts do is left out.
+        """
+        fitter, variance = self.fitter, before.common_drift[1]
+        data, wary = fitter.information(difference)
+        if before.covered:
+            covered = in_series(before.covered, fitter.table.pairs)
+            data, wary = data.leaving_out(covered), wary.leaving_out(covered)
+        mean, covariance = before.mean.copy(), before.covariance.copy()
+        plain, careful, caused, foreseen, innovation, unforeseen, vector, constant, energy, score, power = (
+            kernels.updated(
+                data.misfit.part, wary.misfit.part, data.white.part, mean, covariance, sqrt(variance), *fitter.compiled
+            )
+        )
+        reading, known = Reading(difference, data, data.as_left(plain), wary.as_left(careful)), None
+        if before.tracks:
+            known = foreseen
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
-        faded = after.echo * float(np.exp(-2 * elapsed / self.motion.creeping))
-        energy = max(energy_of(reading.data, seen.caused), faded)
-        effects = {track.id: float(effect) for track, effect in zip(after.tracks, after.mean[:, 2], strict=True)}
-        unforeseen = innovation.beside_common(after.common_drift[1]).without(self.fitter.shapes(after.params))
-        residual = reading.data.less(seen.caused)
-        newest = Residuals(reading, innovation, residual, energy, effects, after.time, unforeseen)
-        history = (scored(newest, self.fitter), *after.history[: LONGEST - 1])
-        return changed(after, history=history, echo=energy, turn=after.turn + 1)
+        energy = max(energy, before.echo * exp(-2 * elapsed / self.motion.creeping))
+        newest = Residuals(
+            reading,
+            data.as_left(innovation, known),
+            data.as_left((*data.misfit.part[:2], vector, constant), caused),
+            energy,
+            {track.id: effect for track, effect in zip(before.tracks, mean[:, 2].tolist(), strict=True)},
+            before.time,
+            data.as_left(unforeseen, known),
+            score,
+            power,
+        )
+        history, turn = (newest, *before.history[: LONGEST - 1]), before.turn + 1
+        return changed(before, mean=mean, covariance=covariance, history=history, echo=energy, turn=turn)
 
     def _common(self, elapsed: float) -> float:
         """Share of the noise's variance that all frames share: of the reference and its learned drift."""
@@ -128,17 +135,3 @@ class ContactFilter:
             velocity = float(state.mean[k, 4]), float(state.mean[k, 5])
             found.append(changed(contact, id=state.tracks[k].id, velocity=velocity))
         return tuple(sorted(found, key=lambda contact: -abs(contact.strength)))
-
-
-def _innovation(before: TrackState, after: TrackState, reading: Reading, seen: Solution) -> Information:
-    """What a frame says that was not foreseen, beside what its contacts may have caused of it."""
-    if not before.tracks:
-        return reading.data
-    spread = np.linalg.cholesky(_balanced(before.covariance[np.ix_(before.measured, before.measured)]))
-    foreseen = seen.caused - seen.slopes @ (after.params - before.params).ravel()
-    return reading.data.less(foreseen).without(seen.slopes @ spread)
-
-
-def _balanced(covariance: Floats) -> Floats:
-    """The covariance with a small multiple of its diagonal added, so that rounding cannot make it indefinite."""
-    return np.asarray(covariance + 1e-12 * np.diag(np.diag(covariance)))

@@ -6,9 +6,9 @@ import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.kernels import SQUARE_STD
 from ohmskin.inverse.modes import check_positive
-from ohmskin.tracking.state import STATE, TrackState
+from ohmskin.tracking.kernels import advanced
+from ohmskin.tracking.state import TrackState
 
 _LEAST_EFFECT = 0.1  # change of conductivity that even a light contact may gain in a moment
 
@@ -43,23 +43,13 @@ class Motion:
 
 def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
     """The state some time later (s): contacts go on, ever more slowly, and are known less and less well."""
-    n, square = len(state.tracks), fitter.table.radius**2
     common_drift = (state.common_drift[0], state.common_drift[1] + motion.warming**2 * elapsed)
     state = changed(state, common_drift=common_drift, time=state.time + elapsed)
-    if not n:
+    if not state.tracks:
         return state
-    kept, sized = np.exp(-elapsed / motion.memory), np.exp(-elapsed / motion.widening)
-    one = np.diag([1.0, 1.0, 1.0, sized, kept, kept])
-    one[[0, 1], [4, 5]] = motion.memory * (1 - kept)
-    mean = state.mean @ one.T
-    mean[:, 3] += (1 - sized) * square
-    mean[:, :2] = fitter.onto(mean[:, :2])
-    added = np.zeros((n, STATE))
-    added[state.pressing, 4:] = motion.speed**2 * (1 - kept**2)
-    added[state.pressing, :2] = added[state.pressing, 4:] * elapsed**2 / 3
-    added[:, 2] = motion.pressing**2 * elapsed * (np.abs(state.mean[:, 2]) + _LEAST_EFFECT * np.pi * square) ** 2
-    added[:, 3] = (1 - sized**2) * (SQUARE_STD * square) ** 2
-    steps = np.zeros((n, STATE, n, STATE))
-    steps[np.arange(n), :, np.arange(n)] = one
-    step = steps.reshape(n * STATE, n * STATE)
-    return changed(state, mean=mean, covariance=step @ state.covariance @ step.T + np.diag(added.ravel()))
+    mean, covariance, radius = state.mean.copy(), state.covariance.copy(), fitter.table.radius
+    pressing = np.array([not track.lifted for track in state.tracks])
+    scales = np.array([radius, motion.speed, motion.pressing, _LEAST_EFFECT * np.pi * radius**2])
+    times = np.array([motion.memory, motion.widening])
+    advanced(mean, covariance, pressing, elapsed, times, scales, fitter.table.sheet)
+    return changed(state, mean=mean, covariance=covariance)

@@ -4,11 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Singles
 from ohmskin.contacts.information import Information
 from ohmskin.scan import Difference
-
-_OTHERWISE = 2.0  # times what the data tell beside all errors by which a contact's model errs at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +24,6 @@ class Reading:
     data: Information
     beside: Information
     wary: Information
-
-
-def energy_of(data: Information, caused: Floats) -> float:
-    """What contacts cause (n_pairs,) of a frame, where their model may err: squared size over the noise's variance.
-
-    What errors of currents and contact impedances leave of it bounds it: near an electrode nearly all is in that
-    electrode's own resistance, of which nothing is taken to be known.
-    """
-    return min(data.size(caused) ** 2, _OTHERWISE * float(data.misfit.sizes(caused[:, None])[0]) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +49,6 @@ class Residuals:
     effects: dict[int, float]
     time: float
     unforeseen: Information
-    score: Floats = field(default_factory=lambda: np.empty(0))
-    power: Floats = field(default_factory=lambda: np.empty(0))
+    score: Floats | Singles = field(default_factory=lambda: np.empty(0))
+    power: Floats | Singles = field(default_factory=lambda: np.empty(0))
     told_by: int | None = None

@@ -17,6 +17,10 @@ from ohmskin.tracking.state import STATE, TrackState
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
 _RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
+_MORE, _ANYWAY = (
+    2.0,
+    4,
+)  # times what two promised in vain, from which on they are fitted again; turns after which they are
 _HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again, and a faint one is none
 
 
@@ -60,7 +64,8 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     if (rest := _without_needless(rested, bar)) is not None:
         return rest
     if len(pressing) < fitter.most:
-        return _split(rested, bar, speed, pressing[turn % len(pressing)])
+        turn, place = divmod(turn, len(pressing))
+        return _split(rested, bar, speed, pressing[place], turn % _ANYWAY == 0)
     return state
 
 
@@ -115,13 +120,23 @@ def _placed(rested: "_Rested", speed: float, k: int) -> TrackState | None:
     return changed(state, mean=mean, covariance=covariance, history=())
 
 
-def _split(rested: "_Rested", bar: float, speed: float, k: int) -> TrackState:
-    """The state with one contact as two, if these explain the last frames better; the closer one keeps the name."""
+def _split(rested: "_Rested", bar: float, speed: float, k: int, anyway: bool) -> TrackState:
+    """The state with one contact as two, if these explain the last frames better; the closer one keeps the name.
+
+    Two that were fitted in vain are fitted again once they promise more, or `anyway`.
+    """
     state, fitter = rested.state, rested.fitter
     told, data, error = rested.less_all_but([k])
-    two = fitter.split(told, data, fitter.refine(data, state.params[[k]]), 0, bar + error)
-    if two is None:
+    one = fitter.refine(data, state.params[[k]])
+    left = told.less(one.caused).beside(one.slopes)
+    promise = float(fitter.pairs(left, one.params[0])[1].max()) ** 2
+    if promise < _MORE * state.tracks[k].refuted and not anyway:
         return state
+    two = fitter.split(told, data, one, 0, bar + error, left)
+    if two is None:
+        tracks = [*state.tracks]
+        tracks[k] = changed(tracks[k], refuted=promise)
+        return changed(state, tracks=tuple(tracks))
     closer, farther = np.argsort(np.linalg.norm(fitter.table.offsets(two.params[:, :2], state.mean[k, :2]), axis=1))
     rest, covariances = state.without([k]), two.covariances
     kept = rest.with_contact(two.params[closer], covariances[closer], speed, state.tracks[k].id)

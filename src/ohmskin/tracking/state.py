@@ -23,12 +23,14 @@ class Track:
         peak: Its largest effect so far (m2).
         since: When it came (s).
         lifted: Since when it is lifted (s); zero while it presses.
+        refuted: Gain that two in its place promised when they were last fitted in vain (1).
     """
 
     id: int
     peak: float
     since: float
     lifted: float = 0.0
+    refuted: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

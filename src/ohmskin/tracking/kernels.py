@@ -1,0 +1,219 @@
+"""The compiled steps of a filter on contacts (n, 6): x, y (m), effect (m2), squared radius (m2), velocity (m/s)."""
+
+import numpy as np
+from numba import njit
+
+from ohmskin.arrays import Bools, Floats, Ints, Singles
+from ohmskin.contacts.follow import beside, scored, shapes_of
+from ohmskin.contacts.kernels import SQUARE_STD, all_onto, refined
+from ohmskin.contacts.measured import Part, add, dot
+from ohmskin.contacts.misfit import less, sizes
+from ohmskin.contacts.solution import inverse
+from ohmskin.forward.splines import Grid, Spline
+
+_ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
+_BALANCE = 1e-12  # share of a variance added to it, so that rounding cannot make a covariance indefinite
+_OTHERWISE = 2.0  # times what the data tell beside all errors by which a contact's model errs at most
+
+
+@njit(cache=True, nogil=True)
+def advanced(
+    mean: Floats, covariance: Floats, pressing: Bools, elapsed: float, times: Floats, scales: Floats, sheet: Grid
+) -> None:
+    """Contacts (n, 6) some time later (s), and their covariance (6 n, 6 n), in place: they go on, ever more slowly.
+
+    Args:
+        mean: Contacts.
+        covariance: Of all of them together.
+        pressing: Whether each presses; those that are lifted rest.
+        elapsed: The time.
+        times: In which velocities and sizes are forgotten to 1/e (s).
+        scales: Usual radius (m), standard deviation of velocities (m/s), relative change of effects in a second
+            (1/sqrt(s)), and least effect that a random walk is relative to (m2).
+        sheet: Where contacts may be.
+    """
+    kept, sized = np.exp(-elapsed / times[0]), np.exp(-elapsed / times[1])
+    square, ahead = scales[0] ** 2, times[0] * (1 - kept)
+    for k in range(len(mean)):
+        for axis in range(2):
+            at, rate = 6 * k + axis, 6 * k + 4 + axis
+            for i in range(len(covariance)):
+                covariance[at, i] += ahead * covariance[rate, i]
+                covariance[rate, i] *= kept
+            for i in range(len(covariance)):
+                covariance[i, at] += ahead * covariance[i, rate]
+                covariance[i, rate] *= kept
+            if pressing[k]:
+                added = scales[1] ** 2 * (1 - kept**2)
+                covariance[at, at] += added * elapsed**2 / 3
+                covariance[rate, rate] += added
+            mean[k, axis] += ahead * mean[k, 4 + axis]
+        at = 6 * k + 3
+        for i in range(len(covariance)):
+            covariance[at, i] *= sized
+        for i in range(len(covariance)):
+            covariance[i, at] *= sized
+        covariance[at, at] += (1 - sized**2) * (SQUARE_STD * square) ** 2
+        covariance[at - 1, at - 1] += scales[2] ** 2 * elapsed * (abs(mean[k, 2]) + scales[3]) ** 2
+        mean[k, 3] = sized * mean[k, 3] + (1 - sized) * square
+        for axis in range(2):
+            mean[k, 4 + axis] *= kept
+    places = mean[:, :2].copy()
+    all_onto(places, sheet)
+    mean[:, :2] = places
+
+
+@njit(cache=True, nogil=True)
+def updated(
+    told: Part, wary: Part, white: Part, mean: Floats, covariance: Floats, common: float, settings: Floats,
+    sheet: Grid, spline: Spline, candidates: Singles,
+) -> tuple[Part, Part, Floats, Floats, Part, Part, Floats, float, float, Singles, Singles]:  # fmt: skip
+    """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and what it says of others.
+
+    Args:
+        told: What a frame says.
+        wary: The same with the model's error as noise.
+        white: If voltages err by white noise alone.
+        mean: Contacts as they were foreseen.
+        covariance: Of all of them together.
+        common: Standard deviation of a common change of all resistances (1).
+        settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1).
+        sheet: Where contacts may be.
+        spline: What they do.
+        candidates: (n_pairs + 1, n_places) what those do that are looked for.
+
+    Returns:
+        `told` and `wary` beside the common change; what contacts cause (n_pairs,), and what was foreseen (n_pairs,);
+        the innovation, and the same beside the common change and shapes of contacts; vector (n_pairs + 1,) and
+        constant of what contacts leave; their energy, see `energy_of`; score and power (n_places,) of a contact more.
+    """
+    radius, least, smallest, largest, error = settings[:5]
+    n, pairs = len(mean), len(told[2]) - 1
+    direction = np.zeros((1, pairs + 1))
+    direction[0, pairs] = common
+    plain, careful = beside(told, direction), beside(wary, direction)
+    caused, foreseen, innovation = np.zeros(pairs), np.zeros(pairs), told
+    params = mean[:, :4].copy()
+    if n:
+        before = _parameters(covariance)
+        known, start = inverse(before), params.copy().ravel()
+        _, normal, caused, slopes = refined(
+            params, careful[0], careful[1], careful[2], careful[3], start, known, _ROUNDS, radius, least, smallest,
+            largest, sheet, spline, np.inf,
+        )  # fmt: skip
+        change = params.ravel() - start
+        _condition(mean, covariance, before, known, normal, params, change)
+        for p in range(pairs):
+            foreseen[p] = caused[p]
+            for i in range(4 * n):
+                foreseen[p] -= slopes[i, p] * change[i]
+        vector, constant = less(told[0], told[1], told[2], told[3], foreseen)
+        innovation = beside((told[0], told[1], vector, constant), _spread(before, slopes))
+    unforeseen = beside(beside(innovation, direction), shapes_of(params, radius, error, spline))
+    vector, constant = less(told[0], told[1], told[2], told[3], caused)
+    score, power = scored(unforeseen, candidates)
+    energy = energy_of(told, white, caused)
+    return plain, careful, caused, foreseen, innovation, unforeseen, vector, constant, energy, score, power
+
+
+@njit(cache=True, nogil=True)
+def energy_of(told: Part, white: Part, caused: Floats) -> float:
+    """What contacts cause (n_pairs,) of a frame, where their model may err: squared size over the noise's variance.
+
+    What errors of currents and contact impedances leave of it bounds it: near an electrode nearly all is in that
+    electrode's own resistance, of which nothing is taken to be known.
+    """
+    one = caused.reshape((1, len(caused)))
+    whole, left = sizes(white[0], white[1], one)[0], sizes(told[0], told[1], one)[0]
+    return float(min(whole**2, _OTHERWISE * left**2))
+
+
+@njit(cache=True, nogil=True)
+def standing_out(
+    scores: Singles, powers: Singles, energies: Floats, windows: Ints, common: float, error: float, bipolar: bool
+) -> tuple[int, int, float]:
+    """The number of the window and the place where a contact more stands out most, and by how many deviations.
+
+    Args:
+        scores, powers: (n, n_places) of the last frames, newest first.
+        energies: (n,) of what contacts known cause of each, where their model may err.
+        windows: (k,) how many of the newest frames are taken together.
+        common: Share of the noise's variance that is the same in all frames.
+        error: How far the model of a contact errs (1).
+        bipolar: Whether contacts may lower the conductivity, too.
+    """
+    score, power = np.zeros(scores.shape[1]), np.zeros(scores.shape[1])
+    energy, taken, best = 0.0, 0, (0, 0, -np.inf)
+    for k in range(len(windows)):
+        for frame in range(taken, windows[k]):
+            energy += energies[frame]
+            for p in range(len(score)):
+                score[p] += scores[frame, p]
+                power[p] += powers[frame, p]
+        taken = windows[k]
+        share, most, place = 1 + (taken - 1) * common, -np.inf, 0
+        for p in range(len(score)):
+            height = (abs(score[p]) if bipolar else score[p]) / np.sqrt(power[p] * share)
+            if height > most:
+                most, place = height, p
+        most -= error * np.sqrt(energy)
+        if most > best[2]:
+            best = k, place, most
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _parameters(covariance: Floats) -> Floats:
+    """The covariance (4 n, 4 n) of what a frame depends on, of that of contacts and their velocities (6 n, 6 n)."""
+    n = len(covariance) // 6
+    out = np.empty((4 * n, 4 * n))
+    for i in range(4 * n):
+        for k in range(4 * n):
+            out[i, k] = covariance[i // 4 * 6 + i % 4, k // 4 * 6 + k % 4]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _condition(
+    mean: Floats, covariance: Floats, before: Floats, known: Floats, normal: Floats, params: Floats, change: Floats
+) -> None:
+    """Contacts (n, 6) and their covariance, in place, once `params` (n, 4) are known with information `normal`.
+
+    Before, theirs was `known`, the inverse of `before`; they have made a `change` (4 n,).
+    """
+    states, n = len(covariance), len(before)
+    gain, lost, taken = np.zeros((states, n)), before - inverse(normal), np.zeros((states, n))
+    for i in range(states):
+        for k in range(n):
+            for j in range(n):
+                gain[i, k] += covariance[i, j // 4 * 6 + j % 4] * known[j, k]
+    for i in range(states):
+        for k in range(n):
+            for j in range(n):
+                taken[i, k] += gain[i, j] * lost[j, k]
+    for i in range(states):
+        mean[i // 6, i % 6] += dot(gain[i], change)
+        for k in range(i + 1):
+            value = (covariance[i, k] + covariance[k, i]) / 2 - dot(taken[i], gain[k])
+            covariance[i, k] = covariance[k, i] = value
+    for k in range(len(params)):
+        for i in range(4):
+            mean[k, i] = params[k, i]
+
+
+@njit(cache=True, nogil=True)
+def _spread(covariance: Floats, slopes: Floats) -> Floats:
+    """What the data change (n, n_pairs), in directions each of one standard deviation, as parameters of this covariance
+    (n, n) do, given their slopes (n, n_pairs)."""
+    n, out = len(covariance), np.zeros_like(slopes)
+    lower = np.zeros((n, n))
+    for i in range(n):
+        for k in range(i + 1):
+            total = covariance[i, k] * (1 + _BALANCE * (i == k))
+            for j in range(k):
+                total -= lower[i, j] * lower[k, j]
+            lower[i, k] = np.sqrt(max(total, 0.0)) if i == k else total / max(lower[k, k], 1e-300)
+    for k in range(n):
+        for i in range(k, n):
+            add(lower[i, k], slopes[i], out[k])
+    return out
