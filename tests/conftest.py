@@ -9,11 +9,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba"))
 
 import faulthandler
-import fcntl
 import shutil
 import sys
-from collections.abc import Callable, Generator, Iterator
-from functools import wraps
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +40,10 @@ hypothesis.settings.load_profile("patient")
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionstart() -> None:
-    """Two workers that keep what they compiled of one function at once would mix up its index: they take turns."""
-    from numba.core.caching import IndexDataCacheFile
+    """Workers compile nothing twice, and never mix up the index of what is kept of one function."""
+    from turns import take_turns
 
-    IndexDataCacheFile.save = in_turn(IndexDataCacheFile.save)
+    take_turns()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -108,18 +106,6 @@ def chromium() -> Iterator[Any]:
         LEFTOVERS.keep()
         yield browser
         browser.close()
-
-
-def in_turn(call: Callable[..., None]) -> Callable[..., None]:
-    """A function that only one process at a time is in."""
-
-    @wraps(call)
-    def taking_turns(*arguments: Any) -> None:
-        with open(os.path.join(os.environ["NUMBA_CACHE_DIR"], "turn"), "a") as turn:
-            fcntl.flock(turn, fcntl.LOCK_EX)  # until it is closed
-            call(*arguments)
-
-    return taking_turns
 
 
 def recordings(name: str) -> Path:

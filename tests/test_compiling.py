@@ -29,6 +29,9 @@ TOUCHED = """if True:
     from numba.core.dispatcher import Dispatcher
     from ohmskin import Engine, Skin, VirtualSkin
     from ohmskin.engine.compiling import compile_ahead
+    from turns import take_turns
+
+    take_turns()
 
     def compiled():
         modules = [module for name, module in list(sys.modules.items()) if name.startswith("ohmskin")]

@@ -54,28 +54,26 @@ def test_what_is_missing_is_skipped_with_its_package_and_fails_in_ci(monkeypatch
         needs("no-such-program", package="nowhere")
 
 
-def test_workers_take_turns_to_keep_what_they_compiled(tmp_path: Path) -> None:
-    """Two processes that write one index at once would mix up each other's entries."""
+def test_what_one_process_compiles_no_other_one_does(tmp_path: Path) -> None:
     script = """if True:
-        import sys, time
-        from pathlib import Path
-        from conftest import in_turn
-        count = Path(sys.argv[1])
+        import sys
+        from turns import take_turns
+        from ohmskin.geometry.overlap import _areas
 
-        @in_turn
-        def one_more(k):
-            number = int(count.read_text())
-            time.sleep(1e-3)
-            count.write_text(str(number + 1))
-
-        for k in range(100):
-            one_more(k)
+        take_turns()
+        print("ready", flush=True)
+        sys.stdin.readline()
+        _areas.compile("(f8[:, :, ::1], f8)")
+        print(sum(_areas.stats.cache_misses.values()), sum(_areas.stats.cache_hits.values()))
         """
-    (count := tmp_path / "count").write_text("0")
-    command, settings = [sys.executable, "-c", script, str(count)], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    both = [subprocess.Popen(command, env=settings, cwd=FOLDER) for _ in range(2)]
-    assert [process.wait(120) for process in both] == [0, 0]
-    assert count.read_text() == "200"
+    command, settings = [sys.executable, "-c", script], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    pipes = dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)
+    both = [subprocess.Popen(command, env=settings, cwd=FOLDER, text=True, **pipes) for _ in range(2)]
+    assert [process.stdout.readline() for process in both] == ["ready\n"] * 2
+    for process in both:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    assert sorted(process.communicate(timeout=120)[0] for process in both) == ["0 1\n", "1 0\n"]
 
 
 def test_a_run_ends_after_a_failed_set_up_and_takes_its_children_with_it(tmp_path: Path) -> None:

@@ -264,22 +264,22 @@ TABLE = (
     *(Row(tests, "smoke") for tests in SMOKE),
 )
 
-SLOWEST = (  # long tests first; then files that wait for browsers, boards and devices, among those that compute
+SLOWEST = (  # long tests first; what compiles, beside files that wait for browsers and boards; then what computes
     "test_terminal.py",
+    "test_compiling.py",
+    "test_view_browser.py",
+    "test_accessible.py",
+    "test_view_states.py",
+    "test_firmware_loop.py",
     "test_fuzzing.py",
     "test_documentation.py",
     "test_reproduce.py",
     "test_policies.py",
     "test_guides.py",
     "test_independent.py",
-    "test_compiling.py",
-    "test_view_browser.py",
     "test_diagnosis.py",
     "test_publish_live.py",
-    "test_view_states.py",
     "test_sensing.py",
-    "test_firmware_loop.py",
-    "test_accessible.py",
     "test_curved.py",
     "test_hostile.py",
     "test_recorder.py",
