@@ -170,14 +170,18 @@ def test_wheel_and_sdist_have_all_that_is_needed(built: Path) -> None:
     assert "Typing :: Typed" in told.get_all("Classifier", [])
 
 
+RELEASE = ohmskin.__version__.removesuffix(".dev0")  # package.xml takes three numbers only
+
+
 def test_everything_tells_the_same_version(built: Path) -> None:
     def told(file: str, pattern: str) -> str:
         return re.findall(pattern, (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)[0]
 
     (client,) = built.glob("ohmskin_client-*.whl")
     assert metadata(client)["Version"] == told("CITATION.cff", r"^version: (\S+)") == ohmskin.__version__
+    assert told("CHANGELOG.md", r"^## (.*)") == f"{RELEASE} (unreleased)" or ohmskin.__version__ == RELEASE
     for package in ("ohmskin_msgs", "ohmskin_ros"):
-        assert told(f"ros/{package}/package.xml", r"<version>(\S+)</version>") == ohmskin.__version__
+        assert told(f"ros/{package}/package.xml", r"<version>(\S+)</version>") == RELEASE
 
 
 def test_the_readme_of_an_index_leads_nowhere_that_is_not_there(built: Path) -> None:

@@ -20,11 +20,11 @@ DISC = {"kind": "disc", "radius": 0.1}
 MODES = [
     {
         "name": "12B",
-        "title": "Rim only",
+        "title": "Rim only, 12 electrodes",
         "summary": "Adjacent drive on the 12 electrodes of the rim.",
         "available": True,
     },
-    {"name": "16B", "title": "Rim only", "available": True, "why_not": ""},
+    {"name": "16B", "title": "Rim only, 16 electrodes", "available": True, "why_not": ""},
     {"name": "16I", "title": "Rim and inside", "available": False, "why_not": "needs 4 inner electrodes"},
     {
         "name": "16O",

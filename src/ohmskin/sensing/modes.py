@@ -11,7 +11,7 @@ MODES = (
         "{rim}B",
         drive="rim",
         reader="centroid",
-        title="Rim only",
+        title="Rim only, {rim} electrodes",
         summary="Adjacent drive on the {rim} electrodes of the rim; contacts are centroids of the image.",
     ),
     Mode(
@@ -45,7 +45,7 @@ MODES = (
         summary="A few injections a frame where most informative; contacts are tracked on the data.",
     ),
 )
-"""The modes that ship; ``{rim}`` and ``{all}`` stand for numbers of electrodes."""
+"""The modes that ship; ``{rim}`` and ``{all}`` are replaced by numbers of electrodes."""
 
 LEARNED = Mode(
     "{all}L",
@@ -101,7 +101,8 @@ def mode_named(skin: Skin, name: str) -> Mode:
 
 
 def _named(mode: Mode, skin: Skin) -> Mode:
-    return replace(mode, name=_filled(mode.name, skin), summary=_filled(mode.summary, skin), fuse=skin.imaging.fuse)
+    name, title, summary = (_filled(text, skin) for text in (mode.name, mode.title, mode.summary))
+    return replace(mode, name=name, title=title, summary=summary, fuse=skin.imaging.fuse)
 
 
 def _filled(text: str, skin: Skin) -> str:
