@@ -55,8 +55,9 @@ def followed(
     mean, prior = expected(params[:, 2].copy(), radius, sheet[0], sheet[1], sheet[5])
     fit = beside(beside(wary, common), shapes)
     cost, normal, caused, slopes = refined(
-        params, fit[0], fit[1], fit[2], fit[3], mean, prior, 40, radius, least, smallest, largest, sheet, spline, np.inf
-    )
+        params, fit[0], fit[1], fit[2], fit[3], mean, prior, np.int64(40), radius, least, smallest, largest, sheet,
+        spline, np.inf,
+    )  # fmt: skip
     signal = max(white[3], 0.0) / count
     share = 1 / (1 + error**2 * signal)
     if cost > patience * count * (share + USUAL * (1 - share)):

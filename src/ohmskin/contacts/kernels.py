@@ -1,5 +1,7 @@
 """The compiled steps of a fit of contacts (n, 4): x, y (m), effect (m2) and squared radius (m2) of each."""
 
+from typing import SupportsIndex
+
 import numpy as np
 from numba import njit
 
@@ -109,13 +111,15 @@ def expected(effects: Floats, usual: float, low: Floats, high: Floats, period: f
 
 @njit(cache=True, nogil=True)
 def refined(
-    params: Floats, rows: Rows, lost: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats, rounds: int,
-    radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline, best: float,
+    params: Floats, rows: Rows, lost: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats,
+    rounds: SupportsIndex, radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
+    best: float,
 ) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
     """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes.
 
     A fit ends, too, that cannot come up with the `best` cost known, by what its next step promises.
-    Rows, those lost, vector and constant are those of a `Misfit`.
+    Rows, those lost, vector and constant are those of a `Misfit`. Compiled code gives `rounds` as an int64: for a
+    constant, numba would compile all of this again.
     """
     damping, n = 1e-3, params.size
     floor, ceiling, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)

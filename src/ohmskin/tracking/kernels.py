@@ -98,8 +98,8 @@ def updated(
         before = _parameters(covariance)
         known, start = inverse(before), params.copy().ravel()
         _, normal, caused, slopes = refined(
-            params, careful[0], careful[1], careful[2], careful[3], start, known, _ROUNDS, radius, least, smallest,
-            largest, sheet, spline, np.inf,
+            params, careful[0], careful[1], careful[2], careful[3], start, known, np.int64(_ROUNDS), radius, least,
+            smallest, largest, sheet, spline, np.inf,
         )  # fmt: skip
         change = params.ravel() - start
         _condition(mean, covariance, before, known, normal, params, change)
