@@ -55,24 +55,29 @@ def run(folder: Path, files: set[str]) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, cwd=ROOT, env=os.environ | settings, capture_output=True, text=True)
 
 
+def installed_and_run(folder: Path, python: str, resolution: str) -> "subprocess.CompletedProcess[str]":
+    """Those that may run beside the tests of another environment."""
+    install(folder, python, resolution)
+    return run(folder, FILES - ALONE)
+
+
 def main() -> int:
     """Exit status: 0 if all pass that could be run."""
     if unknown := [name for name in sys.argv[1:] if name not in TRIED]:
         sys.exit(f"no versions {unknown[0]!r}; choose from {', '.join(TRIED)}")
     failed = False
     with TemporaryDirectory() as scratch:
-        made: dict[str, Path] = {}
+        made: dict[str, tuple[Path, str, str]] = {}
         for name in sys.argv[1:] or TRIED:
             resolution, version = TRIED[name]
             title = f"{name.partition('-')[0]} versions on Python {version}"
             if (python := find_python(version)) is None:
                 print(f"{title}: not tried, there is no python{version} here", flush=True)
                 continue
-            made[title] = Path(scratch) / name
-            install(made[title], python, resolution)
-        with ThreadPoolExecutor(2) as pool:
-            done = dict(zip(made, pool.map(lambda folder: run(folder, FILES - ALONE), made.values()), strict=True))
-        for title, folder in made.items():
+            made[title] = Path(scratch) / name, python, resolution
+        with ThreadPoolExecutor(2) as pool:  # one is installed while another is tried
+            done = dict(zip(made, pool.map(lambda one: installed_and_run(*one), made.values()), strict=True))
+        for title, (folder, *_) in made.items():
             for tests in (done[title], run(folder, ALONE)):
                 failed |= tests.returncode != 0
                 print(
