@@ -102,8 +102,7 @@ def main() -> None:
         page = browser.new_page(viewport={"width": 1200, "height": 800})
         page.add_init_script(COUNT)
         page.goto(overview.url)
-        while not page.evaluate("window.ohmskin?.body?._skins?.filter(Boolean).length === 8"):
-            time.sleep(0.1)
+        page.wait_for_function("window.ohmskin?.body?.skins.filter(Boolean).length === 8", timeout=120e3)
         time.sleep(3.0)
         written, before, begun = len(late), page.evaluate("updates"), time.monotonic()
         load = os.getloadavg()[0]

@@ -328,3 +328,13 @@ def test_clicking_the_skin_of_a_robot_is_felt_there(tmp_path: Path, chromium: An
     finally:
         command.terminate()
         command.communicate(timeout=300)
+
+
+def test_the_benchmark_counts_updates_at_a_browser() -> None:
+    """It asks the page's scripts by names that they may change: then it waited for ever."""
+    command = [sys.executable, "-m", "benchmarks.updates", "--seconds", "1"]
+    done = subprocess.run(command, cwd=EXAMPLE.parents[2], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    rate = re.match(r"([\d.]+) updates of 8 patches a second", done.stdout)
+    assert rate is not None, done.stdout
+    assert float(rate[1]) > 0

@@ -122,6 +122,64 @@ def test_forces_of_two_presses_are_told_apart_and_follow(engine: Engine) -> None
     assert touch.contacts[0].force == pytest.approx(risen.force(FOAM), rel=0.3)
 
 
+@pytest.mark.parametrize("place", [(0.06, 0.06), (0.13, 0.05), (0.11, 0.14)])
+@pytest.mark.parametrize("radii", [(11e-3, 5e-3), (5e-3, 11e-3)])
+def test_presses_that_jump_to_another_size_are_found_again(
+    engine: Engine, place: tuple[float, float], radii: tuple[float, float]
+) -> None:
+    """A fit that was followed alone ends where pressure is the least that may be, a fifth of the force."""
+    told, presses = [], [Press(place, radius, 20e3) for radius in radii]
+    pressed(engine, presses[0], frames=1)
+    for press in (press for press in presses for _ in range(20)):
+        engine.press(0, press.position, press.radius, press.pressure)
+        touch = engine.step()
+        assert touch is not None
+        told.append([(contact.force, contact.force_std) for contact in touch.contacts])
+    engine.press(0, place, radii[1], 0.0)
+    true = presses[1].force(FOAM)
+    last = [one[0] for one in told[-10:] if one]
+    assert all(force is not None and true / 3 < force < 3 * true for force, _ in last), (last, true)
+    off = [abs(force - true) > 3 * std for force, std in last if force is not None and std is not None]
+    assert np.mean(off) < 0.2, (last, true)
+
+
+def test_a_refused_step_is_damped_at_once(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However bold good steps have made the next one."""
+    assert engine.sensor is not None
+    follower, updates = engine.sensor.forces, list[tuple[object, ...]]()
+    assert isinstance(follower, PressFollower)
+    inner = follower.update
+
+    def noted(*given: object) -> object:
+        updates.append(given)
+        return inner(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(follower, "update", noted)
+    pressed(engine, Press((0.1, 0.08), 8e-3, 20e3), frames=14)
+    monkeypatch.undo()
+    state, contacts, scans, elapsed = updates[-1]
+    assert isinstance(state, Presses)
+    assert any(fit.found is not None for fit in state.fits)
+    bold = replace(state, fits=tuple(replace(fit, damping=1e-12, params=fit.best + 0.5) for fit in state.fits))
+    far = [1e3 * part for part in follower.fitter.caused(state.fits[0].params)]
+    monkeypatch.setattr(follower.fitter, "caused", lambda _: far)  # far from the data: every step is refused
+    after, _ = follower.update(bold, contacts, scans, elapsed)  # type: ignore[arg-type]
+    assert after.fits
+    assert all(fit.damping >= 1e-2 for fit in after.fits)
+
+
+def test_patches_are_prepared_in_a_share_of_idle_time(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One takes 6 ms: in every frame of 9 ms that would be most of a core."""
+    assert engine.sensor is not None
+    follower, made = engine.sensor.forces, list[int]()
+    assert isinstance(follower, PressFollower)
+    monkeypatch.setattr(follower.fitter.sheet, "prepare", lambda: made.append(1))
+    state = Presses()
+    for _ in range(100):
+        state, _ = follower.update(state, (), (), 9e-3)
+    assert 10 <= len(made) <= 20
+
+
 def test_a_palm_is_felt_without_a_force_that_would_hold_up_the_loop(engine: Engine) -> None:
     contact = pressed(engine, Press((0.1, 0.1), 30e-3, 20e3), frames=6)[-1].contacts[0]
     assert contact.radius is not None

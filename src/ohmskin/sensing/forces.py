@@ -28,9 +28,11 @@ _KEPT = 0.05  # s for which a press is taken to stay as it is
 _SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
 _LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
 _DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
+_JUMPED = 30.0  # standard deviations by which presses change, from which on they may be of another size; ramps: some 10
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
 _LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
 _MOST = 1200  # contacts of patches under presses near each other, some three fingers: time goes with the cube
+_PREPARING = 0.05  # s of idle time for which one patch is prepared, which takes 6 ms
 _CHANGED, _CREPT = 0.05, 0.25  # logarithm of a pressure, and share of the time in which foam creeps, worth following
 _UNKNOWN_SIZE = 0.5  # share of a force that is not known where the size of what presses is not
 
@@ -44,7 +46,7 @@ class Fit:
         caused, slopes: What they change there of the two-terminal resistances (n_pairs,) (ohm), and its slopes.
         damping: Of the next step.
         found: (4 n,) the best there is, if it is near enough; None: not yet.
-        covariance: (4 n, 4 n) of it.
+        covariance: (4 n, 4 n) of the best so far; None: before the first step.
         cost: Squared misfit.
     """
 
@@ -77,7 +79,7 @@ class Presses:
         data: What the last frames say; None: nothing yet.
         exact: What the last ones say, as if no model erred: by how much presses have changed since.
         scans: What has been measured since, and
-        elapsed: in which time (s).
+        elapsed: in which time, or since a place was prepared while nothing touches (s).
         told: The presses found last, by contact, by what of them acts on the sheet, and
         foam: what the foam under them was last, and how long ago (s).
     """
@@ -124,18 +126,20 @@ class PressFollower:
     def update(
         self, before: Presses, contacts: Sequence[Contact], scans: Sequence[Difference], elapsed: float
     ) -> tuple[Presses, tuple[Contact, ...]]:
-        """See `Forces`. While nothing touches, what a first press needs is made, a place in each frame."""
+        """See `Forces`. While nothing touches, what a first press needs is made, a place now and then."""
         found = sorted(contacts, key=lambda contact: contact.id)
         if not found:
-            self.fitter.sheet.prepare()
-            return Presses(), ()
+            if (idle := before.elapsed + elapsed) >= _PREPARING:
+                self.fitter.sheet.prepare()
+                idle = 0.0
+            return Presses(elapsed=idle), ()
         state, ids = before, tuple(contact.id for contact in found)
         if state.ids != ids or not state.fits or self._lost(state, found):
             state = self._begun(state, ids, found)
         if state.fits:
             state = replace(state, scans=(*state.scans, *scans), elapsed=state.elapsed + elapsed)
             if sum(scan.pattern.n_inj for scan in state.scans) >= self._injections:
-                state = self._improved(self._informed(state))
+                state = self._improved(self._informed(state, found))
         pressing, foam = self._pressing(state, before.foam, elapsed)
         told = tuple(_with_force(contact, pressing.get(contact.id)) for contact in contacts)
         return replace(state, foam=foam), told
@@ -176,15 +180,19 @@ class PressFollower:
         spots = [Press(contact.position, contact.radius or 1e-3, 0.0) for contact in contacts]
         if self.fitter.most_contacts(spots) > _MOST:
             return Presses(ids)
-        fits = list[Fit]()
         told = {number: press for number, press in before.told.items() if number in ids}
-        for size in _SIZES if len(told) < len(ids) else _SIZES[:1]:
+        return Presses(ids, self._started(contacts, told), told=told)
+
+    def _started(self, contacts: Sequence[Contact], told: dict[int, FittedPress]) -> tuple[Fit, ...]:
+        """Fits of several sizes at contacts; presses that are told as they were."""
+        fits = list[Fit]()
+        for size in _SIZES if len(told) < len(contacts) else _SIZES[:1]:
             params = self.fitter.start(contacts, size).reshape(-1, len(_LINEAR))
             for own, contact in zip(params, contacts, strict=True):
                 if (known := told.get(contact.id)) is not None:
                     own[2:] = np.log([known.press.radius, known.press.pressure])
             fits += self._evaluated(params.ravel())
-        return Presses(ids, tuple(fits), told=told)
+        return tuple(fits)
 
     def _evaluated(self, params: Floats) -> list[Fit]:
         """A fit where the model is evaluated at presses (4 n,); none if that would take too long or cannot be done."""
@@ -195,16 +203,18 @@ class PressFollower:
         except ModelError:  # of presses too hard for the mesh: contacts are reported all the same
             return []
 
-    def _informed(self, state: Presses) -> Presses:
+    def _informed(self, state: Presses, contacts: Sequence[Contact]) -> Presses:
         """The state with what it has gathered among its data, of which the older count less, the more so the more
-        presses have changed since."""
+        presses have changed since; where they have jumped, fits are started afresh beside those that are followed."""
         exact = self.fitter.information(state.scans, 0.0)
-        kept = exp(-max(state.elapsed, 1e-3) / _KEPT)
-        if state.exact is not None:
-            kept *= exp(-_changed(state.fits[0], state.exact, exact))
+        changed = 0.0 if state.exact is None else _changed(state.fits[0], state.exact, exact)
+        kept = exp(-max(state.elapsed, 1e-3) / _KEPT - changed)
         new = self.fitter.information(state.scans, 1 / (1 - kept))
         data = new if state.data is None else state.data.plus(new, kept)
-        return replace(state, data=data, exact=exact, scans=(), elapsed=0.0)
+        fits = state.fits
+        if changed > _JUMPED:
+            fits = (*(fit for fit in fits if fit.found is not None), *self._started(contacts, {})) or fits
+        return replace(state, fits=fits, data=data, exact=exact, scans=(), elapsed=0.0)
 
     def _improved(self, state: Presses) -> Presses:
         """The state with presses that explain its data better."""
@@ -233,25 +243,21 @@ class PressFollower:
             step = _step(normal, gradient, fit.damping)
         cost -= float(step @ gradient)
         near, covariance = _near(step) and fit.damping <= _DAMPED, inverse(normal)
-        if not near and fit.found is None:
-            return [replace(fit, cost=cost)]
         if not near:  # how far it is from here to the best is not known
             covariance = covariance + np.outer(step, step)
-        return [replace(fit, found=fitter.moved(fit.params, step), covariance=covariance, cost=cost)]
+        found = None if fit.found is None and not near else fitter.moved(fit.params, step)
+        return [replace(fit, found=found, covariance=covariance, cost=cost)]
 
     def _told(self, state: Presses, fits: Sequence[Fit]) -> dict[int, FittedPress]:
-        """The likeliest presses; how much likely ones differ is a part of what is not known."""
-        found = [(fit.cost, fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
-        if not found:
+        """The likeliest presses, once some are found; how much likely ones differ is a part of what is not known."""
+        if all(fit.found is None for fit in fits):
             return state.told
-        shares = np.exp([(found[0][0] - cost) / 2 for cost, _, _ in found])
-        likely = [self.fitter.told(best, covariance) for _, best, covariance in found]
+        shares = np.exp([(fits[0].cost - fit.cost) / 2 for fit in fits])
+        likely = [self.fitter.told(fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
         told = {}
         for number, presses in zip(state.ids, zip(*likely, strict=True), strict=True):
-            off = sum(
-                share * (press.force - presses[0].force) ** 2 for share, press in zip(shares, presses, strict=True)
-            )
-            told[number] = replace(presses[0], force_std=hypot(presses[0].force_std, sqrt(off / shares.sum())))
+            squares = [press.force_std**2 + (press.force - presses[0].force) ** 2 for press in presses]
+            told[number] = replace(presses[0], force_std=sqrt(float(np.average(squares, weights=shares))))
         return told
 
 

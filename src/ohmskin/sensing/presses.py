@@ -8,7 +8,7 @@ contact place, radius and pressure are fitted together. Force is the integral of
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import sqrt
+from math import expm1, sqrt
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -303,7 +303,8 @@ class PressFitter:
         return float((off**2).sum()), stds**-2.0, off.ravel() / stds
 
     def told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
-        """Presses (4 n,) of a covariance (4 n, 4 n), with their forces; what is not known of the layer counts, too."""
+        """Presses (4 n,) of a covariance (4 n, 4 n), with their forces; what is not known of the layer counts, too.
+        Errors are of the logarithm, at most its prior's: a force's is how far the upper one is off."""
         told, layer = [], self.sheet.skin.contact_layer
         stds = self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
@@ -311,10 +312,10 @@ class PressFitter:
             press = self._press(own)
             force = press.force(self.known.skin.contact_layer.foam_spread)
             slope = np.array([0.0, 0.0, self._growth(own), 1.0])
-            variance = float(slope @ covariance[at, at] @ slope)
+            variance = min(float(slope @ covariance[at, at] @ slope), float(((slope[2:] * _SPREAD) ** 2).sum()))
             off = np.array([1.0, np.log(press.pressure / layer.pressure_scale)]) / layer.exponent
-            std = force * sqrt(variance + float(((off * np.array(stds)) ** 2).sum()))
-            told.append(FittedPress(press, force, std, covariance[at, at]))
+            std = sqrt(variance + float(((off * np.array(stds)) ** 2).sum()))
+            told.append(FittedPress(press, force, force * expm1(std), covariance[at, at]))
         return tuple(told)
 
 
