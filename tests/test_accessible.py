@@ -50,7 +50,7 @@ def test_axe_finds_nothing_in_any_state(chromium: Browser, loop: SyntheticLoop, 
     assert violations(page) == []
     page.keyboard.press("Escape")
     page.click("#expert summary")
-    loop.header["findings"] = [{"words": "electrode 4: noisy; counts less", "electrodes": [4]}]
+    loop.header["findings"] = [{"words": "electrode 4: noisy; lower weight", "electrodes": [4]}]
     expect(page.locator("#findings")).to_be_visible()
     if loop.setup["press"]:
         page.click("#guided")

@@ -234,7 +234,7 @@ def test_what_is_no_recording_of_this_body_is_refused_in_words(body: Body, tmp_p
     with pytest.raises(DataError, match="cannot read recording"):
         Patches(body, replay=str(tmp_path / "none.mcap"))
     (tmp_path / "body.toml").write_text(BODY.replace('"torso"', '"other"'))
-    with pytest.raises(DataError, match="nothing of a body called 'other'"):
+    with pytest.raises(DataError, match="no messages of a body named 'other'"):
         Patches(Body.load(tmp_path / "body.toml"), replay=str(tmp_path / "a.mcap"))
     with pytest.raises(PublishError, match=r"use mcap:FILE\.mcap"):
         Patches(body, ["mcap:a.bag"])

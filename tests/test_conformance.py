@@ -184,7 +184,7 @@ def test_a_board_or_card_that_fails_leaves_no_current_flowing() -> None:
     rig = Rig()
     rig.trouble = OSError("usb gone")
     device = rig_device(rig)
-    with pytest.raises(DeviceLost, match="rig: failed in mid-scan: usb gone; check its cables"):
+    with pytest.raises(DeviceLost, match="rig: failed during a scan: usb gone; check its cables"):
         device.scan(TWO)
     assert rig.log[-1] == "release"
     rig.trouble = None

@@ -192,7 +192,7 @@ def test_clipped_voltages_are_left_out_and_told_once(skin: Skin) -> None:
         while engine.message:
             run(engine, 1)
     assert [line for line in told if "voltages" in line] == [told[-2]]
-    assert told[-1] == "the data are in order again"
+    assert told[-1] == "the data are valid again"
 
 
 def test_an_unknown_mode_lists_the_choices(engine: Engine) -> None:
@@ -299,7 +299,7 @@ def test_a_device_that_takes_less_than_before_is_not_used_and_one_that_takes_lon
         first.gone = True
         engine.step()
         for words in (
-            "takes smaller patterns than the one before",
+            "takes smaller patterns than the previous one",
             "takes 720 s to scan the rim; allowed are 0.5 s",
             "takes 6 s to scan the rim; allowed are 0.5 s",
         ):

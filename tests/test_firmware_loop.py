@@ -353,7 +353,7 @@ def test_what_is_missing_is_named(skin: Skin, tmp_path: Path, monkeypatch: pytes
 def test_an_emulator_that_ends_is_told(skin: Skin, tmp_path: Path) -> None:
     broken = tmp_path / "broken.elf"
     broken.write_bytes(b"no firmware" * 20000)  # more than the flash
-    with pytest.raises(DeviceLost, match=r"emulator has ended: .*broken\.elf"):
+    with pytest.raises(DeviceLost, match=r"emulator exited: .*broken\.elf"):
         EmulatedBoard(skin, broken)
 
 

@@ -54,10 +54,10 @@ def test_links_are_where_the_joints_put_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('<child link="hand"/>', '<child link="foot"/>', "joint 'slide' goes from link 'arm' to 'foot'"),
+        ('<child link="hand"/>', '<child link="foot"/>', "joint 'slide' connects link 'arm' to 'foot'"),
         ('<child link="hand"/>', '<child link="arm"/>', "one parent at most"),
-        ('<parent link="base"/>', '<parent link="hand"/>', "go round in a circle"),
-        ('<parent link="base"/>', "", "goes from link '' to 'arm'"),
+        ('<parent link="base"/>', '<parent link="hand"/>', "form a cycle"),
+        ('<parent link="base"/>', "", "connects link '' to 'arm'"),
         ('"revolute"', '"ball"', "of type 'ball'"),
         ('"0 3 4"', '"0 0 0"', "about [0. 0. 0.]"),
         ('"0 3 4"', '"0 3 nan"', "it must be 3 numbers"),

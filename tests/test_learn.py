@@ -177,7 +177,7 @@ def test_magnitudes_differences_and_turned_voltages_are_made_voltages(tmp_path: 
         ("plain", {"voltages": frames, "reference": rest[None]}, ""),
         ("magnitudes", {"voltages": np.abs(frames), "reference": np.abs(rest)[None]}, "signs are the model's"),
         ("differences", {"voltages": frames - rest, "values": "differences"}, "untouched skin is the model's"),
-        ("turned", {"voltages": -frames, "reference": -rest[None]}, "other way round"),
+        ("turned", {"voltages": -frames, "reference": -rest[None]}, "opposite sign"),
     ):
         changes, notes = read(name, **values)
         np.testing.assert_allclose(changes, frames - rest, atol=1e-9)

@@ -99,7 +99,7 @@ def test_two_presses_and_data_not_of_the_skin_are_left_to_physics_and_told_in_wo
     for k in range(8):
         state, percept = used.step(state, lambda _, k=k: replace(pair, time=0.1 * k))
         told |= {finding.words for finding in percept.findings}
-    assert any("unlike the presses" in words for words in told)
+    assert any("outliers of the presses" in words for words in told)
     random = np.random.default_rng(1)
     for frame in first[:10]:
         strange = replace(frame, voltages=rest + random.permutation(frame.voltages - rest))

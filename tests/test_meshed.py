@@ -161,7 +161,7 @@ def test_what_has_no_good_map_is_refused_in_words() -> None:
     turned = meshed("cap")
     elements = turned.elements.copy()
     elements[3] = elements[3, ::-1]
-    with pytest.raises(GeometryError, match="turn opposite ways"):
+    with pytest.raises(GeometryError, match="have opposite orientations"):
         MeshChart(Mesh(turned.nodes, elements))
     sphere = mesh_domain(ROUND["cap"].chart.domain, 6e-3)
     polar = 2.9 * np.linalg.norm(sphere.nodes, axis=1) / ROUND["cap"].chart.domain.bounds[2]

@@ -128,7 +128,7 @@ def test_turns_are_those_of_urdf(angles: tuple[float, float, float]) -> None:
         ('"paper-rim16"', '"../skin.toml"', "outside the folder"),
         ('"paper-rim16"', '"/etc/hostname"', "no skin named '/etc/hostname'"),
         ('mode = "16B"', 'device = "replay:../a.mcap"', "outside the folder"),
-        ('mode = "16B"', 'device = "virtual:tank"', "`skin` says which"),
+        ('mode = "16B"', 'device = "virtual:tank"', "`skin` names its skin"),
         ('"paper-rim16"', '"nosuch"', "no skin named 'nosuch'"),
         ('"16B"', '"99Z"', "mode '99Z' is not possible"),
         ('name = "torso"', "newtons = -5", "unknown entry"),

@@ -233,7 +233,7 @@ def test_currents_that_a_pair_does_not_get_are_not_counted_on() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"injections": 4, "explore": 0}, "at least one must"),
+        ({"injections": 4, "explore": 0}, "give at least one"),
         ({"injections": 121, "explore": 121}, "1..120 pairs"),
         ({"drives": np.array([[0, 16]])}, r"numbers of the 16 electrodes"),
     ],
@@ -268,7 +268,7 @@ def test_the_mode_is_an_opposite_base_scan_and_a_drive_made_when_it_is_needed() 
     assert base == measure_others([[0, 6], [5, 11], [4, 10], [3, 9], [2, 8], [1, 7]], range(16))
     mode = mode_named(PAPER, "16P")
     assert (mode.drive, mode.reader, mode.fuse) == ("position", "fit", True)
-    with pytest.raises(PatternError, match="needs to know what contacts do to the data"):
+    with pytest.raises(PatternError, match="needs the responses of contacts"):
         DRIVES["position"](DriveSettings(GRID), 0).next([target(0.05, 0.1)], 1)
 
 

@@ -378,7 +378,7 @@ def test_dds_that_cannot_be_tied_to_an_interface_says_so_and_leaks_nothing(caplo
         before = len(os.listdir("/proc/self/fd"))
         stay_on("nosuch0")  # refused by the system, as without the right to do so
         assert len(os.listdir("/proc/self/fd")) == before
-    assert "cannot tie DDS to nosuch0" in caplog.text
+    assert "cannot bind DDS to nosuch0" in caplog.text
 
 
 # --- the loop does not wait -------------------------------------------------------------------------------------------
@@ -442,7 +442,7 @@ def test_a_killed_publishing_process_is_told_and_the_loop_goes_on(
     for _ in range(3):
         relay.wake()
     assert [record.getMessage() for record in caplog.records] == [
-        "the publishing process has ended (exit status -9); the loop goes on without it"
+        "the publishing process has ended (exit status -9); the loop continues without it"
     ]
 
 

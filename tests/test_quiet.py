@@ -64,7 +64,7 @@ def test_frames_with_spikes_are_measured_again_and_leave_the_noise_as_it_is() ->
     learned = Baseline.learn(frames)
     assert learned.noise == pytest.approx(sound.noise, rel=0.1)
     np.testing.assert_allclose(learned.resistances, sound.resistances, atol=1.0)
-    assert "of 40 quiet frames were disturbed; measured again" in quiet.notes[0]
+    assert "of 40 quiet frames had outliers; measured again" in quiet.notes[0]
     assert 44 < device.count < 90
 
 
@@ -74,7 +74,7 @@ def test_one_bad_frame_is_measured_again(volts: float) -> None:
     device.spoil = lambda frame: spread(frame, volts) if device.count == 17 else frame
     quiet, frames = quiet_of(device)
     assert np.isfinite([frame.voltages for frame in frames]).all()
-    assert quiet.notes == ["1 of 40 quiet frames were disturbed; measured again"]
+    assert quiet.notes == ["1 of 40 quiet frames had outliers; measured again"]
 
 
 def test_a_finger_that_lifts_is_waited_for() -> None:
@@ -82,7 +82,7 @@ def test_a_finger_that_lifts_is_waited_for() -> None:
     device.pressed = lambda count: count < 30
     quiet, frames = quiet_of(device)
     assert device.count >= 80
-    assert "the skin moved while it was measured, by" in quiet.notes[0]
+    assert "the quiet voltages changed during the measurement, by" in quiet.notes[0]
     sound = Baseline.learn(quiet_of(SpoiltDevice())[1])
     np.testing.assert_allclose(Baseline.learn(frames).resistances, sound.resistances, atol=1.0)
 
@@ -91,7 +91,7 @@ def test_a_skin_that_does_not_rest_is_refused() -> None:
     device = SpoiltDevice()
     device.pressed = lambda count: count % 20 < 10
     with pytest.raises(
-        DataError, match=r"the skin is not quiet: its voltages move by .*V, their noise is .*V; touch nothing"
+        DataError, match=r"the skin is not quiet: its voltages change by .*V, their noise is .*V; do not touch it"
     ):
         quiet_of(device)
 

@@ -125,7 +125,7 @@ def test_pieces_that_do_not_touch_are_told_and_a_place_chooses_one(tmp_path: Pat
     both = np.vstack([nodes, nodes + np.array([0.2, 0, 0])])
     triangles = np.vstack([named["wall"], named["wall"] + len(nodes)])
     solids(tmp_path / "two.stl", both, {"two": triangles})
-    with pytest.raises(SkinError, match="2 pieces that do not touch; choose one by seed"):
+    with pytest.raises(SkinError, match="2 separate pieces; choose one by seed"):
         Skin.load(skin_file(tmp_path, 'file = "two.stl"'))
     skin = Skin.load(skin_file(tmp_path, 'file = "two.stl"\nseed = [0.25, 0.0, 0.01]'))
     assert area(skin) == pytest.approx(wall_area(), rel=1e-3)

@@ -149,7 +149,7 @@ def test_a_combination_without_sense_is_refused_in_words() -> None:
         drive_of(Mode("mine", "eq7", "fit", injections=5), PAPER)
     with pytest.raises(PatternError, match=r"a fixed pattern has no choice of injections; it has 12"):
         drive_of(Mode("mine", "rim", "fit", injections=5), PAPER)
-    with pytest.raises(PatternError, match="needs to know what contacts do to the data"):
+    with pytest.raises(PatternError, match="needs the responses of contacts"):
         DRIVES["best"](DriveSettings(PAPER.electrodes), 4)
 
 

@@ -171,7 +171,7 @@ def test_a_skin_that_is_not_like_that_keeps_its_description_and_says_so() -> Non
     told: list[str] = []
     found = calibrate_quiet(DirectDevice(VirtualSkin(other, 1)), PAPER, scans=3, report=told.append)
     assert (found.positions, found.log_conductivity) == ((), ())
-    assert told[0].startswith("electrodes and sheet stay as described: the quiet skin is not the one described")
+    assert told[0].startswith("the described electrodes and sheet are kept: the quiet skin is not the one described")
 
 
 @pytest.mark.parametrize(

@@ -275,7 +275,7 @@ def test_the_base_map_is_shown_where_it_says_something_else_and_nothing_moves(
     monkeypatch.setattr(reader.loop.view, "publish", lambda header, base, image: publish(header, image, image))
     reader.loop.header["mode"] = "16T"
     expect(page.locator("#base")).to_be_hidden()
-    expect(page.get_by_text("This mode makes one scan a frame")).to_be_visible()
+    expect(page.get_by_text("This mode has one scan per frame")).to_be_visible()
     with page.expect_download() as download:
         page.click("#save")
     with Image.open(download.value.path()) as picture:
@@ -293,8 +293,8 @@ def test_doubts_are_shown_where_they_are_and_in_words(reader: Reader) -> None:
     assert amber(*ELECTRODE_4) == amber(*RIM) == 0
     expect(page.get_by_role("heading", name="Doubts")).to_be_hidden()
     header["findings"] = [
-        {"words": "electrode 4: noisy; counts less", "electrodes": [4]},
-        {"words": "hum of the mains on all voltages; taken off", "electrodes": []},
+        {"words": "electrode 4: noisy; lower weight", "electrodes": [4]},
+        {"words": "hum of the mains on all voltages; subtracted", "electrodes": []},
     ]
     expect(page.locator("#findings li")).to_have_text([finding["words"] for finding in header["findings"]])
     page.wait_for_timeout(200)

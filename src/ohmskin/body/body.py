@@ -131,7 +131,7 @@ def _device(folder: Path, address: str) -> str:
     """The address; a recording is a file that the body file names."""
     kind, _, rest = address.partition(":")
     if kind == "virtual" and rest:
-        raise SkinError(f"device is {address!r}; a virtual one is 'virtual:', and `skin` says which")
+        raise SkinError(f"device is {address!r}; a virtual one is 'virtual:', and `skin` names its skin")
     if kind == "virtual":
         return "virtual:"
     if kind == "replay":

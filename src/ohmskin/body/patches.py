@@ -136,7 +136,7 @@ class Patches(Closing):
     ) -> None:
         check_settings(token, images)
         if joints and body.robot is None:
-            raise PublishError("joint states have a use for a body with a URDF file only; name one in the body file")
+            raise PublishError("joint states need a body with a URDF file; name one in the body file")
         self.body = body
         self.boards = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
         self._processes: list[PatchProcess] = []

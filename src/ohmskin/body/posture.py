@@ -50,7 +50,7 @@ class Posture(Closing):
             self._time = -np.inf
             if str(error) != self._said:
                 self._said = str(error)
-                self._report(f"joint states are not taken: {error}")
+                self._report(f"joint states are ignored: {error}")
 
     def told(self, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
         """Contacts with their `self_touch`; None while the joint states are not known."""

@@ -45,7 +45,7 @@ class BodyReplay(Closing):
             self._messages = self._read(stack.enter_context(Container(path)))
             if (first := next(self._messages, None)) is None:
                 raise DataError(
-                    f"{path} has nothing of a body called {body.name!r}; record one: ohmskin patches --record"
+                    f"{path} has no messages of a body named {body.name!r}; record one: ohmskin patches --record"
                 )
             self._next: tuple[str, int, bytes] | None = first
             self._start = first[1]
@@ -86,7 +86,7 @@ class BodyReplay(Closing):
             elif self._follower is not None:
                 self._follower.take(data, time.time() - at * 1e-9)
         except DataError as error:
-            log.warning("a message of %s at %s is left out: %s", topic, self._path, error)
+            log.warning("a message of %s at %s is skipped: %s", topic, self._path, error)
 
     def _show_contacts(self, at: int, data: bytes) -> None:
         """To each patch that had felt anew its own part; times as long ago as they were then."""

@@ -145,7 +145,7 @@ def _joints(names: list[str], found: list[Element]) -> dict[str, Joint]:
             end.get("link", "") if (end := joint.find(tag)) is not None else "" for tag in ("parent", "child")
         )
         if parent not in names or child not in names or child in children:
-            raise SkinError(f"joint {name!r} goes from link {parent!r} to {child!r}; each link has one parent at most")
+            raise SkinError(f"joint {name!r} connects link {parent!r} to {child!r}; each link has one parent at most")
         children.add(child)
         given, limit = joint.find("axis"), joint.find("limit")
         axis = numbers_of("1 0 0" if given is None else given.get("xyz", ""), 3, f"the axis of joint {name!r}")
@@ -176,7 +176,7 @@ def _links(names: list[str], joints: Mapping[str, Joint], positions: Mapping[str
             at, step = above[at]
             pose, steps = step @ pose, steps + 1
             if steps > len(names):
-                raise SkinError(f"the joints above link {name!r} go round in a circle")
+                raise SkinError(f"the joints above link {name!r} form a cycle")
         poses[name] = pose
     return poses
 

@@ -65,7 +65,7 @@ class ChannelJudgement:
         lines = [
             f"{len(self.places)} presses, {self.skipped} frames without one left out",
             f"{doubtful.sum()} of {len(doubtful)} channels carry little or no information, "
-            f"{self.reversed.sum()} are the other way round",
+            f"{self.reversed.sum()} have the wrong sign",
             f"one contact each leaves {100 * self.unexplained:.0f} % unexplained; "
             f"{100 * self.unexplained_before:.0f} % with all channels alike",
         ]

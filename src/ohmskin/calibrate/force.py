@@ -101,7 +101,7 @@ def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
     strengths, forces = tuple(monotone[rises].tolist()), tuple(np.array(levels)[rises].tolist())
     if len(strengths) < 2:
         span = f"{levels[0]:.3g} to {levels[-1]:.3g} N"
-        raise DataError(f"strength does not rise with force over {span}; is the skin pressed at the places asked for?")
+        raise DataError(f"strength does not rise with force over {span}; press at the places asked for")
     errors = Calibration(strengths=strengths, forces=forces).force(strength) - force
     ways = [(strength[(force == level) & ~loading], strength[(force == level) & loading]) for level in levels]
     gaps = [falling.mean() - rising.mean() for falling, rising in ways if len(falling) and len(rising)]

@@ -52,7 +52,7 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
     try:
         layer = fitter.fit_layer(presses)
     except OhmskinError as error:
-        return None, f"note: the contact layer stays as described: {error}"
+        return None, f"note: the described contact layer is kept: {error}"
     told = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"
     told += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
     if layer.hysteresis >= 0:
@@ -60,7 +60,7 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
     if layer.unexplained < _EXPLAINED:
         return layer, told
     left = f"{100 * layer.unexplained:.2g} % of what the presses change"
-    return None, f"note: {told}, would leave {left} unexplained; the layer stays as described"
+    return None, f"note: {told}, would leave {left} unexplained; the described layer is kept"
 
 
 def _felt(presses: Presses) -> list[KnownPress]:

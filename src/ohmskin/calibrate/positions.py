@@ -67,7 +67,7 @@ class PositionReport:
         networks = "a Gaussian process and networks" if self.map.networks is not None else "a Gaussian process alone"
         missing = "" if can_train() else "; networks need scikit-learn: pip install 'ohmskin[learn]'"
         lines.append(f"the map is {networks}{missing}")
-        lines.append(f"of presses like these {100 * self.map.rate:g} % are taken for unlike, and located by physics")
+        lines.append(f"of presses like these {100 * self.map.rate:g} % are outliers, located by the physical model")
         if not self.map.own:
             linear = self.map.registration.linear
             turn = np.rad2deg(np.arctan2(linear[1, 0], linear[0, 0]))

@@ -34,7 +34,7 @@ class PressStep:
         x, y = self.at
         change = "put" if self.loading else "leave"
         grams = f"{1e3 * self.force / GRAVITY:.0f} g"
-        return f"{change} {grams} in all ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
+        return f"{change} {grams} in total ({self.force:.2f} N) at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
 
 
 def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[PressStep, ...]:

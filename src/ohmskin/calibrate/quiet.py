@@ -55,7 +55,7 @@ def calibrate_quiet(
     diagnosis = diagnose(skin, mean)
     if diagnosis.findings:
         wrong = "; ".join(str(finding) for finding in diagnosis.findings)
-        raise DataError(f"the wiring is not in order: {wrong}; repair it, see `ohmskin self-test`, and calibrate again")
+        raise DataError(f"the wiring is faulty: {wrong}; repair it, see `ohmskin self-test`, and calibrate again")
     beyond = float(np.median(diagnosis.series))
     told = beyond > _TELLING * float(np.median(diagnosis.pair_resistances))
     noise = measure_noise(frames, list(range(n_elec)), skin)
@@ -73,7 +73,7 @@ def calibrate_quiet(
     try:
         skin, fit = self_calibrated(replace(skin, calibration=found), mean, noise.typical / np.sqrt(scans))
     except DataError as error:
-        report(f"electrodes and sheet stay as described: {error}")
+        report(f"the described electrodes and sheet are kept: {error}")
         return found
     worst = int(np.argmax(fit.moved))
     apart = f"{1e3 * fit.moved.mean():.2g} mm, electrode {worst} {1e3 * fit.moved[worst]:.2g} mm"

@@ -56,7 +56,7 @@ class SelfTest:
         """The faults of the instrument, in words."""
         found = []
         if (n := self.noise) and n.described > 0 and n.typical > _LOUD * n.described:
-            times = f"{n.typical / n.described:.0f} times what the skin's description says"
+            times = f"{n.typical / n.described:.0f} times that of the skin's description"
             found.append(f"noise is {in_words(n.typical)}, {times}; check shields, supply and ground")
         if (n := self.noise) and n.worst > _LOUD * 2 * n.typical:
             noisiest = f"electrode {n.worst_electrode} is noisier than the others"
@@ -94,7 +94,7 @@ class SelfTest:
             ("against any network", f"{100 * lin.reciprocity:.2g} % of the signal"),
             ("settling", left),
             ("round trip", f"{seconds(k.round_trip)} median, {seconds(k.worst_round_trip)} longest"),
-            ("base scan", f"{seconds(k.scan_time)}{moved} (the device says {seconds(k.own_time)})"),
+            ("base scan", f"{seconds(k.scan_time)}{moved} (the device states {seconds(k.own_time)})"),
             ("requests sent again", str(k.retries)),
             *((f"{mode} cycles", f"{rate:.4g} per second") for mode, rate in r.cycles.items()),
             ("best with this wiring", f"{name} at {best:.4g} a second, waiting {seconds(r.settle_time)}"),

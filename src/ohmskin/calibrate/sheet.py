@@ -131,7 +131,7 @@ class _Unknowns:
 
     def __init__(self, domain: Domain, described: Electrodes) -> None:
         if described.positions.shape[1] != 2:
-            raise ModelError("places of electrodes are fitted on flat sheets only")
+            raise ModelError("positions of electrodes are fitted on flat sheets and maps only")
         self.domain, self.described, n_elec = domain, described, len(described)
         x0, y0, x1, y1 = domain.bounds
         shorter = min(x1 - x0, y1 - y0)

@@ -36,11 +36,11 @@ _COMMANDS = {
         "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
         "export": ("Export a recording as tables, arrays, pictures or a film.", "ohmskin export touch.mcap --to csv"),
         "examples": ("Write two small recordings to try these commands on.", "ohmskin examples"),
-        "recover": ("Repair a recording that was cut short.", "ohmskin recover touch.mcap"),
+        "recover": ("Repair a truncated recording.", "ohmskin recover touch.mcap"),
     },
     "Build a skin": {
         "layout": (
-            "Map the bound on a contact's position error, or find a better layout.",
+            "Map the Cramer-Rao bound of a contact's position error, or find a better layout.",
             "ohmskin layout --optimise 16",
         ),
         "electrodes": (
@@ -51,12 +51,12 @@ _COMMANDS = {
         "self-test": ("Test the wiring and the instrument of an untouched skin.", "ohmskin self-test --output out"),
         "calibrate": ("Calibrate a skin: quiet, sheet, contacts, newtons.", "ohmskin calibrate --output my-skin.toml"),
         "learn": (
-            "Learn bad channels and a map of positions from presses.",
+            "Learn faulty channels and a map of positions from presses.",
             "ohmskin learn presses.csv --skin my-skin.toml --output learned.toml",
         ),
-        "scan": ("Scan a device once and print what it measured.", "ohmskin scan --device tcp://127.0.0.1:7155"),
+        "scan": ("Scan a device once and print the measurements.", "ohmskin scan --device tcp://127.0.0.1:7155"),
         "check-device": ("Check a device and its driver.", "ohmskin check-device tcp://127.0.0.1:7155"),
-        "check-host": ("Check a host: serve a device that misbehaves.", "ohmskin check-host --port 7155"),
+        "check-host": ("Check a host: serve a device that injects faults.", "ohmskin check-host --port 7155"),
     },
     "Virtual skin": {
         "serve-skin": ("Serve a virtual skin over TCP and a pseudo-terminal.", "ohmskin serve-skin --pty"),
@@ -68,7 +68,7 @@ _COMMANDS = {
     "Studies": {
         "reproduce": ("Reproduce the paper: every figure and table, in one report.", "ohmskin reproduce --quick"),
         "policies": ("Compare drive policies with the paper's.", "ohmskin policies --quick"),
-        "bench": ("Measure speed, beside other software and the machine's limits.", "ohmskin bench --quick"),
+        "bench": ("Measure speed against other software and the machine's limits.", "ohmskin bench --quick"),
     },
 }
 
@@ -145,5 +145,5 @@ def _check_command(arguments: list[str]) -> None:
     """Raise OhmskinError if there is no such command; cyclopts would import them all to say so."""
     if arguments and not arguments[0].startswith("-") and arguments[0] not in app:
         close = get_close_matches(arguments[0], app, 1)
-        hint = f"did you mean {close[0]}?" if close else "`ohmskin --help` lists those there are"
+        hint = f"did you mean {close[0]}?" if close else "`ohmskin --help` lists the commands"
         raise OhmskinError(f"no command {arguments[0]!r}; {hint}")

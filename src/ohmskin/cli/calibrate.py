@@ -135,7 +135,7 @@ def _plan(skin: Skin, table: Path | None, weights: Sequence[float], places: int)
     for x, y, force in read_table(table, ("x_mm", "y_mm", "force_N")).tolist():
         at = (1e-3 * x, 1e-3 * y)
         if not force > 0 or skin.domain.depth([at])[0] <= 0:
-            raise OhmskinError(f"{table}: {force:g} N at x {x:g} mm, y {y:g} mm is no press on this skin")
+            raise OhmskinError(f"{table}: {force:g} N at x {x:g} mm, y {y:g} mm is not a valid press on this skin")
         steps.append(PressStep(at, force, not (steps and steps[-1].at == at and force < steps[-1].force)))
     return tuple(steps)
 
@@ -153,7 +153,7 @@ def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin
         force = abs(float(np.interp(cycle.time, times, forces, left=np.nan, right=np.nan)))
         sampler.see(cycle.touch.contacts, scans, force, np.nan if beside is None else beside)
     if known is None:
-        raise OhmskinError(f"{file} has no frame behind its calibration")
+        raise OhmskinError(f"{file} has no frame after its calibration")
     return known
 
 
@@ -161,7 +161,7 @@ def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> N
     """Take samples while somebody presses, until there are enough."""
     cell = LoadCell()
     end = open_load_cell(source, topic, cell.tell)
-    say(f"press anywhere with the load cell, one finger at a time, each force for a moment; {sampler.count} are wanted")
+    say(f"press anywhere with the load cell, one finger at a time, each force for a moment; {sampler.count} wanted")
     idle = 0
     try:
         while not sampler.done:
@@ -205,7 +205,7 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
         else:
             raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}")
         strength = guide.samples[-1].strength
-        say(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not felt: it does not count")
+        say(f"    strength {1e6 * strength:.3g} mm2" if strength else "    not detected: it is not used")
     if virtual:
         engine.press(0, guide.plan[-1].at, _TIP, 0.0)
 

@@ -73,7 +73,7 @@ def image(
         raise DataError(f"--frame {frame}: {file} has frames 0 to {len(recording.frames) - 1}")
     if not (skin or recording.skin):
         choices = f"a .toml file or {', '.join(shipped_skins())}"
-        raise DataError(f"{file} does not say what was measured; name it with --skin, {choices}")
+        raise DataError(f"{file} does not name its skin; name it with --skin, {choices}")
     description = Skin.load(skin or recording.skin)
     recording.frames[frame].pattern.check(len(description.electrodes))
     model = description.transfer_model()
@@ -88,7 +88,7 @@ def image(
         print(f"# {line}", file=sys.stderr)
     percept = perceive(known, shown, recorded_mode(description).using(estimator, prior, rule))
     if percept.belief.unexplained > _DOUBTFUL:
-        share = f"{100 * percept.belief.unexplained:.0f} % of the change is like no change of this sheet's conductivity"
+        share = f"{100 * percept.belief.unexplained:.0f} % of the change fits no change of this sheet's conductivity"
         print(
             f"# {share}: another skin, exchanged wires, or bad channels (`ohmskin learn` finds them)", file=sys.stderr
         )

@@ -22,7 +22,7 @@ def info() -> None:
     console = Console(highlight=False, soft_wrap=True, markup=False)
     versions = f"Python {platform.python_version()}, NumPy {numpy.__version__}, SciPy {scipy.__version__}"
     console.print(f"ohmskin {ohmskin.__version__}, {versions}")
-    console.print("\nskins (--skin) and their modes (--mode); * marks the one they start in")
+    console.print("\nskins (--skin) and their modes (--mode); * marks the default")
     for name in shipped_skins():
         skin = Skin.load(name)
         console.print(f"  {name}, {len(skin.electrodes)} electrodes")

@@ -100,7 +100,7 @@ def layout(
         write(target, better.dump())
     lines, layouts, maps = zip(*found, strict=True)
     print("\n".join(lines))
-    print("no estimator can err less than this; what the modes reach is in docs/modes.md")
+    print("no unbiased estimator has a smaller error; docs/modes.md has the errors of the modes")
     if json_file is not None:
         write(json_file, json.dumps({"noise": volts, "radius": size, "layouts": layouts}, indent=1))
     save_error_maps(output, maps)

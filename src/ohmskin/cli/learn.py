@@ -46,12 +46,12 @@ def learn(
     recording = read_recording(file, reference=reference, pattern=pattern)
     if not (skin or recording.skin):
         choices = f"a .toml file or {', '.join(shipped_skins())}"
-        raise DataError(f"{file} does not say what was measured; name it with --skin, {choices}")
+        raise DataError(f"{file} does not name its skin; name it with --skin, {choices}")
     description = Skin.load(skin or recording.skin)
     path = output or Path(f"{description.name}-learned.toml")
     check_writable(path)
     if not recording.frames:
-        raise DataError(f"{file} has no frame but those of the untouched skin")
+        raise DataError(f"{file} has frames of the untouched skin only")
     recording.frames[0].pattern.check(len(description.electrodes))
     recording = resolved(recording, description.transfer_model())
     for line in recording.notes:

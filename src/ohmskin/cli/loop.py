@@ -74,7 +74,7 @@ class Loop:
         if self.player:
             step, over = (self.player.lead(step), over) if step else (self.player.step, self.player.until(over))
         elif step is None and demo and self.engine.device.url.startswith("virtual:"):
-            self.tell("a demonstration finger presses the virtual skin (--no-demo: nothing does)")
+            self.tell("a demonstration finger presses the virtual skin (--no-demo: without it)")
             step = self._pressed()
         step = step or self.engine.step
         gc.collect()
@@ -157,17 +157,17 @@ def refuse_existing(file: Path) -> None:
     """Raise unless a recording can be made here; asked before the device is opened, which takes a while."""
     if file.suffix != ".mcap":
         name = file.with_suffix(".mcap")
-        raise OhmskinError(f"{file}: recordings are MCAP files; record to {name}, `ohmskin export` makes others of it")
+        raise OhmskinError(f"{file}: recordings are MCAP files; record to {name}, `ohmskin export` converts them")
     if file.exists():
         raise OhmskinError(f"{file} exists, and a recording is never overwritten; choose another name")
     if not file.absolute().parent.is_dir():
-        raise OhmskinError(f"cannot record to {file}: there is no folder {file.absolute().parent}; make it first")
+        raise OhmskinError(f"cannot record to {file}: there is no folder {file.absolute().parent}; create it first")
 
 
 def _summary(file: Path, progress: Progress) -> str:
     """The outcome of a recording, in a sentence."""
     if not file.exists():
-        return f"nothing was recorded; there is no {file}"
+        return f"no frame was recorded; {file} was not written"
     lost = ", ".join(f"{count} of {topic}" for topic, count in progress.dropped.items())
     return (
         f"{file}: {progress.frames} frames, {progress.written / 1e6:.2f} MB"

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 DeviceUrl = Annotated[str, Parameter(help="Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE.")]
 SkinName = Annotated[str, Parameter(help="A skin that ships with ohmskin (see `ohmskin info`) or a .toml file.")]
 ModeName = Annotated[
-    str, Parameter(help="A mode of the skin, such as 16P or 12B (see `ohmskin info`); the most precise unless given.")
+    str, Parameter(help="A mode of the skin, such as 16P or 12B (see `ohmskin info`); the default mode unless given.")
 ]
 Demo = Annotated[
-    bool, Parameter(help="Let a demonstration finger wander over a virtual skin; on the page, until somebody presses.")
+    bool, Parameter(help="Let a demonstration finger move over a virtual skin; on the page, until somebody presses.")
 ]
 Lifeline = Annotated[bool, Parameter(show=False)]  # whether to end when standard input ends
 Jobs = Annotated[int | None, Parameter(help="Processes; one per core unless given.")]

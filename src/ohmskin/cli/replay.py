@@ -59,7 +59,7 @@ def replay(
     check_recording(file)
     if compare:
         if headless or json or loop:
-            raise OhmskinError("--compare makes a picture; leave --headless, --json and --loop out")
+            raise OhmskinError("--compare writes a picture; leave out --headless, --json and --loop")
         if imaging != AS_THE_MODE:
             raise OhmskinError("--compare names estimators and priors itself, such as --compare kalman:matern")
         _compare(file, compare.split(","), at, mode, skin, output or Path(f"{file.stem}.compare.png"))

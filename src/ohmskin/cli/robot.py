@@ -159,7 +159,7 @@ def _tell(figures: dict[str, Any]) -> None:
     if figures["own_touches"]:
         print(f"{figures['own_touches_told']} of {figures['own_touches']} self-touches recognised")
     if free := figures["free_motion"]:
-        print(f"{figures['invented_in_free_motion']} contacts invented in {free:g} s of free motion")
+        print(f"{figures['invented_in_free_motion']} false contacts in {free:g} s of free motion")
     units = {"position_error": (1e3, "mm"), "reaction_time": (1e3, "ms"), "peak_force": (1.0, "N")}
     units |= {"force_error": (1e2, "%")}
     hugs = {f"hug_{name}": unit for name, unit in (units | {"total_force_error": (1e2, "%")}).items()}
@@ -174,5 +174,5 @@ def _exceeded(number: int, poke: "Encounter", most_force: float, most_reaction: 
     if poke.peak_force > most_force:
         yield f"poke {number}: {poke.peak_force:.1f} N exceeds the limit of {most_force:g} N"
     if most_reaction < math.inf and not poke.reaction <= most_reaction:
-        answer = "no answer" if math.isnan(poke.reaction) else f"an answer after {poke.reaction:.3f} s"
+        answer = "no answer" if math.isnan(poke.reaction) else f"a reaction after {poke.reaction:.3f} s"
         yield f"poke {number}: {answer} exceeds the limit of {most_reaction:g} s"

@@ -217,7 +217,7 @@ class BoardReader(Closing):
         except FileNotFoundError:
             return
         except OSError as error:
-            raise PublishError(f"cannot read {self._path}: {error.strerror}; is it yours?") from error
+            raise PublishError(f"cannot read {self._path}: {error.strerror}; check its owner") from error
         try:
             found = os.fstat(file)
             if (found.st_dev, found.st_ino) == self._identity:

@@ -224,7 +224,7 @@ class Board {
             throw Error(folder_ + " must be a folder that only you may use (chmod 700), or set OHMSKIN_BOARDS");
         const int file = ::open(path_.c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC);
         if (file < 0 && errno == ENOENT) return;
-        if (file < 0) throw Error("cannot read " + path_ + ": " + std::strerror(errno) + "; is it yours?");
+        if (file < 0) throw Error("cannot read " + path_ + ": " + std::strerror(errno) + "; check its owner");
         const bool told = fstat(file, &found) == 0;
         const std::pair identity(found.st_dev, found.st_ino);
         const auto size = std::size_t(found.st_size);

@@ -113,7 +113,7 @@ def open_session(where: str, listen: bool, token: str | None, gossip: bool = Tru
     try:
         import zenoh
     except ImportError as error:
-        raise PublishError("hearing a skin over zenoh needs a package: pip install 'ohmskin[zenoh]'") from error
+        raise PublishError("receiving a skin over zenoh needs a package: pip install 'ohmskin[zenoh]'") from error
     config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": "peer",

@@ -94,7 +94,7 @@ class AnalogueSide:
         self._lock = threading.Lock()
 
     def scan(self, pattern: DrivePattern) -> Frame:
-        raise DeviceRefused("this port takes touches only; scan the firmware's own port")
+        raise DeviceRefused("this port takes presses only; scan the firmware's own port")
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
         with self._lock:

@@ -119,8 +119,8 @@ def _capabilities(device: Device) -> None:
     if device.reference:
         return
     _need(able.n_electrodes >= 4, f"n_electrodes is {able.n_electrodes}; a skin needs 4 at least")
-    _need(able.full_scale > 0, "full_scale is 0 V; say what the converter's range is")
-    _need(able.excitation > 0, "excitation is 0; say how many volts (Feature.VOLTAGE_SOURCE) or amperes drive a pair")
+    _need(able.full_scale > 0, "full_scale is 0 V; give the converter's range")
+    _need(able.excitation > 0, "excitation is 0; give the volts (Feature.VOLTAGE_SOURCE) or amperes that drive a pair")
     if Feature.VOLTAGE_SOURCE in able.features:
         _need(Feature.CURRENT_MEASURED in able.features, "a voltage source without measured currents cannot be used")
     longest = able.max_injections * able.settle_time + able.max_measurements * able.conversion_time
@@ -144,10 +144,10 @@ def _frames(device: Device) -> None:
     _need(largest > 0, "all voltages are exactly 0")
     if able.full_scale:
         words = f"a voltage of {largest:.3g} V is beyond full_scale, {able.full_scale:.3g} V"
-        _need(largest <= 1.01 * able.full_scale, f"{words}; say it clipped (infinite) instead")
+        _need(largest <= 1.01 * able.full_scale, f"{words}; report it as clipped (infinite) instead")
     if able.excitation and Feature.VOLTAGE_SOURCE not in able.features:
         ratio = float(np.median(frame.currents)) / able.excitation
-        _need(0.2 < ratio < 5, f"currents are {ratio:.3g} times the excitation it states; are they in amperes?")
+        _need(0.2 < ratio < 5, f"currents are {ratio:.3g} times the stated excitation; give them in amperes")
 
 
 def _direction(device: Device) -> None:
@@ -194,7 +194,7 @@ def _repeats(device: Device) -> None:
     volts = volts[:, np.isfinite(volts).all(axis=0)]
     _need(volts.any(), "no voltage is finite in all of some scans, or all are exactly 0")
     scatter = float(np.sqrt(np.mean(np.var(volts, axis=0)) / np.mean(volts**2)))
-    words = f"repeated scans scatter by {100 * scatter:.2g} % of the signal; is the skin connected and untouched?"
+    words = f"repeated scans scatter by {100 * scatter:.2g} % of the signal; connect the skin and do not touch it"
     _need(scatter < _NOISY, words)
 
 

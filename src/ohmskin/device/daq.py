@@ -106,12 +106,12 @@ class MuxDaqDevice(Device):
                 potentials[k], over_shunt[k] = self._sampled()
                 if time.monotonic() > deadline:
                     done = f"{k + 1} of {pattern.n_inj} injections in {timeout:g} s"
-                    raise DeviceLost(f"{self.url} measured {done}; is the card triggered?")
+                    raise DeviceLost(f"{self.url} measured {done}; check the card's trigger")
             sampled = time.monotonic()
         except DeviceLost:
             raise
         except OSError as error:
-            raise DeviceLost(f"{self.url} failed in mid-scan: {error}; check its cables and connect again") from error
+            raise DeviceLost(f"{self.url} failed during a scan: {error}; check its cables and connect again") from error
         finally:
             self._release()  # current flows only while it is measured, whatever goes wrong
         which, plus, minus = pattern.measurements.T

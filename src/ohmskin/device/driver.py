@@ -116,4 +116,4 @@ class Device(Closing):
 
     def _press(self, press: Press) -> None:
         """Put, move or lift a touch."""
-        raise DeviceRefused(f"device {self.capabilities.name!r} takes no touches")
+        raise DeviceRefused(f"device {self.capabilities.name!r} takes no presses")

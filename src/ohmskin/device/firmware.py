@@ -97,7 +97,7 @@ class EmulatedBoard(Closing):
         while not self._analogue.described.wait(_POLL):
             self.wait(0)
             if time.monotonic() > end:
-                raise DeviceLost(f"the firmware did not start within {_START:g} s; is it made for {_MACHINE}?")
+                raise DeviceLost(f"the firmware did not start within {_START:g} s; build it for {_MACHINE}")
 
     def reset(self) -> None:
         """Press the board's reset button."""
@@ -125,7 +125,7 @@ class EmulatedBoard(Closing):
         assert errors is not None
         os.set_blocking(errors.fileno(), False)
         said = (errors.read() or b"").decode(errors="replace").strip()
-        return DeviceLost(f"the emulator has ended: {said or 'it gave no reason'}")
+        return DeviceLost(f"the emulator exited: {said or 'it gave no reason'}")
 
 
 def _emulator() -> str:

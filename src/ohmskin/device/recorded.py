@@ -116,5 +116,5 @@ def recorded_capabilities(recording: Recording) -> Capabilities:
         return Capabilities("replay", n_elec, pattern.n_inj, pattern.n_meas, features=Feature.CURRENT_MEASURED)
     with suppress(KeyError, ValueError, ProtocolError, OverflowError):
         return Capabilities.from_texts(tape.metadata.get("device", {}))
-    missing = "what the device could do (metadata record 'device')"
-    raise DataError(f"{tape.path} does not say {missing}; it was not made by ohmskin")
+    missing = "the device's capabilities (metadata record 'device')"
+    raise DataError(f"{tape.path} lacks {missing}; it was not made by ohmskin")

@@ -67,7 +67,7 @@ class ReplayDevice(Device):
             self._quiet = QuietFrames(self._reel)
             self._run = parts.whole_cycles(self._reel, np.flatnonzero(self._reel.roles != Role.QUIET))
             if not len(self._run):
-                raise DataError(f"{path} holds a calibration and nothing else; there is nothing to replay")
+                raise DataError(f"{path} holds a calibration only; it has no frames to replay")
             self._tracking = parts.tracking_modes(self._reel, tape)
             tracked = self._tracking[self._reel.mode_of[self._run]]
             begins = (self._reel.roles[self._run] != Role.CHOSEN) | tracked
@@ -253,7 +253,7 @@ def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
     """
     if not skin and not device.description and not device.default_skin:
         choices = f"a skin, a .toml file or {', '.join(shipped_skins())}"
-        raise DataError(f"{device.url} does not say what was measured; name {choices}")
+        raise DataError(f"{device.url} does not name its skin; name {choices}")
     recorded = device.description and not skin
     named = f"the skin in {device.url}"
     found = Skin.parse(device.description, named) if recorded else Skin.load(skin or device.default_skin)

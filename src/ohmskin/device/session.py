@@ -32,7 +32,7 @@ class Session:
         try:
             self._instrument.lift(self)
         except Exception:  # noqa: BLE001  an instrument of someone else's must not take the server down
-            _LOG.exception("the instrument failed while presses were lifted")
+            _LOG.exception("the instrument failed while lifting presses")
 
     def _reply(self, packet: Packet) -> bytes:
         try:
@@ -61,7 +61,7 @@ class Session:
                 if not self._instrument.capabilities.virtual:
                     return Refusal(ErrorCode.NOT_SUPPORTED, "this skin is real; press it with a finger")
                 if request.pressure > 0 and (rest := self._instrument.rest):
-                    return Refusal(ErrorCode.BUSY, f"touches took long to model; the next one is taken in {rest:.2g} s")
+                    return Refusal(ErrorCode.BUSY, f"modelling presses took long; try again in {rest:.2g} s")
                 self._instrument.press(self, request)
                 return Ack()
             case _:

@@ -155,7 +155,7 @@ class SerialTransport:
                 if data or time.monotonic() >= end:
                     return data
         except (OSError, TypeError) as error:  # pyserial raises TypeError on a port closed meanwhile
-            raise DeviceLost(f"serial port {self._serial.port} is gone: {error}; plug it in again") from error
+            raise DeviceLost(f"serial port {self._serial.port} is disconnected: {error}; plug it in again") from error
 
     def write(self, data: bytes) -> None:
         try:

@@ -111,7 +111,7 @@ class WireDevice(Device):
     def _meet_again(self, deadline: float) -> None:
         """Begin a new session with a device that has forgotten its patterns."""
         self.link.resets += 1
-        _LOG.warning("%s has forgotten its patterns, probably reset; giving them again", self._peer)
+        _LOG.warning("%s has lost its patterns, probably by a reset; sending them again", self._peer)
         before, now = self.capabilities, self._greet(deadline - time.monotonic())
         if replace(now, boot=before.boot) != before:
             other = f"{now.name!r} instead of {before.name!r}"
@@ -149,14 +149,14 @@ class WireDevice(Device):
                     case Unreadable() as unreadable:
                         raise ProtocolError(self._complaint(unreadable))
                     case Refusal(code, text):
-                        last_word = f"; its last word was {text!r}"
+                        last_word = f" ; its last error was {text!r}"
                         if self._weigh(code, text, alone=len(requests) == 1):
                             next_try = now
                     case Ack(digest) if isinstance(request, SetPattern) and digest != request.pattern.digest:
                         raise ProtocolError(
                             f"{self._peer} gives the pattern the digest {digest:#010x}; it is "
                             f"{request.pattern.digest:#010x}; "
-                            "its firmware computes the digest in another way than docs/protocol.md says"
+                            "its firmware computes the digest differently from docs/protocol.md"
                         )
                     case message if isinstance(message, _REPLIES[type(request)]):
                         del pending[packet.sequence]
@@ -206,8 +206,8 @@ class WireDevice(Device):
 
     def _hint(self) -> str:
         if not self.link.bytes_in:
-            return "nothing at all came back: is it powered, and is this the right port?"
+            return "no byte came back: check its power, and that this is the right port"
         if not self._decoder.tally.good:
-            came = f"{self.link.bytes_in} bytes came, none a message"
-            return f"{came}: is the baud rate right, and is this an ohmskin device?"
-        return "it answered before: is it still powered and plugged in?"
+            came = f"{self.link.bytes_in} bytes came, but no valid message"
+            return f"{came}: check the baud rate, and that this is an ohmskin device"
+        return "it answered before: check its power and plug"

@@ -25,7 +25,7 @@ _SHARE = 16  # electrodes for one of them, where these are many
 
 
 def _undesigned() -> tuple[ContactTable, Candidates]:
-    raise PatternError("this drive needs to know what contacts do to the data; give the responses of contacts")
+    raise PatternError("this drive needs the responses of contacts; give a contact table and candidates")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def rim(s: DriveSettings, injections: int) -> Drive:
 def rings(s: DriveSettings, injections: int) -> Drive:
     """Adjacent electrodes of the rim and of the inner ring."""
     if len(s.electrodes.rings) < 2:
-        raise PatternError("drive 'rings' needs electrodes inside the sheet; this skin has them on the rim alone")
+        raise PatternError("drive 'rings' needs electrodes inside the sheet; this skin has them on the rim only")
     return _fixed(adjacent(s.electrodes.rings), injections)
 
 

@@ -139,7 +139,7 @@ class InformedPolicy(Exploration):
         period: float = 0.0,
     ) -> None:
         if explore < 1:
-            raise PatternError(f"{explore} injections explore; at least one must, or new contacts are never found")
+            raise PatternError(f"{explore} exploring injections; give at least one, so that new contacts are found")
         super().__init__(electrodes, injections, drives, period)
         self.explore, self.exact, self._design = explore, exact, design
 

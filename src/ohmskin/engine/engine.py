@@ -265,7 +265,7 @@ class Engine(Closing):
         try:
             check_fit(device, self.skin, before)
             if before and any(getattr(able, name) < getattr(before, name) for name in _ROOM):
-                raise DeviceError("the device takes smaller patterns than the one before; restart with this one")
+                raise DeviceError("this device takes smaller patterns than the previous one; restart ohmskin with it")
         except DeviceError:
             device.close()
             raise
@@ -333,7 +333,7 @@ class Engine(Closing):
         self._notices.say("device is back")
         self._notices.message = ""
         if self.device.capabilities.serial != before.serial or self.known is None:
-            why = ", because this is another device than before" if self.known else ""
+            why = ", because this is another device than the previous one" if self.known else ""
             self._notices.say(f"calibrating{why}")
             try:
                 self.calibrate()

@@ -41,7 +41,7 @@ class Notices:
         words = "; ".join(finding.words for finding in findings)
         causes = [finding.cause for finding in findings]
         if causes != self._found:
-            self._report(words or "the data are in order again")
+            self._report(words or "the data are valid again")
         if causes or self._found:
             self.message = words or self._standing
         self._found = causes

@@ -58,17 +58,17 @@ class QuietFrames:
             moved = max((_moved(frames) for frames in by_piece), key=lambda one: one[0])
             if moved[0] < _MOVED:
                 break
-            self.notes = [f"the skin moved while it was measured, by {in_words(moved[1])}; measured again"]
+            self.notes = [f"the quiet voltages changed during the measurement, by {in_words(moved[1])}; measured again"]
         else:
             noise = in_words(moved[1] / moved[0])
             raise DataError(
-                f"the skin is not quiet: its voltages move by {in_words(moved[1])}, their noise is {noise}; "
-                "touch nothing, wait until it has settled, and calibrate again"
+                f"the skin is not quiet: its voltages change by {in_words(moved[1])}, their noise is {noise}; "
+                "do not touch it, wait until it has settled, and calibrate again"
             )
         bad = assess([frame for frames in by_piece for frame in frames]).bad  # no disturbance, but an electrode
         disturbed = sum(self._repaired(frames, bad) for frames in by_piece)
         if disturbed:
-            self.notes.append(f"{disturbed} of {_REPEATS * len(by_piece)} quiet frames were disturbed; measured again")
+            self.notes.append(f"{disturbed} of {_REPEATS * len(by_piece)} quiet frames had outliers; measured again")
         return [frame for frames in zip(*by_piece, strict=True) for frame in frames]
 
     def _round(self, number: int) -> list[Frame]:

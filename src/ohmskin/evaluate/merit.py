@@ -74,7 +74,7 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
         text = f"the image has shape {image.shape}; its {len(y)} x {len(x)} pixel centres"
         raise DataError(f"{text} need that shape, 2 x 2 or more")
     if not targets:
-        raise DataError("no target to hold the image against; give at least one")
+        raise DataError("no target to compare the image with; give at least one")
     pixel = float((x[-1] - x[0]) / (len(x) - 1) * (y[-1] - y[0]) / (len(y) - 1))
     inside = np.isfinite(image)
     px, py = (grid[inside] for grid in np.meshgrid(x, y))

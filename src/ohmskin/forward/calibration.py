@@ -124,7 +124,7 @@ def fit_background(
             share /= 2
         values, model, predicted = tried, other, foreseen
         if rounds == max_rounds:
-            raise ModelError(f"the background did not settle in {max_rounds} rounds; fit less or start closer")
+            raise ModelError(f"the background did not converge in {max_rounds} rounds; fit less or start closer")
     left = measured[known] - predicted
     spare = max(1, len(left) - len(names))
     variance = float(left @ left) / spare if noise is None else noise**2

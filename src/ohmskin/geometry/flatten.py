@@ -265,8 +265,8 @@ def _check_turns(surface: Mesh) -> None:
     numbers, counts = np.unique(edges @ [surface.n_nodes, 1], return_counts=True)
     if len(twice := numbers[counts > 1]):
         edge = [int(node) for node in divmod(int(twice[0]), surface.n_nodes)]
-        opposite = f"two triangles at the edge of nodes {edge[0]} and {edge[1]} turn opposite ways"
-        raise GeometryError(f"{opposite}; make the normals of the mesh point all outwards")
+        opposite = f"two triangles at the edge of nodes {edge[0]} and {edge[1]} have opposite orientations"
+        raise GeometryError(f"{opposite}; make all normals of the mesh point outwards")
 
 
 def _filling(surface: Mesh, holes: Sequence[Ints]) -> tuple[Floats, Ints]:

@@ -80,7 +80,7 @@ class Holed:
                 raise GeometryError(f"hole {number}: {error}") from None
             rim = hole.rim(np.append(np.linspace(0, hole.perimeter, _LOOKED_AT), hole.corners))
             if self.period and np.ptp(hole.polygon.vertices[:, 0]) > 0.9 * self.period:
-                raise GeometryError(f"hole {number} goes round the sleeve; make two skins of it")
+                raise GeometryError(f"hole {number} goes round the sleeve; describe two skins")
             inner = (own.rim(np.zeros(1)) for own in base.holes if not isinstance(own, Edge))
             if (base.depth(rim) <= 0).any() or any((hole.depth(place) > 0).any() for place in inner):
                 raise GeometryError(f"hole {number} is not inside the sheet, or overlaps a hole of its mesh; move it")

@@ -33,7 +33,7 @@ class Mesh(ReadOnly):
 
     Raises:
         GeometryError: If shapes, numbers or coordinates are invalid, an element has no area or volume, a node is
-            unused, the mesh falls into several parts, or two elements lie on the same side of what they share.
+            unused, the mesh consists of several parts, or two elements lie on the same side of what they share.
     """
 
     nodes: Floats
@@ -75,7 +75,7 @@ class Mesh(ReadOnly):
             raise GeometryError(f"{where}; remove degenerate {nouns}")
         parts, _ = connected_components(self.adjacency, directed=False)
         if parts > 1:
-            raise GeometryError(f"the mesh falls into {parts} parts that share no {facet}; join them or keep one")
+            raise GeometryError(f"the mesh consists of {parts} parts that share no {facet}; join them or keep one")
         if nodes.shape[1] == corners - 1:
             self._check_folds()
 

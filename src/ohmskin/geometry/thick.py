@@ -35,7 +35,7 @@ def thicken(sheet: Mesh, thickness: float, layers: int | Sequence[float] = 4) ->
     top = np.column_stack([sheet.nodes, np.zeros(sheet.n_nodes)]) if flat else sheet.nodes
     edges = np.concatenate([sheet.elements[:, [0, 1]], sheet.elements[:, [1, 2]], sheet.elements[:, [2, 0]]])
     if len(np.unique(edges, axis=0)) != len(edges):
-        raise GeometryError("the triangles of this surface are not ordered alike, so it has no below; turn some round")
+        raise GeometryError("the triangles of this surface have mixed orientations; reverse some of them")
     up = np.zeros_like(top)
     np.add.at(up, sheet.elements, normals(top, sheet.elements)[:, None])
     up /= np.linalg.norm(up, axis=1, keepdims=True)

@@ -47,7 +47,7 @@ def read(variables: dict[str, Any], name: str, driven: bool) -> Parts:
         frames = _frames(variables, _FRAMES, imported, select)
     except DataError as error:
         raise DataError(f"{name}: {error}") from error
-    return quiet, frames, "", (*imported.notes, "the file does not say what the body looks like: name a skin")
+    return quiet, frames, "", (*imported.notes, "the file does not describe the body: name a skin")
 
 
 def pattern_of(variables: dict[str, Any], driven: bool) -> tuple[ImportedPattern, np.ndarray | None]:

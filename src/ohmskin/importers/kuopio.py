@@ -71,7 +71,7 @@ def read(
     frame = _frame(variables, imported, name)
     notes = imported.notes
     if at_rest is None:
-        quiet, notes = frame, (*notes, "this is the untouched tank itself: its change is nothing")
+        quiet, notes = frame, (*notes, "this is the untouched tank itself, without a change")
     else:
         own = _pattern(at_rest, reference_name, driven) if _has_pattern(at_rest) else imported
         if own.pattern != imported.pattern:

@@ -74,7 +74,7 @@ def read_model(path: str | Path, scale: float = 1.0, contact_impedance: float | 
             f"{', '.join(groups) or 'none'}"
         )
     if contact_impedance is None and any(np.ndim(nodes) > 1 for nodes in named.values()):
-        raise DataError(f"{path} does not say what its electrodes' contacts resist; give contact_impedance")
+        raise DataError(f"{path} has no contact impedances of its electrodes; give contact_impedance")
     electrodes = Electrodes.on_mesh(
         mesh, [named[name] for name in sorted(named, key=_in_order)], contact_impedance or 0.0
     )

@@ -96,7 +96,7 @@ def likeliest(values: Floats) -> tuple[Order | None, str]:
         best = 0
     if likenesses[best] < _LEAST:
         found = f"likeness {max(likenesses):.2f} with a round even sheet"
-        return known[0], f"the voltages are not largest beside the driven electrodes ({found}): is it adjacent drive?"
+        return known[0], f"the voltages are not largest beside the driven electrodes ({found}); is it adjacent drive?"
     return known[best], ""
 
 

@@ -160,8 +160,8 @@ def _recording(
         quiet = quiet[:0]
     elif not len(quiet):
         quiet = np.nanmedian(values, axis=0)[None]
-        notes = (*notes, "nothing of the untouched skin: the median over the presses is taken for it")
-    notes = notes if skin else (*notes, "the file does not say what the skin is: name one")
+        notes = (*notes, "no frame of the untouched skin: the median over the presses is used")
+    notes = notes if skin else (*notes, "the file does not name its skin: name one")
     rest = tuple(pattern.frame(row, name, k) for k, row in enumerate(quiet[:_MOST_QUIET]))
     frames = tuple(pattern.frame(row, name, k) for k, row in enumerate(values))
     return Recording(rest, frames, skin, (*pattern.notes, *notes), None, places, forces, kind)
@@ -221,7 +221,7 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
         notes.append("magnitudes: their signs are the model's")
     elif measured[known] @ at_rest[known] < 0:
         signs = -signs
-        notes.append("all voltages are the other way round than on the model: turned")
+        notes.append("all voltages have the opposite sign of the model's: inverted")
     if (signs < 0).any():
         quiet, frames = (tuple(replace(one, voltages=signs * one.voltages) for one in some) for some in (quiet, frames))
     if recording.positions is not None:
@@ -236,6 +236,6 @@ def _with_noise(quiet: Sequence[Frame], frames: Sequence[Frame], notes: list[str
     (rest,) = quiet
     changes = np.array([frame.voltages for frame in frames]) - rest.voltages
     noise = _UNTOLD * float(np.sqrt(np.mean(changes[np.isfinite(changes)] ** 2)))
-    notes.append(f"one state of the untouched skin does not show the noise: {_UNTOLD:.0%} of a usual change is taken")
+    notes.append(f"one quiet frame does not determine the noise: {_UNTOLD:.0%} of a usual change is taken")
     shift = noise / np.sqrt(2) * np.where(np.arange(changes.shape[1]) % 2, 1.0, -1.0)
     return tuple(replace(rest, voltages=rest.voltages + sign * shift) for sign in (1.0, -1.0))

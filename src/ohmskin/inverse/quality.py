@@ -59,7 +59,7 @@ def match_model(model: TransferModel, frame: Frame) -> ModelMatch:
     modelled = model.voltages(frame.pattern, np.where(np.isfinite(frame.currents), frame.currents, 0.0))
     known = np.isfinite(frame.voltages) & (modelled != 0)
     if known.sum() < 3:
-        raise DataError(f"{int(known.sum())} known values cannot be held against a model; need at least 3")
+        raise DataError(f"{int(known.sum())} known values cannot be compared with a model; need at least 3")
     modelled, measured = modelled[known], frame.voltages[known]
     both = np.column_stack([modelled, np.ones_like(modelled)])
     scale, offset = np.linalg.lstsq(both, measured, rcond=None)[0]

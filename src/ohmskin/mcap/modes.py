@@ -21,7 +21,7 @@ def encode_modes(modes: Modes) -> str:
     try:
         text = json.dumps({name: dict(entries) for name, entries in modes.items()}, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise DataError(f"a recording keeps modes as JSON, which cannot say these: {error}") from error
+        raise DataError(f"a recording stores modes as JSON, which cannot represent these: {error}") from error
     if len(text) > _LARGEST:
         raise DataError(f"modes take {len(text)} bytes in a recording; at most {_LARGEST}")
     return text

@@ -187,7 +187,7 @@ class Tape(Closing):
         notes = []
         if not self._file.whole:
             notes.append(
-                f"{self.path} was cut short: {len(self.frames)} frames can be read. "
+                f"{self.path} is truncated: {len(self.frames)} frames can be read. "
                 f"`ohmskin recover {self.path}` writes a whole copy"
             )
         if broken := self._file.damaged + self._unreadable:

@@ -41,7 +41,7 @@ class CommandServer(Closing):
         except OhmskinError as error:
             failed = str(error)
         except (ValueError, TypeError, KeyError) as error:
-            failed = f"a skin takes no such command ({error}); it knows {', '.join(self._commands)}"
+            failed = f"unknown command of a skin ({error}); choose from {', '.join(self._commands)}"
         self._answers.write(json.dumps({"boot": self._asked.boot, "failed": failed[:_LONGEST]}).encode())
 
     def close(self) -> None:

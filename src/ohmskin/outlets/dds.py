@@ -144,7 +144,7 @@ def stay_on(interface: str) -> None:
             with own:
                 own.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode() + b"\0")
     except (AttributeError, OSError):  # no such option, or no right to use it
-        log.warning("cannot tie DDS to %s here; a firewall should keep UDP ports 7400 to 7500 from others", interface)
+        log.warning("cannot bind DDS to %s here; block UDP ports 7400 to 7500 with a firewall", interface)
 
 
 def _udp_sockets() -> Iterator[socket.socket]:

@@ -31,7 +31,7 @@ class FoxgloveOutlet:
     def __init__(self, place: str, topics: Sequence[Topic], node: str, token: str | None) -> None:
         found = _PLACE.fullmatch(place)
         if not found or int(found[2] or 0) > 65535:
-            raise PublishError(f"foxglove:{place} is no place; use foxglove or foxglove:HOST:PORT")
+            raise PublishError(f"foxglove:{place} is not a place; use foxglove or foxglove:HOST:PORT")
         host, port = found[1].strip("[]") or "127.0.0.1", int(found[2] or PORT)
         context = self._context = foxglove.Context()  # its channels close when it goes
         self._channels = {

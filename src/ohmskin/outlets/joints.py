@@ -52,7 +52,7 @@ class Follower:
         except OhmskinError as error:
             if str(error) != self._said:
                 self._said = str(error)
-                log.warning("joint states are not taken: %s", error)
+                log.warning("joint states are ignored: %s", error)
 
     def _told(self, message: bytes, since: float) -> dict[str, tuple[float, float]]:
         decoder = Decoder(message)

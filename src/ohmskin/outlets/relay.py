@@ -74,7 +74,7 @@ class RelayProcess(Closing):
             process = self._child.process
             self.close()  # its pipe can break before its exit status is known
             log.error(
-                "the publishing process has ended (exit status %s); the loop goes on without it", process.returncode
+                "the publishing process has ended (exit status %s); the loop continues without it", process.returncode
             )
 
     def close(self) -> None:

@@ -141,7 +141,7 @@ def _markdown_section(section: Section, folder: Path) -> Iterable[str]:
         elif isinstance(block, Image):
             yield f"![{block.label}]({os.path.relpath(block.picture.path, folder)})\n\n*{block.picture.caption}*"
         elif isinstance(block, Folded):
-            raise TypeError("Markdown has nothing that folds; give the blocks themselves")
+            raise TypeError("Markdown has no folded blocks; give the blocks themselves")
         elif block:
             yield block
 

@@ -37,7 +37,7 @@ class SkinSensor(Closing):
         skin: What it is, or its name.
         patch: Where the sheet sits in the geom's frame. Unless given: a flat one on the middle of the upper side (z) of
             a box or on a plane, a curved one round the middle of a cylinder or capsule.
-        mode: Name of the mode; the most precise unless given.
+        mode: Name of the mode; the default mode unless given.
         seed: Seed of the noise.
         faults: What is wrong with its wiring.
 

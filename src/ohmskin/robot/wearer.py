@@ -71,7 +71,7 @@ class Wearer:
         try:
             self.model: Any = mujoco.MjModel.from_xml_string(described)
         except ValueError as error:
-            raise ModelError(f"MuJoCo does not take body {body.name!r}: {error}; mend its URDF file") from error
+            raise ModelError(f"MuJoCo does not take body {body.name!r}: {error}; correct its URDF file") from error
         assert body.robot is not None
         self.body, self.robot, self.data = body, body.robot, mujoco.MjData(self.model)
         self._names = [self.model.joint(number).name for number in range(self.model.njnt)]

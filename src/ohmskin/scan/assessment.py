@@ -184,10 +184,10 @@ def _scatter(group: Repeats) -> Iterator[Verdict]:
         excess = scatter / max(core, floor)
         words = f"its values scatter by {in_words(scatter)} at rest, {excess:.0f} times the others'"
         if scatter > NOISE_SHARE * rms(group.voltages[:, group.pattern.uses(e)]):
-            words = f"open: {words}, and carry nothing else; check its contact; left out"
+            words = f"open: {words}, and have no other signal; check its contact; left out"
             yield Verdict(e, "open", 0.0, words)
         else:
-            yield Verdict(e, "noisy", 1 / excess, f"noisy: {words}; counts less")
+            yield Verdict(e, "noisy", 1 / excess, f"noisy: {words}; lower weight")
 
 
 def _drift(group: Repeats) -> Iterator[Verdict]:
@@ -205,4 +205,4 @@ def _drift(group: Repeats) -> Iterator[Verdict]:
             continue  # a noisy electrode, not a drifting one
         excess = wander / max(core, floor)
         words = f"drifting: its values wander by {in_words(wander)} at rest, {excess:.0f} times the others'"
-        yield Verdict(e, "drifting", 1 / excess, words + "; counts less")
+        yield Verdict(e, "drifting", 1 / excess, words + "; lower weight")

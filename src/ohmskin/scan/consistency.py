@@ -74,7 +74,7 @@ def inconsistent(quiet: Repeats, volts: Floats, changes: bool, bad: list[int]) -
             why = f"({in_words(error)} fit no resistive sheet, {times})"
             yield Verdict(e, "open", 0.0, f"open: {noise} {why}; check its contact; left out")
         elif changes and error > _UNEVEN * floor:
-            words = f"noisy: its changes break reciprocity by {in_words(error)}, {times}; counts less"
+            words = f"noisy: its changes violate reciprocity by {in_words(error)}, {times}; lower weight"
             yield Verdict(e, "noisy", floor / error, words)
 
 

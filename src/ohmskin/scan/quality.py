@@ -90,13 +90,13 @@ class Quality:
         """The findings in plain words, a line each; the first is a summary."""
         used = [v.electrode for v in self.verdicts]
         all_well = f"all {self.n_elec} electrodes in order"
-        state = f"{len(used)} of {self.n_elec} electrodes not in order" if used else all_well
+        state = f"{len(used)} of {self.n_elec} electrodes faulty" if used else all_well
         noise = [f"noise {in_words(self.noise)} from repeats"] if np.isfinite(self.noise) else []
         if np.isfinite(self.reciprocity):
             share = f" ({100 * self.reciprocity / self.signal:.2g} % of the signal)" if self.signal > 0 else ""
             noise.append(f"reciprocity error {in_words(self.reciprocity)}{share}")
         else:
-            noise.append("reciprocity unknown: the pattern measures nothing twice")
+            noise.append("reciprocity unknown: the pattern has no redundant measurements")
         lines = ["data quality: " + "; ".join([state, *noise])]
         if self.missing or self.clipped:
             part = 100 * (self.missing + self.clipped) / self.values

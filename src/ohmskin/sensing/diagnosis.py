@@ -114,9 +114,9 @@ class Diagnosis:
             case "current":
                 return f"no current flows between electrodes {electrodes}: one of them is open; left out"
             case "currents":
-                return "currents of some injections cannot be; left out"
+                return "currents of some injections are implausible; left out"
             case "unlike":
-                return "no contacts explain what has changed: another skin, exchanged wires, or damage; calibrate again"
+                return "no contacts explain the change: another skin, exchanged wires, or damage; calibrate again"
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":
@@ -128,12 +128,12 @@ class Diagnosis:
             case "injection":
                 return "the current of an injection contradicts its voltages; left out"
             case "offset":
-                return f"{_common(*np.array(self.offsets).T)} on all voltages; taken off"
+                return f"{_common(*np.array(self.offsets).T)} on all voltages; subtracted"
             case _:
                 contradiction = (
                     f"the voltages contradict each other by {in_words(self.error)} ({in_words(noise)} at rest)"
                 )
-                return f"{contradiction}: interference, a bad cable, or touches faster than a scan; all count less"
+                return f"{contradiction}: interference, bad cables, or touches faster than a scan; all get less weight"
 
 
 def _common(times: Floats, offsets: Floats) -> str:

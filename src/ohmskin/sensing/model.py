@@ -280,7 +280,7 @@ class SkinModel:
             raise DataError("no quiet voltage is known; check the device, or which electrodes were left out")
         alike = float(modelled[known] @ measured[known])
         if alike <= 0:
-            what = "the quiet voltages are unlike the model's, or the other way round"
+            what = "the quiet voltages do not agree with the model's, or have the wrong sign"
             raise DataError(f"{what}; check the drive pattern, the wires, and which skin it is")
         return float(modelled[known] @ modelled[known] / alike)
 

@@ -52,7 +52,7 @@ LEARNED = Mode(
     drive="rim",
     reader="learned",
     title="Learned",
-    summary="Adjacent drive on the rim; one contact as presses taught it, contacts fitted to the data for all else.",
+    summary="Adjacent drive on the rim; one contact is placed by the learned map, several are fitted to the data.",
 )
 """Of skins that have learned from presses (`ohmskin learn`)."""
 

@@ -139,7 +139,7 @@ class PressFitter:
         if len(presses) < 2 or not (np.isfinite(forces).all() and min(forces) > 0):
             raise DataError(f"presses of {forces} N; give two or more, each above 0 N")
         if presses[0].peak:
-            raise DataError("the first press eases off from none before it; begin with one that rises")
+            raise DataError("the first press has a falling force; begin with a rising one")
         data = [self.information(press.scans) for press in presses]
         layer = self.sheet.skin.contact_layer
         described = np.array([np.log(layer.conductance), layer.exponent, np.log1p(layer.hysteresis)])

@@ -29,7 +29,7 @@ Scan = Callable[[DrivePattern], Frame]
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
 _SPIKES = Cause("spikes")
 _NOVEL = Finding(
-    Cause("novel"), "the data are unlike the presses that the reader learned from: contacts are located by physics"
+    Cause("novel"), "the data are outliers of the presses learned from: contacts are located by the physical model"
 )
 _LONGEST = 1.0  # s between two frames, beyond which nothing more is forgotten
 

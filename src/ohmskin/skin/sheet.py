@@ -112,9 +112,7 @@ class Sheet:
                 raise GeometryError(f"seed is {list(self.seed)}; it must be a place [x, y, z] in metres")
             nodes, triangles = grown(nodes, triangles, self.seed, self.crease)
         elif (count := int(pieces(nodes, triangles).max()) + 1) > 1:
-            raise GeometryError(
-                f"what is left are {count} pieces that do not touch; choose one by seed, or cut more off"
-            )
+            raise GeometryError(f"the rest are {count} separate pieces; choose one by seed, or cut off more")
         return Mesh(nodes, triangles)
 
     @property

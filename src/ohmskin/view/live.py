@@ -161,7 +161,7 @@ class LiveView(Closing):
             self._credits = 0
         if not self._closing:
             status = self._child.process.wait()
-            log.error("the process of the live page has ended (exit code %s); the loop goes on without it", status)
+            log.error("the process of the live page has ended (exit status %s); the loop continues without it", status)
         self._outbox.put(None)
 
 

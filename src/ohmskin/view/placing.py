@@ -106,7 +106,7 @@ class Placing:
         kind, *given = words.split()
         numbers = [float(word) for word in given]
         if len(numbers) != _WORDS.get(kind) or not all(abs(number) < 1e3 for number in numbers):
-            raise ValueError(f"nothing that can be done: {words!r}")
+            raise ValueError(f"unknown request: {words!r}")
         self._saved = ""
         if kind == "save":
             return self._save()

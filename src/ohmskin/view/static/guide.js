@@ -61,7 +61,7 @@ export function judge(pairs, domain) {
   const felt = pairs.filter(([, found]) => found);
   if (felt.length < pairs.length / 2) {
     const advice = "Press harder, or test the skin with “ohmskin self-test”.";
-    return { verdict: "Poor", text: `${felt.length} of ${pairs.length} presses were felt. ${advice}` };
+    return { verdict: "Poor", text: `${felt.length} of ${pairs.length} presses were detected. ${advice}` };
   }
   const [left, bottom, right, top] = bounds(domain);
   const middle = [(left + right) / 2, (bottom + top) / 2];
@@ -260,6 +260,6 @@ export class Guide {
     const how = this._weights.length ? `Put ${grams} g` : "Press";
     const at = `${how} at ${millimetres(this._places[this._pairs.length])}, where the map shows the target, and hold.`;
     const help = this._page.virtual() && !this._helped;
-    return { title, text: at, on: "Not felt: leave it out", other: help ? "Press for me" : null };
+    return { title, text: at, on: "Not detected: skip it", other: help ? "Press for me" : null };
   }
 }

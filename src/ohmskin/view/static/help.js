@@ -10,7 +10,7 @@ const MARKS = [
     "place",
     '<ellipse cx="14" cy="10" rx="9" ry="5.5" transform="rotate(-25 14 10)"/><path d="M10 10h8M14 6v8"/>',
     "Place.",
-    "The ellipse holds the true place 95 times in 100; “±” is its longer half axis. Centroid modes have none.",
+    "The ellipse is the 95 % confidence region of the position; “±” is its longer half axis. Centroid modes have none.",
   ],
   [
     "press",
@@ -43,32 +43,32 @@ const MARKS = [
   [
     "doubted",
     '<circle cx="14" cy="10" r="7"/><circle cx="14" cy="10" r="1.5"/>',
-    "Electrode in doubt:",
+    "Electrode with a fault:",
     "“Doubts” says why.",
   ],
   [
     "doubtful",
     '<path d="M3 17V4h22v13" stroke-dasharray="5 3"/>',
     "Dashed rim:",
-    "all data are in doubt, such as by hum.",
+    "all data are affected, such as by hum.",
   ],
 ];
 const LEGEND = { contact: "contact", press: "press", place: "place (95 %)", driven: "driven now", out: "left out" };
 const FIGURES = [
   ["colour", "Change of sheet conductivity. Warm: it rises; blue: it falls. Most skins rise where they are pressed."],
-  ["γ₀", "The threshold. What is below it may be noise, and has next to no colour."],
+  ["γ₀", "The threshold. Values below it may be noise, and have almost no colour."],
   ["extent", "Area where the image exceeds half the contact’s peak."],
   [
     "strength",
-    "Relative change of conductivity (Δσ/σ), summed over the extent. It grows with force, but is not a force.",
+    "Relative change of conductivity (Δσ/σ), integrated over the extent. It grows with force, but is not a force.",
   ],
   ["force", "In newtons, with its standard deviation; on skins that are calibrated to newtons."],
   [
     "gesture",
-    "Beside the number of contacts: tap, stroke, push or grasp, with its probability. Nothing there: not known.",
+    "Beside the number of contacts: tap, stroke, push or grasp, with its probability; empty while unknown.",
   ],
-  ["last minute", "A bar for each contact; amber: doubtful. Grey: unknown. Amber below: data were in doubt."],
-  ["confidence", "Probability that this is a contact, given the noise and what no contact explains."],
+  ["last minute", "A bar for each contact; amber: doubtful. Grey: unknown. Amber line below: faulty data."],
+  ["confidence", "Probability that this is a contact, given the noise and the unexplained share of the data."],
 ];
 const KEYS = [
   ["?", "Open this help; Escape closes it."],

@@ -5,8 +5,8 @@ const HINTS = {
   touch: "Touch the map, with several fingers if you like. “Hold presses” leaves them in place.",
   virtual:
     "Press the map with mouse or finger. Shift-click leaves a press in place; drag it, or double-click to remove.",
-  real: "Press the skin. This page shows what it feels.",
-  recording: "A recording: this page shows what the skin felt.",
+  real: "Press the skin. This page shows the contacts.",
+  recording: "A recording: this page shows the recorded contacts.",
 };
 const SILENCE = 3; // s without a frame, from which on nothing is known any more
 
@@ -54,7 +54,7 @@ function withoutFrames({ connected, everConnected, starting, setup, header, sile
   if (starting) {
     return {
       kind: "wait",
-      text: "Starting. This page goes on by itself.",
+      text: "Starting. This page continues by itself.",
       title: "Starting",
       unknown: "the loop is starting",
       todo: sentence(starting.message),
