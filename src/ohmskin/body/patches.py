@@ -100,7 +100,7 @@ class PatchProcess:
 
 
 class Patches(Closing):
-    """All patches of a body and their one stream.
+    """All patches of a body, merged into one stream of contacts.
 
     Args:
         body: What there is.
@@ -175,7 +175,7 @@ class Patches(Closing):
         return self._replay is not None and self._replay.ended
 
     def step(self) -> Felt | None:
-        """Pass on what is new; None, after a nap of half a millisecond, if nothing is."""
+        """Forward new contacts; None, after a sleep of half a millisecond, if there are none."""
         if (now := time.monotonic()) >= self._look_at:
             self._look_at = now + _LOOK_EVERY
             for process in self._processes:
@@ -189,7 +189,7 @@ class Patches(Closing):
         return merged
 
     def close(self) -> None:
-        """End all processes and take the boards away. Safe twice."""
+        """End all processes and remove the boards. Safe to call twice."""
         self._stack.close()
 
     def _end_processes(self) -> None:

@@ -19,7 +19,7 @@ _SURE = 3.0  # standard deviations
 
 
 class SelfTouch:
-    """Tells whether a robot touches itself.
+    """Detects contacts of a robot with itself.
 
     A contact is one of the robot with itself if the surface of another link, a simple shape of it or a skin on it, is
     where the contact is: closer than the gap that surfaces leave, and three standard deviations of its position. Links

@@ -29,7 +29,7 @@ _NOISY = 3.0  # times the usual noise, above which a channel does not show wheth
 
 @dataclass(frozen=True, eq=False)
 class ChannelJudgement:
-    """What presses say of the channels.
+    """Gains and errors of channels, estimated from presses.
 
     Args:
         pattern: Of the presses.
@@ -55,11 +55,11 @@ class ChannelJudgement:
 
     @property
     def reversed(self) -> Bools:
-        """(n_meas,) whether a channel is the other way round."""
+        """(n_meas,) whether a channel is inverted."""
         return np.asarray((self.channels.of(self.pattern)[0] < 0) & ~self.doubtful)
 
     def report(self) -> list[str]:
-        """The findings in plain words, a line each."""
+        """The findings as sentences, one a line."""
         doubtful, which = self.doubtful, self.pattern.measurements[:, 0]
         share = np.bincount(which, doubtful) / np.bincount(which)
         lines = [

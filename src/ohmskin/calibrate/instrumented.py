@@ -30,7 +30,7 @@ class LoadCell:
         self._lock, self._newest = threading.Lock(), (np.nan, -np.inf)
 
     def tell(self, force: float) -> None:
-        """Take a reading (N); pushed and pulled count alike."""
+        """Store a reading (N); its sign is ignored."""
         with self._lock:
             self._newest = abs(force), time.monotonic()
 
@@ -51,7 +51,7 @@ class _Cycle:
 
 
 class ForceSampler:
-    """Takes a sample of every press that stays as it is for some cycles, wherever it is; see `PressGuide`.
+    """Takes a sample of every press that is steady for some cycles, at any place; see `PressGuide`.
 
     Args:
         count: Samples wanted.

@@ -52,7 +52,7 @@ class PositionReport:
     curve: tuple[tuple[int, float], ...] = ()
 
     def report(self) -> list[str]:
-        """The findings in plain words, a line each."""
+        """The findings as sentences, one a line."""
         known = np.isfinite(self.physics)
         rows = [("physics", self.physics), ("similarity", self.similarity), ("map", self.mapped)]
         first = rows[0 if self.map.own else 1 :]
@@ -113,7 +113,7 @@ def learn_positions(
     size: float,
     progress: Callable[[float], None] = lambda _: None,
 ) -> PositionReport:
-    """Learn where contacts are from presses of known places.
+    """Learn a correction of positions from presses at known places.
 
     Args:
         pattern: That was driven.

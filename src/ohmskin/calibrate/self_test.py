@@ -25,7 +25,7 @@ _BENT = 0.02  # share of the signal that linearity may miss
 
 @dataclass(frozen=True, eq=False)
 class SelfTest:
-    """What the self-test found. All but the diagnosis are None where too few electrodes are connected to measure them.
+    """Result of the self-test. All but the diagnosis are None where too few electrodes are connected to measure them.
 
     Args:
         skin: Name of the skin's description.

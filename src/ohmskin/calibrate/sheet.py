@@ -36,7 +36,7 @@ Build = Callable[[Electrodes, Floats], TransferModel]
 
 @dataclass(frozen=True, eq=False)
 class SheetFit:
-    """A model of the untouched skin that explains what was measured.
+    """A model fitted to the untouched skin.
 
     Args:
         model: With electrodes where they are, and the sheet as it is.

@@ -56,7 +56,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a scan of all pairs says about the wiring and the sheet.
+    """Diagnosis of wiring and sheet from a scan of all pairs.
 
     Args:
         findings: What is wrong, by electrode.
@@ -86,7 +86,7 @@ def terminal_pattern(n_elec: int) -> DrivePattern:
 
 
 def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
-    """Find what is wrong with the wiring of an untouched skin.
+    """Diagnose faults of the wiring of an untouched skin.
 
     Args:
         skin: What it should be.

@@ -136,7 +136,7 @@ class Board(Closing):
         self._words[_NEWEST] = self._number
 
     def close(self) -> None:
-        """Say that nothing more comes, and remove the file; who has it open keeps what is on it. Safe twice."""
+        """Announce the end, and remove the file; who has it open keeps what is on it. Safe twice."""
         if self._lock is None:
             return
         self._words[_CLOSED] = 1
@@ -203,7 +203,7 @@ class BoardReader(Closing):
         return None  # the writer overtook us time and again; it will be here still at the next look
 
     def close(self) -> None:
-        """Let go of the board. Safe twice."""
+        """Close the board. Safe to call twice."""
         if self._words is not None and self._memory is not None:
             self._words.release()
             self._memory.close()

@@ -19,7 +19,7 @@ class _Source(Protocol):
 
 
 class Client(Closing):
-    """What a skin feels, from another process. Neither side waits for the other; either may start, end and come again.
+    """Reads contacts from another process. Neither side waits for the other; either may start, end and come again.
 
     Args:
         address: ``shm:NAME`` on the same machine, or ``zenoh:NAME@tcp/HOST:PORT`` (extra `zenoh`); the name is what

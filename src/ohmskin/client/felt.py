@@ -24,7 +24,7 @@ LARGEST = _HEAD.size + MOST_PATCHES * _PATCH.size + MOST_CONTACTS * _CONTACT.siz
 
 @dataclass(frozen=True)
 class Patch:
-    """One skin and where it sits.
+    """One skin and its pose in a frame.
 
     Args:
         name: What it is called.
@@ -160,7 +160,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class Sighting:
-    """How fresh a patch's part is.
+    """Sequence number and time of a patch's newest data.
 
     Args:
         patch: Name of the patch.
@@ -186,7 +186,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Felt:
-    """What the skin, or all skins of a robot, felt last.
+    """The newest contacts of a skin, or of all skins of a robot.
 
     Args:
         sequence: Counts up by one with each; a jump means that some were not looked at. Begins anew with `boot`.
@@ -324,5 +324,5 @@ class SharedMemory:
         return None
 
     def close(self) -> None:
-        """Let go of the board. Safe twice."""
+        """Close the board. Safe to call twice."""
         self._board.close()

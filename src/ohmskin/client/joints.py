@@ -15,7 +15,7 @@ _POSE = struct.Struct("<16d")
 
 
 class JointStates(Closing):
-    """Tells a body how its joints stand, so that it knows what its contacts are of, and its page moves.
+    """Sends joint positions to a body, for the detection of self-touch and for its page.
 
     with JointStates("torso") as joints:
         joints.push({"elbow": -1.1})            # again whenever they have moved
@@ -42,7 +42,7 @@ class JointStates(Closing):
         self._board.write(json.dumps({"time": time.monotonic() - age, "positions": told}).encode())
 
     def close(self) -> None:
-        """Take the board away. Safe twice."""
+        """Remove the board. Safe to call twice."""
         self._board.close()
 
 
@@ -68,5 +68,5 @@ class LinkPoses(Closing):
         return self._poses
 
     def close(self) -> None:
-        """Let go of the board. Safe twice."""
+        """Close the board. Safe to call twice."""
         self._reader.close()

@@ -42,7 +42,7 @@ _Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes
 
 
 class ContactFitter(DiscFitter):
-    """Explains data by contacts.
+    """Fits contacts to data: their number, positions, radii and effects.
 
     Args:
         table: Responses of contacts.
@@ -108,7 +108,7 @@ class ContactFitter(DiscFitter):
     # --- one frame, nothing known before ------------------------------------------------------------------------------
 
     def fit(self, *scans: Difference) -> Solution:
-        """The contacts of one scan, or of several fused, with nothing known before.
+        """The contacts of one scan, or of several fused, without a prior estimate.
 
         Raises:
             DataError: If no finite datum is left.

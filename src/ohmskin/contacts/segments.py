@@ -25,7 +25,7 @@ _PRIOR, _AMPLITUDE, _ERROR = "matern", 0.5, 0.15  # of the images that tell: str
 
 @dataclass(frozen=True)
 class Evidence:
-    """Whether data need a class: how much worse they are explained without it.
+    """Evidence for a class: the increase of the residual without it.
 
     Args:
         lost: Share of the data's power that is not explained any more where the class is ruled out (1).
@@ -64,7 +64,7 @@ class Segments:
 def evidence(
     model: TransferModel, noise: float, scans: Sequence[Difference], freedom: int = 60, rate: float = 0.01
 ) -> dict[int, Evidence]:
-    """Whether data need something that conducts better (1), and something that conducts worse (-1).
+    """Evidence for a class of higher (1) and one of lower conductivity (-1).
 
     For each the data are explained by an image that may not have it (nowhere above, or nowhere below the background)
     and by one that may. By noise alone the difference is no more than all of it, which is an F variable.

@@ -12,7 +12,7 @@ PER_CONTACT = 4  # x, y, effect, squared radius
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Contacts that explain some data.
+    """Contacts fitted to data.
 
     Args:
         params: (n, 4) x, y (m), effect (m2), squared radius (m2) of each.

@@ -20,7 +20,7 @@ _POLL = 0.05  # s, how soon threads notice that the server closes; replies do no
 
 
 class DeviceServer(Closing):
-    """A device made of software: answers the wire protocol for an instrument.
+    """Serves an instrument over the wire protocol.
 
     Args:
         instrument: What is scanned. One request at a time reaches it.

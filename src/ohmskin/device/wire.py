@@ -29,7 +29,7 @@ _REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameD
 
 @dataclass
 class Link:
-    """How well a connection works: counters since it was made."""
+    """Counters of a connection since it was made."""
 
     requests: int = 0
     retries: int = 0  # requests sent again

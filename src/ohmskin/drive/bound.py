@@ -22,7 +22,7 @@ Scheme = DrivePattern | Drive | Callable[[Floats], Sequence[DrivePattern]]
 
 @dataclass(frozen=True)
 class ContactPrior:
-    """What is known of a contact before anything is measured.
+    """Prior of a contact.
 
     Args:
         effect: Usual relative conductivity change times area (m2).
@@ -90,7 +90,7 @@ def position_bound(
     prior: ContactPrior | None = None,
     scale: ArrayLike = 1.0,
 ) -> Floats:
-    """Least root-mean-square error (n,) of the position of one contact at each place (m), by Cramer and Rao.
+    """Cramer-Rao bound (n,) of the root-mean-square position error of one contact at each place (m).
 
     Position, effect and radius are unknown up to the prior. Adaptive schemes choose for the true place: their bound is
     what they could do had the first scan been right.
@@ -127,7 +127,7 @@ def position_bound(
 
 
 def best_fixed(table: ContactTable, candidates: Candidates, injections: int, places: ArrayLike | None = None) -> Ints:
-    """The fixed set of injections (count,) of least mean squared position bound over the sheet, by greed and exchange.
+    """The fixed set of injections (count,) of least mean squared position bound over the sheet, greedy, then exchanged.
 
     What is known before is `ContactPrior.usual` of the table's radius.
 

@@ -164,7 +164,7 @@ class Choice:
 
 
 class Search:
-    """A covariance, what each candidate would take off it, and the choice so far.
+    """A covariance, its reduction by each candidate, and the choice so far.
 
     Args:
         rows: (n, m, d), or (n_cases, n, m, d): cases are alternatives, such as places, over which means are taken.
@@ -209,7 +209,7 @@ class Search:
         return np.asarray(-self.gains().mean(axis=(1, 2)))
 
     def best(self) -> int:
-        """The candidate to take next, the first of equals; raises PatternError if all are chosen."""
+        """The candidate of largest gain, the first of equals; raises PatternError if all are chosen."""
         scores = self.scores()
         if not self._repeats:
             scores[self.chosen] = np.inf
@@ -219,12 +219,12 @@ class Search:
         return best
 
     def take(self, number: int) -> None:
-        """Know what a candidate measures."""
+        """Condition on the measurements of a candidate."""
         self._update(number, 1.0)
         self.chosen.append(number)
 
     def drop(self, number: int) -> None:
-        """Forget what a candidate taken before has measured."""
+        """Undo `take` of a candidate."""
         self._update(number, -1.0)
         self.chosen.remove(number)
 

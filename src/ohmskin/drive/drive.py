@@ -44,7 +44,7 @@ class Target:
 
 
 class Drive(Protocol):
-    """Says what to measure next. Deterministic, and without memory of its own.
+    """Chooses the next pattern. Deterministic and stateless.
 
     Attributes:
         patterns: All that it may ever ask for, whole or in part: calibration measures these on the quiet skin.

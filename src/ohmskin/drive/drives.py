@@ -30,7 +30,7 @@ def _undesigned() -> tuple[ContactTable, Candidates]:
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """What a drive is made for.
+    """Arguments of a drive.
 
     Args:
         electrodes: Electrode layout.

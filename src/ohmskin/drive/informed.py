@@ -113,7 +113,7 @@ def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple
 
 
 class InformedPolicy(Exploration):
-    """Spends a frame's injections where they are most informative about the contacts, and keeps exploring.
+    """Chooses the injections of a frame that are most informative about the contacts, and some to explore.
 
     Args:
         electrodes, injections, drives, period: As `Exploration`.

@@ -87,7 +87,7 @@ class Engine(Closing):
 
     @property
     def message(self) -> str:
-        """What a user should know now, such as why the device is lost; empty if nothing."""
+        """Notice for the user, such as why the device is lost; empty if there is none."""
         return self._notices.message
 
     def calibrate(self, progress: Callable[[float], None] = lambda _: None) -> None:
@@ -227,7 +227,7 @@ class Engine(Closing):
         return self._drives[mode]
 
     def forget(self) -> None:
-        """Forget the contacts that are followed, because the next frame is of another time."""
+        """Drop all tracks, because the next frame is of another time."""
         self._beliefs.clear()
         if self.known is not None:
             self.sensor = self._sensor(self.mode)

@@ -121,7 +121,7 @@ class EidorsMerit:
 def eidors_figures(
     pixels: ArrayLike, target: tuple[float, float], bounds: tuple[float, float, float, float] = (-1.0, -1.0, 1.0, 1.0)
 ) -> EidorsMerit:
-    """The figures of merit as EIDORS 3.11 computes them, warts and all, for comparison with published tables.
+    """The figures of merit exactly as EIDORS 3.11 computes them, for comparison with published tables.
 
     AR is the plain sum of all pixels, and of those of q. PE is a difference of two distances from the mesh's origin,
     wherever in the mesh that is, so that it has a sign and is blind to errors along the tangent. Pixels are taken to

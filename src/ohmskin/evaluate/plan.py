@@ -31,7 +31,7 @@ SHAPE_PLACE, SHAPE_RADIUS, SHAPE_PRESSURE = (0.10, 0.10), 0.03, 20e3
 
 @dataclass(frozen=True)
 class Settings:
-    """How thoroughly to reproduce.
+    """Settings of the reproduction.
 
     Args:
         noise: Noise levels (dB); the first is that of the figures and of Table I, all make the sweep.

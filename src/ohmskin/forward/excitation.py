@@ -175,7 +175,7 @@ class VoltageSource:
         return model.voltages(pattern, self.currents(model, pattern))
 
     def by_pairs(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """d voltages / d R_ij (n_meas, n_pairs) in V/ohm, with the current left to change.
+        """d voltages / d R_ij (n_meas, n_pairs) in V/ohm, including the change of the current.
 
         J_V = I (J_m - R_m / (R_pair + resistance) J_pair). Times `TransferModel.pair_sensitivity` it is dV/dsigma.
         """
@@ -194,11 +194,11 @@ class VoltageSource:
         return replace(difference, currents=amperes, source_loading=loading)
 
     def sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens), with the current left to change."""
+        """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens), including the change of the current."""
         return np.asarray(self.by_pairs(model, pattern) @ model.pair_sensitivity)
 
     def contact_sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """dV/dz (n_meas, n_elec) of a pattern in V per ohm m2 (disc) or ohm m (rim), the current left to change."""
+        """dV/dz (n_meas, n_elec) of a pattern in V per ohm m2 (disc) or ohm m (rim), with the current's change."""
         return np.asarray(self.by_pairs(model, pattern) @ model.pair_contact_sensitivity)
 
 

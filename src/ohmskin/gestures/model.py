@@ -24,7 +24,7 @@ _MOST_BYTES, _MOST_HIDDEN = 1_000_000, 256
 
 @dataclass(frozen=True, eq=False)
 class GestureModel:
-    """Tells gestures of the figures of an episode; see `ohmskin.gestures.train`.
+    """Classifies gestures by the features of an episode; see `ohmskin.gestures.train`.
 
     Args:
         middle, spread: (n_features,) of the figures that it was trained on.
@@ -80,7 +80,7 @@ class GestureModel:
 
     @classmethod
     def parse(cls, text: str) -> "GestureModel":
-        """Read a model from text: data and never code.
+        """Read a model from text, which contains no code.
 
         Raises:
             DataError: If it is none, or one of other gestures or figures.

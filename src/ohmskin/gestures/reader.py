@@ -13,7 +13,7 @@ _SHOWN = 0.5  # s for which an ended gesture is still told
 
 @dataclass(frozen=True)
 class Gesture:
-    """What an episode of touch is.
+    """Class of an episode.
 
     Args:
         name: One of `GESTURES`, or ``unknown``: not sure (yet), or unlike all of them.

@@ -10,7 +10,7 @@ from ohmskin.scan import Frame
 
 @dataclass(frozen=True)
 class Recording:
-    """What a recording holds.
+    """Contents of a recording.
 
     Args:
         quiet: Frames of the untouched skin.

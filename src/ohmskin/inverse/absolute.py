@@ -31,7 +31,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class Iterations:
-    """How an iteration went.
+    """Course of an iteration.
 
     Args:
         image: The image.

@@ -80,7 +80,7 @@ class _Spectrum:
 
 
 def physical(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """The estimator's own amplitude: the change that a touch is known to make.
+    """The estimator's own amplitude: the expected change of a touch.
 
     The curve is the mean squared error to be expected of the modes, smallest there if noise and amplitude are right.
     """
@@ -92,14 +92,14 @@ def physical(estimator: GaussNewton, *differences: Difference, amplitudes: Array
 
 
 def cross_validation(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """Generalised cross-validation (Golub, Heath and Wahba 1979): how well data are predicted. Needs no noise."""
+    """Generalised cross-validation (Golub, Heath and Wahba 1979): error of prediction. Does not use the noise."""
     at = _Spectrum(estimator, differences, amplitudes)
     curve = at.n_data * at.residuals**2 / (at.n_data - at.filters.sum(axis=1)) ** 2
     return at.choice("cross-validation", curve, "squared error of predicting data left out (V2); smallest")
 
 
 def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """The corner of the L-curve (Hansen 1992), log image norm over log residual. Knows no noise."""
+    """The corner of the L-curve (Hansen 1992), log image norm over log residual. Does not use the noise."""
     at = _Spectrum(estimator, differences, amplitudes)
     t = np.log(at.weights)
     x, y = np.log(at.residuals), np.log(at.norms)

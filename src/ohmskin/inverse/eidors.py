@@ -73,7 +73,7 @@ def eidors_one_step(
     exponent: float = 0.5,
     normalised: bool = False,
 ) -> ReconstructionMatrix:
-    """What EIDORS' one-step Gauss-Newton solver makes of a model, a pattern and a hyperparameter.
+    """The matrix of EIDORS' one-step Gauss-Newton solver for a model, a pattern and a hyperparameter.
 
     Args:
         model: The untouched skin, of one conductivity everywhere for the prior ``laplace``.

@@ -32,7 +32,7 @@ _MEMORY = 0.1  # s: time over which the Kalman filter forgets an image; fingers 
 
 
 class Estimate(Protocol):
-    """What an estimator knows after some scans."""
+    """State of an estimator."""
 
     @property
     def image(self) -> Image:
@@ -59,17 +59,17 @@ def _made(image: Image) -> Made:
 
 
 class Estimator(Protocol):
-    """Makes images of scans that follow each other."""
+    """Makes images of successive scans."""
 
     @property
     def cells(self) -> Cells:
         """What its images are made of."""
 
     def start(self) -> Estimate:
-        """Nothing is known yet."""
+        """The initial state."""
 
     def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:
-        """What is known after one frame more.
+        """The state after one more frame.
 
         Args:
             before: What was known after the last one.
@@ -108,7 +108,7 @@ class FrameWise:
     cells: Cells
 
     def start(self) -> Estimate:
-        """Nothing is known yet: nothing has changed."""
+        """The initial state: no change."""
         return Unchanged(len(self.cells.measures))
 
     def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:
@@ -159,7 +159,7 @@ class ByRule:
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """What an estimator is made for.
+    """Arguments of an estimator.
 
     Args:
         model: The untouched sheet, scaled to the quiet data.

@@ -21,7 +21,7 @@ from ohmskin.scan import Difference
 
 @dataclass(frozen=True)
 class Belief:
-    """What is believed of the image now. Start with `Kalman.start`.
+    """Mean and covariance of the image. Start with `Kalman.start`.
 
     Args:
         mean: (n_modes,) mean of the modes.
@@ -51,7 +51,7 @@ class Belief:
 class Kalman:
     """Kalman filter on images of relative conductivity change.
 
-    Between scans it forgets at a rate (``time_constant``, keeping its prior variance), wanders (``walk``), or both.
+    Between scans the image decays to the prior (``time_constant``), is a random walk (``walk``), or both.
 
     Args:
         model: The untouched sheet.
@@ -125,5 +125,5 @@ class Kalman:
         return Belief(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one frame with nothing known before: that of `GaussNewton`."""
+        """The image of one frame without earlier ones: that of `GaussNewton`."""
         return self.update(self.start(), *differences, elapsed=0.0).image

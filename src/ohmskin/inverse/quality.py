@@ -18,7 +18,7 @@ _OFFSET = 0.2  # constant error, as a share of the data, worth a warning
 
 @dataclass(frozen=True)
 class ModelMatch:
-    """A quiet frame against the model.
+    """Result of comparing a quiet frame with the model.
 
     Args:
         scale: What the model's conductivity must be multiplied by (1).
@@ -35,7 +35,7 @@ class ModelMatch:
     signal: float
 
     def report(self) -> list[str]:
-        """Warnings in plain words; empty if the frame fits."""
+        """Warnings as sentences; empty if the frame fits."""
         warnings = []
         if abs(self.offset) > _OFFSET * self.signal and self.misfit < 0.5 * self.plain_misfit:
             share = 100 * abs(self.offset) / self.signal
@@ -50,7 +50,7 @@ class ModelMatch:
 
 
 def match_model(model: TransferModel, frame: Frame) -> ModelMatch:
-    """Hold a quiet frame against the model of the untouched sheet.
+    """Compare a quiet frame with the model of the untouched sheet.
 
     Raises:
         DataError: If the frame has fewer than three known values.

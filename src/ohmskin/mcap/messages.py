@@ -28,7 +28,7 @@ _CONTACT = "i" + "d" * (len(components(2)) - 1)
 
 
 class Role(IntEnum):
-    """What a frame was scanned for."""
+    """Purpose of a frame."""
 
     UNTOLD = 0
     BASE = 1  # the first scan of a cycle
@@ -73,7 +73,7 @@ class FrameRecord:
 
 @dataclass(frozen=True)
 class TouchRecord:
-    """What a recorded cycle felt.
+    """Contacts and frames of a recorded cycle.
 
     Args:
         sequence: Number of the cycle.

@@ -25,7 +25,7 @@ _MOST_WAITING = {IMAGE: 2**19, MARKERS: 2**20, HEALTH: 2**21, LOG: 2**21, TOUCH:
 
 @dataclass(frozen=True)
 class Progress:
-    """How a recording goes.
+    """State of a recording: what was written and dropped.
 
     Args:
         written: Bytes in the file.

@@ -45,6 +45,6 @@ class CommandServer(Closing):
         self._answers.write(json.dumps({"boot": self._asked.boot, "failed": failed[:_LONGEST]}).encode())
 
     def close(self) -> None:
-        """Take the board away. Safe twice."""
+        """Remove the board. Safe to call twice."""
         self._asked.close()
         self._answers.close()

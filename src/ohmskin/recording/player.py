@@ -31,7 +31,7 @@ class Replayed:
 
 
 class Player:
-    """Leads an engine through a recording: it calibrates where the recording did, and changes the mode where it did.
+    """Runs an engine on a recording: calibrates, and changes the mode, where the recording did.
 
     Args:
         engine: Made on a `ReplayDevice`, not yet calibrated.

@@ -36,7 +36,7 @@ _AWAY, _UP = np.array([0.0, 0.0, 9.0]), np.array([0.0, 0.0, 1.0])  # where no ha
 
 @dataclass(frozen=True)
 class Sensed:
-    """A contact and what it is of.
+    """A sensed contact and the true one.
 
     Args:
         patch: Number of the skin.

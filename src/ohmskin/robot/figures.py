@@ -10,7 +10,7 @@ from ohmskin.arrays import Floats, as_plain
 
 @dataclass(frozen=True)
 class Encounter:
-    """One poke and what became of it.
+    """One poke and its result.
 
     Args:
         patch: The skin that was poked.
@@ -39,7 +39,7 @@ class Encounter:
 
 @dataclass(frozen=True)
 class Hug:
-    """One hug and what became of it.
+    """One hug and its result.
 
     Args:
         patches: The skins that were pressed, by MuJoCo.
@@ -64,7 +64,7 @@ class Hug:
 
 @dataclass(frozen=True)
 class OwnTouch:
-    """One touch of the robot by itself and what became of it.
+    """One self-touch of the robot and its result.
 
     Args:
         patches: The skins that took part.

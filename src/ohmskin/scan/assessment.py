@@ -30,7 +30,7 @@ _REPEATS = 6  # quiet frames from which drift can be told from noise
 
 
 def assess(quiet: Sequence[Frame], frames: Sequence[Frame] = ()) -> Quality:
-    """Judge the electrodes behind quiet frames and, if given, behind frames of the touched skin.
+    """Assess the electrodes of quiet frames and, if given, of frames of the touched skin.
 
     Args:
         quiet: Frames of the untouched skin, of one or several patterns.

@@ -73,7 +73,7 @@ class Difference:
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
     def less(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
-        """What is left of it once changes of two-terminal resistances, as for `caused_by`, are known to be a part."""
+        """It less the effect of changes of two-terminal resistances, as for `caused_by`."""
         return changed(self, volts=self.volts - self.caused_by(changes, pairs))
 
     def times(self, shares: Floats | float) -> "Difference":
@@ -97,7 +97,7 @@ class Difference:
 
     @property
     def normalised(self) -> "Difference":
-        """Each voltage as a share of the untouched skin's, v / v0 - 1: give estimators a noise that is one, too (1).
+        """Relative change of each voltage, v / v0 - 1: give estimators a noise that is one, too (1).
 
         Raises:
             DataError: If the untouched skin's are not known, or one of them is zero.

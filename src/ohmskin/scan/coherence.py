@@ -26,7 +26,7 @@ _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
 
 @dataclass(frozen=True)
 class Instrument:
-    """How an instrument errs.
+    """Errors of an instrument.
 
     Args:
         noise: Standard deviation of a change of voltage (V).

@@ -13,7 +13,7 @@ _LARGEST = 1e100  # V or A, which may be squared
 
 
 class FrameFlag(IntFlag):
-    """What a device reports about a frame beside its data."""
+    """Flags of a frame."""
 
     CLIPPED = 1  # at least one voltage left the converter's range
     CURRENT_LIMIT = 2  # an injection ran into the source's current limit

@@ -28,7 +28,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of data, judged from the data alone.
+    """Quality of data, assessed from the data alone.
 
     Args:
         n_elec: Number of electrodes.
@@ -77,7 +77,7 @@ class Quality:
         return replace(frame, voltages=np.where(used, np.nan, frame.voltages)) if used.any() else frame
 
     def weigh(self, difference: Difference) -> Difference:
-        """The difference with bad electrodes left out and doubtful ones counted less.
+        """The difference with bad electrodes left out and doubtful ones of lower weight.
 
         A measurement with twice the error weighs as one at half the current: current and voltage are scaled together,
         so that all have the same noise again and every estimator takes them as they are.
@@ -87,7 +87,7 @@ class Quality:
         return replace(weighed, volts=np.where(weight > 0, weighed.volts, np.nan))
 
     def report(self) -> list[str]:
-        """The findings in plain words, a line each; the first is a summary."""
+        """The findings as sentences, one a line; the first is a summary."""
         used = [v.electrode for v in self.verdicts]
         all_well = f"all {self.n_elec} electrodes in order"
         state = f"{len(used)} of {self.n_elec} electrodes faulty" if used else all_well

@@ -94,7 +94,7 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
 
 
 def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percept:
-    """What one frame of any pattern shows by itself.
+    """Contacts and image of one frame of any pattern.
 
     Args:
         known: What is known of the quiet skin; its quiet frames cover the frame's pattern.

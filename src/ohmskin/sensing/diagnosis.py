@@ -17,7 +17,7 @@ _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 
 
 class Cause(NamedTuple):
-    """Why data contradict each other.
+    """Kinds of faults of the data.
 
     Args:
         kind: ``open``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``, ``spikes``,
@@ -31,7 +31,7 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with the data.
+    """A fault of the data.
 
     Args:
         cause: Why.
@@ -44,7 +44,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What is known of an instrument and its wires after a frame.
+    """Detected faults of an instrument and its wires after a frame.
 
     Args:
         findings: What is wrong.

@@ -25,7 +25,7 @@ def one_contact(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Inf
 
 @dataclass(frozen=True, eq=False)
 class LearnedReader:
-    """Tells one contact by what was learned; contacts fitted to the data where those are unlike what was learned from.
+    """Places one contact by a learned map; fits contacts to data that are outliers of those learned from.
 
     Args:
         physics: Reads what is unlike that, and follows drift while nothing touches.

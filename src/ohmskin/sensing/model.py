@@ -90,11 +90,11 @@ class SkinModel:
 
     @property
     def bad(self) -> tuple[int, ...]:
-        """Electrodes that were of no use on the quiet skin."""
+        """Electrodes that were left out on the quiet skin."""
         return () if self.quality is None else self.quality.bad
 
     def difference(self, frame: Frame) -> Difference:
-        """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or counted less.
+        """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or of lower weight.
 
         So are values that cannot be: of injections whose current does not flow, and where the converter's range ends.
         """
@@ -110,7 +110,7 @@ class SkinModel:
 
     @property
     def weighs(self) -> bool:
-        """Whether some data count less than others."""
+        """Whether some data have a lower weight than others."""
         return self.quality is not None or self.channels is not None
 
     def soundness(self, frame: Frame) -> tuple[Bools, Bools]:

@@ -38,7 +38,7 @@ _ROUNDS, _ENOUGH = 25, 0.02  # most steps, and the gain in squared misfit below 
 
 @dataclass(frozen=True)
 class FittedPress:
-    """A press that explains a contact.
+    """A press fitted to a contact.
 
     Args:
         press: Where, how wide, and the pressure.
@@ -98,7 +98,7 @@ class FittedLayer:
 
 
 class PressFitter:
-    """Explains the contacts of a frame by presses on the contact layer.
+    """Fits presses on the contact layer to the contacts of a frame.
 
     Args:
         known: What is known of the quiet skin.

@@ -92,10 +92,10 @@ class Belief:
 
 
 class Reader(Protocol):
-    """Says what is there.
+    """Estimates contacts and an image from the scans of a frame.
 
     Attributes:
-        estimator: What makes the image.
+        estimator: Estimator of the image.
     """
 
     @property
@@ -121,10 +121,10 @@ def undriven(scans: Sequence[Difference]) -> list[Difference]:
 
 @dataclass(frozen=True, eq=False)
 class DetectionReader:
-    """Sees every frame afresh, and follows what it sees by nearest neighbours.
+    """Finds contacts in the image of every frame, and tracks them by nearest neighbours.
 
     Args:
-        estimator: What makes the image.
+        estimator: Estimator of the image.
         detect: Finds contacts, given the estimate and the recent scans.
         tracker: Follows them.
     """
@@ -151,10 +151,10 @@ class DetectionReader:
 
 @dataclass(frozen=True, eq=False)
 class FitReader:
-    """Fits contacts to every frame afresh, and follows them by nearest neighbours.
+    """Fits contacts to every frame, and tracks them by nearest neighbours.
 
     Args:
-        estimator: What makes the image.
+        estimator: Estimator of the image.
         fitter: What fits contacts to data; base scans are looked at likewise.
         tracker: Follows them.
     """
@@ -222,7 +222,7 @@ class FitReader:
 
 @dataclass(frozen=True, eq=False)
 class FilterReader:
-    """Follows contacts by a filter on the data themselves.
+    """Tracks contacts by a filter on the data.
 
     Args:
         estimator: What makes the image, of the newest frames with drift taken off.

@@ -44,7 +44,7 @@ class Thresholds:
 
 @dataclass(frozen=True, eq=False)
 class Percept:
-    """What one step measured, and the belief after it.
+    """The frames of one step, and the belief after it.
 
     Args:
         frames: The scans.
@@ -70,7 +70,7 @@ class Percept:
 
     @property
     def detections(self) -> tuple[Contact, ...]:
-        """The contacts that the frame shows by itself, strongest first."""
+        """The contacts of this frame alone, strongest first."""
         return self.belief.detections
 
     @property

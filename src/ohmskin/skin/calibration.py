@@ -103,18 +103,18 @@ class Calibration:
 
     @property
     def judged(self) -> Channels | None:
-        """How its channels follow the model; None if that was never judged."""
+        """Gains and errors of its channels; None if they were never judged."""
         if not self.channels:
             return None
         return Channels(np.array(self.channels), np.array(self.channel_gains), np.array(self.channel_errors))
 
     @property
     def positions_learned(self) -> PositionMap | None:
-        """Where contacts really are; None if that was never learned."""
+        """The learned map of positions; None if there is none."""
         return PositionMap.parse(self.position_map) if self.position_map else None
 
     def check(self, domain: Domain, n_elec: int) -> None:
-        """Raise SkinError unless what was found fits a sheet with so many electrodes."""
+        """Raise SkinError unless the calibration fits a sheet with so many electrodes."""
         for name, given in (("positions", self.positions), ("contact_impedances", self.contact_impedances)):
             if given and len(given) != n_elec:
                 raise SkinError(f"calibration.{name} has {len(given)} entries for {n_elec} electrodes; calibrate again")

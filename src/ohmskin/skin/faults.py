@@ -17,7 +17,7 @@ _USAGE = '"open 3", "short 7 8", "short 7 8 50" (ohms), "swap 1 2" or "high 5 20
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong with the wiring. Electrodes are numbered from 0.
+    """A fault of the wiring. Electrodes are numbered from 0.
 
     Args:
         kind: "open": no connection; "short": two wires touch; "swap": two wires are exchanged; "high": a poor contact.

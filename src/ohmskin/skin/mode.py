@@ -13,15 +13,15 @@ class Mode:
 
     Args:
         name: Its label, such as ``16O``.
-        drive: What is measured.
-        reader: How contacts are estimated from it.
-        estimator: What makes the image.
-        prior: What the estimator believes beforehand.
+        drive: Drive, which chooses the measurements.
+        reader: Reader, which estimates contacts.
+        estimator: Estimator of the image.
+        prior: Prior of the estimator.
         rule: How the regularisation parameter is chosen.
         injections: Per frame, of drives that take any number; 0: as many as the drive usually has.
         fuse: Whether all scans of a frame are used together, or the last one alone.
         driven: Whether electrodes that carry the current are measured, too, by devices that can.
-        title: Its name in plain words.
+        title: Its plain name.
         summary: What it does, in one sentence.
     """
 
@@ -48,7 +48,7 @@ class Mode:
 
     @property
     def label(self) -> str:
-        """What people call it: its plain name, its own name behind."""
+        """Its plain name, with its code in parentheses."""
         return f"{self.title} ({self.name})" if self.title else self.name
 
     def using(self, estimator: str = "", prior: str = "", rule: str = "") -> "Mode":

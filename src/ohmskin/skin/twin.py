@@ -29,7 +29,7 @@ Load = tuple[tuple[float, float], float, Callable[[Floats], Floats]]
 
 @dataclass(frozen=True)
 class Press:
-    """Something round that presses on the skin.
+    """A round indenter pressed on the skin.
 
     Args:
         position: Centre (x, y) in metres, on the skin's map.

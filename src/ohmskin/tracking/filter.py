@@ -31,7 +31,7 @@ _REVISE_EVERY = 8  # frames between two looks at whether one contact is two, or 
 
 
 class ContactFilter:
-    """Follows contacts from frame to frame; each frame may have another pattern.
+    """Filter that tracks contacts on the data; each frame may have another pattern.
 
     Args:
         fitter: Explains data by contacts; its `false_alarms` are per frame here, `false_twos` per ten seconds or so.

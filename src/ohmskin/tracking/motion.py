@@ -15,7 +15,7 @@ _LEAST_EFFECT = 0.1  # change of conductivity that even a light contact may gain
 
 @dataclass(frozen=True)
 class Motion:
-    """How contacts and the skin may change. The defaults are for fingers on foam.
+    """Dynamics of contacts and of the skin. The defaults are for fingers on foam.
 
     Args:
         speed: Standard deviation of a contact's velocity, along each axis (m/s).

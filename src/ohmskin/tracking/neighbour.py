@@ -29,7 +29,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Tracker:
-    """Follows contacts by nearest neighbour.
+    """Tracks contacts by nearest neighbours.
 
     Args:
         period: Of a closed band, 0 of others (m).

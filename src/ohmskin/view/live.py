@@ -27,7 +27,7 @@ _MOST_PENDING = 1000
 
 
 class LiveView(Closing):
-    """A page in the browser that shows the newest frame and lets its reader press a virtual skin.
+    """A page in the browser that shows the newest frame and on which a virtual skin can be pressed.
 
     A process of its own serves the page, so that no browser can slow the loop. That process asks for one frame at a
     time (a credit) when a browser is ready to draw; frames published without a credit are dropped.
@@ -73,11 +73,11 @@ class LiveView(Closing):
             self._show(checked)
 
     def starting(self, words: str, share: float | None = None) -> None:
-        """Say what the loop is doing before there is anything to show, and which share of it is done (0 to 1)."""
+        """Show the current step of the loop before the first frame, and the share that is done (0 to 1)."""
         self._outbox.put((b"W", to_json({"type": "starting", "message": words, "share": share}).encode()))
 
     def show(self, setup: Mapping[str, Any]) -> None:
-        """Say what there is to show, where the constructor was not given it.
+        """Give the setup, if the constructor was not given one.
 
         Raises:
             ViewError: If the setup is malformed.
@@ -119,7 +119,7 @@ class LiveView(Closing):
         self._outbox.put((b"F", pack_frame(header, base, image)))
 
     def commands(self) -> list[dict[str, Any]]:
-        """What browsers asked for since the last call, checked, oldest first; never waits.
+        """Commands of browsers since the last call, checked, oldest first; never waits.
 
         A press that was moved several times in between appears once, where it is now. Its id names browser and press.
         """

@@ -56,7 +56,7 @@ FLAWS = {
 
 @dataclass(frozen=True)
 class Settings:
-    """How thoroughly to compare.
+    """Settings of the comparison.
 
     Args:
         seeds: Noise seeds.
