@@ -200,6 +200,9 @@ IDIOMS = (  # with what stands in their place
     ("Traps that are gone", "Pitfalls handled for you"),
     ("foretell", "predict"),
     ("adapting pays", "adaptive drive gains"),
+    ("how sure it is", "its standard deviation, or confidence"),
+    ("stands out of the noise", "exceeds a limit"),
+    ("cannot be told apart", "cannot be distinguished"),
 )
 
 

@@ -18,11 +18,11 @@ def bench(
     output: Path = Path("bench"),
     only: Names = (),
 ) -> None:
-    """Measure how fast everything is, beside pyEIT, plain SciPy and the machine's own limits; one thread.
+    """Measure speed on one thread, and compare it with pyEIT, SciPy and the machine's limits.
 
     Args:
         quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
-        output: Folder for benchmarks.html, the same as benchmarks.md, benchmarks.json and the plot.
+        output: Folder for benchmarks.html, benchmarks.md (the same text), benchmarks.json and the plot.
         only: Parts to measure: machine, setup, fields, pattern, solver, frame, fits, live, touches, scale, electrodes,
             body, accuracy, start.
     """

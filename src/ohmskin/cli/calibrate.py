@@ -50,7 +50,7 @@ def calibrate(
     samples: int = 10,
     force: bool = True,
 ) -> None:
-    """Calibrate a skin and write its description with what was measured. A virtual skin presses itself.
+    """Calibrate a skin and write its calibrated description. A virtual skin is pressed by the program.
 
     Newtons come from weights on a small foot, from known presses, or, with --force-from, from another instrument's
     force readings while you press anywhere.
@@ -58,16 +58,16 @@ def calibrate(
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.
         output: File for the calibrated skin; NAME-calibrated.toml unless given.
-        picture: Also save the sheet as found, and the curve, as a picture, such as calibration.png.
-        mode: Drive mode to calibrate; the skin's best unless given.
+        picture: Also save the fitted sheet and the force curve as a picture, such as calibration.png.
+        mode: Drive mode to calibrate; the default mode unless given.
         weights: Weights to place (g), all on the same small foot.
         places: Number of places to press.
         presses: Presses to make instead, in that order: a .csv file with columns x_mm, y_mm and force_N.
-        force_from: Where the force of a press comes from: serial://PORT (with ?baud=9600, say; lines that end with
+        force_from: Source of the forces: serial://PORT (with ?baud=9600, say; lines that end with
             newtons), zenoh[:PLACE] or dds[:INTERFACE] (a WrenchStamped of ROS 2); or, with --device replay:FILE, a .csv
             file with columns time_s (from the first frame behind the calibration) and force_N.
         force_topic: With zenoh and dds, the topic.
-        samples: With --force-from, how many steady presses are wanted.
+        samples: With --force-from, number of steady presses.
         force: Whether to calibrate newtons, too; --no-force measures the quiet skin only.
     """
     if picture is not None:

@@ -30,7 +30,7 @@ def dataset(
     """Simulate touches for learning: voltages, truth and parameters, in a Zarr group. Run it again for more.
 
     Args:
-        output: Folder of the data set; made if it is not there.
+        output: Folder of the data set; created if it does not exist.
         count: Total number of samples.
         pattern: What is driven: "complete" (all electrode pairs, of which every pattern is a part) or a mode such as
             16I (its base scan).

@@ -22,7 +22,7 @@ from ohmskin.skin import Skin
 
 
 def scan(*, device: DeviceUrl = "virtual:", skin: SkinName = "", mode: ModeName = "", json: Flag = False) -> None:
-    """Scan a device once with the base pattern of a mode and print what it measured.
+    """Scan a device once with the base pattern of a mode and print the measurements.
 
     Args:
         json: Print JSON instead of a table.
@@ -65,7 +65,7 @@ def check_host(
     only: Names = (),
     json: Flag = False,
 ) -> None:
-    """Serve a virtual skin that misbehaves in every way there is, and report how the host that connects copes.
+    """Serve a virtual skin that injects faults, and report whether the host that connects recovers.
 
     The host must scan again after each trick by itself, over a new connection if need be; one that ends may be
     started again. The exit status is 1 if it did not.
@@ -73,9 +73,9 @@ def check_host(
     Args:
         host: Address to listen at.
         port: TCP port; 0 takes a free one.
-        calm: Frames that the host gets before the first trick, such as those that it calibrates itself with.
-        patience: How long after a trick the host may take to ask for frames again (s).
-        only: Names of the tricks to play; all unless given.
+        calm: Frames that the host gets before the first fault, such as those for its calibration.
+        patience: Time after a fault within which the host must request frames again (s).
+        only: Names of the faults to inject; all unless given.
         json: Print JSON instead of lines.
     """
     if unknown := sorted(set(only) - set(TRICKS)):

@@ -12,7 +12,7 @@ def examples(folder: Path = Path("recordings"), /) -> None:
     """Write two small recordings of the virtual skin: a session (.mcap), and a table as other instruments write (.csv).
 
     Args:
-        folder: Where to; made if it is not there. What is in it already stays as it is.
+        folder: Folder to write to; created if it does not exist. Existing files are kept.
     """
     make_folder(folder)
     for name, use in _USES.items():

@@ -50,7 +50,7 @@ def image(
         estimator: Estimator of the image, such as kalman or absolute (see `ohmskin info`).
         prior: Prior of the estimator, such as paper or matern.
         rule: Rule for the regularisation parameter, such as physical or l-curve.
-        json: Print what was found as one line of JSON.
+        json: Print contacts, areas and evidence as one line of JSON.
     """
     target = output or Path(file.stem + ".png")
     check_picture(target)

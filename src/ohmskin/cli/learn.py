@@ -34,12 +34,12 @@ def learn(
     Args:
         file: Frames of one press each: press data (.csv or .mat, see the guide), or any recording that `image` reads.
         skin: A skin that ships with ohmskin or a .toml file; the one that fits the format unless given.
-        output: File for the skin with what was learned; NAME-learned.toml unless given.
+        output: File for the learned skin; NAME-learned.toml unless given.
         picture: Also save the channels, and the errors of the map, as a picture, such as learned.png.
         reference: File of the untouched skin, for formats that keep it apart; beside the recording unless given.
         pattern: Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
-        channels: Whether to judge the channels; --no-channels keeps what the skin has.
-        positions: Whether to learn a map of positions, too, where places are known; --no-positions does not.
+        channels: Whether to judge the channels; --no-channels keeps those of the skin.
+        positions: Whether to learn a map of positions, if places are known.
     """
     if picture is not None:
         check_picture(picture)

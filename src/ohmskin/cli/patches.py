@@ -32,13 +32,13 @@ def patches(
     """Sense with all patches of a robot: a process for each, one stream of contacts in the robot's frames, one page.
 
     Args:
-        body: The body file (TOML): which patches there are, and where on the robot.
+        body: The body file (TOML): the patches and their poses on the robot.
         publish: Publish contacts to zenoh[:PLACE], dds[:INTERFACE] or foxglove[:HOST:PORT]; may be repeated.
-        joints: Hear how the joints stand from ROS 2: zenoh[:PLACE] or dds[:INTERFACE].
+        joints: Receive joint positions from ROS 2: zenoh[:PLACE] or dds[:INTERFACE].
         joint_topic: The topic of these joint states (sensor_msgs/msg/JointState).
         record: Record contacts, images, joint states and links' poses to this MCAP file.
-        replay: Show such a recording again, instead of sensing; ends with it.
-        demo: Let a demonstration finger wander over each virtual patch.
+        replay: Replay such a recording instead of sensing; ends with it.
+        demo: Let a demonstration finger move over each virtual patch.
         headless: No page.
 
     A terminal gets a table every two seconds; a file or a pipe gets a line for each change of a patch's state and for

@@ -6,7 +6,7 @@ from ohmskin.mcap import recover as recover_file
 
 
 def recover(file: Path, output: Path | None = None) -> None:
-    """Repair a recording that was cut short: write an indexed copy of all that can be read. The original stays.
+    """Repair a truncated recording: write an indexed copy of all readable parts. The original is kept.
 
     Args:
         file: The recording.

@@ -45,7 +45,7 @@ def replay(
         file: The recording: ours (.mcap), or a table or MATLAB file of others.
         skin: Skin to use instead of the recorded one.
         mode: Mode to use instead of the recorded ones, if its scans were recorded.
-        speed: Seconds of the recording per second; inf for as fast as it goes.
+        speed: Seconds of the recording per second; inf: as fast as possible.
         start: Start time (s from the first frame after the calibration).
         loop: Start again at the end.
         rate: Frames per second of recordings that hold no times.

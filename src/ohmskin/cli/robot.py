@@ -40,7 +40,7 @@ def robot(
     picture: Path | None = None,
     json: Flag = False,
 ) -> None:
-    """Poke a robot that wears skins: MuJoCo's contacts press them, the loops sense them, the robot answers.
+    """Poke a robot that wears skins: MuJoCo's contacts press them, the loops sense them, the robot reacts.
 
     The exit status is 1 if a limit was exceeded.
 
@@ -48,15 +48,15 @@ def robot(
         body: Body file (TOML) of a robot with a URDF file, such as examples/humanoid/body.toml; an arm unless given.
             Its skins are virtual here.
         pokes: Number of pokes, at random places.
-        hugs: Then, how often pads of two arms press several skins at once, at random places.
-        own_touches: Then, how often the robot touches itself, in random postures.
-        free: Then, for how long it moves untouched, s: contacts that are felt are invented.
+        hugs: Then, number of times that pads of two arms press several skins at once, at random places.
+        own_touches: Then, number of times that the robot touches itself, in random postures.
+        free: Then, time for which it moves untouched (s): contacts reported are false.
         skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
-        mode: Drive mode, such as 16I or 16O; the skin's best unless given.
+        mode: Drive mode, such as 16I or 16O; the default mode unless given.
         seed: Seed of the random places.
-        manner: How the robot answers a touch: yield, stop, retract, follow, guide, or stiff (not at all).
+        manner: Reaction of the robot to a touch: yield, stop, retract, follow, guide, or stiff (none).
         most_force: Limit of the largest force of a poke (N); none unless given.
-        most_reaction: Limit of the time from touch to answer (s), which a poke that is not felt exceeds; none unless
+        most_reaction: Limit of the time from touch to reaction (s), which an undetected poke exceeds; none unless
             given.
         video: MP4 file to write (needs ffmpeg).
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).

@@ -62,7 +62,7 @@ def policies(
     cache: Path | None = None,
     fresh: Flag = False,
 ) -> None:
-    """Compare drive policies, the paper's, by information and tracking, at equal noise and equal time with their goals.
+    """Compare drive policies (the paper's, by information, tracking) at equal noise and equal time with their goals.
 
     Args:
         quick: Few seeds and trials: a minute or two on two cores.

@@ -58,8 +58,8 @@ class GestureModel:
         return np.asarray(np.einsum("ngi,gij,ngj->ng", away, self.precision, away).min(axis=1))
 
     def tell(self, features: ArrayLike) -> tuple[str, float]:
-        """The gesture of figures (n_features,) and how sure it is (1): `UNKNOWN` if they are unlike all, or none is
-        sure."""
+        """The gesture of features (n_features,) and its probability (1): `UNKNOWN` if they are outliers, or none is
+        probable."""
         one = np.asarray(features, float)[None]
         likely = self.probabilities(one)[0]
         best = int(likely.argmax())

@@ -121,7 +121,7 @@ def energy_of(told: Part, white: Part, caused: Floats) -> float:
     """What contacts cause (n_pairs,) of a frame, where their model may err: squared size over the noise's variance.
 
     What errors of currents and contact impedances leave of it bounds it: near an electrode nearly all is in that
-    electrode's own resistance, of which nothing is taken to be known.
+    electrode's own resistance, with a flat prior.
     """
     one = caused.reshape((1, len(caused)))
     whole, left = sizes(white[0], white[1], one)[0], sizes(told[0], told[1], one)[0]

@@ -169,8 +169,8 @@ def _moving(done: Done) -> list[Block]:
             others = _percent(result["count"][t, :, SETTLE:] != 1)
             rows.append((NAMES[world], *key.split("/"), "tracking", _mm(tracked[t]), claims, others))
     text = (
-        f"A frame is {1e3 * PERIOD:g} ms, within which the contact rests. The tracker states how sure it is: the root "
-        "of the mean square of its stated error is set beside that of the true one."
+        f"A frame is {1e3 * PERIOD:g} ms, within which the contact rests. The root mean square of the "
+        "tracker's stated error is given beside that of the true one."
     )
     head = ("data", "mode", "injections", "estimator", _ERROR, "root mean square / mm", "frames with none or several")
     return [text, Table(head, rows)]
