@@ -334,7 +334,7 @@ def variable(name: bytes) -> bytes:
 
 
 def test_small_hostile_files_are_refused_before_they_grow(tmp_path: Path) -> None:
-    bomb = zlib.compress(bytes(300 * 2**20), 9)
+    bomb = zlib.compress(bytes(300 * 2**20), 1)
     deep = b""
     for _ in range(2000):
         deep = cell(deep)
@@ -345,11 +345,11 @@ def test_small_hostile_files_are_refused_before_they_grow(tmp_path: Path) -> Non
         ("short", struct.pack("<II", 14, 2**31) + b"abc", "is cut short"),
         (
             "fields",
-            element(15, zlib.compress(struct_of(200 * 2**20, 2, 1), 9)),
+            element(15, zlib.compress(struct_of(200 * 2**20, 2, 1), 1)),
             "1 structs of 104857600 fields and has 0",
         ),
-        ("no parts", element(15, zlib.compress(struct_of(200 * 2**20, 2, 0), 9)), "0 structs of 104857600 fields"),
-        ("name", element(15, zlib.compress(variable(b"x" * 20 * 2**20), 9)), "no pattern found"),
+        ("no parts", element(15, zlib.compress(struct_of(200 * 2**20, 2, 0), 1)), "0 structs of 104857600 fields"),
+        ("name", element(15, zlib.compress(variable(b"x" * 20 * 2**20), 1)), "no pattern found"),
         (
             "dimensions",
             element(14, element(6, bytes(8)) + element(5, bytes(4 * 33)) + element(1, b"a")),
