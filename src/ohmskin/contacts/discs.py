@@ -9,7 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.contacts import kernels
+from ohmskin.contacts import follow, kernels
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
@@ -60,6 +60,11 @@ class DiscFitter:
         """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
         return 1 / (1 + (self.model_error * data.signal) ** 2)
 
+    def poor(self, told: Information, cost: float) -> bool:
+        """Whether a fit of that cost leaves more of what is measured than is usual, noise and the model's errors."""
+        share = self.allowance(told)
+        return cost > told.count * (share + follow.USUAL * (1 - share))
+
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
         inside = np.array(positions, float, order="C")
@@ -77,6 +82,21 @@ class DiscFitter:
         """What contacts (n, 4) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n)."""
         caused, slopes = kernels.responses(np.ascontiguousarray(params[:, :PER_CONTACT]), *self.table.spline)
         return caused, slopes.T
+
+    def shapes(self, params: Floats) -> Floats:
+        """What small contacts of (n, 4) may change (n_pairs, 2 k) more one way than across, for one deviation (ohm)."""
+        own = np.ascontiguousarray(params[:, :PER_CONTACT])
+        return np.asarray(follow.shapes_of(own, self.table.radius, self.model_error, self.table.spline).T)
+
+    def covered(self, params: Floats) -> list[int]:
+        """The electrodes under contacts (n, 4)."""
+        away = (self.table.offsets(self.table.electrodes[:, None], params[:, :2]) ** 2).sum(axis=2)
+        return [int(number) for number in np.flatnonzero((away < params[:, 3]).any(axis=1))]
+
+    def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
+        """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
+        stand out, given what remains to be explained beside all contacts."""
+        return follow.bends(left.misfit.part, one, self.table.radius, self.table.sheet, self.table.spline)
 
     # --- one contact more? --------------------------------------------------------------------------------------------
 

@@ -15,11 +15,11 @@ from scipy.special import ndtri
 from ohmskin.arrays import Floats
 from ohmskin.contacts import follow
 from ohmskin.contacts.discs import DiscFitter, cost_of
-from ohmskin.contacts.follow import CLEAR, HALF, PROMISED, STILL, USUAL
+from ohmskin.contacts.follow import CLEAR, HALF, PROMISED, STILL
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.misfit import paired
-from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
+from ohmskin.contacts.solution import Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
 from ohmskin.inverse.modes import check_positive, check_share
@@ -36,6 +36,10 @@ _LIKELY = 2  # axes along which a contact of usual size may be a pair
 _FEW = 5  # rounds of a fit that tell which axis of a split is the best
 NEAR = 4.0  # radii, within which two contacts may be one
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
+
+_MORE = 1.2  # times the doubts that a search found nothing about, from which on contacts are looked for again
+_PATIENT = sqrt(CLEAR)  # what is accepted of doubts that one scan of several leaves
+_ALL = np.full(follow.DOUBTS, np.inf)
 
 _Both = tuple[Information, Information]  # what is told; the same wary of the model's error
 _Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes covered, what is left beside, contacts
@@ -125,6 +129,7 @@ class ContactFitter(DiscFitter):
         last = None if before is None else self.followed(told, data, before)
         if last is not None and last[1]:
             return last[0]
+        given = told, data
         told, data = everything = whole = told.beside_common(), data.beside_common()
         found, covered = replace(nothing(len(self.table.pairs)), cost=data.misfit.constant), tuple[int, ...]()
         if last is not None and before is not None:
@@ -160,12 +165,9 @@ class ContactFitter(DiscFitter):
                 everything = self._beside_shapes(whole, found.params)
                 told, data = (self._uncovered(one, covered) for one in everything)
                 found = self.refine(data, found.params) if everything is not whole else found
-        return replace(found, covered=covered, shapes=self.shapes(found.params))
-
-    def shapes(self, params: Floats) -> Floats:
-        """What small contacts of (n, 4) may change (n_pairs, 2 k) more one way than across, for one deviation (ohm)."""
-        own = np.ascontiguousarray(params[:, :PER_CONTACT])
-        return np.asarray(follow.shapes_of(own, self.table.radius, self.model_error, self.table.spline).T)
+        found = replace(found, covered=covered, shapes=self.shapes(found.params))
+        known = None if before is None else self._followed(*given, found)
+        return found if known is None else replace(found, doubts=known[0].doubts)
 
     def _beside_shapes(self, whole: _Both, params: Floats) -> _Both:
         shapes = self.shapes(params)
@@ -177,36 +179,41 @@ class ContactFitter(DiscFitter):
         """The contacts that were there `before` as they are now, and whether these are surely all.
 
         None if they would not be found afresh, too: they are if each stands out by itself as one that is new must,
-        none may be a part of another, and together they leave no more than is usual. Without a `search` for more, they
-        are never surely all.
+        none may be a part of another, and together they leave no more than is usual, or than a search found nothing
+        about. Without a `search` for more, they are never surely all, and may leave more.
         """
+        doubts = np.zeros(follow.DOUBTS) if before.doubts is None else before.doubts
+        allowed = np.maximum(1.0, _MORE * doubts) if search else np.full(follow.DOUBTS, _PATIENT)
+        allowed[follow.FAINT] = 1.0
+        found = self._followed(told, data, before, search, allowed)
+        return None if found is None else (replace(found[0], doubts=before.doubts), found[1])
+
+    def _followed(
+        self, told: Information, data: Information, before: Solution, search: bool = True, allowed: Floats = _ALL
+    ) -> tuple[Solution, bool] | None:
+        """The same, with its doubts, some of which are `allowed` (5,)."""
         params = self.within(before.params)
         away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
         away[np.diag_indices(len(params))] = np.inf
         if not 0 < len(params) <= self.most or away.min() < NEAR * self.table.radius:
             return None
         told, data = (self._uncovered(one, before.covered) for one in (told, data))
-        state, cost, normal, caused, slopes, shapes = follow.followed(
-            told.misfit.part, data.misfit.part, told.white.part, params, *self.compiled,
-            search and self.table.pairs.whole, 1.0 if search else CLEAR,
-        )  # fmt: skip
+        state, cost, normal, caused, slopes, shapes, doubts = follow.followed(
+            told.misfit.part,
+            data.misfit.part,
+            told.white.part,
+            params,
+            *self.compiled,
+            search and self.table.pairs.whole,
+            allowed,
+        )
         if state == follow.GONE or not {*before.covered} <= {*self.covered(params)}:
             return None
-        return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T), state == STILL
+        return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T, doubts), state == STILL
 
     def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
         return data.leaving_out(in_series(covered, self.table.pairs)) if covered else data
-
-    def covered(self, params: Floats) -> list[int]:
-        """The electrodes under contacts (n, 4)."""
-        away = (self.table.offsets(self.table.electrodes[:, None], params[:, :2]) ** 2).sum(axis=2)
-        return [int(number) for number in np.flatnonzero((away < params[:, 3]).any(axis=1))]
-
-    def poor(self, told: Information, cost: float) -> bool:
-        """Whether a fit of that cost leaves more of what is measured than is usual, noise and the model's errors."""
-        share = self.allowance(told)
-        return cost > told.count * (share + USUAL * (1 - share))
 
     def _price(self, found: Solution, covered: int) -> float:
         """What a fit leaves unexplained, and what its contacts and the electrodes covered cost (noise's variance)."""
@@ -312,11 +319,6 @@ class ContactFitter(DiscFitter):
         least = _OVERLAP if own < _WIDEST * usual else _APART
         return two if self._distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
 
-    def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
-        """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
-        stand out, given what remains to be explained beside all contacts."""
-        return follow.bends(left.misfit.part, one, self.table.radius, self.table.sheet, self.table.spline)
-
     def several(self, told: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.
 
@@ -336,13 +338,13 @@ class ContactFitter(DiscFitter):
 
     def clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether one contact more, the last one, explains most of what is left, and is apart from all others."""
-        gaps = [self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1)]
-        return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and min(gaps, default=np.inf) > _APART
+        gaps = (self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1))
+        return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > _APART for gap in gaps)
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
         """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
         return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
 
     def _distance(self, pair: Floats) -> float:
-        """Distance of two contacts (2, 4) over the sum of their radii (1)."""
+        """Of two contacts (2, 4), over the sum of their radii (1)."""
         return float(np.linalg.norm(self.table.offsets(*pair[:, :2])) / np.sqrt(pair[:, 3]).sum())

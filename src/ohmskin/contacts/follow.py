@@ -20,13 +20,15 @@ SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
 _ANGLES = np.arange(4) * np.pi / 4
 AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
 GONE, UNSURE, STILL = 0, 1, 2  # a contact is not as it was; all are, but there may be more; there are no others
+MISFIT, FAINT, WIDER, ANOTHER, PAIR = range(5)  # what makes a search worth it, see `followed`
+DOUBTS = 5
 
 
 @njit(cache=True, nogil=True)
 def followed(
     told: Part, wary: Part, white: Part, params: Floats, settings: Floats, sheet: Grid, spline: Spline,
-    candidates: Singles, search: bool, patience: float,
-) -> tuple[int, float, Floats, Floats, Floats, Floats]:  # fmt: skip
+    candidates: Singles, search: bool, allowed: Floats,
+) -> tuple[int, float, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Contacts `params` (n, 4), in place, fitted where they were, and whether these are all.
 
     Args:
@@ -41,15 +43,16 @@ def followed(
         spline: What they do.
         candidates: (n_pairs + 1, n_places) what those do that are looked for.
         search: Whether to look for more of them.
-        patience: Times more than usual that they may leave of the data.
+        allowed: (5,) what is accepted of each of the doubts.
 
     Returns:
         `GONE`, `UNSURE` or `STILL`; cost, normal, caused and slopes (4 n, n_pairs) of a solution; shapes (2 k, n_pairs)
-        that it was fitted beside.
+        that it was fitted beside; and doubts (5,), each as a share of where it begins, of what was looked at: residual,
+        faintest contact, strongest one, another one, and one that is two.
     """
     radius, least, smallest, largest, error, bar, split_bar = settings[:7]
     count, n = len(white[0][1]), len(params)
-    common = np.zeros((1, len(told[2])))
+    common, doubts = np.zeros((1, len(told[2]))), np.zeros(DOUBTS)
     common[0, -1] = COMMON
     shapes = shapes_of(params, radius, error, spline)
     mean, prior = expected(params[:, 2].copy(), radius, sheet[0], sheet[1], sheet[5])
@@ -60,35 +63,36 @@ def followed(
     )  # fmt: skip
     signal = max(white[3], 0.0) / count
     share = 1 / (1 + error**2 * signal)
-    if cost > patience * count * (share + USUAL * (1 - share)):
-        return GONE, cost, normal, caused, slopes, shapes
+    doubts[MISFIT] = np.sqrt(cost / (count * (share + USUAL * (1 - share))))
     covariance, others = inverse(normal), np.empty((1, len(caused)))
-    for k in range(n):
+    for k in range(n if doubts[MISFIT] <= allowed[MISFIT] else 0):
         own = inverse(np.ascontiguousarray(covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4]))
         height = abs(params[k, 2]) * np.sqrt(own[2, 2])
         for p in range(len(caused)):
             others[0, p] = caused[p] - params[k, 2] * slopes[4 * k + 2, p]
-        if height <= bar + error * sizes(white[0], white[1], others)[0] and cost + height**2 < CLEAR * max(
-            cost, bar**2
-        ):
-            return GONE, cost, normal, caused, slopes, shapes
-    if not search:
-        return UNSURE, cost, normal, caused, slopes, shapes
-    for k in range(n):
-        if abs(params[k, 2]) > STRONG * np.pi * radius**2:
-            return UNSURE, cost, normal, caused, slopes, shapes
+        asked = (bar + error * sizes(white[0], white[1], others)[0]) / height
+        clear = np.sqrt(CLEAR * max(cost, bar**2) / (cost + height**2))
+        doubts[FAINT] = max(doubts[FAINT], min(asked, clear))
+    if not (doubts <= allowed).all():
+        return GONE, cost, normal, caused, slopes, shapes, doubts
+    doubts[WIDER] = np.abs(params[:, 2]).max() / (STRONG * np.pi * radius**2)
+    if not search or doubts[WIDER] > allowed[WIDER]:
+        return UNSURE, cost, normal, caused, slopes, shapes, doubts
     left = beside(beside(told, common), shapes)
     vector, constant = less(left[0], left[1], left[2], left[3], caused)
     left = beside((left[0], left[1], vector, constant), _unknown(white, slopes))
     everything = error * sizes(white[0], white[1], caused.reshape((1, -1)))[0]
     most = _highest(left, candidates, settings[7] > 0.0)
-    if most >= bar + everything or most > max(bar, np.sqrt(HALF * constant)):
-        return UNSURE, cost, normal, caused, slopes, shapes
+    doubts[ANOTHER] = most / min(bar + everything, max(bar, np.sqrt(HALF * constant)))
+    if doubts[ANOTHER] > allowed[ANOTHER]:
+        return UNSURE, cost, normal, caused, slopes, shapes, doubts
     for k in range(n):
         _, height = bends(left, params[k], radius, sheet, spline)
-        if height.max() ** 2 >= PROMISED * (split_bar + everything**2):
-            return UNSURE, cost, normal, caused, slopes, shapes
-    return STILL, cost, normal, caused, slopes, shapes_of(params, radius, error, spline)
+        gain = max(height.max(), 0.0)
+        doubts[PAIR] = max(doubts[PAIR], gain / np.sqrt(PROMISED * (split_bar + everything**2)))
+    if doubts[PAIR] > allowed[PAIR]:
+        return UNSURE, cost, normal, caused, slopes, shapes, doubts
+    return STILL, cost, normal, caused, slopes, shapes_of(params, radius, error, spline), doubts
 
 
 @njit(cache=True, nogil=True)

@@ -23,6 +23,7 @@ class Solution:
         covered: Electrodes under them of whose resistance nothing is taken to be known.
         shapes: (n_pairs, 2 k) what small ones may change besides, as they do not conduct alike all ways, for one
             standard deviation of each (ohm); None: discs are all that was fitted.
+        doubts: (5,) what a search found nothing about, see `followed`; None: contacts were not searched for.
     """
 
     params: Floats
@@ -32,6 +33,7 @@ class Solution:
     slopes: Floats
     covered: tuple[int, ...] = ()
     shapes: Floats | None = None
+    doubts: Floats | None = None
 
     @property
     def covariance(self) -> Floats:

@@ -38,7 +38,7 @@ _FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 
 SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.follow:bends", (_T2, _FLOAT64_1, _FLOAT64, _T3, _T4)),
-    ("contacts.follow:followed", (_T2, _T2, _T2, _FLOAT64_2, _FLOAT64_1, _T3, _T4, _FLOAT32_2, _BOOL, _FLOAT64)),
+    ("contacts.follow:followed", (_T2, _T2, _T2, _FLOAT64_2, _FLOAT64_1, _T3, _T4, _FLOAT32_2, _BOOL, _FLOAT64_1)),
     ("contacts.follow:shapes_of", (_FLOAT64_2, _FLOAT64, _FLOAT64, _T4)),
     ("contacts.kernels:all_onto", (_FLOAT64_2, _T3)),
     ("contacts.kernels:expected", (_FLOAT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64_1, _FLOAT64)),
