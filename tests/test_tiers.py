@@ -58,13 +58,13 @@ def test_what_one_process_compiles_no_other_one_does(tmp_path: Path) -> None:
     script = """if True:
         import sys
         from turns import take_turns
-        from ohmskin.geometry.overlap import _areas
+        from ohmskin.geometry.overlap import _edge
 
         take_turns()
         print("ready", flush=True)
         sys.stdin.readline()
-        _areas.compile("(f8[:, :, ::1], f8)")
-        print(sum(_areas.stats.cache_misses.values()), sum(_areas.stats.cache_hits.values()))
+        _edge.compile("(f8, f8, f8, f8, f8)")
+        print(sum(_edge.stats.cache_misses.values()), sum(_edge.stats.cache_hits.values()))
         """
     command, settings = [sys.executable, "-c", script], os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     pipes = dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)

@@ -109,7 +109,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _INT64_2_FIXED, _FLOAT64_2),
     ),
     ("forward.splines:respond_at", (_FLOAT64_2, _T4, _FLOAT64_3)),
-    ("geometry.overlap:_areas", (_FLOAT64_3, _FLOAT64)),
+    ("geometry.overlap:_areas", (_FLOAT64_2, _INT64_1, _FLOAT64_3, _FLOAT64_1, _FLOAT64, _FLOAT64)),
     ("inverse.modes:combined", (_INT64_2, _FLOAT64_2)),
     (
         "scan.coherence:_coherence",

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.geometry.mesh import Mesh, folded, shortest, tree
+from ohmskin.geometry.mesh import Mesh, folded, tree
 
 _STEPS = 4  # subdivisions of a cell's edges, where it is sampled
 
@@ -28,9 +28,8 @@ def disc_overlap(mesh: Mesh, centres: ArrayLike, radius: float) -> sp.csr_array:
         return _sampled(mesh, centres, radius)
     centres = folded(centres, mesh.period)
     row, element = _near(centres, mesh.centroids, radius + mesh.reach, mesh.period)
-    offsets = shortest(mesh.nodes[mesh.elements[element, 0]] - centres[row], mesh.period)
-    offsets = offsets[:, None] + (mesh.corners - mesh.corners[:, :1])[element]
-    area = np.clip(_areas(offsets, float(radius)), 0.0, mesh.measures[element])
+    period = float(mesh.period)
+    area = _areas(centres[row], np.ascontiguousarray(element), mesh.corners, mesh.measures, float(radius), period)
     return sp.csr_array((area, (row, element)), shape=(len(centres), mesh.n_elem))
 
 
@@ -52,13 +51,26 @@ def _near(centres: Floats, points: Floats, radius: float, period: float = 0.0) -
 
 
 @njit(cache=True, nogil=True)
-def _areas(corners: Floats, radius: float) -> Floats:
-    """Area (n,) of triangles, by their corners (n, 3, 2) seen from the middle of a disc, inside that disc."""
-    areas = np.zeros(len(corners))
-    for n in range(len(corners)):
+def _areas(centres: Floats, element: Ints, corners: Floats, measures: Floats, radius: float, period: float) -> Floats:
+    """Area (n,) that the disc at each of the centres (n, 2) has in common with one of the triangles."""
+    areas, seen = np.empty(len(element)), np.empty((3, 2))
+    for n in range(len(element)):
+        triangle = corners[element[n]]
+        first = triangle[0] - centres[n]
+        if period > 0.0:
+            first[0] -= period * np.rint(first[0] / period)
+        inside = 0
         for k in range(3):
-            here, after = corners[n, k], corners[n, (k + 1) % 3]
-            areas[n] += _edge(here[0], here[1], after[0], after[1], radius)
+            seen[k, 0] = first[0] + (triangle[k, 0] - triangle[0, 0])
+            seen[k, 1] = first[1] + (triangle[k, 1] - triangle[0, 1])
+            inside += seen[k, 0] ** 2 + seen[k, 1] ** 2 <= radius**2
+        areas[n] = measures[element[n]]
+        if inside < 3:
+            area = 0.0
+            for k in range(3):
+                after = (k + 1) % 3
+                area += _edge(seen[k, 0], seen[k, 1], seen[after, 0], seen[after, 1], radius)
+            areas[n] = min(max(area, 0.0), areas[n])
     return areas
 
 
@@ -72,5 +84,9 @@ def _edge(ax: float, ay: float, bx: float, by: float, radius: float) -> float:
     reach = np.sqrt(max(radius**2 - offset, 0.0) / along)
     enter, leave = min(max(middle - reach, 0.0), 1.0), min(max(middle + reach, 0.0), 1.0)
     px, py, qx, qy = ax + enter * dx, ay + enter * dy, ax + leave * dx, ay + leave * dy
-    sectors = np.arctan2(ax * py - ay * px, ax * px + ay * py) + np.arctan2(qx * by - qy * bx, qx * bx + qy * by)
+    sectors = 0.0
+    if enter > 0.0:
+        sectors += np.arctan2(ax * py - ay * px, ax * px + ay * py)
+    if leave < 1.0:
+        sectors += np.arctan2(qx * by - qy * bx, qx * bx + qy * by)
     return float(0.5 * (px * qy - py * qx) + 0.5 * radius**2 * sectors)
