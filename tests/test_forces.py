@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from direct import DirectDevice
 
+from ohmskin.arrays import Floats
 from ohmskin.cli.live import _Lines, _Table
 from ohmskin.client import Client
 from ohmskin.client.cdr import Decoder
@@ -127,7 +128,10 @@ def test_forces_of_two_presses_are_told_apart_and_follow(engine: Engine) -> None
 def test_presses_that_jump_to_another_size_are_found_again(
     engine: Engine, place: tuple[float, float], radii: tuple[float, float]
 ) -> None:
-    """A fit that was followed alone ends where pressure is the least that may be, a fifth of the force."""
+    """A fit that was followed alone ends where pressure is the least that may be, a fifth of the force.
+
+    A factor of 3, as the size of what is narrow shows in few data: half the force is told at the first place under some
+    noise, and a standard deviation as large."""
     told, presses = [], [Press(place, radius, 20e3) for radius in radii]
     pressed(engine, presses[0], frames=1)
     for press in (press for press in presses for _ in range(20)):
@@ -141,6 +145,28 @@ def test_presses_that_jump_to_another_size_are_found_again(
     assert all(force is not None and true / 3 < force < 3 * true for force, _ in last), (last, true)
     off = [abs(force - true) > 3 * std for force, std in last if force is not None and std is not None]
     assert np.mean(off) < 0.2, (last, true)
+
+
+@pytest.mark.parametrize("place", [(0.06, 0.06), (0.13, 0.05), (0.11, 0.14)])
+def test_presses_that_rise_fast_do_not_jump(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch, place: tuple[float, float]
+) -> None:
+    """A finger that pokes doubles its force within six frames, hundreds of standard deviations of noise in each:
+    fits of other sizes would be started afresh, of 5 ms an evaluation, in nearly every one."""
+    assert engine.sensor is not None
+    follower, evaluated = engine.sensor.forces, list[int]()
+    assert isinstance(follower, PressFollower)
+    inner, rising = follower.fitter.caused, np.geomspace(4e3, 32e3, 18)
+    pressed(engine, Press(place, 8e-3, rising[0]), frames=1)
+    for _ in range(20):
+        engine.press(0, place, 8e-3, rising[0])
+        engine.step()
+    monkeypatch.setattr(follower.fitter, "caused", lambda params: evaluated.append(1) or inner(params))
+    for pressure in rising:
+        engine.press(0, place, 8e-3, pressure)
+        engine.step()
+    engine.press(0, place, 8e-3, 0.0)
+    assert len(evaluated) < 2 * len(rising)
 
 
 def test_a_refused_step_is_damped_at_once(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,12 +186,12 @@ def test_a_refused_step_is_damped_at_once(engine: Engine, monkeypatch: pytest.Mo
     state, contacts, scans, elapsed = updates[-1]
     assert isinstance(state, Presses)
     assert any(fit.found is not None for fit in state.fits)
-    bold = replace(state, fits=tuple(replace(fit, damping=1e-12, params=fit.best + 0.5) for fit in state.fits))
-    far = [1e3 * part for part in follower.fitter.caused(state.fits[0].params)]
-    monkeypatch.setattr(follower.fitter, "caused", lambda _: far)  # far from the data: every step is refused
-    after, _ = follower.update(bold, contacts, scans, elapsed)  # type: ignore[arg-type]
-    assert after.fits
-    assert all(fit.damping >= 1e-2 for fit in after.fits)
+    bold = [replace(fit, damping=1e-12, caused=fit.caused / 2) for fit in state.fits]  # more pressure is called for
+    refused, far = list[Floats](), [1e3 * part for part in follower.fitter.caused(state.fits[0].params)]
+    monkeypatch.setattr(follower.fitter, "caused", lambda params: refused.append(params) or far)
+    after, _ = follower.update(replace(state, fits=tuple(bold)), contacts, scans, elapsed)  # type: ignore[arg-type]
+    assert len(refused) == len(bold)  # each was tried, and none was lost and started afresh
+    assert all(fit.damping == pytest.approx(1e-2) for fit in after.fits)
 
 
 def test_patches_are_prepared_in_a_share_of_idle_time(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:

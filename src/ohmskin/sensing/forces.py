@@ -28,7 +28,7 @@ _KEPT = 0.05  # s for which a press is taken to stay as it is
 _SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
 _LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
 _DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
-_JUMPED = 30.0  # standard deviations by which presses change, from which on they may be of another size; ramps: some 10
+_JUMPED = 0.05  # share of the squared signal that changes at once where presses may be of another size since
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
 _LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
 _MOST = 1200  # contacts of patches under presses near each other, some three fingers: time goes with the cube
@@ -205,15 +205,15 @@ class PressFollower:
 
     def _informed(self, state: Presses, contacts: Sequence[Contact]) -> Presses:
         """The state with what it has gathered among its data, of which the older count less, the more so the more
-        presses have changed since; where they have jumped, fits are started afresh beside those that are followed."""
+        presses have changed since; where they have jumped, fits are started afresh beside those that were found."""
         exact = self.fitter.information(state.scans, 0.0)
-        changed = 0.0 if state.exact is None else _changed(state.fits[0], state.exact, exact)
+        changed, jumped = (0.0, False) if state.exact is None else _changed(state.fits[0], state.exact, exact)
         kept = exp(-max(state.elapsed, 1e-3) / _KEPT - changed)
         new = self.fitter.information(state.scans, 1 / (1 - kept))
         data = new if state.data is None else state.data.plus(new, kept)
         fits = state.fits
-        if changed > _JUMPED:
-            fits = (*(fit for fit in fits if fit.found is not None), *self._started(contacts, {})) or fits
+        if jumped and all(fit.found is not None for fit in fits):  # those not found yet are a search afresh
+            fits = (*fits, *self._started(contacts, {}))
         return replace(state, fits=fits, data=data, exact=exact, scans=(), elapsed=0.0)
 
     def _improved(self, state: Presses) -> Presses:
@@ -297,8 +297,9 @@ def _step(normal: Floats, gradient: Floats, damping: float) -> Floats:
     return step
 
 
-def _changed(fit: Fit, before: Sums, now: Sums) -> float:
-    """By how many standard deviations of chi-square presses differ between two looks, beyond one (1)."""
+def _changed(fit: Fit, before: Sums, now: Sums) -> tuple[float, bool]:
+    """By how many standard deviations of chi-square presses differ between two looks, beyond one (1); whether they
+    have jumped."""
     found, normals = [], []
     for one in (before, now):
         normals.append(fit.slopes.T @ one.matrix @ fit.slopes + np.diag(np.tile(_LINEAR, len(fit.params) // 4) ** -2.0))
@@ -306,7 +307,8 @@ def _changed(fit: Fit, before: Sums, now: Sums) -> float:
     step = found[1] - found[0]
     both = inverse(normals[0]) + inverse(normals[1])
     square = float(step @ np.linalg.solve(both, step))
-    return max((square - len(step)) / sqrt(2 * len(step)) - 1, 0.0)
+    jumped = square > _JUMPED * max(before.constant, now.constant)
+    return max((square - len(step)) / sqrt(2 * len(step)) - 1, 0.0), jumped
 
 
 def _near(step: Floats) -> bool:
