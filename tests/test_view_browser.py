@@ -20,11 +20,11 @@ DISC = {"kind": "disc", "radius": 0.1}
 MODES = [
     {
         "name": "12B",
-        "title": "Rim only, 12",
+        "title": "Rim of 12",
         "summary": "Adjacent drive on the 12 electrodes of the rim.",
         "available": True,
     },
-    {"name": "16B", "title": "Rim only, 16", "available": True, "why_not": ""},
+    {"name": "16B", "title": "Rim of 16", "available": True, "why_not": ""},
     {"name": "16I", "title": "Rim and inside", "available": False, "why_not": "needs 4 inner electrodes"},
     {
         "name": "16O",
@@ -436,8 +436,8 @@ def test_modes_have_plain_names_and_a_sentence_each_and_nothing_moves(
     before = page.locator("#map").bounding_box()
     buttons = page.get_by_role("group", name="Mode").get_by_role("button")
     assert [name.split() for name in buttons.all_inner_texts()][:3] == [
-        ["Rim", "only,", "12", "12B"],
-        ["Rim", "only,", "16", "16B"],
+        ["Rim", "of", "12", "12B"],
+        ["Rim", "of", "16", "16B"],
         ["Rim", "and", "inside", "16I"],
     ]
     expect(buttons.last).to_have_text("mine ")

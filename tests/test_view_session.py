@@ -116,12 +116,12 @@ def looker(calibrated: Looker) -> Iterator[Looker]:
 def test_modes_come_with_plain_names_in_the_skins_order_and_those_of_the_paper_last(looker: Looker) -> None:
     shown = [(mode["name"], mode["title"], mode["available"]) for mode in looker.page.setup["modes"]]
     assert shown == [
-        ("12B", "Rim only, 12", True),
+        ("12B", "Rim of 12", True),
         ("16I", "Rim and inside", True),
         ("16O", "Adaptive, as in the paper", True),
         ("16P", "Adaptive, most precise", True),
         ("16T", "Tracking, fastest", True),
-        ("16B", "Rim only, 16", False),
+        ("16B", "Rim of 16", False),
     ]
     assert all(mode["summary"].endswith(".") for mode in looker.page.setup["modes"])
     assert looker.page.setup["modes"][-1]["why_not"] == "needs other electrodes: ohmskin live --skin paper-rim16"
@@ -147,7 +147,7 @@ def test_an_estimator_is_prepared_and_then_used_in_every_mode(looker: Looker) ->
     (contact,) = last["contacts"]
     assert np.hypot(contact["x"] - PLACE[0], contact["y"] - PLACE[1]) < 12e-3
     first, *_, last = looker.send("mode", mode="12B")
-    assert first["preparing"].startswith("Rim only, 12 (12B): estimator kalman")
+    assert first["preparing"].startswith("Rim of 12 (12B): estimator kalman")
     assert (last["mode"], last["estimator"]) == ("12B", "kalman")
     assert not any(told["preparing"] for told in looker.send("mode", mode="16O"))  # has been prepared before
 

@@ -11,7 +11,7 @@ MODES = (
         "{rim}B",
         drive="rim",
         reader="centroid",
-        title="Rim only, {rim}",
+        title="Rim of {rim}",
         summary="Adjacent drive on the {rim} electrodes of the rim; contacts are centroids of the image.",
     ),
     Mode(
