@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from playwright.sync_api import Page
-
 from screens import FRAME, IMAGES, chromium, running, until
 
 ROOT = Path(__file__).parents[1]
