@@ -129,7 +129,7 @@ def test_a_plan_stays_on_the_sheet_and_loads_and_unloads() -> None:
         assert [step.loading for step in plan[:5]] == [True, True, True, False, False]
         assert len({step.at for step in plan}) == 4
         assert (skin.domain.depth([step.at for step in plan]) > 0).all()
-    assert "put 102 g in all (1.00 N) at x 100 mm, y 100 mm" in str(press_plan(PAPER, [1.0, 2.0])[0])
+    assert "put 102 g in total (1.00 N) at x 100 mm, y 100 mm" in str(press_plan(PAPER, [1.0, 2.0])[0])
     with pytest.raises(SkinError, match="two or more"):
         press_plan(PAPER, [1.0])
 

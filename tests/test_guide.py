@@ -115,7 +115,7 @@ def test_places_are_spread_inside_any_outline(scripts: Page) -> None:
         ("[x + 0.006, y]", "Fair", "6.0 mm off"),
         ("[x + 0.02, y]", "Poor", "20.0 mm off"),
         ("x < 0.05 ? null : [x, y]", "Good", "presses felt, 0.0 mm"),
-        ("null", "Poor", "0 of 10 presses were felt"),
+        ("null", "Poor", "0 of 10 presses were detected"),
         ("[0.2 - x, y]", "Check the wiring", "fits better mirrored left to right"),
         ("[y, 0.2 - x]", "Check the wiring", "fits better turned by a quarter"),
         ("[y, x]", "Check the wiring", "fits better mirrored across a diagonal"),

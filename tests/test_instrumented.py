@@ -159,8 +159,8 @@ def test_known_presses_of_a_table_are_made_and_forces_beside_a_recording_are_use
     words = ["calibrate", "--skin", "wrong.toml", "--presses", "presses.csv", "--mode", "16I", "--output", "a.toml"]
     done = ohmskin(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("in all (2.50 N)") == 1
-    assert "leave 255 g in all (2.50 N) at x 60 mm, y 140 mm" in done.stdout
+    assert done.stdout.count("in total (2.50 N)") == 1
+    assert "leave 255 g in total (2.50 N) at x 60 mm, y 140 mm" in done.stdout
     assert Skin.load(tmp_path / "a.toml").calibration.forces[0] == pytest.approx(1.5)
 
     rows: list[tuple[float, float]] = []

@@ -466,14 +466,14 @@ def test_the_publishing_process_ends_with_the_loop() -> None:
     [
         ("nosuch", "choose from shm, zenoh, dds, foxglove"),
         ("shm:x", "choose from"),
-        ("zenoh:udp/1.2.3.4:7447", "no place"),
-        ("zenoh:listen/tcp/127.0.0.1:99999", "no place"),
+        ("zenoh:udp/1.2.3.4:7447", "not a place"),
+        ("zenoh:listen/tcp/127.0.0.1:99999", "not a place"),
         ("zenoh:listen/tcp/0.0.0.0:7447", "give a --token"),
         ("zenoh:listen/tcp/[::]:7447", "give a --token"),
         ("zenoh:listen/tcp/robot.example:7447", "give a --token"),
         ("dds:nosuch0", "ip link"),
         ("dds:<x>", "names no network interface"),
-        ("foxglove:127.0.0.1:99999", "no place"),
+        ("foxglove:127.0.0.1:99999", "not a place"),
         ("foxglove:192.0.2.1:0", "cannot be served"),
     ],
 )

@@ -168,7 +168,7 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
     with Tape(path) as tape:
         seen = len(tape.frames)
         assert seen > 20
-        assert "cut short" in tape.notes[0]
+        assert "truncated" in tape.notes[0]
         assert "damaged" not in "".join(tape.notes)  # what is there is whole
     resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     until(lambda: not pipe.progress.trouble)  # room was made: it goes on, with what was kept meanwhile
