@@ -111,5 +111,6 @@ def meeting_place(place: str) -> tuple[bool, str]:
         return not taken, f"tcp/127.0.0.1:{PORT}"
     found = _PLACE.fullmatch(place)
     if not found or not 0 < int(found[4]) < 65536:
-        raise PublishError(f"zenoh:{place} is not a place; use zenoh, zenoh:tcp/HOST:PORT or zenoh:listen/tcp/HOST:PORT")
+        places = "zenoh, zenoh:tcp/HOST:PORT or zenoh:listen/tcp/HOST:PORT"
+        raise PublishError(f"zenoh:{place} is not a place; use {places}")
     return bool(found[1]), place.removeprefix("listen/")
