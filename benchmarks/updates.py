@@ -99,7 +99,7 @@ def main() -> None:
         playwright = stack.enter_context(sync_playwright())
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         stack.callback(browser.close)
-        page = browser.new_page(viewport={"width": 1200, "height": 800})
+        page = browser.new_page(viewport={"width": 1200, "height": 800}, bypass_csp=True)
         page.add_init_script(COUNT)
         page.goto(overview.url)
         page.wait_for_function("window.ohmskin?.body?.skins.filter(Boolean).length === 8", timeout=120e3)

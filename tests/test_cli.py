@@ -17,7 +17,7 @@ import pytest
 from live_process import all_gone, children, live, serving
 from waiting import until
 
-from ohmskin.cli import app
+from ohmskin.cli import app, main
 from ohmskin.cli.life import LIFE
 
 
@@ -218,6 +218,21 @@ def test_ctrl_c_while_it_imports_says_nothing() -> None:
         rest = process.stderr.read()
     assert process.returncode == 130
     assert "Traceback" not in rest
+
+
+def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numba's callbacks turn an interrupt into a SystemError that it caused."""
+    inner = SystemError("returned a result with an exception set")
+    inner.__cause__ = KeyboardInterrupt()
+    outer = SystemError("returned a result with an exception set")
+    outer.__cause__ = inner
+    raised = iter([outer, SystemError("of another cause")])
+    monkeypatch.setattr("ohmskin.cli._check_command", lambda _: (_ for _ in ()).throw(next(raised)))
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 130
+    with pytest.raises(SystemError, match="of another cause"):
+        main()
 
 
 def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:

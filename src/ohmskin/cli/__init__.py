@@ -111,7 +111,9 @@ def main() -> None:
         except (OhmskinError, CycloptsError) as error:
             print(f"ohmskin: {error}", file=sys.stderr)
             sys.exit(2)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemError) as error:
+            if not _interrupted(error):
+                raise
             sys.exit(130)
         except BrokenPipeError:  # the reader of our output, `head` say, has gone
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -122,6 +124,11 @@ def main() -> None:
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error: raised within C code, it comes as the cause of a `SystemError`."""
+    return error is not None and (isinstance(error, KeyboardInterrupt) or _interrupted(error.__cause__))
 
 
 def _run(arguments: list[str]) -> None:
