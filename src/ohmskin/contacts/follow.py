@@ -70,7 +70,7 @@ def followed(
         height = abs(params[k, 2]) * np.sqrt(own[2, 2])
         for p in range(len(caused)):
             others[0, p] = caused[p] - params[k, 2] * slopes[4 * k + 2, p]
-        asked = (bar + error * sizes(white[0], white[1], others)[0]) / height
+        asked = (bar + error * sizes(white[0], white[1], others)[0]) / max(height, 1e-300)
         clear = np.sqrt(CLEAR * max(cost, bar**2) / (cost + height**2))
         doubts[FAINT] = max(doubts[FAINT], min(asked, clear))
     if not (doubts <= allowed).all():

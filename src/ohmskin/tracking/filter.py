@@ -104,9 +104,8 @@ class ContactFilter:
                 data.misfit.part, wary.misfit.part, data.white.part, mean, covariance, sqrt(variance), *fitter.compiled
             )
         )
-        reading, known = Reading(difference, data, data.as_left(plain), wary.as_left(careful)), None
-        if before.tracks:
-            known = foreseen
+        reading = Reading(difference, data, data.as_left(plain), wary.as_left(careful))
+        known = foreseen if before.tracks else None
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
         energy = max(energy, before.echo * exp(-2 * elapsed / self.motion.creeping))
         newest = Residuals(
