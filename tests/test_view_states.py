@@ -59,6 +59,8 @@ def test_where_nobody_knows_what_touches_the_page_says_unknown_and_refuses_press
     expect(rows).to_have_count(1)
     assert colourful(around(reader, 0.05, 0.15)) > 100
     expect(page.locator("#unknown")).to_be_hidden()
+    page.mouse.move(*reader.place(0.05, 0.15))
+    expect(page.locator("#map-readout")).to_contain_text("mm: ")
     reader.loop.header.update(state=state, message="device lost: cable; reconnecting" if state == "lost" else "")
     expect(page.locator("#notice")).to_have_text(notice)
     expect(rows).to_have_count(0)
@@ -67,6 +69,7 @@ def test_where_nobody_knows_what_touches_the_page_says_unknown_and_refuses_press
     expect(page.locator("#rate")).to_have_text("\N{EN DASH}")
     expect(page.locator("#unknown-why")).to_have_text(f"Unknown: {why}.")
     expect(page.locator("#unknown-todo")).not_to_be_empty()
+    expect(page.locator("#map-readout")).to_be_empty()
     expect(page.locator("#summary")).to_have_text(f"contacts unknown: {why}")  # read aloud
     page.wait_for_timeout(500)  # it fades
     assert colourful(around(reader, 0.05, 0.15)) < 10

@@ -294,7 +294,7 @@ function showText(now) {
 function showReadouts() {
   for (const name of ["map", "base"]) {
     const place = touch.hover.get(byId(name)) ?? touch.cursors.get(byId(name));
-    const value = place && fields[name].values ? fields[name].at(...place) : NaN;
+    const value = place && fields[name].values && !notice.unknown ? fields[name].at(...place) : NaN;
     const text = Number.isNaN(value)
       ? ""
       : `${number(1e3 * place[0], 0)}, ${number(1e3 * place[1], 0)} mm: ` +
