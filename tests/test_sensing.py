@@ -549,7 +549,7 @@ def test_quiet_scans_take_what_a_pattern_drives_twice_from_two_repeats() -> None
 
 
 @pytest.mark.parametrize("place", [(0.0637, 0.1440), (0.1359, 0.1232), (0.1306, 0.1361), (0.0349, 0.0871)])
-def test_a_brutal_press_is_one_contact_over_an_electrode_too(place: tuple[float, float]) -> None:
+def test_a_hard_press_is_one_contact_over_an_electrode_too(place: tuple[float, float]) -> None:
     """Under it a response, singular at electrodes, says far too much of the electrode's own resistance.
 
     Of the 24 places of docs/policies.md, three that had failed and one that had not; one at the rim may still be two.

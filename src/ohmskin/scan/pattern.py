@@ -201,6 +201,10 @@ def skip(rings: Sequence[Sequence[int]], step: int = 1) -> DrivePattern:
 
     A ring of one electrode, such as the middle of a 3 x 3 grid, is measured but not driven.
 
+    Args:
+        rings: Electrode numbers of each ring in their order round it, such as `Electrodes.rings`, or [range(16)].
+        step: Places from source to sink, 1 for neighbours.
+
     Raises:
         PatternError: If `step` is not between 1 and the size of the smallest driven ring less one.
     """
@@ -213,7 +217,11 @@ def skip(rings: Sequence[Sequence[int]], step: int = 1) -> DrivePattern:
 
 
 def adjacent(rings: Sequence[Sequence[int]]) -> DrivePattern:
-    """Adjacent drive round each ring, voltages at all other electrodes (paper, section III-A)."""
+    """Adjacent drive round each ring, voltages at all other electrodes (paper, section III-A).
+
+    Args:
+        rings: Electrode numbers of each ring in their order round it, such as `Electrodes.rings`, or [range(16)].
+    """
     return skip(rings, 1)
 
 

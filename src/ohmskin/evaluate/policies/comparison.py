@@ -78,7 +78,7 @@ def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
 
 def _goals(goals: Sequence[Goal]) -> list[Block]:
     rows = [(g.text, g.bound, g.found, g.verdict, g.margin, g.data, g.note) for g in goals]
-    head = ("goal", "asked", "measured (95 %)", "verdict", "off the bound by", "from", "note")
+    head = ("goal", "asked", "measured (95 %)", "verdict", "against what was asked", "from", "note")
     return [Table(head, rows)] if rows else []
 
 

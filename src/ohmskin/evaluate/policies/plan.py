@@ -43,7 +43,7 @@ WITH_DRIVEN = {  # flaws; contact impedances, of 3.54 ohm unless said, have chan
     OFF: Flaw(misplaced=2e-3, uneven=0.05),
     TOLD: Flaw(misplaced=2e-3, uneven=0.05, calibrated=True),
 }
-PRESSES = {"light": (5e-3, 850.0), "usual": (8e-3, 20e3), "brutal": (25e-3, 20e3)}  # radius (m) and pressure (Pa)
+PRESSES = {"light": (5e-3, 850.0), "usual": (8e-3, 20e3), "hard": (25e-3, 20e3)}  # radius (m) and pressure (Pa)
 FLAWS = {
     "none": SOUND,
     "contact impedance x 3": Flaw(wear=3.0),
