@@ -85,9 +85,27 @@ def test_place_and_force_are_mujocos(aim: tuple[float, float]) -> None:
     assert push.force > 1.0
     jacobian = np.zeros((3, 3))
     mujoco.mj_jac(wearer.model, wearer.data, jacobian, None, push.point, wearer.model.body("forearm").id)
-    held = np.linalg.solve(jacobian.T, wearer.data.qfrc_constraint)  # the force (N) on the skin, friction included
+    torques = wearer.data.qfrc_constraint + wearer.data.qfrc_applied
+    held = np.linalg.solve(jacobian.T, torques)  # the force (N) on the skin
     assert push.force == pytest.approx(-held @ wearer.surface(0, push.place)[1], rel=0.05)
     assert push.radius < FINGER
+
+
+@pytest.mark.parametrize("deep", [1e-3, 3e-3])
+def test_foam_bears_the_same_force_wherever_it_is(deep: float) -> None:
+    """MuJoCo's own contacts bear a finger ten times better at the waist, where the torso gives way least."""
+    body = Body.load(HUMANOID)
+    wearer, forces = Wearer(body), list[float]()
+    for patch in range(len(body.patches)):
+        place = np.mean(np.reshape(body.patches[patch].skin.domain.bounds, (2, 2)), axis=0)
+        wearer.data.qpos[:], wearer.data.qvel[:] = wearer.target, 0.0
+        mujoco.mj_forward(wearer.model, wearer.data)
+        wearer.bring(above(wearer, patch, place, 1e-3), wearer.surface(patch, place)[1])
+        for height in np.arange(1e-3, -deep, -0.08e-3):  # 80 mm/s
+            wearer.advance(1e-3, above(wearer, patch, place, height))
+        (push,) = wearer.pushes()
+        forces.append(push.force / push.radius**4)
+    assert max(forces) < 1.3 * min(forces), forces
 
 
 def test_yielding_moves_the_touched_place_inwards() -> None:

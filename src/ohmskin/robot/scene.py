@@ -19,8 +19,11 @@ THICKNESS = 4e-3  # m, of a skin
 _SKIN, _SHELL, _HAND = 1, 2, 4  # who touches whom: skins touch all, shells and the hand only skins
 _MOST_CORNERS = 400  # of a skin's convex hull, about
 
-# A skin gives way as foam does, by some millimetres under a finger (solref, solimp). Joints are position servos.
-_FOAM = {"solref": "0.02 1", "solimp": "0.1 0.9 0.006 0.5 2"}
+# What bears a finger is foam (`Wearer`): its force must not depend on the inertia of what is pressed, as that of
+# MuJoCo's contacts does, which begin where foam is dense. Soft neoprene, 8 mm thick, bears 14 to 34 kPa at 25 % (ASTM
+# D1056, grade 1). Joints are position servos.
+STIFFNESS = 12e6  # pressure of foam for each metre of its compression (Pa/m)
+_DENSE = {"priority": "1", "solref": "0.02 1", "solimp": "0.0001 0.9 0.016 0.5 6"}
 _SCENE = """
 <mujoco model="a robot with skins">
   <compiler angle="radian"/>
@@ -43,8 +46,7 @@ _SCENE = """
     <light pos="0.6 -0.8 2.2" dir="-0.2 0.35 -1" diffuse="0.5 0.5 0.5" castshadow="true"/>
     <geom type="plane" size="2 2 0.1" pos="0 0 {floor}" material="floor" contype="0" conaffinity="0"/>
     <body name="hand" mocap="true" pos="0 0 9">
-      <geom name="hand 0" type="sphere" size="{finger}" material="hand" contype="4" conaffinity="0"
-            solref=".02 1" solimp=".1 .9 .006 .5 2"/>
+      <geom name="hand 0" type="sphere" size="{finger}" material="hand" contype="4" conaffinity="0"/>
       <geom type="capsule" fromto="0 0 0 0 0 0.09" size="0.0115" material="hand" contype="0" conaffinity="0"/>
       <geom type="box" pos="0 0.012 0.12" size="0.028 0.04 0.045" material="hand" contype="0" conaffinity="0"/>
     </body>{pads}
@@ -56,8 +58,7 @@ _SCENE = """
 
 _PAD = """
     <body mocap="true" pos="0 0 9">
-      <geom name="hand {number}" type="sphere" size="{pad}" material="hand" contype="4" conaffinity="0"
-            solref=".02 1" solimp=".1 .9 .006 .5 2"/>
+      <geom name="hand {number}" type="sphere" size="{pad}" material="hand" contype="4" conaffinity="0"/>
       <geom type="capsule" fromto="0 0 0 0.05 0 0.2" size="0.026" material="hand" contype="0" conaffinity="0"/>
     </body>"""
 
@@ -98,7 +99,7 @@ def scene(body: Body) -> str:
         SubElement(assets, "mesh", name=f"skin {number}", vertex=corners)
         mesh = {"type": "mesh", "mesh": f"skin {number}", "material": "skin", "mass": "0.1"}
         bits = {"contype": str(_SKIN), "conaffinity": str(_SKIN | _SHELL | _HAND)}
-        SubElement(made[placed.patch.frame], "geom", {"name": f"skin {number}"} | mesh | bits | _FOAM)
+        SubElement(made[placed.patch.frame], "geom", {"name": f"skin {number}"} | mesh | bits | _DENSE)
     for element in made.values():
         if element.find("geom") is None:  # a link between two joints: what moves must have a mass
             SubElement(element, "inertial", pos="0 0 0", mass="0.1", diaginertia="1e-3 1e-3 1e-3")

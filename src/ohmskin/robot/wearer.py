@@ -12,7 +12,7 @@ from ohmskin.body import Body
 from ohmskin.body.robot import Robot
 from ohmskin.errors import ModelError
 from ohmskin.robot.display import mujoco
-from ohmskin.robot.scene import FINGER, PAD, PADS, STEP, scene
+from ohmskin.robot.scene import FINGER, PAD, PADS, STEP, STIFFNESS, scene
 from ohmskin.skin import Press
 
 _MOTION = 0.1  # rad, of the slow movement of each joint
@@ -117,8 +117,25 @@ class Wearer:
         for k in range(steps):
             self.data.mocap_pos[: len(tips)] = start + (ends - start) * (k + 1) / steps
             self.data.ctrl[:] = self.target
-            mujoco.mj_step(self.model, self.data)
+            mujoco.mj_step1(self.model, self.data)
+            self._press_foam()
+            mujoco.mj_step2(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)  # links and contacts of now: a step leaves those of before it
+
+    def _press_foam(self) -> None:
+        """Let foam push apart what presses it, with the same force in both directions."""
+        self.data.qfrc_applied[:] = 0.0
+        for contact in self.data.contact[: self.data.ncon]:
+            force = self._foam_force(contact) * contact.frame[:3]  # on the second geom
+            for geom, own in ((contact.geom1, -force), (contact.geom2, force)):
+                body = self.model.geom_bodyid[geom]
+                mujoco.mj_applyFT(self.model, self.data, own, np.zeros(3), contact.pos, body, self.data.qfrc_applied)
+
+    def _foam_force(self, contact: Any) -> float:
+        """With which foam bears a ball so deep in it (N): only right under it, as in a Winkler foundation."""
+        hands = [self._hands[geom] for geom in (contact.geom1, contact.geom2) if geom in self._hands]
+        radius = self.hands[hands[0]] if hands else _OWN
+        return float(np.pi * STIFFNESS * radius * max(-contact.dist, 0.0) ** 2)
 
     def bring(self, tip: Floats, normal: Floats, hand: int = 0) -> None:
         """Take the tip of a hand to a point (3,) in the world at once, the hand along a normal (3,)."""
@@ -154,10 +171,11 @@ class Wearer:
         for number in range(self.data.ncon):
             contact = self.data.contact[number]
             mujoco.mj_contactForce(self.model, self.data, number, wrench)
+            force = wrench[0] + self._foam_force(contact)
             for skin, other in ((contact.geom1, contact.geom2), (contact.geom2, contact.geom1)):
-                if skin in self._skins and wrench[0] > 0:
+                if skin in self._skins and force > 0:
                     by = -1 - self._hands[other] if other in self._hands else int(self.model.geom_bodyid[other])
-                    found[self._skins[skin], by].append((contact.pos.copy(), wrench[0], -float(contact.dist)))
+                    found[self._skins[skin], by].append((contact.pos.copy(), force, -float(contact.dist)))
         pushes = [self._push(patch, by, parts) for (patch, by), parts in found.items()]
         return tuple(sorted((push for push in pushes if push is not None), key=lambda push: -push.force))
 
