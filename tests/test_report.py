@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ohmskin.bench import Figure, write_report
+from ohmskin.bench import Figure
+from ohmskin.bench.report import write_report
 from ohmskin.plot import colours
 
 SCRIPT = Path(colours.__file__).parents[1] / "view" / "static" / "colour.js"

@@ -3,18 +3,24 @@
 Sizes are small; the benchmark has the large ones.
 """
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from ohmskin.bench import Figure, run, write_report
+from ohmskin.bench import Figure, run
 from ohmskin.bench.clock import in_turns, ratio, read
+from ohmskin.bench.report import write_report
 from ohmskin.bench.sheets import CONDUCTIVITY, electrodes, grid, mesh, square
 from ohmskin.drive import DRIVES, DriveSettings
 from ohmskin.errors import OhmskinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import assemble
 from ohmskin.inverse import GaussNewton, Pixels
+from ohmskin.inverse.modes import ImageModes
+from ohmskin.scan import Difference, adjacent
 from ohmskin.sensing import CompiledCycle
 
 
@@ -24,6 +30,21 @@ def test_a_factor_grows_little_faster_than_the_mesh() -> None:
         system = assemble(mesh(cells), electrodes(), np.full(2 * cells**2, CONDUCTIVITY))
         kept.append(system.elimination().factor_start[-1] / system.matrix.shape[0])
     assert kept[1] < 2.2 * kept[0]  # per unknown: log n; a band matrix would have four times as much
+
+
+def test_an_image_at_low_noise_factors_no_sensitivity_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    where, layout = mesh(24), electrodes()
+    estimator = GaussNewton(TransferModel(where, layout, CONDUCTIVITY), 1e-9, pixels=Pixels.over(where, 16))
+    monkeypatch.delattr(ImageModes, "of_relative")
+    pattern = adjacent(layout.rings)
+    volts = 1e-5 * np.random.default_rng(0).normal(size=pattern.n_meas)
+    assert np.isfinite(estimator.reconstruct(Difference(pattern, np.full(pattern.n_meas, 1e-3), volts)).values).all()
+
+
+def test_a_measured_set_up_loads_nothing_that_draws() -> None:
+    """Its memory is compared with pyEIT's."""
+    code = "import sys, ohmskin.bench.tasks; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_with_many_electrodes_nothing_has_pairs_times_pairs() -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from ohmskin.bench import run, write_report
+from ohmskin.bench import run
+from ohmskin.bench.report import write_report
 from ohmskin.cli.options import Flag, Names, check_plot
 
 _COLOURS = {"pass": "green", "short": "red", "not run": "yellow", "": ""}

@@ -95,10 +95,12 @@ class GaussNewton(Reconstructs):
         modes = self.modes
         size = np.linalg.norm(system.rows[:, int(modes.free_mean) :])
         if weight < ILL * size:  # too exact for rows of pairs, of which the largest parts cancel
-            relative, pairs = self.relative(), modes.pairs
-            whole = finite_system(lambda difference: difference.combination(pairs) @ relative, differences)
-            modes = ImageModes.of_relative(whole.rows, self.penalty, pairs)
-            system = System(modes.mixing, whole.volts)
+            relative = self.relative()
+
+            def caused(difference: Difference) -> Floats:
+                return np.asarray(difference.combination(modes.pairs) @ relative @ modes.modes.T)
+
+            system = finite_system(caused, differences)
         values, noise_std = solve_modes(modes, system, weight, self.noise)
         if not self.positive:
             return Image(values, noise_std)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
+from scipy.linalg import qr
 
 from ohmskin.arrays import Floats, Ints, real
 from ohmskin.errors import DataError, ModelError
@@ -72,7 +73,7 @@ class ImageModes:
         if len(white) < len(relative):  # more pairs than unknowns: the modes are the unknowns, whitened
             basis, triangle = np.eye(len(white)), white
         else:
-            basis, triangle = np.linalg.qr(white)
+            basis, triangle = qr(white, mode="economic", check_finite=False)  # NumPy's takes half as long again
         modes, mixing = penalty.coloured(basis).T, triangle.T
         if penalty.free_mean:
             level = np.full((1, relative.shape[1]), FREE)
