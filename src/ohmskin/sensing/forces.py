@@ -249,9 +249,12 @@ class PressFollower:
         return [replace(fit, found=found, covariance=covariance, cost=cost)]
 
     def _told(self, state: Presses, fits: Sequence[Fit]) -> dict[int, FittedPress]:
-        """The likeliest presses, once some are found; how much likely ones differ is a part of what is not known."""
+        """The likeliest presses, if some are found; how much likely ones differ is a part of what is not known.
+
+        While all are sought afresh there is none: what was told before has changed.
+        """
         if all(fit.found is None for fit in fits):
-            return state.told
+            return {}
         shares = np.exp([(fits[0].cost - fit.cost) / 2 for fit in fits])
         likely = [self.fitter.told(fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
         told = {}
