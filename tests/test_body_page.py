@@ -263,6 +263,34 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         page.close()
 
 
+def test_maps_and_their_scale_stay_when_the_window_changes_and_no_frame_follows(half: Any, chromium: Any) -> None:
+    body, patches, merger = half
+    with Overview("half", [f"half.{placed.patch.name}" for placed in body.patches], port=0) as overview:
+        page = chromium.new_page(viewport={"width": 1800, "height": 900})
+        page.goto(overview.url)
+
+        def there(true: str) -> Any:
+            for patch in patches.values():
+                patch.speak((0.0, 0.0))
+            merger.step()
+            return page.evaluate(true)
+
+        until(lambda: there("ohmskin?.frame?.patches.every((patch) => patch.contacts?.length)"))
+        right = "(name) => document.querySelector(name).getBoundingClientRect().right"
+        last = "[...document.querySelectorAll('.patch')].at(-1).getBoundingClientRect().right"
+        scale = page.evaluate("document.getElementById('scale').getBoundingClientRect().left")
+        assert 0 < scale - page.evaluate(last) < 40  # beside the last map, not at the window's far side
+        assert page.evaluate(right, "#scale") <= 1800
+    until(lambda: page.locator("#state").text_content() == "no connection")  # it is closed
+    page.set_viewport_size({"width": 700, "height": 900})
+    painted = """() => [...document.querySelectorAll("canvas:not(#space)")].map((canvas) => {
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        return data.some((value) => value > 0);
+    })"""
+    until(lambda: page.evaluate(painted) == [True] * 4)
+    page.close()
+
+
 @pytest.mark.parametrize("screen", SCREENS)
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_everyone_can_use_the_page_of_a_body(half: Any, chromium: Any, theme: str, screen: str) -> None:

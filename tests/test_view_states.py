@@ -462,6 +462,15 @@ def test_a_gesture_stands_beside_the_number_of_contacts_unless_it_is_unknown(rea
     expect(count).to_have_text("1")
 
 
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1920, 1080)])
+def test_the_whole_page_fits_the_window(chromium: Browser, touched: SyntheticLoop, width: int, height: int) -> None:
+    touched.header = {"state": "running", "message": "", "demo": False, "mode": "16O", **AS_USUAL}
+    reader = Reader(chromium, touched, viewport={"width": width, "height": height})
+    expect(reader.page.locator("#clear")).to_be_visible()
+    assert reader.page.evaluate("document.documentElement.scrollHeight") == height
+    reader.close()
+
+
 @pytest.mark.parametrize(("width", "lines"), [(320, 3), (1440, 1)])
 def test_a_notice_stands_in_the_middle_of_its_line(
     chromium: Browser, touched: SyntheticLoop, width: int, lines: int

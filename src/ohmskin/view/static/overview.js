@@ -16,9 +16,9 @@ const MAPS_EVERY = 80; // ms, beside a robot in space, which is drawn with every
 const byId = (id) => document.getElementById(id);
 const cards = new Map();
 const range = new Range();
-const scale = new Surface(byId("scale"), () => {});
 window.ohmskin = { frame: null, frames: 0, body: null };
-let [mapsDue, lastHash] = [0, ""];
+let [mapsDue, lastHash, connected] = [0, "", false];
+const scale = new Surface(byId("scale"), redraw);
 
 /** A message as { name, patches }, each patch with its pixels. */
 function read(buffer) {
@@ -57,7 +57,7 @@ class Card {
     this._domain = null;
     this._surface = new Surface(
       canvas,
-      () => {},
+      redraw,
       (width) => (this._domain ? heightFor(this._domain, width) : width),
     );
     this._field = null;
@@ -109,7 +109,7 @@ async function embody(robot) {
 }
 
 function show(frame, known) {
-  window.ohmskin.frame = frame;
+  [window.ohmskin.frame, connected] = [frame, known];
   const theme = document.documentElement.dataset.theme;
   byId("none").hidden = frame.patches.some((patch) => patch.age !== null);
   byId("name").textContent = frame.name;
@@ -123,6 +123,7 @@ function show(frame, known) {
     `${frame.patches.length} patches, ${contacts}` + (silent && known ? `, ${silent} silent` : "");
   const values = frame.patches.flatMap((patch) => [...patch.pixels].map((code) => (code * patch.peak) / 127));
   range.follow(Math.min(0, ...values), Math.max(0, ...values), THRESHOLD, performance.now());
+  byId("body").style.setProperty("--patches", frame.patches.length);
   window.ohmskin.body?.pose(frame.links ?? {});
   window.ohmskin.body?.show(frame.patches, known, STALE, theme, range.limit, THRESHOLD);
   const forces = heard.flatMap((patch) => patch.contacts.map((contact) => contact.force ?? null));
@@ -139,6 +140,12 @@ function show(frame, known) {
     if (!cards.has(patch.name)) cards.set(patch.name, new Card(patch.name));
     cards.get(patch.name).show(patch, theme, known, one);
   }
+}
+
+/** What was shown last, at the sizes of now: a canvas that changes its size is blank, and no frame may follow. */
+function redraw() {
+  mapsDue = 0;
+  if (window.ohmskin.frame) show(window.ohmskin.frame, connected);
 }
 
 function connect() {
