@@ -30,6 +30,7 @@ default_role = "py:class"  # a class in backticks is a link
 
 html_theme = "furo"
 html_title = f"ohmskin {version}"
+html_favicon = "../src/ohmskin/view/static/icon.svg"
 html_show_sourcelink = html_copy_source = False
 
 myst_heading_anchors = 4
@@ -54,4 +55,5 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_signature": False,
+    "remove_config_comments": True,
 }

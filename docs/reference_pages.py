@@ -79,13 +79,15 @@ def page(package: ModuleType) -> str:
 
 def summary(package: ModuleType, name: str) -> str:
     """The first sentence of the documentation of a public name."""
-    if entry(package, name).startswith(".. auto"):
-        text = (inspect.getdoc(getattr(package, name)) or "").partition("\n\n")[0].replace("\n", " ")
-    else:
-        text = constant(package, name)
+    text = first(getattr(package, name)) if entry(package, name).startswith(".. auto") else constant(package, name)
     if not text:
         log.warning("%s.%s has no documentation", package.__name__, name)
     return text
+
+
+def first(thing: object) -> str:
+    """The first paragraph of the docstring of something, on one line."""
+    return (inspect.getdoc(thing) or "").partition("\n\n")[0].replace("\n", " ")
 
 
 def heading(found: "re.Match[str]") -> str:
@@ -97,6 +99,8 @@ def write(app: Sphinx) -> None:
     """Write the pages; those that have not changed are left alone, so that Sphinx need not read them again."""
     folder = Path(app.srcdir) / "reference"
     pages = {folder / "api" / f"{package.__name__}.rst": page(package) for package in packages()}
+    rows = [f"| [{one.__name__}](api/{one.__name__}.rst) | {first(one)} |" for one in packages()]
+    pages[folder / "api" / "packages.txt"] = "\n".join(["| package | content |", "|---|---|", *rows, ""])
     told = commands.generate_docs(output_format="markdown", recursive=True)
     contents = r"^# ohmskin$|^## Table of Contents\n(\n|- .*\n)*"
     pages[folder / "commands.md"] = re.sub(contents, heading, told, flags=re.MULTILINE)

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ohmskin as ohm
+from ohmskin.plot.colours import AMOUNT
 from ohmskin.sensing import drive_of
 
 
@@ -35,7 +36,8 @@ def main(folder: Path) -> Path:
     for axes, (skin, name, model, volts) in zip(figure.subplots(1, 3), parts, strict=True):
         raster = ohm.Raster(model.mesh, 200)
         extent = (0, 1e3 * skin.sheet.width, 0, 1e3 * skin.sheet.height)
-        shown = axes.imshow(20 * np.log10(raster(volts) / 1e-6), origin="lower", extent=extent, vmin=10, vmax=60)
+        decibels = 20 * np.log10(raster(volts) / 1e-6)
+        shown = axes.imshow(decibels, origin="lower", extent=extent, vmin=10, vmax=60, cmap=AMOUNT)
         axes.plot(*(1e3 * skin.electrodes.positions.T), "o", color="white", markeredgecolor="black", clip_on=False)
         axes.set(xlabel="x / mm", ylabel="y / mm", title=f"{skin.name}, {name}: median {np.median(volts) * 1e6:.1f} µV")
     figure.colorbar(shown, ax=figure.axes, label="change of voltage / dB above 1 µV", extend="both", shrink=0.8)

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from matplotlib.figure import Figure
 
+from ohmskin.plot.colours import AMOUNT
 from ohmskin.robot.sensor import SkinSensor
 
 THINGS = {"ball": 'type="sphere" size=".03"', "rod": 'type="capsule" size=".012 .03"'}
@@ -46,13 +47,13 @@ def main(folder: Path) -> Path:
     gram = features[known].T @ features[known] + np.eye(FEATURES)  # ridge regression
     learned = np.linalg.solve(gram, features[known].T @ np.eye(len(THINGS))[truth[known]])
     told = np.argmax(features[unseen] @ learned, axis=1)
-    print(f"of {len(unseen)} things never seen {np.mean(told == truth[unseen]):.0%} are told right")
+    print(f"{np.mean(told == truth[unseen]):.0%} of {len(unseen)} touches not learned from are classified correctly")
     counts = np.zeros((3, 3), int)
     np.add.at(counts, (truth[unseen], told), 1)
     figure = Figure(figsize=(4, 3.6), layout="constrained")
     panel = figure.subplots()
-    figure.colorbar(panel.imshow(counts, cmap="Blues"), label="things")
-    panel.set_xticks(range(3), [f"told {thing}" for thing in THINGS])
+    figure.colorbar(panel.imshow(counts, cmap=AMOUNT), label="touches")
+    panel.set_xticks(range(3), [f"taken for {thing}" for thing in THINGS])
     panel.set_yticks(range(3), THINGS)
     figure.savefig(folder / "06_learned.png", dpi=120)
     return folder / "06_learned.png"

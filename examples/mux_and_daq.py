@@ -15,6 +15,7 @@ Tested on the simulated parts below. ``SerialMux`` and ``NiCard`` show where rea
 here.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/build/wiring.png'
 import sys
 
 import numpy as np

@@ -12,6 +12,7 @@ silent for 0.1 s, whatever the reason. It goes on when it is free again. Give it
 and a number of seconds to look at another skin (``shm:NAME``, ``zenoh:NAME@tcp/HOST:PORT``) or to end.
 """
 
+# sphinx_gallery_thumbnail_path = 'images/robot.png'
 import sys
 import time
 

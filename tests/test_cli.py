@@ -135,6 +135,16 @@ def test_every_option_has_help_and_no_needless_twin(command: str) -> None:
             assert f"--no-{argument.name.lstrip('-')}" not in found
 
 
+def test_every_part_of_a_study_stands_in_its_help() -> None:
+    """What --only takes: the refusal of another name lists the parts."""
+    for command in ("reproduce", "policies", "bench"):
+        refused = command_line.ohmskin(command, "--only", "nosuch")
+        parts = re.findall(r"\w+", refused.stderr.rpartition("choose from ")[2])
+        told = command_line.ohmskin(command, "--help").stdout.partition("--only")[2].partition("--")[0]
+        assert len(parts) > 8
+        assert re.findall(r"\w+", told.partition(":")[2].partition(".")[0]) == parts
+
+
 def test_commands_come_in_groups() -> None:
     found = command_line.ohmskin("--help").stdout
     panels = re.findall(r"╭─ (.+?) ─+╮", found)

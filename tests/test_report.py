@@ -1,5 +1,6 @@
 """Reports in HTML and in Markdown say the same, and all pictures take their colours from the live page."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -38,6 +39,26 @@ def test_colours_are_those_of_the_page(theme: str, sign: str, stops: colours.Sto
     script = SCRIPT.read_text(encoding="utf-8")
     (block,) = re.findall(rf"{sign}: \[(.*?)\n    \]", script[script.index(f"  {theme}: {{") :], re.DOTALL)[:1]
     assert re.findall(r"\[(\S+), (\S+), (\S+)\]", block) == [tuple(f"{v:g}" for v in stop) for stop in stops]
+
+
+MAPPED = {"imshow", "pcolor", "pcolormesh", "tripcolor", "contourf", "tricontourf", "matshow", "hexbin"}
+
+
+def test_every_picture_takes_one_family_of_colours() -> None:
+    """Calls that turn numbers into colours name a map of `ohmskin.plot.colours`, or get it with a style."""
+    root, strange, seen = Path(__file__).parents[1], list[str](), 0
+    scripts = [path for folder in ("src", "examples", "docs", "benchmarks") for path in (root / folder).rglob("*.py")]
+    for path in scripts:
+        if {"_build", "gallery"} & {*path.relative_to(root).parts}:
+            continue
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and getattr(call.func, "attr", "") in MAPPED:
+                given = {keyword.arg: keyword.value for keyword in call.keywords}
+                plain = not {"cmap", None} & {*given} or isinstance(given.get("cmap"), ast.Constant)
+                seen += 1
+                strange += [f"{path.name}:{call.lineno}"] * plain
+    assert strange == []
+    assert seen > 15
 
 
 def test_more_is_always_darker_and_on_dark_ground_brighter() -> None:

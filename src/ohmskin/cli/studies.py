@@ -68,7 +68,8 @@ def policies(
         quick: Few seeds and trials: a minute or two on two cores.
         output: Folder for report.html, the same as report.md, figures and data.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
-        only: Sections to make: static, driven, time, moving, pairs, press, detection, quiet, robust, cost.
+        only: Sections to make: static, driven, time, gain, moving, pairs, press, sensitivity, detection, quiet,
+            trouble, robust, cost.
         cache: Folder of kept results, from which an interrupted run continues; within the output folder unless given.
         fresh: Ignore the kept results and run everything again.
     """

@@ -51,9 +51,10 @@ def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
         "the same reader."
     )
     rule = (
-        f"Of {len(key)} goals: {tally}. A goal is **met** or **missed** if the whole 95 % interval says so, otherwise "
-        "**undecided**. Intervals of means and ratios are bootstrap over noise seeds and places (paired), those of "
-        "rates exact or bootstrap. They speak of noise and places, not of other skins."
+        f"Of {len(key)} goal{'s' * (len(key) != 1)}: {tally}. "
+        "A goal is **met** or **missed** if the whole 95 % interval says so, otherwise **undecided**. "
+        "Intervals of means and ratios are bootstrap over noise seeds and places (paired), those of rates exact or "
+        "bootstrap. They speak of noise and places, not of other skins."
     )
     radius = 1.5 * Skin.load(LAYOUTS["grid"]).imaging.mesh_size
     data = (
