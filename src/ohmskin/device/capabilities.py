@@ -141,7 +141,7 @@ class Capabilities:
             raise PatternError(f"{error} on device {self.name!r}; was the pattern made for this skin?") from error
         if pattern.n_inj <= self.max_injections and pattern.n_meas <= self.max_measurements:
             return
-        per_injection = int(np.bincount(pattern.measurements[:, 0]).max())
+        per_injection = int(pattern.measured.max())
         fits = min(self.max_injections, self.max_measurements // per_injection)
         advice = f"scan the pieces of pattern.split({fits})" if fits else "measure fewer voltages of each injection"
         raise PatternError(

@@ -90,24 +90,38 @@ class GaussNewton(Reconstructs):
         return other
 
     def reconstruct(self, *differences: Difference) -> Image:
-        system = self.modes.system(*differences)
-        weight = system.noise(self.noise, self.model_error) / self.amplitude
-        modes = self.modes
-        size = np.linalg.norm(system.rows[:, int(modes.free_mean) :])
-        if weight < ILL * size:  # too exact for rows of pairs, of which the largest parts cancel
-            relative = self.relative()
-
-            def caused(difference: Difference) -> Floats:
-                return np.asarray(difference.combination(modes.pairs) @ relative @ modes.modes.T)
-
-            system = finite_system(caused, differences)
-        values, noise_std = solve_modes(modes, system, weight, self.noise)
+        system, weight = self._system(*differences)
+        unknowns, noise_std = solve_modes(self.modes, system, weight, self.noise)
+        values = unknowns @ self.modes.modes
         if not self.positive:
             return Image(values, noise_std)
         whole = pair_system(self.model.pairs, *differences)
         rows = whole.rows @ self.penalty.to_unknowns(self.relative())
         w = nonnegative(self.penalty.normalised, rows, whole.volts, weight)
         return Image(self.penalty.to_image(w), noise_std)
+
+    def unexplained(self, *differences: Difference) -> tuple[Floats, Floats]:
+        """The data (n_finite,) of scans, and what of them an image leaves that may be negative somewhere (V).
+
+        Raises:
+            DataError: If no finite datum is left.
+        """
+        system, weight = self._system(*differences)
+        unknowns, _ = solve_modes(self.modes, system, weight, self.noise)
+        return system.volts, system.volts - system.rows @ unknowns
+
+    def _system(self, *differences: Difference) -> tuple[System, float]:
+        """The equations of scans in the modes, and the weight of the penalty."""
+        modes, system = self.modes, self.modes.system(*differences)
+        weight = system.noise(self.noise, self.model_error) / self.amplitude
+        if weight >= ILL * np.linalg.norm(system.rows[:, int(modes.free_mean) :]):
+            return system, weight
+        relative = self.relative()  # too exact for rows of pairs, of which the largest parts cancel
+
+        def caused(difference: Difference) -> Floats:
+            return np.asarray(difference.combination(modes.pairs) @ relative @ modes.modes.T)
+
+        return finite_system(caused, differences), weight
 
     def relative(self) -> Floats:
         """Change of two-terminal resistances with the relative change of each value of the image (ohm)."""
@@ -117,24 +131,22 @@ class GaussNewton(Reconstructs):
 
 
 def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, NoiseStd]:
-    """The image of the u of least |volts - rows u|^2 + weight^2 |u|^2, and its standard deviation from noise (V)."""
-    rows, images, volts = system.rows, modes.modes, system.volts
-    left = volts
-    level = np.zeros(len(rows))  # what each datum says of the mean
-    if modes.free_mean and (size := float(np.linalg.norm(rows[:, 0]))) > 0:  # unpenalised: taken out of all equations
-        along = rows[:, 0] / size
-        overlap = along @ rows[:, 1:]
-        level = along * images[0, 0] / size
-        images = images[1:] - np.outer(overlap, images[0] / size)
-        rows = rows[:, 1:] - np.outer(along, overlap)
-        left = volts - along * (along @ volts)
-    solve, transposed = _least_squares(rows, weight)
+    """The u of least |volts - rows u|^2 + weight^2 |u|^2, and the standard deviation of its image from noise (V)."""
+    rows, volts, free = system.rows, system.volts, int(modes.free_mean)
+    size = float(np.linalg.norm(rows[:, :free])) or 1.0
+    along = rows[:, :free] / size  # a mean that is not penalised is taken out of all equations
+    overlap = along.T @ rows[:, free:]
+    solve, transposed = _least_squares(rows[:, free:] - along @ overlap, weight)
+    rest = solve(volts - along @ (along.T @ volts))
+    mean = (along.T @ volts - overlap @ rest) / size
 
     def noise_std(elements: ArrayLike) -> Floats:
-        response = transposed(images[:, np.atleast_1d(elements)]) + level[:, None]
+        images = modes.modes[:, np.atleast_1d(elements)]
+        level = images[:free] / size
+        response = transposed(images[free:] - overlap.T @ level) + along @ level
         return np.asarray(noise * np.linalg.norm(response, axis=0))
 
-    return solve(left) @ images + level @ volts, noise_std
+    return np.concatenate([mean, rest]), noise_std
 
 
 def _least_squares(rows: Floats, weight: float) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:

@@ -60,7 +60,8 @@ class Greit:
             ModelError: If the noise figure cannot be had with these scans; the message says which can.
         """
         system = self.modes.system(*differences)
-        return Image(*solve_modes(self.modes, system, self.weight(differences), self.noise))
+        unknowns, noise_std = solve_modes(self.modes, system, self.weight(differences), self.noise)
+        return Image(unknowns @ self.modes.modes, noise_std)
 
     def weight(self, differences: tuple[Difference, ...]) -> float:
         """The regularisation with the wanted noise figure, remembered by pattern, currents and channels."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import PatternError
 from ohmskin.scan.pattern import DrivePattern
 
@@ -36,16 +36,11 @@ class Cost:
 
     def time(self, pattern: DrivePattern) -> float:
         """How long a scan of `pattern` takes (s)."""
-        measured = np.bincount(pattern.measurements[:, 0], minlength=pattern.n_inj)
-        counts, repeats = np.unique(measured, return_counts=True)
-        each = [self._injection(count) for count in counts.tolist()]
-        return self.overhead + float(repeats @ each)
+        return self.overhead + float(self._injections(pattern.measured).sum())
 
     def times(self, pattern: DrivePattern) -> Floats:
         """When each voltage (n_meas,) is converted, from the start of a scan (s)."""
-        which = pattern.measurements[:, 0]
-        measured = np.bincount(which, minlength=pattern.n_inj)
-        each = np.array([self._injection(count) for count in measured.tolist()])
+        which, measured, each = pattern.measurements[:, 0], pattern.measured, self._injections(pattern.measured)
         within = np.arange(pattern.n_meas) - (measured.cumsum() - measured)[which]
         conversions = within // self.channels + 1 if self.channels else 1
         return np.asarray((each.cumsum() - each)[which] + self.settle + self.conversion * conversions)
@@ -56,12 +51,13 @@ class Cost:
         Raises:
             PatternError: If not even one fits.
         """
-        one = self._injection(int(np.bincount(pattern.measurements[:, 0]).max()))
+        one = float(self._injections(pattern.measured.max()))
         left = seconds - self.overhead
         if not left >= one * (1 - 1e-9):  # false for nan, too
             raise PatternError(f"{seconds!r} s a frame; one injection takes {self.overhead + one:.3g} s, the least")
         return pattern.n_inj if one == 0 else min(int(left / one * (1 + 1e-9)), pattern.n_inj)
 
-    def _injection(self, measured: int) -> float:
-        conversions = math.ceil(measured / self.channels) if self.channels else min(measured, 1)
-        return self.settle + self.conversion * conversions
+    def _injections(self, measured: Ints) -> Floats:
+        """How long injections (n,) take of which so many voltages (n,) are measured (s)."""
+        conversions = -(-measured // self.channels) if self.channels else np.minimum(measured, 1)
+        return np.asarray(self.settle + self.conversion * conversions)

@@ -70,6 +70,11 @@ class DrivePattern(ReadOnly):
         return len(self.measurements)
 
     @cached_property
+    def measured(self) -> Ints:
+        """How many voltages (n_inj,) are measured of each injection."""
+        return np.bincount(self.measurements[:, 0], minlength=self.n_inj)
+
+    @cached_property
     def quadruples(self) -> Ints:
         """Source, sink, plus, minus (n_meas, 4) of each measurement."""
         return np.hstack([self.injections[self.measurements[:, 0]], self.measurements[:, 1:]])
@@ -99,7 +104,7 @@ class DrivePattern(ReadOnly):
         An injection that measures one of them already stays as it is.
         """
         which, plus, minus = self.measurements.T
-        count = np.bincount(which, minlength=self.n_inj)
+        count = self.measured
         last = np.cumsum(count) - 1
         numbers = np.flatnonzero((count > 0) & (np.bincount(which[self.driven], minlength=self.n_inj) == 0))
         first, last = (last - count + 1)[numbers], last[numbers]
@@ -149,7 +154,7 @@ class DrivePattern(ReadOnly):
         Raises:
             PatternError: If one injection alone has more measurements than that.
         """
-        most = int(np.bincount(self.measurements[:, 0]).max())
+        most = int(self.measured.max())
         if most > max_measurements or max_injections < 1:
             raise PatternError(f"an injection with {most} measurements does not fit into {max_measurements} a scan")
         max_injections = min(max_injections, max_measurements // most)

@@ -42,15 +42,10 @@ def image_misfit(known: SkinModel, scans: Sequence[Difference]) -> float:
     Raises:
         DataError: If no finite datum is left.
     """
-    scans = [scan.undriven for scan in scans]
-    image = known.one_step(known.estimator("gauss-newton")).reconstruct(*scans)
-    pairs = known.model.pair_sensitivity @ (known.model.conductivity * image.values)
-    changed = left = 0.0
-    for scan in scans:
-        measured = np.isfinite(scan.volts) & np.isfinite(scan.currents)
-        noise = measured.sum() * known.noise**2
-        changed += float(np.sum(scan.volts[measured] ** 2)) - noise
-        left += float(np.sum((scan.volts - scan.caused_by(pairs, known.pairs))[measured] ** 2)) - noise
+    one_step = known.one_step(known.estimator("gauss-newton"))
+    volts, rest = one_step.unexplained(*(scan.undriven for scan in scans))
+    noise = len(volts) * known.noise**2
+    changed, left = float(volts @ volts) - noise, float(rest @ rest) - noise
     return max(left, 0.0) / changed if changed > 0 else 0.0
 
 
