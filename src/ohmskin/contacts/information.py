@@ -96,19 +96,19 @@ class Information:
             for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
         )
         loaded = any(scan.source_loading is not None for scan in scans)
-        four, which = whole.quadruples, np.ascontiguousarray(whole.measurements[:, 0])
+        four, which = whole.quadruples, whole.measurements[:, 0].copy()
         given = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers
         rows, data = measured(*given, whole.n_inj, loaded, errors.noise, errors.model)
         if not len(data):
             raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
         if errors.contacts is not None and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
-            errors = replace(errors, contacts=np.ascontiguousarray(errors.contacts[:, np.unique(four[:, :2])]))
+            errors = replace(errors, contacts=errors.contacts[:, np.unique(four[:, :2])])
         return cls._beside(rows, data, errors, len(pairs))
 
     @classmethod
     def _beside(cls, rows: Rows, data: Floats, errors: Errors, pairs: int) -> tuple["Information", "Information"]:
         """Information of data (n_rows,); and the same with the model's error as noise."""
-        contacts = np.zeros((pairs, 0)) if errors.contacts is None else errors.contacts
+        contacts = np.zeros((pairs, 0)) if errors.contacts is None else np.ascontiguousarray(errors.contacts)
         parts = beside_errors(rows, data, contacts, errors.gain, errors.model)
         told, wary, white = (Misfit(*part, len(part[1])) for part in parts)
         return cls(told, white, len(data)), cls(wary, white, len(data))
