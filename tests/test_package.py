@@ -15,9 +15,11 @@ import venv
 import zipfile
 from email import message_from_bytes
 from email.message import Message
+from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -48,6 +50,14 @@ def test_every_package_exports_what_it_names() -> None:
                 assert hasattr(package, name), f"{module.name}.{name}"
 
 
+def packages() -> list[ModuleType]:
+    """The public packages."""
+    inner = [found.name for found in pkgutil.walk_packages(ohmskin.__path__, "ohmskin.") if found.ispkg]
+    found = [ohmskin, *(one for name in inner if hasattr(one := importlib.import_module(name), "__all__"))]
+    assert len(found) > 20
+    return found
+
+
 def documented_constants(package: ModuleType) -> set[str]:
     """Names of a package's modules with a text below their assignment, which the API reference takes."""
     found = set()
@@ -62,13 +72,8 @@ def documented_constants(package: ModuleType) -> set[str]:
 
 def test_every_public_name_has_what_the_reference_shows_of_it() -> None:
     """`make docs` takes the pages of the reference from `__all__`, and what they say from docstrings."""
-    packages = [ohmskin]
-    for found in pkgutil.walk_packages(ohmskin.__path__, "ohmskin."):
-        if found.ispkg and hasattr(package := importlib.import_module(found.name), "__all__"):
-            packages.append(package)
-    assert len(packages) > 20
     silent = []
-    for package in packages:
+    for package in packages():
         constants = documented_constants(package)
         for name in package.__all__:
             thing = getattr(package, name)
@@ -76,6 +81,34 @@ def test_every_public_name_has_what_the_reference_shows_of_it() -> None:
             if not (thing.__doc__ if described else name in constants):
                 silent.append(f"{package.__name__}.{name}")
     assert silent == []
+
+
+def words_of(thing: Any) -> str:
+    """What the documentation of a class or function says, with that of its bases and of what it refers to."""
+    said = " ".join(inspect.getdoc(one) or "" for one in getattr(thing, "__mro__", [thing]))
+    referred = re.findall(r"[Aa]s for `(\w+)`", said)
+    places = [sys.modules[thing.__module__], *packages()]
+    found = (next((getattr(place, name) for place in places if hasattr(place, name)), None) for name in referred)
+    return " ".join([said, *(words_of(other) for other in found if other)])
+
+
+def test_every_argument_of_a_public_class_or_function_is_described() -> None:
+    """Named, at least, in its documentation; methods are left to what their first lines say."""
+    silent, seen = [], 0
+    for package in packages():
+        for name in package.__all__:
+            thing = inspect.unwrap(getattr(getattr(package, name), "py_func", getattr(package, name)))
+            plain = inspect.isclass(thing) and not issubclass(thing, (Exception, Enum))
+            if inspect.isfunction(thing) or (plain and not getattr(thing, "_is_protocol", False)):
+                try:
+                    arguments = [one for one in inspect.signature(thing).parameters if not one.startswith("_")]
+                except ValueError:  # a type without a signature
+                    continue
+                seen += len(arguments)
+                known = set(re.findall(r"\w+", words_of(thing)))
+                silent += [f"{package.__name__}.{name}: {argument}" for argument in arguments if argument not in known]
+    assert sorted(set(silent)) == []
+    assert seen > 800
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,8 @@ from ohmskin.geometry import Disc
 from ohmskin.scan import DrivePattern, FrameFlag, adjacent
 from ohmskin.sensing import default_mode, modes
 from ohmskin.skin import Press, PressedSheet, Skin, VirtualSkin, shipped_skins
-from ohmskin.skin.description import ContactLayer, Converter, Excitation, Imaging, Sheet
+from ohmskin.skin.description import ContactLayer, Imaging, Sheet
+from ohmskin.skin.instrument import Converter, Excitation
 from ohmskin.skin.layout import ElectrodeLayout
 
 PAPER = Skin()

@@ -83,6 +83,9 @@ def fit_auxiliary(samples: Sequence[PressSample], rest: float, calibration: Cali
 def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
     """Fit mean strengths at each force by isotonic regression; `Calibration.force` joins the points by PCHIP.
 
+    Args:
+        samples: Known forces, with the strength that was found for each.
+
     Raises:
         DataError: If fewer than two forces were felt.
     """

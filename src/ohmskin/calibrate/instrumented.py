@@ -112,7 +112,11 @@ class ForceSampler:
 
 
 def read_table(path: Path, columns: Sequence[str]) -> Floats:
-    """Columns (n_rows, n_columns) of a .csv file with a header; what else is in it does not count.
+    """Columns (n_rows, n_columns) of a table with a header; other columns of it are ignored.
+
+    Args:
+        path: A .csv file.
+        columns: Names of the columns, in the order wanted.
 
     Raises:
         DataError: If it cannot be read, a column is missing, or a number is none.

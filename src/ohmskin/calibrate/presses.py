@@ -38,7 +38,12 @@ class PressStep:
 
 
 def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[PressStep, ...]:
-    """At each of some places spread over the sheet, the forces (N) upwards and downwards again.
+    """At each of some places spread over the sheet, the forces upwards and downwards again.
+
+    Args:
+        skin: The skin to press.
+        forces: Forces (N), two or more.
+        places: Number of places.
 
     Raises:
         SkinError: If there are fewer than two forces or no place, or a force is not positive.

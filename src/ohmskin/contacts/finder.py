@@ -97,6 +97,6 @@ class ContactFinder:
 
 
 def learn_threshold(peaks: ArrayLike, margin: float = 6.0) -> float:
-    """gamma_0 of eq. (6) from the highest value of each quiet image: their mean and `margin` standard deviations."""
+    """gamma_0 of eq. (6): mean and `margin` standard deviations of `peaks`, the highest value of each quiet image."""
     peaks = np.asarray(peaks, float)
     return float(peaks.mean() + margin * peaks.std())

@@ -64,6 +64,12 @@ def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) 
     """Label (n_elem,) each element above `threshold` with its peak, 0 the highest peak; -1 below the threshold.
 
     Two regions that meet become one unless the meeting point lies `dip` below both peaks (their persistence).
+
+    Args:
+        values: (n_elem,) image.
+        neighbours: (n_elem, n_facets) elements that share a facet with each, -1 where there is none.
+        threshold: What an element must exceed.
+        dip: Depth between two peaks from which on they are two.
     """
     above = np.flatnonzero(values > threshold)
     order = above[np.argsort(-values[above], kind="stable")][::-1].copy()

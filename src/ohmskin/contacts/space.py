@@ -12,7 +12,7 @@ from ohmskin.geometry import Chart
 
 
 def on_skin(contacts: Sequence[Contact], chart: Chart) -> tuple[Contact, ...]:
-    """Contacts of a map as they are on the skin: areas and radii are larger where the map's scale is."""
+    """`contacts` on a map (`chart`) as they are on the skin: areas and radii are larger where the map's scale is."""
     if chart.flat or not contacts:
         return tuple(contacts)
     scales = chart.scale([contact.position for contact in contacts]).tolist()
@@ -28,7 +28,7 @@ def on_skin(contacts: Sequence[Contact], chart: Chart) -> tuple[Contact, ...]:
 
 
 def in_frame(contacts: Sequence[Contact], chart: Chart, patch: Patch) -> list[ContactInFrame]:
-    """Contacts on the map of a patch's skin, in the patch's frame."""
+    """`contacts` on the map (`chart`) of a patch's skin, in the frame of the `patch`."""
     if not contacts:
         return []
     places = np.array([contact.position for contact in contacts])

@@ -245,7 +245,7 @@ class ReplayDevice(Device):
 
 
 def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
-    """The skin named, or the one in the recording, with the modes that were recorded.
+    """The `skin` named, or that of the recording which a `device` replays, with the modes that were recorded.
 
     Raises:
         SkinError: If it is not a valid description.

@@ -29,13 +29,23 @@ _REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameD
 
 @dataclass
 class Link:
-    """Counters of a connection since it was made."""
+    """Counters of a connection since it was made.
+
+    Args:
+        requests: Requests sent.
+        retries: Requests sent again.
+        dropped: Replies that no request waited for: duplicates and late ones.
+        damaged: Packets that failed framing or checksum.
+        resets: Times that the device had forgotten its patterns.
+        bytes_in: Bytes received.
+        bytes_out: Bytes sent.
+    """
 
     requests: int = 0
-    retries: int = 0  # requests sent again
-    dropped: int = 0  # replies that nobody waited for: duplicates and late ones
-    damaged: int = 0  # packets that failed framing or checksum
-    resets: int = 0  # times the device had forgotten its patterns
+    retries: int = 0
+    dropped: int = 0
+    damaged: int = 0
+    resets: int = 0
     bytes_in: int = 0
     bytes_out: int = 0
 

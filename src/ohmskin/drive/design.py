@@ -278,7 +278,11 @@ def _gains(rows: Floats, seen: Floats, wanted: Floats) -> tuple[Floats, Floats]:
 
 
 def greedy(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, repeats: bool = False) -> Choice:
-    """Choose `count` injections one by one, each the best after those before it; arguments as for `Search`.
+    """Choose injections one by one, each the best after those before it.
+
+    Args:
+        rows, covariance, goal, repeats: As for `Search`.
+        count: Number of injections.
 
     Raises:
         PatternError: If there are fewer injections than are to be chosen.
@@ -292,7 +296,7 @@ def greedy(rows: Floats, covariance: Floats, count: int, goal: Floats | None = N
 
 
 def exchange(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None) -> Ints:
-    """Choose `count` injections greedily, then exchange single ones as long as that helps; arguments as for `Search`.
+    """Choose `count` injections greedily, then exchange single ones as long as that helps; arguments as for `greedy`.
 
     Raises:
         PatternError: If there are fewer injections than are to be chosen.

@@ -37,7 +37,7 @@ _SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the 
 
 
 def arranged(domain: Domain, positions: Floats) -> Electrodes:
-    """Electrodes at positions (n, 2) in metres, numbered counterclockwise, those on the rim first.
+    """Electrodes on a `domain` at positions (n, 2) in metres, numbered counterclockwise, those on the rim first.
 
     On the rim, or on that of a hole, is what is within a micrometre of it; it is put there exactly. Those of holes
     count as inside: a base scan goes round the outer rim, of a sleeve round both ends.

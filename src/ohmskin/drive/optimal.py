@@ -83,6 +83,11 @@ class LocalDrive(SecondScan):
     apart than the diagonal of a cell of the layout, and of these short pairs the ones whose middle is closest to the
     region are driven. The injections and the electrodes measured are as many as in the paper's own scheme, for
     comparison.
+
+    Args:
+        electrodes: Those of the skin.
+        pairs: Number of pairs driven.
+        period: Width (m) of a closed band, after which it meets itself; 0 of other skins.
     """
 
     def __init__(self, electrodes: Electrodes, pairs: int = 16, period: float = 0.0) -> None:

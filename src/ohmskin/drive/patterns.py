@@ -58,7 +58,10 @@ def candidate_pattern(electrodes: Electrodes, period: float = 0.0) -> DrivePatte
 
 @lru_cache(maxsize=16)
 def candidate_pairs(electrodes: Electrodes, period: float = 0.0) -> Pairs:
-    """The pairs of electrodes behind all voltages of `candidate_pattern`, driven electrodes measured, too."""
+    """The pairs of electrodes behind all voltages of `candidate_pattern`, driven electrodes measured, too.
+
+    Arguments as for `base_pattern`.
+    """
     if not is_local(electrodes):
         return Pairs.all(len(electrodes))
     return pairs_measured(len(electrodes), [candidate_pattern(electrodes, period).with_driven.quadruples])
@@ -75,6 +78,10 @@ def base_pattern(electrodes: Electrodes, period: float = 0.0) -> DrivePattern:
 
     Of all sets of six it has, within a hundredth, the least position error over the paper's sheet (`best_fixed`). Where
     electrodes are many, near pairs all over the skin, half as many as electrodes, first those farthest from each other.
+
+    Args:
+        electrodes: Those of the skin.
+        period: Width (m) of a closed band, after which it meets itself; 0 of other skins.
     """
     if is_local(electrodes):
         return part_of(candidate_pattern(electrodes, period), _spread(electrodes, period))
@@ -119,7 +126,7 @@ def numbers_of(pattern: DrivePattern, injections: Ints) -> Ints:
 
 
 def part_of(complete: DrivePattern, chosen: Ints) -> DrivePattern:
-    """Those injections (count,) of a pattern, in that order; all its injections must have equally many measurements.
+    """The `chosen` injections (count,) of a `complete` pattern, in that order; all must have equally many measurements.
 
     The same ones give the same object again: what is known of a pattern is worked out once.
     """

@@ -108,7 +108,16 @@ def _merit(values: Floats, x: Floats, y: Floats, target: Target, pixel: float, i
 
 @dataclass(frozen=True)
 class EidorsMerit:
-    """What EIDORS' ``eval_GREIT_fig_merit`` returns: AR, PE, RES, SD, RNG, AR in q, in its own units."""
+    """What EIDORS' ``eval_GREIT_fig_merit`` returns, in its own units.
+
+    Args:
+        amplitude_response: AR.
+        position_error: PE.
+        resolution: RES.
+        shape_deformation: SD.
+        ringing: RNG.
+        region_amplitude_response: AR in q.
+    """
 
     amplitude_response: float
     position_error: float

@@ -72,5 +72,5 @@ def _box(u: Floats, v: Floats, left: float, right: float, low: float, high: floa
 
 
 def disc(x: float, y: float, radius: float, strength: float) -> Shape:
-    """A round contact at (x, y) in metres."""
+    """A round contact at (x, y) of a `radius` in metres, with a `strength` (relative change of conductivity, or Pa)."""
     return Shape("disc", (float(x), float(y)), float(radius), float(strength))

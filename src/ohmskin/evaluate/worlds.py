@@ -149,7 +149,14 @@ def noise_volts(world: str, decibels: float) -> float:
 
 
 def contact(world: str, x: float, y: float, radius: float | None = None, strength: float | None = None) -> Shape:
-    """The usual contact of a world at (x, y) in metres: see `CONTACT_RADIUS` and `CONTACT_STRENGTH`."""
+    """A contact of a world at (x, y) in metres.
+
+    Args:
+        world: One of `WORLDS`.
+        x, y: Its centre (m).
+        radius: Its radius (m); that of `CONTACT_RADIUS` unless given.
+        strength: Relative change of conductivity, or pressure (Pa) on the twin; of `CONTACT_STRENGTH` unless given.
+    """
     radius = CONTACT_RADIUS[world] if radius is None else radius
     return disc(x, y, radius, CONTACT_STRENGTH[world] if strength is None else strength)
 

@@ -30,6 +30,10 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
 def read_groups(path: str | Path, scale: float = 1.0) -> tuple[Mesh, dict[str, Ints]]:
     """A mesh as by `read_mesh`, and Gmsh's named physical groups of facets (n, dim), or of points (n,), by their nodes.
 
+    Args:
+        path: The file.
+        scale: Metres for a unit of length in the file.
+
     Raises:
         GeometryError: As `read_mesh`.
     """

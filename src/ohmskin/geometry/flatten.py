@@ -138,7 +138,7 @@ class MeshChart:
 
 
 def flat_patch(surface: Mesh) -> Mesh:
-    """A patch of triangles in space, flattened true to angles; its area is kept, its first rim free (m).
+    """A `surface` of triangles in space, flattened true to angles; its area is kept, its first rim free (m).
 
     Raises:
         GeometryError: If it would fold over.

@@ -83,6 +83,7 @@ def physical(estimator: GaussNewton, *differences: Difference, amplitudes: Array
     """The estimator's own amplitude: the expected change of a touch.
 
     The curve is the mean squared error to be expected of the modes, smallest there if noise and amplitude are right.
+    Arguments as for `choose`.
     """
     at = _Spectrum(estimator, differences, amplitudes)
     s, w = at.singular[None, :], at.weights[:, None]
@@ -92,14 +93,20 @@ def physical(estimator: GaussNewton, *differences: Difference, amplitudes: Array
 
 
 def cross_validation(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """Generalised cross-validation (Golub, Heath and Wahba 1979): error of prediction. Does not use the noise."""
+    """Generalised cross-validation (Golub, Heath and Wahba 1979): error of prediction. Does not use the noise.
+
+    Arguments as for `choose`.
+    """
     at = _Spectrum(estimator, differences, amplitudes)
     curve = at.n_data * at.residuals**2 / (at.n_data - at.filters.sum(axis=1)) ** 2
     return at.choice("cross-validation", curve, "squared error of predicting data left out (V2); smallest")
 
 
 def l_curve(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """The corner of the L-curve (Hansen 1992), log image norm over log residual. Does not use the noise."""
+    """The corner of the L-curve (Hansen 1992), log image norm over log residual. Does not use the noise.
+
+    Arguments as for `choose`.
+    """
     at = _Spectrum(estimator, differences, amplitudes)
     t = np.log(at.weights)
     x, y = np.log(at.residuals), np.log(at.norms)
@@ -115,7 +122,7 @@ def discrepancy(
 ) -> Choice:
     """The discrepancy principle (Morozov): the smoothest image that fits the data as well as their noise allows.
 
-    The residual may be `safety` times the noise.
+    The residual may be `safety` times the noise. Arguments as for `choose`.
 
     Raises:
         ModelError: If no amplitude fits the data so well: noise or model error is set too low.
@@ -133,7 +140,10 @@ def discrepancy(
 
 
 def evidence(estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """The amplitude that makes the data most probable (MacKay 1992): prior and noise white, both Gaussian."""
+    """The amplitude that makes the data most probable (MacKay 1992): prior and noise white, both Gaussian.
+
+    Arguments as for `choose`.
+    """
     at = _Spectrum(estimator, differences, amplitudes)
     share = (at.singular[None, :] * at.amplitudes[:, None] / at.noise) ** 2
     curve = ((at.data / at.noise) ** 2 / (1 + share) + np.log1p(share)).sum(axis=1) + at.rest / at.noise**2
@@ -146,6 +156,7 @@ def noise_figure(
     """The amplitude with a wanted noise figure (Adler and Guardo 1996; Adler et al. 2009), whatever the data's values.
 
     The noise figure, wanted to be `goal`, is the signal-to-noise ratio of the data over that of the image.
+    Arguments as for `choose`.
 
     Raises:
         ModelError: If no amplitude has this noise figure; the message says which can be had.
@@ -214,7 +225,13 @@ RULES: Registry[Callable[..., Choice]] = Registry(
 
 
 def choose(rule: str, estimator: GaussNewton, *differences: Difference, amplitudes: ArrayLike | None = None) -> Choice:
-    """The amplitude by the rule of that name, with the rule's usual settings.
+    """The amplitude by a rule, with the rule's usual settings.
+
+    Args:
+        rule: Its name in `RULES`.
+        estimator: The estimator whose amplitude is sought.
+        *differences: The data: one scan, or several fused.
+        amplitudes: (n,) amplitudes to try, five or more; a wide range unless given.
 
     Raises:
         ModelError: If there is no such rule; the message lists those there are.

@@ -167,7 +167,7 @@ Prior = Callable[[Mesh], "sp.csc_array | Penalty"]
 
 
 def paper_laplacian(mesh: Mesh) -> sp.csc_array:
-    """Eq. (5) of the paper: d + 1 = 3 on the diagonal, -1 for triangles that share an edge.
+    """Eq. (5) of the paper: d + 1 = 3 on the diagonal, -1 for triangles of a `mesh` that share an edge.
 
     Triangles at the rim have fewer neighbours but the same diagonal: definite, and the image is pulled to zero there.
     """
@@ -175,7 +175,7 @@ def paper_laplacian(mesh: Mesh) -> sp.csc_array:
 
 
 def graph_laplacian(mesh: Mesh) -> Penalty:
-    """Twice (degree - adjacency): what EIDORS calls ``prior_laplace``. Constant images cost nothing."""
+    """Twice (degree - adjacency) of a `mesh`: what EIDORS calls ``prior_laplace``. Constant images cost nothing."""
     degree = np.asarray(mesh.adjacency.sum(axis=1)).ravel()
     laplacian = sp.csc_array(2 * (sp.diags_array(degree) - mesh.adjacency))
     return Penalty(laplacian, free_mean=True, places=mesh.centroids)

@@ -203,7 +203,7 @@ class Tape(Closing):
 
 
 def is_tape(path: Path) -> bool:
-    """Whether a file begins as an MCAP file does."""
+    """Whether the file at a `path` begins as an MCAP file does."""
     try:
         if path.is_fifo():
             return False

@@ -66,7 +66,7 @@ def draw_error_map(axes: Axes, shown: ErrorMap, limits: tuple[float, float] | No
 
 
 def save_error_maps(path: str | Path, maps: Sequence[ErrorMap]) -> None:
-    """Save maps side by side, in the same colours, as a picture; the file's ending chooses the format.
+    """Save maps side by side, in the same colours, as a picture at `path`, whose ending chooses the format.
 
     Raises:
         DataError: If the file cannot be written.

@@ -79,7 +79,13 @@ def draw_mesh(
 
 
 def draw_current(axes: Axes, model: TransferModel, source: int, sink: int, current: float = 1e-3) -> ScalarMappable:
-    """Draw the potential on a flat sheet and the lines along which a current (A) flows from one electrode to another.
+    """Draw the potential on a flat sheet and the lines along which current flows.
+
+    Args:
+        axes: Where to draw.
+        model: The sheet.
+        source, sink: The electrodes between which it flows.
+        current: Current (A).
 
     Returns:
         What a colour bar of the potential (V) can be made of.

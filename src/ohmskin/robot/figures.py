@@ -85,6 +85,11 @@ def summary(
     """Figures of a run, for JSON: how many pokes were felt, position errors (m), reaction times (s), forces (N).
 
     What there is not, such as the reaction to a poke that was not felt, is None.
+
+    Args:
+        encounters: The pokes.
+        touches: Touches of the robot by itself.
+        hugs: Presses on several skins at once.
     """
     errors = np.concatenate([np.zeros(0), *(e.errors for e in encounters)])
     reactions = np.array([e.reaction for e in encounters])

@@ -115,7 +115,7 @@ def all_pairs(n_elec: int) -> Ints:
 
 
 def pair_index(a: ArrayLike, b: ArrayLike, n_elec: int) -> Ints:
-    """The number of each pair {a, b}, a != b, among all pairs."""
+    """The number of each pair {a, b}, a != b, among all pairs of `n_elec` electrodes."""
     a, b = np.asarray(a), np.asarray(b)
     i, j = np.minimum(a, b), np.maximum(a, b)
     index: Ints = i * n_elec - i * (i + 1) // 2 + j - i - 1
@@ -133,7 +133,10 @@ def pair_numbers(n_elec: int) -> Ints:
 
 
 def two_terminal(form: Floats, pairs: Pairs | None = None) -> Floats:
-    """F_ij = s_ii + s_jj - s_ij - s_ji (n_pairs,) of a bilinear form s (n_elec, n_elec), as transfer resistances."""
+    """F_ij = s_ii + s_jj - s_ij - s_ji (n_pairs,) of a bilinear form s (n_elec, n_elec), as transfer resistances.
+
+    Of all `pairs` unless some are given.
+    """
     i, j = (all_pairs(len(form)) if pairs is None else pairs.ends).T
     own = np.diag(form)
     found: Floats = own[i] + own[j] - form[i, j] - form[j, i]

@@ -77,12 +77,12 @@ def modes(skin: Skin) -> dict[str, Mode]:
 
 
 def default_mode(skin: Skin) -> str:
-    """The name of the mode that a loop starts in unless one is given."""
+    """The name of the mode that the loop of a `skin` starts in unless one is given."""
     return _filled(DEFAULT, skin)
 
 
 def recorded_mode(skin: Skin, fitted: bool = False) -> Mode:
-    """What reads recordings with a pattern of their own: contacts fitted if asked for, or as was learned."""
+    """What reads recordings of a `skin` with their own pattern: contacts `fitted` if asked for, or as was learned."""
     if fitted:
         return replace(RECORDED, reader="fit")
     return replace(RECORDED, reader="learned") if skin.calibration.position_map else RECORDED

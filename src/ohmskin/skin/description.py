@@ -1,6 +1,6 @@
 """The description of one skin: what it is made of, how it is driven and measured, how its images are made.
 
-It is a short TOML file with one table per dataclass below; every key may be left out where it has a default. Skins that
+It is a short TOML file with one table per field of `Skin`; every key may be left out where it has a default. Skins that
 ship with ohmskin are named without a path: ``paper``, ``paper-rim16``, ``sleeve``, ``dome``, ``tank``, ``uef2017`` and
 ``ktc2023``.
 """
@@ -24,7 +24,8 @@ from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, 
 from ohmskin.scan import Cost, Pairs
 from ohmskin.skin.auxiliary import Auxiliary
 from ohmskin.skin.calibration import Calibration
-from ohmskin.skin.checks import check_expense, check_names, check_table, choice, number, read_text, read_toml
+from ohmskin.skin.checks import check_expense, check_names, check_table, number, read_text, read_toml
+from ohmskin.skin.instrument import Converter, Excitation
 from ohmskin.skin.layer import ContactLayer
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.mode import Mode, modes_of
@@ -32,35 +33,11 @@ from ohmskin.skin.sheet import Sheet
 
 _LIBRARY, _EXTENSION = Path(__file__).with_name("library"), ".toml"
 _UNCALIBRATED, _LAYOUT, _SHEET, _LAYER = Calibration(), ElectrodeLayout(), Sheet(), ContactLayer()
-_AUXILIARY = Auxiliary()
+_AUXILIARY, _EXCITATION, _CONVERTER = Auxiliary(), Excitation(), Converter()
 _LARGEST_FILE = 2**20
 _CHANGE, _LEAST_CONTACT = 0.2, 0.01  # share by which contact impedances change; of the sheet's resistance, the least
 _CLOSEST = 0.02  # share of the edges of a mesh that its nodes are apart at an electrode
 _FORMER = {"bipolar": "falls"}  # entries by the names that files written before 0.2 have, and digests keep
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """The source that drives a pair of electrodes, and the multiplexers in its path."""
-
-    source: str = choice("voltage", "voltage", "current")
-    amplitude: float = number(5.0, 1e-9, 1e3, "V or A")
-    resistance: float = number(50.0, 0, 1e9, "ohm")
-    multiplexer_resistance: float = number(100.0, 0, 1e6, "ohm")
-    current_limit: float = number(20e-3, 1e-9, 1e3, "A")
-
-
-@dataclass(frozen=True)
-class Converter:
-    """What digitises the voltages, all channels of an injection at once."""
-
-    noise: float = number(0.2e-3, 0, 1e3, "V")
-    bits: int = number(16, 4, 32)
-    full_scale: float = number(5.0, 1e-9, 1e4, "V")
-    shunt: float = number(100.0, 1e-6, 1e9, "ohm")
-    settle: float = number(100e-6, 0, 10, "s")
-    conversion: float = number(20e-6, 0, 10, "s")
-    time_constant: float = number(8e-6, 0, 10, "s")
 
 
 @dataclass(frozen=True)
@@ -84,14 +61,27 @@ class Imaging:
 
 @dataclass(frozen=True)
 class Skin:
-    """One skin. Every table has the defaults of the paper's sensor."""
+    """One skin. Every table has the defaults of the paper's sensor.
+
+    Args:
+        name: Its name, in recordings and on the page.
+        sheet: The conductive sheet: its shape and size (m), and its conductivity (S).
+        electrode: Places, shape and contact impedance of the electrodes.
+        contact_layer: The patches and foam on the sheet.
+        excitation: The source that drives a pair of electrodes, and the resistances (ohm) in its path.
+        converter: What digitises the voltages: noise, full scale (V), bits, times (s).
+        auxiliary: The channel beside the electrodes, if there is one.
+        imaging: How images and contacts are made of the measurements.
+        calibration: What `ohmskin calibrate` found; it holds for this sheet, these electrodes and imaging.
+        modes: Modes of its own, beside those of `MODES`.
+    """
 
     name: str = "paper"
     sheet: Sheet = _SHEET
     electrode: ElectrodeLayout = _LAYOUT
     contact_layer: ContactLayer = _LAYER
-    excitation: Excitation = Excitation()
-    converter: Converter = Converter()
+    excitation: Excitation = _EXCITATION
+    converter: Converter = _CONVERTER
     auxiliary: Auxiliary = _AUXILIARY
     imaging: Imaging = Imaging()
     calibration: Calibration = _UNCALIBRATED

@@ -19,7 +19,8 @@ class ContactLayer:
     There are `columns` x `rows` of them or, where these are 0, as many as leave gaps of a tenth. The conductance per
     area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has a memory: when a
     press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting press what acts
-    grows by `creep`, all but 1/e of it in `creep_time`.
+    grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure
+    falls to 0 within `foam_spread`.
     """
 
     columns: int = number(0, 0, 256)

@@ -21,7 +21,12 @@ class Track:
 
 @dataclass(frozen=True)
 class Tracks:
-    """The state of a tracker. Start with ``Tracks()``."""
+    """The state of a tracker. Start with ``Tracks()``.
+
+    Args:
+        tracks: The contacts that it follows.
+        next_id: The id of the next new contact.
+    """
 
     tracks: tuple[Track, ...] = ()
     next_id: int = 1

@@ -46,6 +46,9 @@ class Discrimination(Bench):
     """Two contacts at falling distances in one area, and single contacts there for the rate of false twos.
 
     Args:
+        seeds: Number of noise seeds.
+        area: The area, one of `Area`.
+        methods: Which methods.
         distances: Between the two contacts (m).
         fitted: Whether one and two contacts are fitted, too, or only the dip is looked for.
     """

@@ -14,7 +14,13 @@ CENTRE = 0.1  # metres; the middle of the sheet, the best guess for a place when
 
 @dataclass(frozen=True)
 class Localisation(Bench):
-    """Single contacts on a lattice of side x side places over the sheet, in steps of its width over side + 1."""
+    """Single contacts on a lattice over the sheet.
+
+    Args:
+        seeds: Number of noise seeds.
+        side: Places along one side, in steps of the sheet's width over `side` + 1.
+        methods: Which methods.
+    """
 
     seeds: int
     side: int = 9
@@ -32,7 +38,13 @@ class Localisation(Bench):
 class MatchedLocalisation:
     """`Localisation` at the noise level at which one method's mean error has a given value.
 
-    The level is found by that method alone, in steps of `step` dB: the one at which its mean error comes closest.
+    The level is found by that method alone: the one at which its mean error comes closest.
+
+    Args:
+        world, amplitude, seeds, side, methods, assumption: As for `Localisation`.
+        error: The mean error (m).
+        by: The method.
+        step: Steps of the level (dB).
     """
 
     world: str
@@ -72,6 +84,10 @@ def places(side: int, width: float = 0.2) -> Floats:
 
 def errors(result: Result, name: str = "estimate") -> Floats:
     """Distances (..., n_places) between an estimate (..., n_places, 2) and the truth in metres.
+
+    Args:
+        result: Results of an experiment, with ``truth``.
+        name: The name of the estimate.
 
     Where nothing was found there is no estimate; the sheet's centre is taken, the best guess without data.
     """

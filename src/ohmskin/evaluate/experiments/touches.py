@@ -64,7 +64,13 @@ def matched_error(found: Sequence[Contact], contacts: Contacts) -> float:
 
 @dataclass(frozen=True)
 class Sections(Bench):
-    """Horizontal cross-sections through the centre of one contact, for each method and seed (figure 5)."""
+    """Horizontal cross-sections through the centre of one contact, for each method and seed (figure 5).
+
+    Args:
+        seeds: Number of noise seeds.
+        contact: The contact.
+        methods: Which methods.
+    """
 
     seeds: int
     contact: Shape
@@ -104,7 +110,13 @@ def peak_and_width(x: Floats, profile: Floats) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Merits(Bench):
-    """Figures of merit of one contact, for each method and seed (Table I)."""
+    """Figures of merit of one contact, for each method and seed (Table I).
+
+    Args:
+        seeds: Number of noise seeds.
+        contact: The contact.
+        methods: Which methods.
+    """
 
     seeds: int
     contact: Shape
@@ -139,7 +151,15 @@ class Merits(Bench):
 
 @dataclass(frozen=True)
 class PressedShapes:
-    """Images of one contact each of several shapes, pressed on the contact-layer twin (figure 6)."""
+    """Images of one contact each of several shapes, pressed on the contact-layer twin (figure 6).
+
+    Args:
+        decibels: Noise level (dB, see `worlds`).
+        amplitude: Prior amplitude s (relative conductivity change).
+        seeds: Number of noise seeds.
+        contacts: The shapes.
+        methods: Which methods.
+    """
 
     decibels: float
     amplitude: float

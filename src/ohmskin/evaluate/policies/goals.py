@@ -27,7 +27,7 @@ Done = Outcome[Settings]
 
 
 def assess(done: Done) -> list[Goal]:
-    """The goals that the results at hand can decide."""
+    """The goals that the results of what is `done` can decide."""
     goals = {
         "static": _static,
         "driven": _driven,
@@ -43,7 +43,7 @@ def assess(done: Done) -> list[Goal]:
 
 
 def static_errors(result: Result) -> Floats:
-    """Mean error over the places (n_schemes, n_readers, n_seeds) in metres."""
+    """Mean error in a `result` over the places (n_schemes, n_readers, n_seeds) in metres."""
     return np.asarray(errors(result).mean(axis=-1))
 
 

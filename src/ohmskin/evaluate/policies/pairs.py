@@ -82,6 +82,7 @@ class PairLimits:
     Args:
         decibels, distances, where, strength: As for `Pairs`.
         schemes: Whose injections, chosen without noise.
+        count: Number of injections of the best set of all.
     """
 
     decibels: float

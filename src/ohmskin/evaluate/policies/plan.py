@@ -135,7 +135,11 @@ class Settings:
 
 
 def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
-    """The experiments of each section by name; of all sections unless some are named.
+    """The experiments of each section by name.
+
+    Args:
+        settings: Seeds, noise levels and counts.
+        only: Names of sections; all of `SECTIONS` unless given.
 
     Raises:
         OhmskinError: If a section is unknown.

@@ -82,8 +82,8 @@ class Moving:
 
 
 def moving_errors(result: Result) -> tuple[Floats, Floats]:
-    """Mean errors over a path but its start (m): by frames (n_schemes, n_readers, n_seeds), tracked (n_trackers,
-    n_seeds)."""
+    """Mean errors in a `result` over a path but its start (m): by frames (n_schemes, n_readers, n_seeds), and tracked
+    (n_trackers, n_seeds)."""
     framewise, tracked = (errors(result, name)[..., SETTLE:].mean(axis=-1) for name in ("framewise", "tracked"))
     return framewise, tracked
 
