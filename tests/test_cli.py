@@ -243,12 +243,20 @@ def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(mo
     outer = SystemError("returned a result with an exception set")
     outer.__cause__ = inner
     raised = iter([outer, SystemError("of another cause")])
-    monkeypatch.setattr("ohmskin.cli._check_command", lambda _: (_ for _ in ()).throw(next(raised)))
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 130
-    with pytest.raises(SystemError, match="of another cause"):
-        main()
+
+    def compute() -> None:
+        raise next(raised)
+
+    app.command(compute)
+    monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
+    try:
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 130
+        with pytest.raises(SystemError, match="of another cause"):
+            main()
+    finally:
+        del app["compute"]
 
 
 def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:

@@ -95,9 +95,7 @@ class FaultDetector:
                 causes.add(remedy.cause)
                 repaired = _repaired(looked, remedy)
                 cleaned = cleaned if remedy.cause.electrodes else repaired[: len(scans)]
-        elif (
-            self._redundant and Cause("offset") in before.lately
-        ):  # hum passes through nothing twice a period, where it is not doubted
+        elif self._redundant and Cause("offset") in before.lately:  # hum is nothing twice a period: not doubted then
             data, kept, _ = self._data(looked, before.bad)
             remedy = without_offset(data, kept, self._times(looked))
             cleaned = cleaned if remedy is None else _repaired(scans, remedy)

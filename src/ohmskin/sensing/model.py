@@ -22,10 +22,8 @@ _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and 
 _FINER = 0.8  # edges of the mesh over the estimator's: those resolve a press near the rim to 1.5 %, these to 0.5 %
 _FLOWING = 10.0  # times the quiet skin's current, beyond which, or below whose inverse, a current cannot be
 
-_BY_CHANCE, _UNLIKE = (
-    3,
-    20.0,
-)  # largest values that may be the same; noises by which those of the quiet skin must differ
+_BY_CHANCE = 3  # largest values that may be the same
+_UNLIKE = 20.0  # noises by which those of the quiet skin must differ
 
 
 class SkinModel:

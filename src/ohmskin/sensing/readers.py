@@ -22,16 +22,12 @@ from ohmskin.sensing.doubt import doubted, image_trust, trust
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
-_FOLLOWED = (
-    2.0  # s in which a change of contact impedances, or of anything that no contact explains, is followed to 1/e
-)
+_FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
 _LEARNED = 0.1  # s between frames that tell of the latter
 _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
 _DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
-_SURE, _LITTLE = (
-    2.0,
-    10.0,
-)  # if that is surely more than noise (deviations), and all is little (squared size over noise)
+_SURE = 2.0  # if that is surely more than noise (deviations),
+_LITTLE = 10.0  # and all is little (squared size over noise)
 
 
 @dataclass(frozen=True, eq=False)

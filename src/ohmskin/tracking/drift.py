@@ -37,9 +37,7 @@ def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: f
     """The state with part of its newest frame's residual, as much as belongs to a time (s), taken for drift."""
     newest = state.history[0]
     share, left = elapsed / (elapsed + _time(state, motion)), newest.residual
-    if (
-        state.tracks
-    ):  # what might be a contact's is left to it; what the model gets wrong of a strong one is not learned
+    if state.tracks:  # what might be a contact's is left to it; errors of the model of a strong one are not learned
         left = left.beside(fitter.responses(state.params)[1])
         share /= 1 + fitter.model_error**2 * newest.energy / left.count
     return changed(state, drift=state.drift + share * left.drift())
