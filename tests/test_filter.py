@@ -516,6 +516,37 @@ def test_of_two_contacts_taken_for_one_the_older_name_stays() -> None:
         assert kept.id == 3
 
 
+def test_two_that_were_fitted_in_vain_are_fitted_again_where_they_promise_more_and_every_fourth_turn() -> None:
+    for seed in range(4):
+        rig = Rig("discs", 50, seed)
+        state = rig.run(8, press("discs", PLACES[seed]))
+
+        def look(refuted: float, turn: int, rig: Rig = rig, state: TrackState = state) -> float:
+            """What is refuted after a look; -1 where nothing was fitted."""
+            given = replace(state, tracks=(replace(state.tracks[0], refuted=refuted),))
+            after = with_revision(given, rig.filter.fitter, rig.filter.split_bar, 0.1, turn)
+            return -1.0 if after is given else after.tracks[0].refuted
+
+        promise = look(0.0, 1)
+        assert promise > 0
+        assert [look(share * promise, 1) for share in (0.49, 0.51, 1.0, 2.0)] == [promise, -1.0, -1.0, -1.0]
+        assert [look(promise, turn) for turn in (2, 3, 4, 5)] == [-1.0, -1.0, promise, -1.0]
+
+
+def test_what_a_search_found_nothing_about_is_searched_again_only_if_there_is_more_of_it() -> None:
+    """Data that err a quarter more than the fit is told leave a residual that calls for a search, in vain."""
+    judge = fitter("discs", 50)
+    for seed, place in enumerate(PLACES):
+        told, wary = judge.information(Rig("discs", 48, seed).measure(COMPLETE, press("discs", place)))
+        fresh = judge.explained(told, wary)
+        assert judge.followed(told, wary, fresh) is None
+        searched = judge.explained(told, wary, before=fresh)
+        assert searched.doubts is not None
+        assert searched.doubts.max() > 1
+        assert (judge.followed(told, wary, searched) or (None, False))[1]
+        assert judge.followed(told, wary, replace(searched, doubts=0.8 * searched.doubts)) is None
+
+
 def test_the_rate_of_false_alarms_is_shared_by_the_windows_in_which_contacts_are_looked_for() -> None:
     judge = fitter("discs", 50)
     assert 7 * norm.sf(birth_threshold(judge)) == pytest.approx(norm.sf(judge.bar), rel=1e-9)
