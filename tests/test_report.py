@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser
 
 from ohmskin.bench import Figure
 from ohmskin.bench.report import write_report
 from ohmskin.plot import colours
+from ohmskin.plot.report import Section, Table
+from ohmskin.plot.report import write_report as write_page
 
 SCRIPT = Path(colours.__file__).parents[1] / "view" / "static" / "colour.js"
 
@@ -25,6 +28,24 @@ def test_the_benchmark_is_written_as_a_page_and_as_markdown(tmp_path: Path) -> N
     assert "| time & space | 2 s | 1.5 to 2.5 | at most 1 | **short** |" in text
     assert "0 targets met, 1 short, 0 not run; --quick" in page
     assert "0 targets met, 1 short, 0 not run; --quick" in text
+
+
+def test_sentences_in_tables_take_several_lines_and_leave_room_for_verdicts(tmp_path: Path, chromium: Browser) -> None:
+    goal, note = (
+        "Error of 16P over that of the best set of 28 (discs, 40 dB, driven electrodes measured), " * 2,
+        "n " * 70,
+    )
+    rows = [(goal, "≤ 1.00", "0.81 (0.69 to 0.96)", "met", note)]
+    table = Table(("goal", "asked", "measured (95 %)", "verdict", "note"), rows)
+    path = write_page([Section("Goals", [table], "#")], tmp_path / "report.html")
+    page = chromium.new_page(viewport={"width": 1024, "height": 700})
+    page.goto(path.as_uri())
+    wide, box = page.locator(".wide"), page.locator(".chip").bounding_box()
+    assert box is not None
+    assert box["x"] + box["width"] < 1024
+    assert wide.evaluate("(it) => it.scrollWidth <= it.clientWidth")
+    assert "best set of 28 (discs" in page.locator("td").first.inner_text()
+    page.close()
 
 
 @pytest.mark.parametrize(

@@ -232,6 +232,8 @@ TABLE = (
     Row("test_screens.py::test_states*", "browser", (CHROMIUM,)),
     Row("test_body_page.py::test_a_finger_on_the_page*", "browser", (CHROMIUM,)),
     Row("test_body_page.py::test_everyone*", "browser", (CHROMIUM,)),
+    Row("test_body_page.py::test_maps_and_their*", "browser", (CHROMIUM,)),
+    Row("test_report.py::test_sentences*", "browser", (CHROMIUM,)),
     Row("test_body_page.py::test_the_benchmark*", "browser", (CHROMIUM,)),
     Row("test_body_page.py::test_clicking_the_skin*", "browser", (CHROMIUM,)),
     Row("test_electrodes_page.py::test_clicks*", "browser", (CHROMIUM,)),

@@ -16,6 +16,7 @@ _CLASS = {
     **dict.fromkeys(("undecided", "not run"), "open"),
     **dict.fromkeys(("not confirmed", "missed", "short"), "no"),
 }
+_PROSE = 40  # characters from which on a cell is a sentence, which may take several lines
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,9 @@ def _html_section(section: Section) -> str:
 
 def _html(block: Block) -> str:
     if isinstance(block, Table):
-        kind, cell = ("numbers", _number) if block.numbers else ("claims", _lines)
+        kind = "numbers" if block.numbers else "claims"
         head = "".join(f"<th>{escape(text)}</th>" if text else "<td></td>" for text in block.head)
-        rows = "".join(f"<tr>{''.join(f'<td>{cell(text)}</td>' for text in row)}</tr>" for row in block.rows)
+        rows = "".join(f"<tr>{''.join(_cell(text, block.numbers) for text in row)}</tr>" for row in block.rows)
         table = f"<table class='{kind}'><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
         label = escape(f"Table: {', '.join(filter(None, block.head))}", quote=True)
         return f"<div class='wide' tabindex='0' role='group' aria-label='{label}'>{table}</div>"  # keys scroll it
@@ -116,6 +117,12 @@ def _html(block: Block) -> str:
     if text.startswith("### "):
         return f"<h3>{text[4:]}</h3>"
     return f"<blockquote>{text[5:]}</blockquote>" if text.startswith("&gt; ") else f"<p>{text}</p>"
+
+
+def _cell(text: str, numbers: bool) -> str:
+    if len(text) > _PROSE:
+        return f"<td class='prose'>{_lines(text)}</td>"
+    return f"<td>{_number(text) if numbers else _lines(text)}</td>"
 
 
 def _number(text: str) -> str:
