@@ -449,7 +449,7 @@ def test_the_report_has_every_section_picture_and_goal(report: Path) -> None:
         "New contacts",
         "When adaptive drive gains",
         "The lightest touch",
-        "What goes wrong",
+        "Faults and interference",
         "What choosing costs",
     ):
         assert f"## {heading}" in text

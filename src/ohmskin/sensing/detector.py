@@ -158,7 +158,7 @@ class FaultDetector:
         return self._last[2]
 
     def _remedy(self, before: Diagnosis, scans: Sequence[Difference], newest: int) -> tuple[Remedy | None, float]:
-        """What makes scans agree, unless it was looked for in vain a moment ago; and by how much they do not (V)."""
+        """What makes scans agree, unless a search has just failed; and by how much they differ (V)."""
         data, kept, whole = self._data(scans, before.bad)
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise

@@ -17,7 +17,7 @@ from ohmskin.tracking.state import STATE, TrackState
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
 _RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
-_MORE = 2.0  # times what two promised in vain, from which on they are fitted again,
+_MORE = 2.0  # times the gain expected of two when they last failed, from which on they are fitted again,
 _ANYWAY = 4  # and turns after which they are
 _HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again, and a faint one is none
 
@@ -121,7 +121,7 @@ def _placed(rested: "_Rested", speed: float, k: int) -> TrackState | None:
 def _split(rested: "_Rested", bar: float, speed: float, k: int, anyway: bool) -> TrackState:
     """The state with one contact as two, if these explain the last frames better; the closer one keeps the name.
 
-    Two that were fitted in vain are fitted again once they promise more, or `anyway`.
+    Two that were fitted without success are fitted again once a larger gain is expected, or `anyway`.
     """
     state, fitter = rested.state, rested.fitter
     told, data, error = rested.less_all_but([k])

@@ -23,7 +23,7 @@ class Track:
         peak: Its largest effect so far (m2).
         since: When it came (s).
         lifted: Since when it is lifted (s); zero while it presses.
-        refuted: Gain that two in its place promised when they were last fitted in vain (1).
+        refuted: Gain expected of two in its place when they were last fitted without success (1).
     """
 
     id: int

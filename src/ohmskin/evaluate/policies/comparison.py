@@ -289,7 +289,7 @@ SECTIONS = {
     "sensitivity": ("The lightest touch", doubt.sensitivity_tables),
     "detection": ("New contacts", _detection),
     "quiet": ("Nothing there", lambda done: []),
-    "trouble": ("What goes wrong", doubt.trouble_tables),
+    "trouble": ("Faults and interference", doubt.trouble_tables),
     "robust": ("With a flawed model, or a worn skin", _robust),
     "cost": ("What choosing costs", _cost),
 }

@@ -24,7 +24,7 @@ ROUNDS = "rotating/4", "rotating best/4"
 _COLOURS = {"discs": "#0072b2", "pressed": "#d55e00"}
 
 
-# --- what goes wrong --------------------------------------------------------------------------------------------------
+# --- faults and interference ------------------------------------------------------------------------------------------
 
 
 def troubles(done: Outcome[Any]) -> dict[tuple[str, str], Result]:
@@ -53,7 +53,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
         if wire:
             well = _exactly(result["well"] <= SOON)
             yield Goal(
-                "trouble", f"Well again within {SOON:g} s of the mend in {mode}: {trouble}", 1.0, False, well, "%", data
+                "trouble", f"Recovered within {SOON:g} s of its end in {mode}: {trouble}", 1.0, False, well, "%", data
             )
             ours, theirs = (np.nan_to_num(result[name].ravel(), posinf=np.inf) for name in ("away", "sound"))
             ratio = median(ours / theirs)
@@ -63,7 +63,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             yield Goal("trouble", text, 1.5, True, ratio, "ratio", data, note)
         if wire or trouble == NONE:
             gone = _exactly(result["gone"] <= GONE)
-            after = " after a fault that was mended" if wire else ""
+            after = " after a fault that ended" if wire else ""
             yield Goal(
                 "trouble", f"Nothing is left {GONE} frames after a slide in {mode}{after}", 1.0, False, gone, "%", data
             )
@@ -108,12 +108,12 @@ def trouble_tables(done: Outcome[Any]) -> list[Block]:
     ]  # fmt: skip
     text = (
         "The loop itself (`Engine`) on the paper's virtual skin with its own instrument, calibrated as a user's is. "
-        "Something goes wrong while nothing touches, then presses of 8 mm and 20 kPa are made, then it is "
-        "mended. *False*: most quiet frames with a contact in any case; *reported*: the longest time until that; "
-        "*well*: the longest time from the mend until no electrode is left out. Errors of presses are medians in mm; "
-        "one counts as lost unless each of its frames shows exactly one contact."
+        "A fault begins while nothing touches the skin, presses of 8 mm and 20 kPa are made, and the fault ends. "
+        "*False*: most quiet frames with a contact in any case; *reported*: the longest time until it is reported; "
+        "*recovered*: the longest time from its end until no electrode is left out. Errors of presses are "
+        "medians in mm; one counts as lost unless each of its frames shows exactly one contact."
     )
-    head = ("mode", "what goes wrong", "false", "reported / s", "well / s", "before", "meanwhile", "after it")
+    head = ("mode", "fault", "false", "reported / s", "recovered / s", "before", "during", "after")
     drift = (
         "*Drift*: each two-terminal resistance drifts by itself for a minute; a finger comes after half of it, rests, "
         "and leaves at its end. Frames with more contacts than fingers, or fewer, and mean errors in mm, without the "

@@ -1,4 +1,4 @@
-"""What goes wrong while the loop runs - loose wires, interference, drift - and what the loop makes of it.
+"""Faults while the loop runs - loose wires, interference, drift - and what the loop reports meanwhile.
 
 The product's own loop (`ohmskin.engine.Engine`) on the paper's virtual skin with its own instrument, calibrated as a
 user's is.
