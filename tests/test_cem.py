@@ -84,7 +84,7 @@ def random_pattern(seed: int, driven: np.ndarray, n_meas: int = 20) -> DrivePatt
     )
 
 
-AREAS = np.flatnonzero(mixed().electrodes.are_areas)
+AREAS = np.r_[:10, 12:16]  # of `mixed`, those that are no points
 
 
 # --- analytic solutions -----------------------------------------------------------------------------------------------

@@ -6,12 +6,14 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from live_process import serving
 
+from ohmskin.arrays import Floats
 from ohmskin.device import Capabilities, Device, Feature, Press, connect, drivers
 from ohmskin.device.conformance import Check, check_device
 from ohmskin.device.daq import MuxDaqDevice
@@ -25,7 +27,6 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 import mux_and_daq
 
 SKIN = Skin.load("paper")
-SHEET = VirtualSkin(SKIN, 1).sheet.untouched
 ABLE = Capabilities(
     "fake",
     16,
@@ -39,6 +40,12 @@ ABLE = Capabilities(
 )
 
 
+@cache
+def sheet() -> Floats:
+    """Transfer resistances of the paper's skin."""
+    return VirtualSkin(SKIN, 1).sheet.untouched
+
+
 class Fake(Device):
     """A real skin as it should be. Broken ones change what it answers."""
 
@@ -49,7 +56,8 @@ class Fake(Device):
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         a, b, c, d = pattern.quadruples.T
         currents = np.full(pattern.n_inj, 2e-3)
-        ohms = SHEET[a, c] - SHEET[a, d] - SHEET[b, c] + SHEET[b, d]
+        r = sheet()
+        ohms = r[a, c] - r[a, d] - r[b, c] + r[b, d]
         volts = ohms * 2e-3 + self.random.normal(0, 1e-4, pattern.n_meas)
         self.count += 1
         over = np.abs(volts) > 5.0
@@ -125,7 +133,7 @@ def test_the_example_of_multiplexers_and_a_card_passes_and_measures_the_sheet() 
     pattern = adjacent(SKIN.electrodes.rings)
     frame = device.scan(pattern)
     a, b, c, d = pattern.quadruples.T
-    ohms = SHEET[a, c] - SHEET[a, d] - SHEET[b, c] + SHEET[b, d]
+    ohms = sheet()[a, c] - sheet()[a, d] - sheet()[b, c] + sheet()[b, d]
     volts = ohms * frame.currents[pattern.measurements[:, 0]]
     assert np.sqrt(np.mean((frame.voltages - volts) ** 2)) < 0.5e-3
     assert passes(device)["presses on a real skin are refused"] == "passed"

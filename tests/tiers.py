@@ -9,6 +9,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -330,7 +331,12 @@ APART = ("test_documentation.py::test_commands_of_guides*[[]robot",)  # minutes 
 
 def rows(path: str, name: str) -> list[Row]:
     """The rows of the table that speak of a test: its file's name, and its own name with parameters."""
-    return [row for row in TABLE if path == row.tests or fnmatch(f"{path}::{name}", row.tests)]
+    return [row for row in _of_file(path) if path == row.tests or fnmatch(f"{path}::{name}", row.tests)]
+
+
+@cache
+def _of_file(path: str) -> list[Row]:
+    return [row for row in TABLE if row.tests.partition("::")[0] == path]
 
 
 def group(path: str, name: str) -> str:
