@@ -37,9 +37,10 @@ def test_sentences_in_tables_take_several_lines_and_leave_room_for_verdicts(tmp_
     )
     rows = [(goal, "≤ 1.00", "0.81 (0.69 to 0.96)", "met", note)]
     table = Table(("goal", "asked", "measured (95 %)", "verdict", "note"), rows)
-    path = write_page([Section("Goals", [table], "#")], tmp_path / "report.html")
+    path = write_page([Section("Goals of `16P` & best", [table], "#")], tmp_path / "report.html")
     page = chromium.new_page(viewport={"width": 1024, "height": 700})
     page.goto(path.as_uri())
+    assert page.locator("h1 code").inner_text() == "16P"
     wide, box = page.locator(".wide"), page.locator(".chip").bounding_box()
     assert box is not None
     assert box["x"] + box["width"] < 1024

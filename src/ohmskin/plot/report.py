@@ -91,8 +91,8 @@ def write_report(sections: Sequence[Section], path: Path) -> Path:
 
 def _html_section(section: Section) -> str:
     if section.label == "#":
-        return f"<h1>{section.title}</h1>{''.join(map(_html, section.blocks))}"
-    title = f"<span>{section.label}</span> {section.title}" if section.label else section.title
+        return f"<h1>{_inline(section.title)}</h1>{''.join(map(_html, section.blocks))}"
+    title = f"<span>{section.label}</span> {_inline(section.title)}" if section.label else _inline(section.title)
     anchor = f" id='{section.anchor}'" if section.anchor else ""
     return f"<section{anchor}><h2>{title}</h2>{''.join(map(_html, section.blocks))}</section>"
 
@@ -111,12 +111,17 @@ def _html(block: Block) -> str:
         return f"<figure>{image}<figcaption><b>{block.label}.</b> {caption}</figcaption></figure>"
     if isinstance(block, Folded):
         return f"<details><summary>{block.summary}</summary>{''.join(map(_html, block.blocks))}</details>"
-    text = escape(block, quote=False)
-    for mark, tag in ((r"`(.+?)`", "code"), (r"\*\*(.+?)\*\*", "b"), (r"\*(.+?)\*", "i")):
-        text = re.sub(mark, rf"<{tag}>\1</{tag}>", text)
+    text = _inline(block)
     if text.startswith("### "):
         return f"<h3>{text[4:]}</h3>"
     return f"<blockquote>{text[5:]}</blockquote>" if text.startswith("&gt; ") else f"<p>{text}</p>"
+
+
+def _inline(text: str) -> str:
+    text = escape(text, quote=False)
+    for mark, tag in ((r"`(.+?)`", "code"), (r"\*\*(.+?)\*\*", "b"), (r"\*(.+?)\*", "i")):
+        text = re.sub(mark, rf"<{tag}>\1</{tag}>", text)
+    return text
 
 
 def _cell(text: str, numbers: bool) -> str:
