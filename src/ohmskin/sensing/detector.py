@@ -13,7 +13,7 @@ from math import exp, sqrt
 import numpy as np
 from scipy.special import chdtri
 
-from ohmskin.arrays import Bools, Floats
+from ohmskin.arrays import Bools, Floats, changed
 from ohmskin.scan import Difference, Frame
 from ohmskin.scan.coherence import Coherence, Instrument, NetworkData
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
@@ -121,6 +121,11 @@ class FaultDetector:
             without_data=before.without_data + elapsed if empty else 0.0,
         ).told(causes, noise, suspected)
         return after, self.without_bad(after, cleaned)
+
+    def passed(self, before: Diagnosis, scans: Sequence[Difference], elapsed: float) -> Diagnosis:
+        """What is known after one frame more that shows nothing new, and is not examined."""
+        looked = self._looked(before, scans) if self._window else ()
+        return changed(before, time=before.time + elapsed, scans=looked)
 
     def without_bad(self, diagnosis: Diagnosis, scans: Sequence[Difference]) -> tuple[Difference, ...]:
         """Scans without what bad electrodes take part in."""

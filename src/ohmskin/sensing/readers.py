@@ -48,7 +48,7 @@ class Belief:
             from (s).
         solution: What was fitted to the frame, if contacts are.
         searched: How long ago contacts were looked for afresh (s).
-        explains: Whether contacts explain the data as well as they do usually.
+        explains: Whether contacts, if there are any, explain the data as well as they do usually.
     """
 
     estimate: Estimate
@@ -142,7 +142,7 @@ class DetectionReader:
         """The belief after a frame that showed these contacts."""
         assert isinstance(before.tracks, Tracks)
         tracks, contacts = self.tracker.update(before.tracks, found)
-        return Belief(estimate, tuple(found), contacts, tracks)
+        return Belief(estimate, tuple(found), contacts, tracks, explains=not found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ class FitReader:
             drift, unlearned = learned if drift is None else drift + learned, 0.0
         tracks, contacts = self.tracker.update(before.tracks, found)
         belief = Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
-        explains = bool(found) and not self.fitter.poor(told, solution.cost)
+        explains = not found or not self.fitter.poor(told, solution.cost)
         return replace(belief, solution=solution, searched=searched, explains=explains)
 
     @staticmethod
@@ -253,7 +253,8 @@ class FilterReader:
         suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
-        return Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
+        belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
+        return replace(belief, explains=self.filter.explains(state))
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

@@ -196,7 +196,7 @@ class Sensor:
         quick = all(self.known.soundness(frame)[1].all() for frame in measured.frames) and not self._doubts(state)
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
         if found is not None and not self._surprises(state.belief, found[0]):
-            diagnosis = replace(state.diagnosis, time=state.diagnosis.time + elapsed)
+            diagnosis = self.detector.passed(state.diagnosis, measured.scans, elapsed)
             scans, judged = measured.scans, True
         else:
             given, judged = (state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects), False
@@ -225,11 +225,11 @@ class Sensor:
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
         every = state.turn // self.drive.scans % _EXAMINED == 0
-        return bool(self.window or every or state.diagnosis.troubled or self._unsure(state.belief))
+        return bool(every or state.diagnosis.troubled or state.belief.suspects or self._unsure(state.belief))
 
     def _unsure(self, belief: Belief) -> bool:
         """Whether contacts may be what a fault looks like: they explain the data less well than they do usually."""
-        return bool(belief.detections) and not belief.explains and self.implementation is None
+        return not belief.explains and self.implementation is None
 
     def _surprises(self, before: Belief, belief: Belief) -> bool:
         """Whether a frame shows anything new, which is to be doubted."""

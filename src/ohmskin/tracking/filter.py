@@ -88,6 +88,14 @@ class ContactFilter:
         unexplained = data.unexplained(fitter.responses(state.params)[0]) if state.pressing else 0.0
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
+    def explains(self, state: TrackState) -> bool:
+        """Whether contacts, if there are any, explain the newest frame as well as they do usually."""
+        if not state.pressing or not state.history:
+            return not state.pressing
+        newest = state.history[0]
+        data = newest.reading.data
+        return not self.fitter.poor(data, newest.residual.misfit.constant * self.fitter.allowance(data))
+
     def _updated(self, before: TrackState, difference: Difference, elapsed: float) -> TrackState:
         """The state after a frame, its contacts being those that it holds, and the frame among its history.
 
