@@ -3,7 +3,7 @@
 A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
 """
 
-from math import erf, sqrt
+from math import erf, pi, sqrt
 from operator import attrgetter
 
 import numpy as np
@@ -90,8 +90,7 @@ class DiscFitter:
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""
-        away = (self.table.offsets(self.table.electrodes[:, None], params[:, :2]) ** 2).sum(axis=2)
-        return [int(number) for number in np.flatnonzero((away < params[:, 3]).any(axis=1))]
+        return kernels.covering(params, self.table.electrodes, self.table.period).tolist()
 
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
         """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
@@ -160,15 +159,15 @@ class DiscFitter:
         (x, y), (effect, square) = self.onto(params[None, :2])[0].tolist(), params[2:].tolist()
         # the model's own error moves a contact by about its share of two radii, however little noise there is
         floor = (_BLUR * self.model_error * self.table.radius) ** 2
-        (xx, xy), (_, yy) = covariance[:2, :2] + floor * np.eye(2)
-        area = np.pi * square
+        (xx, xy), (_, yy) = covariance[:2, :2].tolist()
+        area = pi * square
         return Contact(
             position=(x, y),
             extent=area,
             strength=effect,
             confidence=0.5 * (1 + erf(abs(effect) / (sqrt(2) * effect_std(covariance)))),
             peak=effect / area,
-            covariance=((float(xx), float(xy)), (float(xy), float(yy))),
+            covariance=((xx + floor, xy), (xy, yy + floor)),
             radius=sqrt(square),
         )
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from ohmskin.arrays import Floats, Singles
+from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.contacts.kernels import STRONG, all_onto, expected, refined
 from ohmskin.contacts.measured import Part, dot, powers
 from ohmskin.contacts.misfit import COMMON, SINGLE, UNSAID, less, sizes, taken_off
@@ -80,7 +80,7 @@ def followed(
         return UNSURE, cost, normal, caused, slopes, shapes, doubts
     left = beside(beside(told, common), shapes)
     vector, constant = less(left[0], left[1], left[2], left[3], caused)
-    left = beside((left[0], left[1], vector, constant), _unknown(white, slopes))
+    left = beside((left[0], left[1], vector, constant), unknown_of(white, slopes))
     everything = error * sizes(white[0], white[1], caused.reshape((1, -1)))[0]
     most = _highest(left, candidates, settings[7] > 0.0)
     doubts[ANOTHER] = most / min(bar + everything, max(bar, np.sqrt(HALF * constant)))
@@ -157,7 +157,7 @@ def beside(part: Part, directions: Floats) -> Part:
 
 
 @njit(cache=True, nogil=True)
-def _unknown(white: Part, directions: Floats) -> Floats:
+def unknown_of(white: Part, directions: Floats) -> Floats:
     """Changes (m, n_pairs) that data show, as large as they are where nothing is known of them."""
     size = sizes(white[0], white[1], directions)
     seen = np.flatnonzero(size > 0)
@@ -181,11 +181,11 @@ def _highest(left: Part, candidates: Singles, bipolar: bool) -> float:
 def scored(left: Part, candidates: Singles) -> tuple[Singles, Singles]:
     """Score and power (n_places,) of a contact more at each place, as `Misfit.scores`."""
     whole, score = powers(left[0], candidates), np.zeros(candidates.shape[1], np.float32)
-    power, product = whole.copy(), np.empty(len(whole), np.float32)
-    _combined(left[2], candidates, score)
+    power, product, told = whole.copy(), np.empty(len(whole), np.float32), _told(left)
+    _combined(left[2], told, candidates, score)
     for one in left[1]:
         product[:] = 0.0
-        _combined(one, candidates, product)
+        _combined(one, told, candidates, product)
         for k in range(len(power)):
             power[k] -= product[k] * product[k]
     most = whole.max() * np.float32(SINGLE)
@@ -194,19 +194,31 @@ def scored(left: Part, candidates: Singles) -> tuple[Singles, Singles]:
     return score, power
 
 
+@njit(cache=True, nogil=True)
+def _told(left: Part) -> Ints:
+    """The numbers of the pairs that data say anything of."""
+    out, count = np.empty(len(left[2]), np.int64), 0
+    for p in range(len(left[2])):
+        said = left[2][p] != 0.0
+        for k in range(len(left[1])):
+            said = said or left[1][k, p] != 0.0
+        if said:
+            out[count] = p
+            count += 1
+    return out[:count]
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _combined(shares: Floats, rows: Singles, out: Singles) -> None:
-    """Adds shares (n,) of rows (n, m) to `out` (m,); four at a time, as memory is what takes the time."""
-    n = len(shares)
+def _combined(shares: Floats, used: Ints, rows: Singles, out: Singles) -> None:
+    """Adds shares (n,) of the `used` rows (n, m) to `out` (m,); four at a time, as memory is what takes the time."""
+    n = len(used)
     for k in range(0, n - 3, 4):
-        if shares[k] == 0.0 and shares[k + 1] == 0.0 and shares[k + 2] == 0.0 and shares[k + 3] == 0.0:
-            continue  # of pairs that data say nothing of
-        a, b, c, d = rows[k], rows[k + 1], rows[k + 2], rows[k + 3]
-        one, two = np.float32(shares[k]), np.float32(shares[k + 1])
-        three, four = np.float32(shares[k + 2]), np.float32(shares[k + 3])
+        a, b, c, d = rows[used[k]], rows[used[k + 1]], rows[used[k + 2]], rows[used[k + 3]]
+        one, two = np.float32(shares[used[k]]), np.float32(shares[used[k + 1]])
+        three, four = np.float32(shares[used[k + 2]]), np.float32(shares[used[k + 3]])
         for p in range(len(out)):
             out[p] += one * a[p] + two * b[p] + three * c[p] + four * d[p]
     for k in range(n - n % 4, n):
-        last, one = rows[k], np.float32(shares[k])
+        last, one = rows[used[k]], np.float32(shares[used[k]])
         for p in range(len(out)):
             out[p] += one * last[p]

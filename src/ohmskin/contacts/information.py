@@ -7,14 +7,15 @@ at its best, is constant - 2 vector.x + x.matrix.x. That is sufficient: scans wi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from math import sqrt
 
 import numpy as np
 
-from ohmskin.arrays import Floats
-from ohmskin.contacts.measured import Part, Rows, beside_errors, fainter, measured
+from ohmskin.arrays import Floats, changed
+from ohmskin.contacts import measured
+from ohmskin.contacts.measured import Erring, Part, Scan, fainter
 from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
@@ -22,6 +23,7 @@ from ohmskin.scan.pairs import Pairs
 from ohmskin.scan.pattern import joined
 
 _SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
+NO_DATA = "no finite measurement in the frame; check the device, or that the voltages do not clip"
 _RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where data say nothing
 
 
@@ -83,35 +85,16 @@ class Information:
             PatternError: If a pattern names an electrode that is not there.
         """
         pairs = Pairs.all(pairs)
-        if not scans:
-            raise DataError("no scan to find contacts in; give at least one")
-        whole = joined(tuple(scan.pattern for scan in scans))
-        if (last := whole.quadruples.max()) >= pairs.n_elec:
-            raise PatternError(f"the pattern names electrode {last}; there are {pairs.n_elec} (0..{pairs.n_elec - 1})")
-        volts, amperes = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("volts", "currents"))
-        quiet, loading = (
-            np.concatenate(
-                [np.zeros(len(scan.volts)) if own is None else own for own, scan in zip(given, scans, strict=True)]
-            )
-            for given in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
-        )
-        loaded = any(scan.source_loading is not None for scan in scans)
-        four, which = whole.quadruples, whole.measurements[:, 0].copy()
-        given = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers
-        rows, data = measured(*given, whole.n_inj, loaded, errors.noise, errors.model)
-        if not len(data):
-            raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-        if errors.contacts is not None and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
-            errors = replace(errors, contacts=errors.contacts[:, np.unique(four[:, :2])])
-        return cls._beside(rows, data, errors, len(pairs))
+        told, wary, white, count = measured.said(*arguments(pairs, errors, scans))
+        if not count:
+            raise DataError(NO_DATA)
+        return cls.pair(told, wary, white, count)
 
     @classmethod
-    def _beside(cls, rows: Rows, data: Floats, errors: Errors, pairs: int) -> tuple["Information", "Information"]:
-        """Information of data (n_rows,); and the same with the model's error as noise."""
-        contacts = np.zeros((pairs, 0)) if errors.contacts is None else np.ascontiguousarray(errors.contacts)
-        parts = beside_errors(rows, data, contacts, errors.gain, errors.model)
-        told, wary, white = (Misfit(*part, len(part[1])) for part in parts)
-        return cls(told, white, len(data)), cls(wary, white, len(data))
+    def pair(cls, told: Part, wary: Part, white: Part, count: int) -> tuple["Information", "Information"]:
+        """What `count` data say, and the same with the model's error as noise; as compiled steps have it."""
+        errors, alone = len(told[1]), Misfit(*white)
+        return cls(Misfit(*told, errors), alone, count), cls(Misfit(*wary, errors), alone, count)
 
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
@@ -137,10 +120,9 @@ class Information:
         return Information(self.misfit.less(known), self.white, self.count, together)
 
     def as_left(self, part: Part, known: Floats | None = None) -> "Information":
-        """What a compiled step has left of it, once changes (n_pairs,) are known; None: nothing is."""
-        told = self.misfit
-        changes = None if known is None else np.append(known, 0.0)
-        return Information(Misfit(*part, told.errors, told.powers), self.white, self.count, changes)
+        """What a compiled step has left of it, once changes (n_pairs + 1,) are known; None: nothing is."""
+        _, lost, vector, constant = part
+        return changed(self, misfit=changed(self.misfit, lost=lost, vector=vector, constant=constant), known=known)
 
     def without(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""
@@ -193,6 +175,32 @@ class Information:
     def size(self, changes: Floats) -> float:
         """How large changes (n_pairs or n,) are in the data, in standard deviations of white noise."""
         return float(self.white.sizes(changes[:, None])[0])
+
+
+def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tuple[Scan, Erring]:
+    """What compiled steps are given of scans whose contacts are in the same state, and of how these err.
+
+    Raises:
+        DataError: If there is none.
+        PatternError: If a pattern names an electrode that is not there.
+    """
+    if not scans:
+        raise DataError("no scan to find contacts in; give at least one")
+    whole = joined(tuple(scan.pattern for scan in scans))
+    if (last := whole.last) >= pairs.n_elec:
+        raise PatternError(f"the pattern names electrode {last}; there are {pairs.n_elec} (0..{pairs.n_elec - 1})")
+    loaded, none = any(scan.source_loading is not None for scan in scans), [np.zeros(s.pattern.n_meas) for s in scans]
+    quiet, loading = (
+        np.concatenate([rest if given is None else given for given, rest in zip(each, none, strict=True)])
+        for each in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
+    )
+    volts, amperes = np.concatenate([scan.volts for scan in scans]), np.concatenate([scan.currents for scan in scans])
+    contacts = np.zeros((len(pairs), 0)) if errors.contacts is None else np.ascontiguousarray(errors.contacts)
+    if contacts.size and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
+        contacts = np.ascontiguousarray(contacts[:, np.unique(whole.injections)])
+    four, which = whole.quadruples, whole.injection_numbers
+    given = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers, whole.n_inj, loaded
+    return given, (errors.noise, errors.gain, errors.model, contacts)
 
 
 def _summed(parts: Sequence[Misfit]) -> Misfit:

@@ -44,6 +44,19 @@ def all_onto(positions: Floats, sheet: Grid) -> None:
 
 
 @njit(cache=True, nogil=True)
+def covering(params: Floats, electrodes: Floats, period: float) -> Ints:
+    """The numbers of the electrodes (n_elec, 2) under contacts (n, 4)."""
+    under = np.zeros(len(electrodes), np.bool_)
+    for k in range(len(params)):
+        for e in range(len(electrodes)):
+            along = electrodes[e, 0] - params[k, 0]
+            if period > 0.0:
+                along -= period * np.rint(along / period)
+            under[e] |= along**2 + (electrodes[e, 1] - params[k, 1]) ** 2 < params[k, 3]
+    return np.flatnonzero(under)
+
+
+@njit(cache=True, nogil=True)
 def responses(
     params: Floats, knots: Singles, low: Floats, pitch: Floats, steps: Ints, period: float, squares: Floats,
     gain: float, fields: Floats, pairs: Ints,

@@ -21,6 +21,8 @@ from ohmskin.arrays import Bools, Floats, Ints, Singles
 
 Rows = tuple[Any, Floats, Floats, Floats, Ints, Floats]
 Part = tuple[Rows, Floats, Floats, float]  # rows, those lost, vector and constant of a `Misfit`
+Scan = tuple[Ints, Ints, Bools, Floats, Floats, Floats, Floats, Ints, int, bool]  # see `measured`
+Erring = tuple[float, float, float, Floats]  # noise, gain, model and contacts of `Errors`, the last (n_pairs, k)
 
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
 
@@ -197,6 +199,34 @@ def gram(rows: Rows, pairs: int) -> Floats:
 
 
 @njit(cache=True, nogil=True)
+def without_drift(scan: Scan, drift: Floats, common: float) -> Floats:
+    """The voltages (n_meas,) of a scan less those of changes (n_pairs,) of two-terminal resistances (ohm), and of a
+    `common` relative change of all of them (1)."""
+    four, _, _, amperes, volts, quiet, loading, numbers, _, _ = scan
+    own, out, pairs = np.zeros(5), np.empty(len(volts)), len(drift)
+    for row in range(len(four)):
+        for term in range(5):
+            number = numbers[four[row, _ENDS[term, 0]], four[row, _ENDS[term, 1]]]
+            own[term] = drift[number] if number < pairs else 0.0
+        change = 0.5 * (own[0] + own[1] - own[2] - own[3]) - loading[row] * own[4]
+        at_rest = quiet[row] if np.isfinite(quiet[row]) else 0.0
+        out[row] = volts[row] - amperes[row] * change - common * at_rest
+    return out
+
+
+@njit(cache=True, nogil=True)
+def said(scan: Scan, erring: Erring) -> tuple[Part, Part, Part, int]:
+    """What scans say, as for `beside_errors`, and how many of their data are finite."""
+    noise, gain, model, contacts = erring
+    four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded = scan
+    rows, data = measured(
+        four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded, noise, model
+    )  # fmt: skip
+    told, wary, white = beside_errors(rows, data, contacts, gain, model)
+    return told, wary, white, len(data)
+
+
+@njit(cache=True, nogil=True)
 def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model: float) -> tuple[Part, Part, Part]:
     """What data (n_rows,) say if they err, beside white noise, by currents and contacts; each part as `Misfit` has it.
 
@@ -249,7 +279,7 @@ def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model
         row = p if p < pairs else pairs + 1
         gradients[:, p], at_rests[:, p] = seen[row], along[:, row]
     white = rows, np.zeros((0, pairs + 1)), gradients[k].copy(), float(own[k, k])
-    larger = 1 + model**2 * float(own[k, k]) / len(data)
+    larger = 1 + model**2 * float(own[k, k]) / max(len(data), 1)
     return (
         _beside(rows, gradients, inner, own, at_rests, squares, gain, 1.0),
         _beside(rows, gradients, inner, own, at_rests, squares, gain, larger),

@@ -14,7 +14,8 @@ from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
 from ohmskin.scan import DrivePattern
 
-_SMALL = 2e-3  # m: the triangle about a place when no element of a mesh is given, about the size of one
+_ANGLES = np.pi / 2 + 2 * np.pi / 3 * np.arange(3)
+_TRIANGLE = 2e-3 * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # m, about the size of an element of a mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,21 +27,19 @@ class Target:
         covariance: (2, 2) of the position (m2).
         effect: Relative conductivity change times area (m2).
         radius: In metres.
-        anchors: (n, 2) centroids of the elements closest to it, from which eq. (7) weighs pairs (m); a small triangle
-            about the position unless given.
+        closest: (n, 2) centroids of the elements closest to it (m), if they are known.
     """
 
     position: Floats
     covariance: Floats
     effect: float
     radius: float
-    anchors: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    closest: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
-    def __post_init__(self) -> None:
-        if not len(self.anchors):
-            angle = np.pi / 2 + 2 * np.pi / 3 * np.arange(3)
-            about = np.asarray(self.position, float) + _SMALL * np.column_stack([np.cos(angle), np.sin(angle)])
-            object.__setattr__(self, "anchors", about)
+    @property
+    def anchors(self) -> Floats:
+        """Places (n, 2) from which eq. (7) weighs pairs (m): what is closest, or a small triangle about the position."""
+        return self.closest if len(self.closest) else np.asarray(self.position, float) + _TRIANGLE
 
 
 class Drive(Protocol):

@@ -1,7 +1,7 @@
 """What is measured: drive patterns, the frames that come of them, and the untouched reference."""
 
 from ohmskin.scan.assessment import assess
-from ohmskin.scan.baseline import Baseline, Difference
+from ohmskin.scan.baseline import Baseline, Difference, newest
 from ohmskin.scan.channels import Channels
 from ohmskin.scan.cost import Cost
 from ohmskin.scan.frame import Frame, FrameFlag
@@ -34,4 +34,5 @@ __all__ = [
     "reciprocity_residuals",
     "skip",
     "two_terminal",
+    "newest",
 ]

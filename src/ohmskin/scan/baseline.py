@@ -1,6 +1,6 @@
 """The untouched skin: reference data and noise, learned from quiet frames."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import sqrt
@@ -51,18 +51,33 @@ class Difference:
                 raise DataError(f"the {name} of a difference have shape {array.shape}; {needs}")
             object.__setattr__(self, name, array)
 
+    @classmethod
+    def valid(
+        cls,
+        pattern: DrivePattern,
+        currents: Floats,
+        volts: Floats,
+        source_loading: Floats | None = None,
+        reference: Floats | None = None,
+    ) -> "Difference":
+        """One made of what is checked already."""
+        one = object.__new__(cls)
+        vars(one).update(
+            pattern=pattern, currents=currents, volts=volts, source_loading=source_loading, reference=reference
+        )
+        return one
+
     @cached_property
     def undriven(self) -> "Difference":
         """What electrodes that carry no current say: the data of which contact impedances are no part.
 
         Itself if that is all, or if there is nothing else.
         """
-        kept = ~self.pattern.driven
-        if kept.all() or not kept.any():
+        kept = self.pattern.idle
+        if len(kept) in (0, self.pattern.n_meas):
             return self
-        pattern = self.pattern.undriven
         loading, reference = (None if a is None else a[kept] for a in (self.source_loading, self.reference))
-        return Difference(pattern, self.currents[kept], self.volts[kept], loading, reference)
+        return self.valid(self.pattern.undriven, self.currents[kept], self.volts[kept], loading, reference)
 
     def caused_by(self, changes: Floats, pairs: Pairs | None = None) -> Floats:
         """What changes (n_pairs,) of the two-terminal resistances (ohm), of all pairs unless these are given, cause of
@@ -208,7 +223,21 @@ class Baseline:
         currents = frame.measurement_currents
         reference = currents * self.reference(frame.pattern)
         volts = frame.voltages - reference
-        return Difference(frame.pattern, currents, np.where(np.isfinite(volts), volts, np.nan), reference=reference)
+        volts[~np.isfinite(volts)] = np.nan
+        return Difference.valid(frame.pattern, currents, volts, reference=reference)
+
+
+def newest(
+    new: Sequence[Difference], older: Iterable[Difference], injections: int
+) -> tuple[Difference, ...]:
+    """New scans, and as many older ones, newest first, as have so many injections together with them."""
+    taken, count = [*new], sum(scan.pattern.n_inj for scan in new)
+    for scan in older:
+        if count >= injections:
+            break
+        taken.append(scan)
+        count += scan.pattern.n_inj
+    return tuple(taken)
 
 
 @lru_cache(maxsize=1024)

@@ -87,7 +87,7 @@ class NetworkData:
         patterns = tuple(scan.pattern for scan in scans)
         whole = joined(patterns)
         self.quadruples, self._driven = whole.quadruples, whole.driven
-        self.injection: Ints = whole.measurements[:, 0].copy()
+        self.injection = whole.injection_numbers
         self.scan: Ints = np.repeat(np.arange(len(scans)), [pattern.n_meas for pattern in patterns])
         self._columns, signs, self._count = _resistances(whole, n_elec)
         self._volts, currents = (np.concatenate([getattr(scan, name) for scan in scans]) for name in _GIVEN)

@@ -80,10 +80,25 @@ class DrivePattern(ReadOnly):
         return np.hstack([self.injections[self.measurements[:, 0]], self.measurements[:, 1:]])
 
     @cached_property
+    def injection_numbers(self) -> Ints:
+        """The number of the injection behind each measurement (n_meas,)."""
+        return self.measurements[:, 0].copy()
+
+    @cached_property
+    def last(self) -> int:
+        """The largest number of an electrode that it names."""
+        return int(max(self.injections.max(), self.measurements[:, 1:].max()))
+
+    @cached_property
     def driven(self) -> NDArray[np.bool_]:
         """Which measurements (n_meas,) involve an electrode that carries the current: its contact impedance counts."""
         source, sink, plus, minus = self.quadruples.T
         return np.asarray((source == plus) | (source == minus) | (sink == plus) | (sink == minus))
+
+    @cached_property
+    def idle(self) -> Ints:
+        """The numbers (n,) of the measurements that involve no electrode that carries the current."""
+        return np.flatnonzero(~self.driven)
 
     @cached_property
     def undriven(self) -> "DrivePattern":
@@ -92,10 +107,9 @@ class DrivePattern(ReadOnly):
         Raises:
             PatternError: If it has no others.
         """
-        kept = ~self.driven
-        if not kept.any():
+        if not len(self.idle):
             raise PatternError("all measurements of the pattern involve an electrode that carries the current")
-        return DrivePattern.valid(self.injections, self.measurements[kept])
+        return DrivePattern.valid(self.injections, self.measurements[self.idle])
 
     @cached_property
     def with_driven(self) -> "DrivePattern":

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ohmskin.arrays import Bools, Floats, changed
-from ohmskin.scan import Difference, Frame
+from ohmskin.scan import Difference, Frame, newest
 from ohmskin.scan.coherence import Coherence, Instrument, NetworkData
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
@@ -71,7 +71,7 @@ class FaultDetector:
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
         """
-        now, looked, noise = before.time + elapsed, self._looked(before, scans), self._instrument.noise
+        now, looked, noise = before.time + elapsed, newest(scans, before.scans, self._window), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
         suspected = {Cause("open", (suspect,)) for suspect in suspects}
         causes |= suspected
@@ -124,7 +124,7 @@ class FaultDetector:
 
     def passed(self, before: Diagnosis, scans: Sequence[Difference], elapsed: float) -> Diagnosis:
         """What is known after one frame more that shows nothing new, and is not examined."""
-        looked = self._looked(before, scans) if self._window else ()
+        looked = newest(scans, before.scans, self._window) if self._window else ()
         return changed(before, time=before.time + elapsed, scans=looked)
 
     def without_bad(self, diagnosis: Diagnosis, scans: Sequence[Difference]) -> tuple[Difference, ...]:
@@ -133,15 +133,6 @@ class FaultDetector:
             return tuple(scans)
         out = list(diagnosis.bad)
         return tuple(replace(s, volts=np.where(s.pattern.uses(out), np.nan, s.volts)) for s in scans)
-
-    def _looked(self, before: Diagnosis, scans: Sequence[Difference]) -> tuple[Difference, ...]:
-        """What is looked at together: the new scans, and as many older ones as make up the window."""
-        taken = list(scans)
-        for scan in before.scans:
-            if sum(one.pattern.n_inj for one in taken) >= self._window:
-                break
-            taken.append(scan)
-        return tuple(taken)
 
     def _data(self, scans: Sequence[Difference], bad: Iterable[int]) -> tuple[NetworkData, Bools, Coherence]:
         """The data of scans, which of them are used, and how well these agree."""

@@ -12,7 +12,7 @@ from ohmskin.drive import Drive
 from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate
-from ohmskin.scan import Difference, DrivePattern, Frame
+from ohmskin.scan import Difference, DrivePattern, Frame, newest
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.doubt import as_measured, image_misfit
@@ -245,21 +245,12 @@ class Sensor:
     ) -> tuple[Belief, tuple[Difference, ...]]:
         """What is believed after scans, and the newest scans that it is read from."""
         new = scans if self.fuse else scans[-1:]
-        recent = self._with_older(new, self.detector.without_bad(diagnosis, state.recent))
+        recent = newest(new, self.detector.without_bad(diagnosis, state.recent), self.window)
         if not _any_known(new):
             return state.belief if diagnosis.without_data < HELD else self.reader.start(state.belief), recent
         if measured.read is not None and scans == measured.scans:
             return measured.read(state.belief), recent
         return self.reader.update(state.belief, new, recent, elapsed), recent
-
-    def _with_older(self, new: tuple[Difference, ...], older: tuple[Difference, ...]) -> tuple[Difference, ...]:
-        """New scans, and as many older ones as make up the window."""
-        taken = list(new)
-        for scan in older:
-            if sum(one.pattern.n_inj for one in taken) >= self.window:
-                break
-            taken.append(scan)
-        return tuple(taken)
 
     def _measure(self, state: SensorState, scan: Scan) -> Measured:
         if self.implementation is None or state.diagnosis.bad:

@@ -1,36 +1,9 @@
 """Drift: what changes beside contacts, all resistances together (temperature) or pairs one by one."""
 
-import numpy as np
-
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.scan import Difference
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.state import TrackState
-
-
-def without_drift(state: TrackState, fitter: ContactFitter, difference: Difference) -> Difference:
-    """A frame without the drift and the temperature of the state."""
-    volts = difference.volts - difference.caused_by(state.drift, fitter.table.pairs)
-    if difference.reference is not None:
-        volts = volts - state.common_drift[0] * np.nan_to_num(difference.reference)
-    return changed(difference, volts=volts)
-
-
-def with_common_drift(state: TrackState, fitter: ContactFitter) -> TrackState:
-    """The state with the common change of all resistances that its newest frame shows beside all its contacts."""
-    newest = state.history[0]
-    told, share = newest.innovation.misfit, fitter.allowance(newest.innovation)
-    change = np.zeros(len(told.vector))
-    change[-1] = 1.0
-    if not (curvature := float(told.sizes(change[:, None])[0]) ** 2):
-        return state
-    variance = 1 / (1 / state.common_drift[1] + share * curvature)
-    rise = variance * share * float(told.vector[-1])
-    change[-1] = rise
-    newest = changed(newest, residual=newest.residual.less(change))
-    common_drift = (state.common_drift[0] + rise, variance)
-    return changed(state, common_drift=common_drift, history=(newest, *state.history[1:]))
 
 
 def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:

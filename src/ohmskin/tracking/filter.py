@@ -6,19 +6,20 @@ before). What the contacts do not explain is kept for a dozen frames and searche
 is learned as drift. The rules are in docs/guide/tracking.md.
 """
 
-from math import exp, sqrt
+from math import exp
 
 import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.errors import ModelError
+from ohmskin.contacts.information import NO_DATA, Information, arguments
+from ohmskin.errors import DataError, ModelError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 from ohmskin.tracking import kernels
 from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
-from ohmskin.tracking.drift import learned, with_common_drift, without_drift
+from ohmskin.tracking.drift import learned
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Reading, Residuals
@@ -77,15 +78,17 @@ class ContactFilter:
         before = moved(state, fitter, motion, elapsed)
         under = set(fitter.covered(before.params[before.pressing]))
         before = changed(before, suspects=(), covered=tuple(e for e in state.covered if e in under))
-        state = self._updated(before, without_drift(before, fitter, difference), elapsed)
-        data = state.history[0].reading.data
+        state = self._updated(before, difference, elapsed)
+        newest = state.history[0]
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
-        state = with_lifts(with_common_drift(state, fitter), fitter, self.bar, motion.settling, elapsed)
+        state = with_lifts(state, fitter, self.bar, motion.settling, elapsed)
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history:
             state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
-        unexplained = data.unexplained(fitter.responses(state.params)[0]) if state.pressing else 0.0
+        unexplained = state.unexplained if state.pressing else 0.0
+        if state.pressing and state.history[:1] != (newest,):  # there are other contacts than those held by the frame
+            unexplained = newest.reading.data.unexplained(fitter.responses(state.params)[0])
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def explains(self, state: TrackState) -> bool:
@@ -101,34 +104,42 @@ class ContactFilter:
 
         What resistances of electrodes under contacts do is left out.
         """
-        fitter, variance = self.fitter, before.common_drift[1]
-        data, wary = fitter.information(difference)
-        if before.covered:
-            covered = in_series(before.covered, fitter.table.pairs)
-            data, wary = data.leaving_out(covered), wary.leaving_out(covered)
+        pairs = self.fitter.table.pairs
         mean, covariance = before.mean.copy(), before.covariance.copy()
-        plain, careful, caused, foreseen, innovation, unforeseen, vector, constant, energy, score, power = (
+        volts, what, plain, careful, innovation, unforeseen, residual, caused, foreseen, common, energy, signals, *more = (
             kernels.updated(
-                data.misfit.part, wary.misfit.part, data.white.part, mean, covariance, sqrt(variance), *fitter.compiled
+                *arguments(pairs, self.fitter.errors, [difference]),
+                np.ascontiguousarray(in_series(before.covered, pairs).T), before.drift, before.common_drift, mean,
+                covariance, *self.fitter.compiled,
             )
-        )
-        reading = Reading(difference, data, data.as_left(plain), wary.as_left(careful))
+        )  # fmt: skip
+        if not what[-1]:
+            raise DataError(NO_DATA)
+        data, wary = Information.pair(*what)
+        reading = Reading(changed(difference, volts=volts), data, data.as_left(plain), wary.as_left(careful))
         known = foreseen if before.tracks else None
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
         energy = max(energy, before.echo * exp(-2 * elapsed / self.motion.creeping))
         newest = Residuals(
             reading,
             data.as_left(innovation, known),
-            data.as_left((*data.misfit.part[:2], vector, constant), caused),
+            data.as_left(residual, caused),
             energy,
             {track.id: effect for track, effect in zip(before.tracks, mean[:, 2].tolist(), strict=True)},
             before.time,
             data.as_left(unforeseen, known),
-            score,
-            power,
+            *more,
         )
-        history, turn = (newest, *before.history[: LONGEST - 1]), before.turn + 1
-        return changed(before, mean=mean, covariance=covariance, history=history, echo=energy, turn=turn)
+        return changed(
+            before,
+            mean=mean,
+            covariance=covariance,
+            common_drift=common,
+            history=(newest, *before.history[: LONGEST - 1]),
+            echo=energy,
+            turn=before.turn + 1,
+            unexplained=data.share_unexplained(*signals),
+        )
 
     def _common(self, elapsed: float) -> float:
         """Share of the noise's variance that all frames share: of the reference and its learned drift."""

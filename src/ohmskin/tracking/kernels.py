@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Bools, Floats, Ints, Singles
-from ohmskin.contacts.follow import beside, scored, shapes_of
+from ohmskin.contacts.follow import beside, scored, shapes_of, unknown_of
 from ohmskin.contacts.kernels import SQUARE_STD, all_onto, refined
-from ohmskin.contacts.measured import Part, add, dot
-from ohmskin.contacts.misfit import less, sizes
+from ohmskin.contacts.measured import Erring, Part, Scan, add, dot, said, without_drift
+from ohmskin.contacts.misfit import COMMON, less, sizes
 from ohmskin.contacts.solution import inverse
 from ohmskin.forward.splines import Grid, Spline
 
@@ -65,39 +65,54 @@ def advanced(
 
 @njit(cache=True, nogil=True)
 def updated(
-    told: Part, wary: Part, white: Part, mean: Floats, covariance: Floats, common: float, settings: Floats,
-    sheet: Grid, spline: Spline, candidates: Singles,
-) -> tuple[Part, Part, Floats, Floats, Part, Part, Floats, float, float, Singles, Singles]:  # fmt: skip
+    scan: Scan, erring: Erring, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
+    covariance: Floats, settings: Floats, sheet: Grid, spline: Spline, candidates: Singles,
+) -> tuple[
+    Floats, tuple[Part, Part, Part, int], Part, Part, Part, Part, Part, Floats, Floats, tuple[float, float], float,
+    tuple[float, float], Singles, Singles,
+]:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and what it says of others.
 
     Args:
-        told: What a frame says.
-        wary: The same with the model's error as noise.
-        white: If voltages err by white noise alone.
+        scan: The frame.
+        erring: How it errs.
+        covered: (k, n_pairs) changes of which nothing is taken to be known.
+        drift: (n_pairs,) of two-terminal resistances (ohm), known.
+        common: Common relative change of all resistances, as far as it is known, and its variance (1).
         mean: Contacts as they were foreseen.
         covariance: Of all of them together.
-        common: Standard deviation of a common change of all resistances (1).
         settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1).
         sheet: Where contacts may be.
         spline: What they do.
         candidates: (n_pairs + 1, n_places) what those do that are looked for.
 
     Returns:
-        `told` and `wary` beside the common change; what contacts cause (n_pairs,), and what was foreseen (n_pairs,);
-        the innovation, and the same beside the common change and shapes of contacts; vector (n_pairs + 1,) and
-        constant of what contacts leave; their energy, see `energy_of`; score and power (n_places,) of a contact more.
+        The frame's voltages (n_meas,) without drift; what they say, see `said`; the same, and wary of the model's
+        error, beside the common change; the innovation, the same beside the common change and shapes of contacts, and
+        what contacts and the common change leave; what these cause (n_pairs + 1,), and what was foreseen (n_pairs + 1,);
+        the
+        common change after the frame; the energy of contacts, see `energy_of`; the signal beyond noise, and what is
+        left of it; score and power (n_places,) of a contact more.
     """
     radius, least, smallest, largest, error = settings[:5]
+    four, which, driven, amperes, _, quiet, loading, numbers, injections, loaded = scan
+    volts = without_drift(scan, drift, common[0])
+    told, wary, white, count = said(
+        (four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded), erring
+    )  # fmt: skip
+    if len(covered):
+        unknown = unknown_of(white, covered)
+        told, wary, white = beside(told, unknown), beside(wary, unknown), beside(white, unknown)
     n, pairs = len(mean), len(told[2]) - 1
     direction = np.zeros((1, pairs + 1))
-    direction[0, pairs] = common
+    direction[0, pairs] = np.sqrt(common[1])
     plain, careful = beside(told, direction), beside(wary, direction)
-    caused, foreseen, innovation = np.zeros(pairs), np.zeros(pairs), told
+    caused, foreseen, innovation, left = np.zeros(pairs + 1), np.zeros(pairs + 1), told, white[3]
     params = mean[:, :4].copy()
     if n:
         before = _parameters(covariance)
         known, start = inverse(before), params.copy().ravel()
-        _, normal, caused, slopes = refined(
+        _, normal, caused[:pairs], slopes = refined(
             params, careful[0], careful[1], careful[2], careful[3], start, known, np.int64(_ROUNDS), radius, least,
             smallest, largest, sheet, spline, np.inf,
         )  # fmt: skip
@@ -109,11 +124,32 @@ def updated(
                 foreseen[p] -= slopes[i, p] * change[i]
         vector, constant = less(told[0], told[1], told[2], told[3], foreseen)
         innovation = beside((told[0], told[1], vector, constant), _spread(before, slopes))
+        left = less(white[0], white[1], white[2], white[3], foreseen)[1]
     unforeseen = beside(beside(innovation, direction), shapes_of(params, radius, error, spline))
-    vector, constant = less(told[0], told[1], told[2], told[3], caused)
     score, power = scored(unforeseen, candidates)
-    energy = energy_of(told, white, caused)
-    return plain, careful, caused, foreseen, innovation, unforeseen, vector, constant, energy, score, power
+    energy, signals = energy_of(told, white, caused[:pairs]), (0.0, 0.0)
+    if n:
+        direction[0, pairs] = COMMON
+        alone = beside(told, direction)
+        signals = alone[3] - count, less(alone[0], alone[1], alone[2], alone[3], caused[:pairs])[1] - count
+    common, caused[pairs] = _warmed(innovation, common, 1 / (1 + error**2 * max(left, 0.0) / max(count, 1)))
+    vector, constant = less(told[0], told[1], told[2], told[3], caused)
+    residual = told[0], told[1], vector, constant
+    return (
+        volts, (told, wary, white, count), plain, careful, innovation, unforeseen, residual, caused, foreseen,
+        common, energy, signals, score, power,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _warmed(innovation: Part, common: tuple[float, float], share: float) -> tuple[tuple[float, float], float]:
+    """The common change of all resistances and its variance, once a `share` of an innovation is known; and its rise."""
+    change = np.zeros((1, len(innovation[2])))
+    change[0, -1] = 1.0
+    curvature = sizes(innovation[0], innovation[1], change)[0] ** 2
+    variance = 1 / (1 / common[1] + share * curvature)
+    rise = variance * share * innovation[2][-1] if curvature > 0.0 else 0.0
+    return (common[0] + rise, variance), rise
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,7 @@
 """Revisions: a contact is moved elsewhere, two are taken for one, one for two or none, where the last frames say so."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import NEAR, ContactFitter
 from ohmskin.contacts.information import Information
-from ohmskin.contacts.solution import PER_CONTACT
+from ohmskin.contacts.solution import PER_CONTACT, Solution
 from ohmskin.tracking.lift import known_gone
 from ohmskin.tracking.state import STATE, TrackState
 
@@ -72,8 +72,7 @@ def _afresh(rested: "_Rested", bar: float, speed: float) -> TrackState | None:
     state, fitter, pressing = rested.state, rested.fitter, rested.state.pressing
     if rested.count < _RESTED:
         return None
-    told, data, _ = rested.less_all_but(pressing)
-    here = fitter.refine(data, state.params[pressing])
+    told, data, _, here = rested.less_all_but(pressing)
     if not fitter.poor(told, here.cost):
         return None
     there = fitter.explained(told, data, bar)
@@ -96,8 +95,8 @@ def _without_needless(rested: "_Rested", bar: float) -> TrackState | None:
         return None
     faintest = min(pressing, key=lambda k: abs(float(state.mean[k, 2])))
     others = [k for k in pressing if k != faintest]
-    told, data, _ = rested.less_all_but(pressing)
-    few, many = (fitter.refine(data, state.params[some]) for some in (others, pressing))
+    told, data, _, many = rested.less_all_but(pressing)
+    few = fitter.refine(data, state.params[others])
     if few.cost - many.cost > _HYSTERESIS * bar or fitter.poor(told, few.cost):
         return None
     return changed(known_gone(state, fitter, faintest), history=())
@@ -106,8 +105,8 @@ def _without_needless(rested: "_Rested", bar: float) -> TrackState | None:
 def _placed(rested: "_Rested", speed: float, k: int) -> TrackState | None:
     """The state with one contact where the frames since it came want it, if that is elsewhere."""
     state, fitter = rested.state, rested.fitter
-    told, data, _ = rested.less_all_but([k])
-    here, there = fitter.refine(data, state.params[[k]]), fitter.added(data, *fitter.scores(told))
+    told, data, _, here = rested.less_all_but([k])
+    there = fitter.added(data, *fitter.scores(told))
     if here.cost - there.cost < _ELSEWHERE:
         return None
     mean, covariance = state.mean.copy(), state.covariance.copy()
@@ -124,8 +123,7 @@ def _split(rested: "_Rested", bar: float, speed: float, k: int, anyway: bool) ->
     Two that were fitted without success are fitted again once a larger gain is expected, or `anyway`.
     """
     state, fitter = rested.state, rested.fitter
-    told, data, error = rested.less_all_but([k])
-    one = fitter.refine(data, state.params[[k]])
+    told, data, error, one = rested.less_all_but([k])
     left = told.less(one.caused).beside(one.slopes)
     promise = float(fitter.pairs(left, one.params[0])[1].max()) ** 2
     if promise < _MORE * state.tracks[k].refuted and not anyway:
@@ -144,13 +142,13 @@ def _split(rested: "_Rested", bar: float, speed: float, k: int, anyway: bool) ->
 def _merged(rested: "_Rested", bar: float, speed: float, both: tuple[int, int]) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
     state, fitter = rested.state, rested.fitter
-    told, data, error = rested.less_all_but(both)
+    told, data, error, two = rested.less_all_but(both)
     pair = state.params[list(both)].copy()
     pair[1, :2] = pair[0, :2] + fitter.table.offsets(pair[1, :2], pair[0, :2])
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
     start = weight @ pair
     start[2] = pair[:, 2].sum()
-    two, one = fitter.refine(data, pair), fitter.refine(data, start[None])
+    one = fitter.refine(data, start[None])
     if fitter.several(told, one, two, bar + error, _HYSTERESIS):
         return None
     kept = min(state.tracks[k].id for k in both)
@@ -174,6 +172,7 @@ class _Rested:
     count: int
     told: Information
     data: Information
+    _fitted: dict[tuple[int, ...], tuple[Information, Information, float, Solution]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, state: TrackState, fitter: ContactFitter) -> "_Rested":
@@ -193,11 +192,19 @@ class _Rested:
         parts = ([reading.beside for reading in used], [reading.wary for reading in used])
         return cls(state, fitter, len(used), *map(Information.together, parts))
 
-    def less_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float]:
+    def less_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float, Solution]:
         """What they say, and wary of the model's error, less all contacts but the chosen ones, beside shapes that small
-        ones may have; and how much of it may be errors of the others' model (noise's variance)."""
+        ones may have; how much of it may be errors of the others' model (noise's variance); the chosen ones fitted."""
+        if (known := self._fitted.get(tuple(chosen))) is not None:
+            return known
         params, fitter = self.state.params, self.fitter
-        others = fitter.responses(np.delete(params, chosen, axis=0))[0]
-        shapes = fitter.shapes(params[list(chosen)])
-        told, data = (each.less(others).without(shapes) for each in (self.told, self.data))
-        return told, data, (fitter.model_error * self.told.size(others)) ** 2
+        told, data, error = self.told, self.data, 0.0
+        if len(chosen) < len(params):
+            others = fitter.responses(np.delete(params, chosen, axis=0))[0]
+            error = (fitter.model_error * told.size(others)) ** 2
+            told, data = told.less(others), data.less(others)
+        if (shapes := fitter.shapes(params[list(chosen)])).size:
+            told, data = told.without(shapes), data.without(shapes)
+        found = told, data, error, fitter.refine(data, params[list(chosen)])
+        self._fitted[tuple(chosen)] = found
+        return found

@@ -8,7 +8,7 @@ import numpy as np
 from ohmskin.arrays import Floats, Ints, changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.solution import PER_CONTACT, effect_std
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, newest
 from ohmskin.tracking.residuals import Residuals
 
 STATE = 6  # x, y, effect, squared radius, velocity
@@ -71,12 +71,7 @@ class TrackState:
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least so many injections together, less drift and temperature, newest first."""
-        taken: list[Difference] = []
-        for residuals in self.history:
-            if sum(difference.pattern.n_inj for difference in taken) >= injections:
-                break
-            taken.append(residuals.reading.difference)
-        return tuple(taken)
+        return newest((), (residuals.reading.difference for residuals in self.history), injections)
 
     @property
     def params(self) -> Floats:
