@@ -90,7 +90,7 @@ class DiscFitter:
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""
-        return kernels.covering(params, self.table.electrodes, self.table.period).tolist()
+        return list(kernels.covering(params, self.table.electrodes, self.table.period).tolist())
 
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
         """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would

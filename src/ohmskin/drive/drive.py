@@ -38,7 +38,7 @@ class Target:
 
     @property
     def anchors(self) -> Floats:
-        """Places (n, 2) from which eq. (7) weighs pairs (m): what is closest, or a small triangle about the position."""
+        """Places (n, 2) from which eq. (7) weighs pairs (m): what is closest, or a triangle about the position."""
         return self.closest if len(self.closest) else np.asarray(self.position, float) + _TRIANGLE
 
 

@@ -25,15 +25,19 @@ _INT64_2_FIXED = types.Array(_INT64, 2, "C", readonly=True)
 _T4 = _tuple((_FLOAT32_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64, _FLOAT64_3, _INT64_2_FIXED))
 _FLOAT32_2 = types.Array(_FLOAT32, 2, "C")
 _BOOL = types.bool_
+_FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
 _INT64_2 = types.Array(_INT64, 2, "C")
 _BOOL_1 = types.Array(_BOOL, 1, "C")
+_T5 = _tuple(
+    (_INT64_2, _INT64_1, _BOOL_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _INT64_2_FIXED, _INT64, _BOOL)
+)
+_T6 = _tuple((_FLOAT64, _FLOAT64, _FLOAT64, _FLOAT64_2))
 _FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
 _INT32 = types.int32
 _INT32_2 = types.Array(_INT32, 2, "C")
 _INT32_1 = types.Array(_INT32, 1, "C")
 _FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
 _FLOAT64_3_FIXED = types.Array(_FLOAT64, 3, "C", readonly=True)
-_FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
 _FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 
 SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
@@ -41,6 +45,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.follow:followed", (_T2, _T2, _T2, _FLOAT64_2, _FLOAT64_1, _T3, _T4, _FLOAT32_2, _BOOL, _FLOAT64_1)),
     ("contacts.follow:shapes_of", (_FLOAT64_2, _FLOAT64, _FLOAT64, _T4)),
     ("contacts.kernels:all_onto", (_FLOAT64_2, _T3)),
+    ("contacts.kernels:covering", (_FLOAT64_2, _FLOAT64_2_FIXED, _FLOAT64)),
     ("contacts.kernels:expected", (_FLOAT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64_1, _FLOAT64)),
     ("contacts.kernels:peaks", (_FLOAT64_1, _FLOAT64_2, _INT64, _FLOAT64, _FLOAT64, _FLOAT64)),
     (
@@ -63,25 +68,8 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
             _FLOAT64,
         ),
     ),
-    ("contacts.measured:beside_errors", (_T1, _FLOAT64_1, _FLOAT64_2, _FLOAT64, _FLOAT64)),
-    (
-        "contacts.measured:measured",
-        (
-            _INT64_2,
-            _INT64_1,
-            _BOOL_1,
-            _FLOAT64_1,
-            _FLOAT64_1,
-            _FLOAT64_1,
-            _FLOAT64_1,
-            _INT64_2_FIXED,
-            _INT64,
-            _BOOL,
-            _FLOAT64,
-            _FLOAT64,
-        ),
-    ),
     ("contacts.measured:powers", (_T1, _FLOAT32_2)),
+    ("contacts.measured:said", (_T5, _T6)),
     ("contacts.misfit:less", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:likeliest", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
     ("contacts.misfit:paired", (_T1, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),

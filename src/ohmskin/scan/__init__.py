@@ -29,10 +29,10 @@ __all__ = [
     "measure_others",
     "n_pairs",
     "needed",
+    "newest",
     "opposite",
     "pair_index",
     "reciprocity_residuals",
     "skip",
     "two_terminal",
-    "newest",
 ]

@@ -227,9 +227,7 @@ class Baseline:
         return Difference.valid(frame.pattern, currents, volts, reference=reference)
 
 
-def newest(
-    new: Sequence[Difference], older: Iterable[Difference], injections: int
-) -> tuple[Difference, ...]:
+def newest(new: Sequence[Difference], older: Iterable[Difference], injections: int) -> tuple[Difference, ...]:
     """New scans, and as many older ones, newest first, as have so many injections together with them."""
     taken, count = [*new], sum(scan.pattern.n_inj for scan in new)
     for scan in older:

@@ -106,39 +106,39 @@ class ContactFilter:
         """
         pairs = self.fitter.table.pairs
         mean, covariance = before.mean.copy(), before.covariance.copy()
-        volts, what, plain, careful, innovation, unforeseen, residual, caused, foreseen, common, energy, signals, *more = (
-            kernels.updated(
-                *arguments(pairs, self.fitter.errors, [difference]),
-                np.ascontiguousarray(in_series(before.covered, pairs).T), before.drift, before.common_drift, mean,
-                covariance, *self.fitter.compiled,
-            )
-        )  # fmt: skip
-        if not what[-1]:
+        scan, erring = arguments(pairs, self.fitter.errors, [difference])
+        covered = np.ascontiguousarray(in_series(before.covered, pairs).T)
+        found = kernels.updated(
+            scan, erring, covered, before.drift, before.common_drift, mean, covariance, *self.fitter.compiled
+        )
+        if not found.said[-1]:
             raise DataError(NO_DATA)
-        data, wary = Information.pair(*what)
-        reading = Reading(changed(difference, volts=volts), data, data.as_left(plain), wary.as_left(careful))
-        known = foreseen if before.tracks else None
+        data, wary = Information.pair(*found.said)
+        known = found.foreseen if before.tracks else None
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
-        energy = max(energy, before.echo * exp(-2 * elapsed / self.motion.creeping))
+        energy = max(found.energy, before.echo * exp(-2 * elapsed / self.motion.creeping))
         newest = Residuals(
-            reading,
-            data.as_left(innovation, known),
-            data.as_left(residual, caused),
+            Reading(
+                changed(difference, volts=found.volts), data, data.as_left(found.plain), wary.as_left(found.careful)
+            ),
+            data.as_left(found.innovation, known),
+            data.as_left(found.residual, found.caused),
             energy,
             {track.id: effect for track, effect in zip(before.tracks, mean[:, 2].tolist(), strict=True)},
             before.time,
-            data.as_left(unforeseen, known),
-            *more,
+            data.as_left(found.unforeseen, known),
+            found.score,
+            found.power,
         )
         return changed(
             before,
             mean=mean,
             covariance=covariance,
-            common_drift=common,
+            common_drift=found.common,
             history=(newest, *before.history[: LONGEST - 1]),
             echo=energy,
             turn=before.turn + 1,
-            unexplained=data.share_unexplained(*signals),
+            unexplained=data.share_unexplained(*found.signals),
         )
 
     def _common(self, elapsed: float) -> float:

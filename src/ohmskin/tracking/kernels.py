@@ -1,5 +1,7 @@
 """The compiled steps of a filter on contacts (n, 6): x, y (m), effect (m2), squared radius (m2), velocity (m/s)."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -14,6 +16,40 @@ from ohmskin.forward.splines import Grid, Spline
 _ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
 _BALANCE = 1e-12  # share of a variance added to it, so that rounding cannot make a covariance indefinite
 _OTHERWISE = 2.0  # times what the data tell beside all errors by which a contact's model errs at most
+
+
+class Update(NamedTuple):
+    """What a frame says beside the contacts that it updated.
+
+    Args:
+        volts: (n_meas,) the frame's, without drift.
+        said: What they say, see `said`.
+        plain, careful: The same, and wary of the model's error, beside the common change of all resistances.
+        innovation: What they say that was not foreseen.
+        unforeseen: The same beside the common change and shapes of contacts.
+        residual: What contacts and the common change leave.
+        caused: (n_pairs + 1,) what these cause.
+        foreseen: (n_pairs + 1,) what was foreseen.
+        common: The common change after the frame, and its variance (1).
+        energy: Of the contacts, see `energy_of`.
+        signals: What the data say beyond noise, and what contacts leave of it; squared sizes.
+        score, power: (n_places,) of a contact more.
+    """
+
+    volts: Floats
+    said: tuple[Part, Part, Part, int]
+    plain: Part
+    careful: Part
+    innovation: Part
+    unforeseen: Part
+    residual: Part
+    caused: Floats
+    foreseen: Floats
+    common: tuple[float, float]
+    energy: float
+    signals: tuple[float, float]
+    score: Singles
+    power: Singles
 
 
 @njit(cache=True, nogil=True)
@@ -67,10 +103,7 @@ def advanced(
 def updated(
     scan: Scan, erring: Erring, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
     covariance: Floats, settings: Floats, sheet: Grid, spline: Spline, candidates: Singles,
-) -> tuple[
-    Floats, tuple[Part, Part, Part, int], Part, Part, Part, Part, Part, Floats, Floats, tuple[float, float], float,
-    tuple[float, float], Singles, Singles,
-]:  # fmt: skip
+) -> Update:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and what it says of others.
 
     Args:
@@ -85,14 +118,6 @@ def updated(
         sheet: Where contacts may be.
         spline: What they do.
         candidates: (n_pairs + 1, n_places) what those do that are looked for.
-
-    Returns:
-        The frame's voltages (n_meas,) without drift; what they say, see `said`; the same, and wary of the model's
-        error, beside the common change; the innovation, the same beside the common change and shapes of contacts, and
-        what contacts and the common change leave; what these cause (n_pairs + 1,), and what was foreseen (n_pairs + 1,);
-        the
-        common change after the frame; the energy of contacts, see `energy_of`; the signal beyond noise, and what is
-        left of it; score and power (n_places,) of a contact more.
     """
     radius, least, smallest, largest, error = settings[:5]
     four, which, driven, amperes, _, quiet, loading, numbers, injections, loaded = scan
@@ -135,9 +160,9 @@ def updated(
     common, caused[pairs] = _warmed(innovation, common, 1 / (1 + error**2 * max(left, 0.0) / max(count, 1)))
     vector, constant = less(told[0], told[1], told[2], told[3], caused)
     residual = told[0], told[1], vector, constant
-    return (
-        volts, (told, wary, white, count), plain, careful, innovation, unforeseen, residual, caused, foreseen,
-        common, energy, signals, score, power,
+    return Update(
+        volts, (told, wary, white, count), plain, careful, innovation, unforeseen, residual, caused, foreseen, common,
+        energy, signals, score, power,
     )  # fmt: skip
 
 

@@ -47,8 +47,12 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     if not pressing:
         return state
     rested = _Rested.of(state, fitter)
-    if (seen := _afresh(rested, bar, speed)) is not None:
+    told, _, _, here = rested.less_all_but(pressing)
+    doubtful = rested.count >= _RESTED and fitter.poor(told, here.cost)
+    if doubtful and (state.doubtful or just_came(state)) and (seen := _afresh(rested, bar, speed)) is not None:
         return seen
+    state = changed(state, doubtful=doubtful)
+    rested = changed(rested, state=state)
     for k in pressing:
         young = state.tracks[k].since >= state.history[-1].time  # its first frame may have misled
         if young and (placed := _placed(rested, speed, k)) is not None:
@@ -68,13 +72,9 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
 
 
 def _afresh(rested: "_Rested", bar: float, speed: float) -> TrackState | None:
-    """The state with other contacts, if these explain the last frames, in which all rested, significantly better."""
+    """The state with other contacts, if these explain the last frames significantly better than its own do."""
     state, fitter, pressing = rested.state, rested.fitter, rested.state.pressing
-    if rested.count < _RESTED:
-        return None
     told, data, _, here = rested.less_all_but(pressing)
-    if not fitter.poor(told, here.cost):
-        return None
     there = fitter.explained(told, data, bar)
     more = max(len(there.params) - len(here.params), 0)
     if fitter.poor(told, there.cost) or here.cost - there.cost < _ELSEWHERE + more * fitter.bar**2:
@@ -190,7 +190,8 @@ class _Rested:
             used.append(residuals.reading)
         used = used or [state.history[0].reading]
         parts = ([reading.beside for reading in used], [reading.wary for reading in used])
-        return cls(state, fitter, len(used), *map(Information.together, parts))
+        told, data = map(Information.together, parts)
+        return cls(state, fitter, len(used), told, data)
 
     def less_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float, Solution]:
         """What they say, and wary of the model's error, less all contacts but the chosen ones, beside shapes that small
