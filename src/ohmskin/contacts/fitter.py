@@ -6,13 +6,12 @@ false alarms accepted, summed over all places (Bonferroni: the true rate is lowe
 Whether a contact is two is another one, see `ContactFitter.several`.
 """
 
-from dataclasses import replace
 from math import log, sqrt
 
 import numpy as np
 from scipy.special import ndtri
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import follow
 from ohmskin.contacts.discs import DiscFitter, cost_of
 from ohmskin.contacts.follow import CLEAR, HALF, PROMISED, STILL
@@ -131,7 +130,7 @@ class ContactFitter(DiscFitter):
             return last[0]
         given = told, data
         told, data = everything = whole = told.beside_common(), data.beside_common()
-        found, covered = replace(nothing(len(self.table.pairs)), cost=data.misfit.constant), tuple[int, ...]()
+        found, covered = changed(nothing(len(self.table.pairs)), cost=data.misfit.constant), tuple[int, ...]()
         if last is not None and before is not None:
             found, covered = last[0], before.covered
             everything = self._beside_shapes(whole, before.params)
@@ -165,9 +164,9 @@ class ContactFitter(DiscFitter):
                 everything = self._beside_shapes(whole, found.params)
                 told, data = (self._uncovered(one, covered) for one in everything)
                 found = self.refine(data, found.params) if everything is not whole else found
-        found = replace(found, covered=covered, shapes=self.shapes(found.params))
+        found = changed(found, covered=covered, shapes=self.shapes(found.params))
         known = None if before is None else self._followed(*given, found)
-        return found if known is None else replace(found, doubts=known[0].doubts)
+        return found if known is None else changed(found, doubts=known[0].doubts)
 
     def _beside_shapes(self, whole: _Both, params: Floats) -> _Both:
         shapes = self.shapes(params)
@@ -186,16 +185,17 @@ class ContactFitter(DiscFitter):
         allowed = np.maximum(1.0, _MORE * doubts) if search else np.full(follow.DOUBTS, _PATIENT)
         allowed[follow.FAINT] = 1.0
         found = self._followed(told, data, before, search, allowed)
-        return None if found is None else (replace(found[0], doubts=before.doubts), found[1])
+        return None if found is None else (changed(found[0], doubts=before.doubts), found[1])
 
     def _followed(
         self, told: Information, data: Information, before: Solution, search: bool = True, allowed: Floats = _ALL
     ) -> tuple[Solution, bool] | None:
         """The same, with its doubts, some of which are `allowed` (5,)."""
-        params = self.within(before.params)
+        params = before.params.copy()
+        if not 0 < len(params) <= self.most:
+            return None
         away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
-        away[np.diag_indices(len(params))] = np.inf
-        if not 0 < len(params) <= self.most or away.min() < NEAR * self.table.radius:
+        if (away < NEAR * self.table.radius).sum() > len(params):  # any but each of itself
             return None
         told, data = (self._uncovered(one, before.covered) for one in (told, data))
         state, cost, normal, caused, slopes, shapes, doubts = follow.followed(

@@ -52,6 +52,10 @@ def followed(
     """
     radius, least, smallest, largest, error, bar, split_bar = settings[:7]
     count, n = len(white[0][1]), len(params)
+    places = params[:, :2].copy()
+    all_onto(places, sheet)
+    for k in range(n):
+        params[k, :2], params[k, 3] = places[k], min(max(params[k, 3], smallest), largest)
     common, doubts = np.zeros((1, len(told[2]))), np.zeros(DOUBTS)
     common[0, -1] = COMMON
     shapes = shapes_of(params, radius, error, spline)

@@ -7,6 +7,7 @@ somewhere in that cell. A frame takes the next ones of that order, so that frame
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from itertools import product
+from math import atan2, cos, hypot, sin, sqrt
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class Ranking:
             chosen, self.values[at] = _ranked(rows, covariance, goal, depth)
             self.order[at] = near[chosen]
 
-    def cell_of(self, position: Floats) -> tuple[int, int]:
+    def cell_of(self, position: Sequence[float] | Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
         x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
         return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
@@ -231,14 +232,17 @@ def _ranking(
     return Ranking(table, candidates, depth, known, prior, size=size)
 
 
-def _wherever(target: Target) -> list[Floats]:
+def _wherever(target: Target) -> list[tuple[float, float]]:
     """Where a contact is believed to be, and a standard deviation off along both axes of its ellipse (m)."""
-    squares, axes = np.linalg.eigh(target.covariance)
-    sides = axes.T * np.sqrt(np.maximum(squares, 0.0))[:, None]
-    return [target.position, *(target.position + side for side in np.concatenate([sides, -sides]))]
+    (x, y), ((xx, xy), (_, yy)) = target.position.tolist(), target.covariance.tolist()
+    half, middle = hypot((xx - yy) / 2, xy), (xx + yy) / 2
+    angle = atan2(xy, (xx - yy) / 2) / 2  # of the long axis
+    long, short = sqrt(max(middle + half, 0.0)), sqrt(max(middle - half, 0.0))
+    sides = [(-short * sin(angle), short * cos(angle)), (long * cos(angle), long * sin(angle))]
+    return [(x, y), *((x + sign * dx, y + sign * dy) for sign in (1, -1) for dx, dy in sides)]
 
 
-def _in_turn(ranking: Ranking, positions: Sequence[Floats], count: int, turn: int) -> Ints:
+def _in_turn(ranking: Ranking, positions: Sequence[Sequence[float] | Floats], count: int, turn: int) -> Ints:
     """The next `count` injections of the rankings of all cells with contacts, which take turns; a cell counts once."""
     cells = list(dict.fromkeys(ranking.cell_of(position) for position in positions))
     depth = ranking.order.shape[-1]

@@ -5,12 +5,12 @@ Other packages add theirs with an entry point of the group ``ohmskin.readers``: 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import nothing
@@ -77,14 +77,14 @@ class Belief:
     def seen_in(self, misfit: float) -> "Belief":
         """The same of contacts seen in an image that leaves a share of the data unexplained."""
         detections, contacts = (doubted(some, image_trust(misfit)) for some in (self.detections, self.contacts))
-        return replace(self, detections=detections, contacts=contacts, unexplained=misfit)
+        return changed(self, detections=detections, contacts=contacts, unexplained=misfit)
 
     def with_drift_of(self, before: "Belief") -> "Belief":
         """The same with the drift of another belief: data that are doubted teach none."""
         tracks = self.tracks
         if isinstance(tracks, TrackState) and isinstance(before.tracks, TrackState):
-            tracks = replace(tracks, drift=before.tracks.drift, common_drift=before.tracks.common_drift)
-        return replace(self, tracks=tracks, drift=before.drift)
+            tracks = changed(tracks, drift=before.tracks.drift, common_drift=before.tracks.common_drift)
+        return changed(self, tracks=tracks, drift=before.drift)
 
 
 class Reader(Protocol):
@@ -196,7 +196,7 @@ class FitReader:
         tracks, contacts = self.tracker.update(before.tracks, found)
         belief = Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
         explains = not found or not self.fitter.poor(told, solution.cost)
-        return replace(belief, solution=solution, searched=searched, explains=explains)
+        return changed(belief, solution=solution, searched=searched, explains=explains)
 
     @staticmethod
     def _drifted(told: Information, solution: Solution, said: float, left: float) -> bool:
@@ -254,7 +254,7 @@ class FilterReader:
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
         belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
-        return replace(belief, explains=self.filter.explains(state))
+        return changed(belief, explains=self.filter.explains(state))
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

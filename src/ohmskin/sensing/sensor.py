@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
+from ohmskin.arrays import changed
 from ohmskin.contacts import Contact, on_skin
 from ohmskin.drive import Drive
 from ohmskin.geometry import Cells
@@ -219,7 +220,7 @@ class Sensor:
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
-        reported = placed(self._placement, replace(belief, contacts=contacts), scans, self.known.pairs)
+        reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
         return after, Percept(measured.frames, reported, measured.look, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:

@@ -1,9 +1,23 @@
 """Drift: what changes beside contacts, all resistances together (temperature) or pairs one by one."""
 
+import numpy as np
+
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.tracking.kernels import warmed
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.state import TrackState
+
+
+def with_common_drift(state: TrackState, fitter: ContactFitter, before: tuple[float, float]) -> TrackState:
+    """The state with the common change of all resistances that its newest frame shows beside all its contacts, given
+    what was known `before` it, and its variance (1)."""
+    newest = state.history[0]
+    common = warmed(newest.innovation.misfit.part, before, fitter.allowance(newest.innovation))[0]
+    change = np.zeros(len(newest.innovation.misfit.vector))
+    change[-1] = common[0] - state.common_drift[0]
+    newest = changed(newest, residual=newest.residual.less(change))
+    return changed(state, common_drift=common, history=(newest, *state.history[1:]))
 
 
 def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:

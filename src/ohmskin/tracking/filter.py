@@ -19,7 +19,7 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 from ohmskin.tracking import kernels
 from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
-from ohmskin.tracking.drift import learned
+from ohmskin.tracking.drift import learned, with_common_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Reading, Residuals
@@ -81,6 +81,8 @@ class ContactFilter:
         state = self._updated(before, difference, elapsed)
         newest = state.history[0]
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
+        if state.history[0] is not newest:
+            state = with_common_drift(state, fitter, before.common_drift)
         state = with_lifts(state, fitter, self.bar, motion.settling, elapsed)
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)

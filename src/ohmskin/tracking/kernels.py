@@ -157,7 +157,7 @@ def updated(
         direction[0, pairs] = COMMON
         alone = beside(told, direction)
         signals = alone[3] - count, less(alone[0], alone[1], alone[2], alone[3], caused[:pairs])[1] - count
-    common, caused[pairs] = _warmed(innovation, common, 1 / (1 + error**2 * max(left, 0.0) / max(count, 1)))
+    common, caused[pairs] = warmed(innovation, common, 1 / (1 + error**2 * max(left, 0.0) / max(count, 1)))
     vector, constant = less(told[0], told[1], told[2], told[3], caused)
     residual = told[0], told[1], vector, constant
     return Update(
@@ -167,7 +167,7 @@ def updated(
 
 
 @njit(cache=True, nogil=True)
-def _warmed(innovation: Part, common: tuple[float, float], share: float) -> tuple[tuple[float, float], float]:
+def warmed(innovation: Part, common: tuple[float, float], share: float) -> tuple[tuple[float, float], float]:
     """The common change of all resistances and its variance, once a `share` of an innovation is known; and its rise."""
     change = np.zeros((1, len(innovation[2])))
     change[0, -1] = 1.0

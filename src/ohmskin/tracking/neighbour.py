@@ -1,11 +1,12 @@
 """Tracking: contacts keep their id from frame to frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from ohmskin.arrays import changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.geometry.mesh import shortest
 
@@ -62,16 +63,16 @@ class Tracker:
         for number, contact in enumerate(found):
             if number in track_of:
                 track = old[track_of[number]]
-                track = Track(replace(contact, id=track.contact.id), track.seen + 1)
+                track = Track(changed(contact, id=track.contact.id), track.seen + 1)
             else:
                 track = Track(contact)
             if track.seen >= self.confirm:
                 if track.contact.id < 0:
-                    track = replace(track, contact=replace(contact, id=next_id))
+                    track = changed(track, contact=changed(contact, id=next_id))
                     next_id += 1
                 reported.append(track.contact)
             tracks.append(track)
         for number, track in enumerate(old):
             if number not in track_of.values() and track.seen >= self.confirm and track.missed < self.patience:
-                tracks.append(replace(track, missed=track.missed + 1))
+                tracks.append(changed(track, missed=track.missed + 1))
         return Tracks(tuple(tracks), next_id), tuple(reported)

@@ -49,13 +49,13 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     rested = _Rested.of(state, fitter)
     told, _, _, here = rested.less_all_but(pressing)
     doubtful = rested.count >= _RESTED and fitter.poor(told, here.cost)
-    if doubtful and (state.doubtful or just_came(state)) and (seen := _afresh(rested, bar, speed)) is not None:
+    young = {k for k in pressing if state.tracks[k].since >= state.history[-1].time}  # their first frames may mislead
+    if doubtful and (young or state.doubtful) and (seen := _afresh(rested, bar, speed)) is not None:
         return seen
     state = changed(state, doubtful=doubtful)
     rested = changed(rested, state=state)
-    for k in pressing:
-        young = state.tracks[k].since >= state.history[-1].time  # its first frame may have misled
-        if young and (placed := _placed(rested, speed, k)) is not None:
+    for k in sorted(young):
+        if (placed := _placed(rested, speed, k)) is not None:
             return placed
     for place, k in enumerate(pressing):
         for other in pressing[place + 1 :]:
