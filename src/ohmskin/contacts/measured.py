@@ -265,7 +265,7 @@ def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model
                 seen[pairs + 1, i] += at_rest * error[i]
                 inner[j, i] += at_rest * error[i]
             for i in range(k + 1):
-                for h in range(k + 1):
+                for h in range(i + 1):
                     own[i, h] += error[i] * error[h]
             along[j, a] += size * at_rest
             along[j, b] += size * at_rest
@@ -277,7 +277,10 @@ def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model
     gradients, at_rests = np.empty((k + 1, pairs + 1)), np.empty((injections, pairs + 1))
     for p in range(pairs + 1):
         row = p if p < pairs else pairs + 1
-        gradients[:, p], at_rests[:, p] = seen[row], along[:, row]
+        for i in range(k + 1):
+            gradients[i, p] = seen[row, i]
+        for j in range(injections):
+            at_rests[j, p] = along[j, row]
     white = rows, np.zeros((0, pairs + 1)), gradients[k].copy(), float(own[k, k])
     larger = 1 + model**2 * float(own[k, k]) / max(len(data), 1)
     return (
