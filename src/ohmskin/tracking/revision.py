@@ -52,8 +52,9 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     young = {k for k in pressing if state.tracks[k].since >= state.history[-1].time}  # their first frames may mislead
     if doubtful and (young or state.doubtful) and (seen := _afresh(rested, bar, speed)) is not None:
         return seen
-    state = changed(state, doubtful=doubtful)
-    rested = changed(rested, state=state)
+    if doubtful != state.doubtful:
+        state = changed(state, doubtful=doubtful)
+        rested = changed(rested, state=state)
     for k in sorted(young):
         if (placed := _placed(rested, speed, k)) is not None:
             return placed
