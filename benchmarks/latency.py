@@ -69,6 +69,7 @@ int main(int, char** arguments) {
     std::printf("]]");
 }
 """
+_PRESSES = 30  # a second: as often as the demonstration finger of a live page
 _NAMES = ("shared memory", "shared memory, C++", "zenoh")
 
 _BROWSE = """
@@ -121,9 +122,11 @@ def measure(seconds: float, rate: float) -> dict[str, Any]:
             done.set()
 
         threading.Thread(target=listen, daemon=True).start()
-        frames, start = 0, time.monotonic()
+        frames, presses, start = 0, 0, time.monotonic()
         while not done.is_set():
-            engine.press(0, *demo_finger(skin.domain, time.monotonic() - start))
+            if (passed := time.monotonic() - start) * _PRESSES >= presses:  # each takes the twin some milliseconds
+                engine.press(0, *demo_finger(skin.domain, passed))
+                presses += 1
             if (touch := session.step()) is not None:
                 publisher.publish(touch)
                 recorder.publish(touch)
