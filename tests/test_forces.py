@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -169,6 +169,34 @@ def test_no_force_is_told_that_was_found_before_the_press_changed(seed: int) -> 
             assert not [a for a, b in pairwise(told) if a is not None and a == b], (place, told)
 
 
+def test_forces_that_swell_and_ease_off_are_told_no_surer_than_they_are() -> None:
+    """A ball of 12 mm in foam moves up and down and along, its size with it. A fit that is followed alone keeps to a
+    size of before, sure of a light press on much area in place of a harder one on less: 8 % of frames were off by more
+    than three standard deviations of the logarithm (0 to 22 % by place and seed), with others beside it 3 %."""
+    worn, off = Skin.load(Path(__file__).parents[1] / "examples" / "humanoid" / "chest.toml"), list[bool]()
+    for seed in (11, 12):
+        twin = VirtualSkin(replace(worn, calibration=Calibration()), seed)
+        with Engine(partial(DirectDevice, twin), worn) as loop:
+            loop.calibrate()
+            for x, y in ((0.05, 0.11), (0.24, 0.06), (0.14, 0.08), (0.2, 0.12)):
+                loop.forget()
+                for k, depth in enumerate(1e-3 * (2.1 + 1.4 * np.cos(np.arange(60) / 15 * np.pi))):
+                    place, radius, force = (x + 1e-4 * k, y), float(np.sqrt(24e-3 * depth)), np.pi * 0.144e6 * depth**2
+                    loop.press(0, place, radius, force / Press(place, radius, 1.0).force(FOAM))
+                    touch = loop.step()
+                    assert touch is not None
+                    off += [
+                        bool(abs(np.log(one.force / force)) > 3 * np.log1p(one.force_std / one.force))
+                        for one in touch.contacts
+                        if one.force and one.force_std
+                    ]
+                loop.press(0, place, radius, 0.0)
+                for _ in range(5):
+                    loop.step()
+    assert len(off) > 400
+    assert np.mean(off) < 0.05
+
+
 @pytest.mark.parametrize("place", [(0.06, 0.06), (0.13, 0.05), (0.11, 0.14)])
 def test_presses_that_rise_fast_do_not_jump(
     engine: Engine, monkeypatch: pytest.MonkeyPatch, place: tuple[float, float]
@@ -212,7 +240,7 @@ def test_a_refused_step_is_damped_at_once(engine: Engine, monkeypatch: pytest.Mo
     refused, far = list[Floats](), [1e3 * part for part in follower.fitter.caused(state.fits[0].params)]
     monkeypatch.setattr(follower.fitter, "caused", lambda params: refused.append(params) or far)
     after, _ = follower.update(replace(state, fits=tuple(bold)), contacts, scans, elapsed)  # type: ignore[arg-type]
-    assert len(refused) == len(bold)  # each was tried, and none was lost and started afresh
+    assert len(bold) <= len(refused) <= len(bold) + 1  # each was tried, one of another size, and none started afresh
     assert all(fit.damping == pytest.approx(1e-2) for fit in after.fits)
 
 

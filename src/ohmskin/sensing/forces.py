@@ -3,12 +3,13 @@
 A fit of presses from nothing takes some twelve evaluations of 5 ms. From one frame to the next presses change little:
 what the last frames say is summed, and solved for small changes of the presses about where the model was evaluated
 last. It is evaluated anew when they have changed by more, or are not found yet. Since light and wide may look like hard
-and narrow, several fits are followed until all but one are far less likely.
+and narrow, several fits are followed until all but one are far less likely, and then another size is tried beside it.
+The logarithm of a force is the mean of fits that are found, by likelihood; how all differ is a part of its error.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, hypot, log, sqrt
+from math import exp, expm1, hypot, log, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -27,6 +28,7 @@ from ohmskin.skin import Foam, Mode, Press
 _KEPT = 0.05  # s for which a press is taken to stay as it is
 _SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
 _LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
+_OTHER = 1.4  # factor of the radius to the next fit that is tried
 _DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
 _JUMPED = 0.05  # share of the squared signal that changes at once where presses may be of another size since
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
@@ -82,6 +84,7 @@ class Presses:
         elapsed: in which time, or since a place was prepared while nothing touches (s).
         told: The presses found last, by contact, by what of them acts on the sheet, and
         foam: what the foam under them was last, and how long ago (s).
+        wider: Whether the next other size that is tried is a wider one.
     """
 
     ids: tuple[int, ...] = ()
@@ -92,6 +95,7 @@ class Presses:
     elapsed: float = 0.0
     told: dict[int, FittedPress] = field(default_factory=dict)
     foam: dict[int, tuple[Foam, float]] = field(default_factory=dict)
+    wider: bool = False
 
 
 class Forces(Protocol):
@@ -156,12 +160,7 @@ class PressFollower:
             last, since = before.get(number, (None, 0.0))
             now, acting = layer.pressing(last, one.press.pressure, since + elapsed), one.press.pressure
             share = now.pressure / acting
-            pressing[number] = replace(
-                one,
-                press=replace(one.press, pressure=now.pressure),
-                force=share * one.force,
-                force_std=share * one.force_std,
-            )
+            pressing[number] = one.scaled(share, one.force_std / one.force)
             band = max(_CHANGED, one.force_std / one.force)
             if last is None or abs(log(now.pressure / last.pressure)) > band or since > _CREPT * layer.creep_time:
                 last, since = now, -elapsed
@@ -212,8 +211,9 @@ class PressFollower:
         new = self.fitter.information(state.scans, 1 / (1 - kept))
         data = new if state.data is None else state.data.plus(new, kept)
         fits = state.fits
-        if jumped and all(fit.found is not None for fit in fits):  # those not found yet are a search afresh
-            fits = (*fits, *self._started(contacts, {}))
+        found = [fit for fit in fits if fit.found is not None]
+        if jumped and found and len(fits) < len(found) + 2:  # more that are not found yet are a search afresh
+            fits = (*found, *self._started(contacts, {}))
         return replace(state, fits=fits, data=data, exact=exact, scans=(), elapsed=0.0)
 
     def _improved(self, state: Presses) -> Presses:
@@ -224,7 +224,16 @@ class PressFollower:
             return Presses(state.ids)
         if fits[0].found is not None:
             fits = _distinct([fit for fit in fits if fit.found is None or fit.cost < fits[0].cost + _UNLIKELY])
-        return replace(state, fits=tuple(fits), told=self._told(state, fits))
+        told = self._told(state, fits)
+        if len(fits) == 1 and fits[0].found is not None:
+            fits += self._other(fits[0], state.wider)
+        return replace(state, fits=tuple(fits), told=told, wider=not state.wider)
+
+    def _other(self, fit: Fit, wider: bool) -> list[Fit]:
+        """Presses of another size than a fit's, and of the same force, about."""
+        params = fit.best.reshape(-1, len(_LINEAR)).copy()
+        params[:, 2:] += np.log(_OTHER) * np.array([1.0, -2.0]) * (1 if wider else -1)
+        return self._evaluated(self.fitter.moved(params.ravel(), np.zeros(params.size)))
 
     def _stepped(self, fit: Fit, data: Sums) -> list[Fit]:
         """A fit closer to the data: solved for, if that is near to where it is linear, else evaluated there."""
@@ -255,12 +264,17 @@ class PressFollower:
         """
         if all(fit.found is None for fit in fits):
             return {}
-        shares = np.exp([(fits[0].cost - fit.cost) / 2 for fit in fits])
+        there, costs = np.array([fit.found is not None for fit in fits]), np.array([fit.cost for fit in fits])
+        shares = np.exp(np.minimum(costs[there].min() - costs, 0.0) / 2)
         likely = [self.fitter.told(fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
         told = {}
         for number, presses in zip(state.ids, zip(*likely, strict=True), strict=True):
-            squares = [press.force_std**2 + (press.force - presses[0].force) ** 2 for press in presses]
-            told[number] = replace(presses[0], force_std=sqrt(float(np.average(squares, weights=shares))))
+            logs = np.log([press.force for press in presses])
+            mean = float(np.average(logs, weights=shares * there))
+            squares = np.log1p([press.force_std / press.force for press in presses]) ** 2 + (logs - mean) ** 2
+            best = presses[int(there.argmax())]
+            std = sqrt(float(np.average(squares, weights=shares)))
+            told[number] = best.scaled(exp(mean) / best.force, expm1(std))
         return told
 
 

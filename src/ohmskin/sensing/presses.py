@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
-from ohmskin.contacts.information import Errors, Information
+from ohmskin.contacts.information import Information
 from ohmskin.contacts.kernels import damped_step
 from ohmskin.contacts.misfit import Sums
 from ohmskin.contacts.solution import inverse
@@ -51,6 +51,11 @@ class FittedPress:
     force: float
     force_std: float
     covariance: Floats
+
+    def scaled(self, share: float, relative: float) -> "FittedPress":
+        """A share of it, whose force has a `relative` standard deviation (1)."""
+        press, force = replace(self.press, pressure=share * self.press.pressure), share * self.force
+        return FittedPress(press, force, relative * force, self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,12 +214,9 @@ class PressFitter:
 
         With no frames, as if the model did not err.
         """
-        fitter = self.known.fitter
-        four = np.concatenate([scan.pattern.quadruples for scan in scans])
+        fitter, four = self.known.fitter, np.concatenate([scan.pattern.quadruples for scan in scans])
         repeats = frames * len(four) / len(np.unique(four, axis=0))
-        errors = Errors(
-            fitter.errors.noise, fitter.errors.gain, fitter.errors.contacts, self._model_error * np.sqrt(repeats)
-        )
+        errors = replace(fitter.errors, model=self._model_error * np.sqrt(repeats))
         return Information.of(fitter.table.pairs, errors, scans)[1].misfit.sums
 
     def start(self, contacts: Sequence[Contact], size: float = 1.0) -> Floats:
@@ -305,14 +307,12 @@ class PressFitter:
     def told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
         """Presses (4 n,) of a covariance (4 n, 4 n), with their forces; what is not known of the layer counts, too.
         Errors are of the logarithm, at most its prior's: a force's is how far the upper one is off."""
-        told, layer = [], self.sheet.skin.contact_layer
-        stds = self.known.skin.calibration.layer_stds or (0.0, 0.0)
+        told, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))
             press = self._press(own)
-            force = press.force(self.known.skin.contact_layer.foam_spread)
-            slope = np.array([0.0, 0.0, self._growth(own), 1.0])
-            variance = min(float(slope @ covariance[at, at] @ slope), float(((slope[2:] * _SPREAD) ** 2).sum()))
+            force, slope = press.force(layer.foam_spread), np.array([self._growth(own), 1.0])
+            variance = min(slope @ covariance[at, at][2:, 2:] @ slope, ((slope * _SPREAD) ** 2).sum())
             off = np.array([1.0, np.log(press.pressure / layer.pressure_scale)]) / layer.exponent
             std = sqrt(variance + float(((off * np.array(stds)) ** 2).sum()))
             told.append(FittedPress(press, force, force * expm1(std), covariance[at, at]))
