@@ -339,6 +339,26 @@ def test_voltages_behind_a_current_that_cannot_be_are_not_used(engine: Engine, a
     assert np.median(misses([touch for touch in felt if touch.contacts])) < 4e-3
 
 
+@pytest.mark.parametrize("engine", ["16P", "16T"], indirect=True)
+def test_frames_that_show_nothing_new_are_examined_in_their_turn_and_those_that_contradict_at_once(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert engine.sensor is not None
+    examined, examine = list[int](), engine.sensor.detector.examine
+    monkeypatch.setattr(engine.sensor.detector, "examine", lambda *given: [examined.append(1), examine(*given)][1])
+    for pressure in (0.0, PRESSURE):
+        engine.press(0, AT, RADIUS, pressure)
+        run(engine, 40)
+        examined.clear()
+        run(engine, 80)
+        assert 10 <= len(examined) <= 40 * engine.sensor.drive.scans
+    run(engine, 1)
+    device_of(engine).spoil = lambda frame: spread(frame, 0.05)
+    examined.clear()
+    run(engine, 1)
+    assert examined
+
+
 @pytest.mark.parametrize("engine", ["16P"], indirect=True)
 def test_a_current_that_failed_once_is_not_told_for_ever(engine: Engine) -> None:
     """Electrode 13 is not on the rim, which the base scan drives."""

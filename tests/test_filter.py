@@ -533,6 +533,25 @@ def test_two_that_were_fitted_in_vain_are_fitted_again_where_they_promise_more_a
         assert [look(promise, turn) for turn in (2, 3, 4, 5)] == [-1.0, -1.0, promise, -1.0]
 
 
+def test_contacts_that_explain_data_poorly_are_looked_for_afresh_in_the_second_look_or_while_they_are_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Data err a quarter more than the filter is told; there is nothing to be found."""
+    judge, calls = fitter("discs", 50), list[int]()
+    search = judge.explained
+    monkeypatch.setattr(judge, "explained", lambda *given: [calls.append(1), search(*given)][1])
+    for seed, place in enumerate(PLACES):
+        state = Rig("discs", 48, seed, ContactFilter(judge)).run(30, press("discs", place))
+        state, looks = replace(state, history=4 * state.history[:1]), []
+        for since, doubtful in ((-1.0, False), (-1.0, True), (state.time, False)):
+            calls.clear()
+            tracks = tuple(replace(track, since=since) for track in state.tracks)
+            after = with_revision(replace(state, tracks=tracks, doubtful=doubtful), judge, np.inf, 0.1, 1)
+            looks.append((len(calls), after.doubtful and not doubtful))
+        assert looks[0] == (0, True)
+        assert [count for count, _ in looks] == [0, 1, 1]
+
+
 def test_what_a_search_found_nothing_about_is_searched_again_only_if_there_is_more_of_it() -> None:
     """Data that err a quarter more than the fit is told leave a residual that calls for a search, in vain."""
     judge = fitter("discs", 50)
