@@ -18,7 +18,7 @@ from typing import Any
 import hypothesis
 import pytest
 from leftovers import Leftovers
-from tiers import CHROMIUM, group, needs, order, rows
+from tiers import CHROMIUM, needs, order, rows
 
 ROOT = Path(__file__).parents[1]
 CHROMIUM_FLAGS = [
@@ -47,12 +47,11 @@ def pytest_sessionstart() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test the markers of the table; what takes longest comes first, so that workers end together."""
+    """Give each test the markers of the table; the files that take longest come first, so that workers end together."""
     for item in items:
         for row in rows(item.path.name, item.name):
             item.add_marker(getattr(pytest.mark, row.marker)(reason=row.reason))
-        item.add_marker(pytest.mark.xdist_group(group(item.path.name, item.name)))
-    items.sort(key=lambda item: order(group(item.path.name, item.name)))  # a stable sort: within one nothing moves
+    items.sort(key=lambda item: order(item.path.name))  # a stable sort: within a file nothing moves
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -326,9 +326,6 @@ SLOWEST = (  # files that wait (for browsers, boards, lost devices) apart, the s
 )
 
 
-APART = ("test_documentation.py::test_commands_of_guides*[[]robot",)  # minutes long, and a worker need not do more
-
-
 def rows(path: str, name: str) -> list[Row]:
     """The rows of the table that speak of a test: its file's name, and its own name with parameters."""
     return [row for row in _of_file(path) if path == row.tests or fnmatch(f"{path}::{name}", row.tests)]
@@ -339,12 +336,6 @@ def _of_file(path: str) -> list[Row]:
     return [row for row in TABLE if row.tests.partition("::")[0] == path]
 
 
-def group(path: str, name: str) -> str:
-    """The tests that one worker runs: those of a file, or one that is apart."""
-    test = f"{path}::{name}"
-    return test if any(fnmatch(test, f"{one}*") for one in APART) else path
-
-
-def order(group: str) -> int:
-    """Where a group comes among the others: those that take longest first."""
-    return SLOWEST.index(group) if group in SLOWEST else -1 if "::" in group else len(SLOWEST)
+def order(path: str) -> int:
+    """Where a file comes among the others: those that take longest first."""
+    return SLOWEST.index(path) if path in SLOWEST else len(SLOWEST)

@@ -11,7 +11,7 @@ from ohmskin.contacts import measured
 from ohmskin.contacts.measured import Part, Rows
 
 _SOME, _ALL = 0.7, slice(None)  # share of the pairs below which it pays to leave out those that data say nothing of
-_SOLVED = 1e-4  # share of the gradient that is left once it is as good as nothing
+_SOLVED = 1e-8  # share of the gradient that is left once it is as good as nothing
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
 SINGLE = 1e-5  # the same of powers in single precision
 COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
