@@ -142,12 +142,16 @@ def alone(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment)
 
 
+def runs(words: list[str]) -> bool:
+    """Whether a command is run here: not by other tests, for minutes, or on files of others."""
+    return not (words[0] in ELSEWHERE or (words[0] in STUDIES and "--only" in words) or {*words} & OF_OTHERS)
+
+
 def run_all(page: Path, folder: Path, device: str) -> list[str]:
     """Run the commands of a page in a folder, one after the other, for seconds instead of for ever; their names."""
     ran = []
     for words in typed(page.read_text(encoding="utf-8")):
-        skipped = words[0] in ELSEWHERE or (words[0] in STUDIES and "--only" in words) or {*words} & OF_OTHERS
-        if not skipped:
+        if runs(words):
             words = [word for word in words if word != "--loop"]  # which never ends
             words = [FEWER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
             if "--replay" in words:
@@ -212,7 +216,7 @@ def with_humanoid(folder: Path) -> None:
 
 NEEDED = {"learning": with_presses, "several-skins": with_body, "robot": with_humanoid, "safety": with_skins}
 OTHERS = [page for page in PAGES[1:] if page.parent.name != "tutorials"]
-OTHERS = [page for page in OTHERS if any(words[0] not in ELSEWHERE for words in typed(page.read_text("utf-8")))]
+OTHERS = [page for page in OTHERS if any(map(runs, typed(page.read_text("utf-8"))))]
 
 
 @pytest.mark.parametrize("page", OTHERS, ids=lambda page: page.stem)
