@@ -22,8 +22,8 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import Pairs
 from ohmskin.scan.pattern import joined
 
-_SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
 NO_DATA = "no finite measurement in the frame; check the device, or that the voltages do not clip"
+_SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
 _RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where data say nothing
 
 

@@ -54,7 +54,7 @@ class Diagnosis:
         silent: Since when (s) no current has flowed through electrodes that were driven.
         offsets: Times (s) of the newest frames with an offset, and how large it was (V).
         error: Standard deviation of a voltage in the worst frame of late (V).
-        fits: Squared misfit and degrees of freedom of each of the newest scans, newest first.
+        fits: Squared misfit and degrees of freedom of each of the newest scans that were examined, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
         puzzled: Frames since a contradiction arose whose cause is not found.
         unlike: Share of the data of recent frames that no contacts explain.
