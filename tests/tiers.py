@@ -209,6 +209,7 @@ SMOKE = (
     "test_cli.py::test_help_and_suggestions*",
     "test_cli.py::test_image_shows*",
     "test_dataset.py::test_another_recipe*",
+    "test_docstrings.py::test_every*",
     "test_domains.py::test_surfaces_come_back*",
     "test_domains.py::test_gmsh_refines*",
     "test_mcap.py::test_other_messages*",

@@ -44,7 +44,12 @@ class Figure:
 
     @classmethod
     def median(cls, name: str, values: Floats, unit: str, **rest: Any) -> Self:
-        """Median and quartiles of what was measured in several rounds (n_rounds,)."""
+        """The figure that several rounds gave: median and quartiles of `values`.
+
+        Args:
+            name, unit, rest: As for `Figure`.
+            values: (n_rounds,) what was measured in each, in that unit.
+        """
         low, value, high = (float(quartile) for quartile in np.percentile(values, [25, 50, 75]))
         return cls(name, value, unit, low=low, high=high, **rest)
 

@@ -53,7 +53,7 @@ class Body:
 
     @classmethod
     def load(cls, path: str | Path) -> "Body":
-        """Read a body from its file. Skins and the URDF file are read from its folder only.
+        """Read a body from its TOML file at `path`. Skins and the URDF file are read from its folder only.
 
         Raises:
             SkinError: If it cannot be read, an entry is unknown, missing or out of range, or a link not in the URDF.

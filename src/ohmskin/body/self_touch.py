@@ -39,9 +39,13 @@ class SelfTouch:
         self._sure = not body.robot.unseen
 
     def told(self, robot: Robot, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
-        """Contacts on the links of a robot that stands so, with their `self_touch`.
+        """The same contacts, with their `self_touch` determined.
 
         It is None where nothing is near, but a link has a mesh, whose shape is not known here.
+
+        Args:
+            robot: In the posture of that moment.
+            contacts: In the frames of its links.
         """
         told = []
         for contact, placed in zip(contacts, robot.place(contacts), strict=True):
@@ -51,10 +55,15 @@ class SelfTouch:
         return tuple(told)
 
     def nearest(self, robot: Robot, point: Floats, link: str) -> tuple[str, float]:
-        """The surface closest to a point (3,) in the frame of the root, of all links that move against `link`.
+        """The surface closest to a point, of all links that can move against its link.
+
+        Args:
+            robot: In the posture of that moment.
+            point: (3,) in the frame of the root (m).
+            link: Whose surface the point is on.
 
         Returns:
-            The link it is on, empty if there is none, and how far it is (m), below zero within a simple shape.
+            The link of that surface, empty if there is none, and how far it is (m), below zero within a simple shape.
         """
         found = ("", inf)
         for visual in robot.visuals:

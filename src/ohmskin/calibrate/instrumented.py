@@ -30,7 +30,7 @@ class LoadCell:
         self._lock, self._newest = threading.Lock(), (np.nan, -np.inf)
 
     def tell(self, force: float) -> None:
-        """Store a reading (N); its sign is ignored."""
+        """Store a reading, `force` (N); its sign is ignored."""
         with self._lock:
             self._newest = abs(force), time.monotonic()
 
@@ -78,7 +78,17 @@ class ForceSampler:
     def see(
         self, contacts: Sequence[Contact], scans: Sequence[Difference], force: float, auxiliary: float = np.nan
     ) -> bool:
-        """Look at a cycle, its only contact and the force of that moment (N). Whether a sample was taken."""
+        """Take in one cycle.
+
+        Args:
+            contacts: All of it; only a cycle with exactly one counts.
+            scans: What was measured, (n_scans,) changes against the quiet skin.
+            force: What the load cell read at that moment (N); below 0.1, or NaN, it measures no press.
+            auxiliary: What the auxiliary channel read, in its unit; NaN: there is none.
+
+        Returns:
+            Whether a sample was taken.
+        """
         if len(contacts) != 1 or not force >= _LEAST:
             self._seen.clear()
             return False

@@ -101,8 +101,16 @@ class PressGuide:
         self._seen = []
 
     def see(self, contacts: Sequence[Contact], scans: Sequence[Difference] = (), auxiliary: float = np.nan) -> bool:
-        """Look at a cycle: its contacts, what was measured, and what the auxiliary channel read. Whether the press is
-        done and the next step is due."""
+        """Take in one cycle.
+
+        Args:
+            contacts: All of it; the strongest one near the place of the step counts.
+            scans: What was measured, (n_scans,) changes against the quiet skin.
+            auxiliary: What the auxiliary channel read, in its unit; NaN: there is none.
+
+        Returns:
+            Whether the press is done and the next step is due.
+        """
         step = self.step
         if step is None or self._seen is None:
             return False

@@ -41,12 +41,12 @@ class Patch:
     newtons: bool = False
 
     def place(self, x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
-        """A place (m) of the sheet in the frame."""
+        """The point (`x`, `y`, `z`) of the sheet (m), in the frame (m)."""
         (px, py, pz), (tx, ty, tz) = self.position, self.turn(x, y, z)
         return px + tx, py + ty, pz + tz
 
     def turn(self, x: float, y: float, z: float = 0.0) -> tuple[float, float, float]:
-        """A vector of the sheet in the frame."""
+        """The vector (`x`, `y`, `z`) of the sheet, in the frame: turned, in the same unit."""
         (ax, ay, az), (bx, by, bz), (cx, cy, cz) = self.axes
         return x * ax + y * bx + z * cx, x * ay + y * by + z * cy, x * az + y * bz + z * cz
 

@@ -31,7 +31,11 @@ class JointStates(Closing):
         self._board = Board(f"{name}.joints", {}, _LARGEST)
 
     def push(self, positions: Mapping[str, float], age: float = 0.0) -> None:
-        """Tell the positions of joints by name (rad, m), measured so long ago (s); others stand as the body file says.
+        """Send the positions of joints; joints that are not named stand as the body file says.
+
+        Args:
+            positions: By the name of the joint (rad, m).
+            age: How long ago they were measured (s).
 
         Raises:
             PublishError: If one is no finite number, or there are too many.

@@ -88,11 +88,11 @@ class ContactFinder:
         return sorted(contacts, key=lambda contact: -abs(contact.peak))
 
     def cut(self, image: Image) -> float:
-        """The least peak of a contact in an image."""
+        """The least contrast at the peak of a contact in an `image` (1)."""
         return max(self.threshold, self.fraction * self.highest(image))
 
     def highest(self, image: Image) -> float:
-        """The highest contrast that could be a contact's."""
+        """The highest contrast of an `image` that could be a contact's (1)."""
         return float(np.abs(image.contrast).max() if self.bipolar else image.contrast.max())
 
 

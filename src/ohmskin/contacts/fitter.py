@@ -108,10 +108,8 @@ class ContactFitter(DiscFitter):
         """
         return -2 * log(rate)
 
-    # --- one frame, nothing known before ------------------------------------------------------------------------------
-
     def fit(self, *scans: Difference) -> Solution:
-        """The contacts of one scan, or of several fused, without a prior estimate.
+        """The contacts of one of the `scans`, or of several fused, without a prior estimate.
 
         Raises:
             DataError: If no finite datum is left.
@@ -121,7 +119,7 @@ class ContactFitter(DiscFitter):
     def explained(
         self, told: Information, data: Information, bar: float | None = None, before: Solution | None = None
     ) -> Solution:
-        """The contacts that explain what is measured, given as `information` gives it; `bar` as for `split`.
+        """The contacts that explain what is measured, `told` and `data` of `information`; `bar` as for `split`.
 
         What was there a moment `before` need not be looked for, where that makes no difference.
         """
@@ -175,7 +173,7 @@ class ContactFitter(DiscFitter):
     def followed(
         self, told: Information, data: Information, before: Solution, search: bool = True
     ) -> tuple[Solution, bool] | None:
-        """The contacts that were there `before` as they are now, and whether these are surely all.
+        """The contacts that were there `before`, as `told` and `data` show them now, and whether these are surely all.
 
         None if they would not be found afresh, too: they are if each stands out by itself as one that is new must,
         none may be a part of another, and together they leave no more than is usual, or than a search found nothing
@@ -337,12 +335,13 @@ class ContactFitter(DiscFitter):
         return self.clear(one, two, bar, share)
 
     def clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
-        """Whether one contact more, the last one, explains most of what is left, and is apart from all others."""
+        """Whether the last of `many` contacts is apart from the others and explains most of what `few` leave, one less;
+        `bar` and `share` as for `several`."""
         gaps = (self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1))
         return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > _APART for gap in gaps)
 
     def gained(self, told: Information, few: Solution, many: Solution) -> float:
-        """How much better more contacts explain data, less what the model's error may do; over the noise's variance."""
+        """By how much `many` contacts explain `told` better than `few` (noise's variance), less the model's error."""
         return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
 
     def _distance(self, pair: Floats) -> float:

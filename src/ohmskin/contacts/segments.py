@@ -57,7 +57,7 @@ class Segments:
     rate: float
 
     def areas(self, cells: Cells) -> dict[str, float]:
-        """Area (m2) of each class by name; 0 of one that is not there."""
+        """Area (m2) of each class by name, 0 of one that is not there, in an image made of `cells`."""
         return {name: float(cells.measures[self.labels == sign].sum()) for sign, name in CLASSES.items()}
 
 

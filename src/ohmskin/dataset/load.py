@@ -63,6 +63,9 @@ class TouchData:
         Args:
             size: Samples in a batch.
             seed: Shuffles chunks, and samples within chunks; in order without one.
+
+        Raises:
+            DataError: If `size` is not positive.
         """
         if size < 1:
             raise DataError(f"batches of {size} samples; choose 1 or more")

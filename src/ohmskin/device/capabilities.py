@@ -99,7 +99,7 @@ class Capabilities:
 
     @classmethod
     def from_texts(cls, told: Mapping[str, str]) -> Self:
-        """The inverse of `as_texts`, for a replay, which cannot be pressed.
+        """Capabilities from their texts, `told` as `as_texts` gives them; those of a replay, which cannot be pressed.
 
         Raises:
             KeyError, ValueError, OverflowError, ProtocolError: If something is missing or makes no sense.

@@ -48,11 +48,17 @@ class ContactPrior:
 
     @classmethod
     def usual(cls, radius: float, position: float = 6.0, effect_spread: float = 1.0) -> "ContactPrior":
-        """A contact of a radius (m) that changes conductivity by a half, its place known to so many radii."""
+        """The prior of a usual contact, one that changes conductivity by a half.
+
+        Args:
+            radius: Usual radius (m).
+            position: Standard deviation of each coordinate, in radii (1).
+            effect_spread: Standard deviation of the effect over the usual one (1).
+        """
         return cls(0.5 * np.pi * radius**2, radius, position * radius, effect_spread)
 
     def scaled(self, factor: float) -> "ContactPrior":
-        """The same with lengths that are so many times as long, as on a map."""
+        """The same prior with all lengths times `factor` and areas times its square, as on a map."""
         lengths = self.effect * factor**2, self.radius * factor, self.position * factor
         return ContactPrior(*lengths, self.effect_spread, self.radius_spread)
 

@@ -79,7 +79,7 @@ class Candidates:
         return self.pattern.n_inj
 
     def part(self, numbers: Ints) -> "Candidates":
-        """Some of the injections (n,)."""
+        """The candidates of these `numbers` (n,), in their order."""
         if len(numbers) == len(self):
             return self
         pattern = part_of(self.pattern, numbers)
@@ -219,12 +219,12 @@ class Search:
         return best
 
     def take(self, number: int) -> None:
-        """Condition on the measurements of a candidate."""
+        """Choose candidate `number`: condition the covariance on its measurements."""
         self._update(number, 1.0)
         self.chosen.append(number)
 
     def drop(self, number: int) -> None:
-        """Undo `take` of a candidate."""
+        """Undo `take` of candidate `number`."""
         self._update(number, -1.0)
         self.chosen.remove(number)
 

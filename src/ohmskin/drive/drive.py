@@ -65,10 +65,15 @@ class Drive(Protocol):
     def adjustable(self) -> bool: ...
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The pattern of scan number `turn` (from 0), given the belief about contacts."""
+        """The pattern of the next scan.
+
+        Args:
+            targets: The belief about contacts; empty: none is known.
+            turn: Number of the scan, from 0.
+        """
 
     def with_injections(self, count: int) -> "Drive":
-        """The same drive with another number of injections a frame.
+        """The same drive with `count` injections a frame, at least 1.
 
         Raises:
             PatternError: If it has no choice, or not that one.
@@ -77,7 +82,11 @@ class Drive(Protocol):
 
 @dataclass(frozen=True)
 class Fixed:
-    """Always the same pattern, whatever the belief; the number of its injections is fixed."""
+    """A `Drive` of always the same pattern, whatever the belief; the number of its injections is fixed.
+
+    Args:
+        pattern: The pattern.
+    """
 
     pattern: DrivePattern
     scans, adjustable = 1, False
@@ -94,6 +103,7 @@ class Fixed:
         return self.pattern
 
     def with_injections(self, count: int) -> Drive:
+        """Raises PatternError, whatever the `count`."""
         raise PatternError(f"a fixed pattern has no choice of injections; it has {self.injections}")
 
 
@@ -122,17 +132,21 @@ class SecondScan:
         return part_of(self.complete, self.choose([np.asarray(anchors, float) for anchors in regions]))
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
-        """The pattern for the belief about contacts."""
+        """The pattern for what is believed of contacts, one or more `targets`."""
         return self.pattern([target.anchors for target in targets])
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
-        """The numbers (pairs,) of the injections of `complete` for regions, each given by its anchors (n, 2) (m)."""
+        """The numbers (pairs,) of the injections of `complete` that are driven; subclasses say how they are chosen.
+
+        Args:
+            regions: Each given by its anchors (n, 2) (m).
+        """
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class TwoScans:
-    """A base scan of the whole sheet, then a second scan chosen for what it showed (paper, section III).
+    """A `Drive` of a base scan of the whole sheet and a second scan chosen for what it showed (paper, section III).
 
     Args:
         base: The pattern of the first scan.
@@ -157,12 +171,13 @@ class TwoScans:
         return self.second.next(targets) if turn % 2 and targets else self.base
 
     def with_injections(self, count: int) -> Drive:
+        """Raises PatternError, whatever the `count`."""
         raise PatternError(f"a drive of two scans has no choice of injections; it has {self.injections}")
 
 
 @dataclass(frozen=True)
 class WithDriven:
-    """A drive whose injections are measured at their source and sink, too.
+    """A `Drive` whose injections are measured at their source and sink, too.
 
     Args:
         drive: What is driven.
@@ -195,12 +210,16 @@ class WithDriven:
         return self.drive.next(targets, turn).with_driven
 
     def with_injections(self, count: int) -> "WithDriven":
-        """The same with another number of injections a frame; raises PatternError as the drive does."""
+        """The same with `count` injections a frame.
+
+        Raises:
+            PatternError: As the drive does.
+        """
         return WithDriven(self.drive.with_injections(count))
 
 
 class Exploration:
-    """Cycles through a fixed set of injections, whatever the belief: finds contacts wherever they appear.
+    """A `Drive` that cycles through a fixed set of injections, whatever the belief: finds contacts wherever they are.
 
     Args:
         electrodes: Electrode layout.
@@ -235,7 +254,11 @@ class Exploration:
         return (self.complete,)
 
     def with_injections(self, count: int) -> Self:
-        """The same round, and tables if it has such, with another number of injections a frame."""
+        """The same round, and tables if it has such, with `count` injections a frame.
+
+        Raises:
+            PatternError: If there are not so many, or it is not positive.
+        """
         other = copy(self)
         other._set_injections(count)
         return other

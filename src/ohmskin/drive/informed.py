@@ -156,7 +156,7 @@ class InformedPolicy(Exploration):
         return None if self.exact else _ranking(*self._known, _DEPTH, (), _TRACKED, _EFFECT)
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The pattern of frame number `turn` (from 0), given the belief about contacts."""
+        """The pattern of frame number `turn` (from 0), given the belief about contacts, the `targets`."""
         return part_of(self.complete, self._choose(targets, turn))
 
     @property
@@ -210,7 +210,7 @@ class PositionDrive(SecondScan):
         return _ranking(*self._design(), self.pairs, tuple(self._base.tolist()), _BASED, size=_SIZE)
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
-        """The pattern for wherever contacts may be: at their estimated places, and one standard deviation around."""
+        """The pattern for wherever `targets` may be: at their estimated places, and one standard deviation around."""
         places = [place for target in targets for place in _wherever(target)]
         return part_of(self.complete, _in_turn(self.ranking, places, self.pairs, turn=0))
 

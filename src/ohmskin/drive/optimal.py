@@ -32,6 +32,9 @@ def pair_weights(
         pairs: (n_pairs, 2) the pairs; all unless given.
         reach: How far the middle of a pair may be from the first anchor (m): short pairs farther off, whose lines go
             on to the contact, weigh nothing, the less the farther off.
+
+    Raises:
+        PatternError: If the electrodes are not on a flat map.
     """
     positions, anchors = np.asarray(positions, float), np.asarray(anchors, float)
     if positions.shape[1] != 2:

@@ -161,10 +161,10 @@ class Engine(Closing):
                 yield touch
 
     def set_mode(self, name: str) -> None:
-        """Switch to another mode from the next cycle on.
+        """Switch to the mode of that `name` from the next cycle on.
 
         Raises:
-            PatternError: If it is not possible; the message lists the choices.
+            PatternError: If it is not one of `modes`; the message lists them.
         """
         self._switch(self._named(name))
 
@@ -190,10 +190,10 @@ class Engine(Closing):
         return self.drive(self.mode).injections if self.drive(self.mode).adjustable else None
 
     def set_injections(self, count: int) -> None:
-        """Set the injections per frame of the mode from the next cycle on; its drive must allow any number.
+        """Make `count` injections per frame of the mode from the next cycle on; its drive must allow any number.
 
         Raises:
-            PatternError: If it does not, or the device or the electrodes do not allow so many.
+            PatternError: If it does not, or `count` is not within the `injection_limits`.
         """
         mode, (low, high) = self.mode, self.injection_limits(self.mode)
         if not low <= count <= high:
@@ -234,12 +234,12 @@ class Engine(Closing):
             self._sensed = self.sensor.start()
 
     def pause(self, paused: bool) -> None:
-        """Pause or resume scanning."""
+        """Pause scanning, or resume it where `paused` is false; without effect while calibrating or lost."""
         if self.state in (State.RUNNING, State.PAUSED):
             self.state = State.PAUSED if paused else State.RUNNING
 
     def press(self, number: int, at: tuple[float, float], radius: float, pressure: float) -> None:
-        """Press a virtual skin; see `Device.press`. Does nothing while the device is lost.
+        """Press a virtual skin; arguments as for `Device.press`. Does nothing while the device is lost.
 
         Raises:
             DeviceRefused: If the device is a real one, or the press is out of range.

@@ -106,14 +106,30 @@ class Bench:
     def usual_contact(
         self, x: float, y: float, radius: float | None = None, strength: float | None = None, times: float = 1.0
     ) -> Shape:
-        """A contact at (x, y) in metres, the usual one of the world unless a radius (m) or a strength is given."""
+        """A contact, the usual one of the world unless said otherwise.
+
+        Args:
+            x, y: Its centre (m).
+            radius: Its radius (m).
+            strength: Relative conductivity change in it (1).
+            times: By how much that is multiplied (1).
+        """
         taken = assumption(self.assumption)
         radius = CONTACT_RADIUS[self.world] if radius is None else radius
         strength = CONTACT_STRENGTH[self.world] if strength is None else strength
         return disc(x, y, taken.radius * radius, taken.strength * times * strength)
 
     def see(self, key: str, contacts: Contacts, seed: int) -> View:
-        """What a method sees of contacts. Methods that share a scan share its noise; another seed, other noise."""
+        """What a method sees of contacts.
+
+        Args:
+            key: Of the method.
+            contacts: The shapes that press.
+            seed: Of the noise; methods that share a scan share it.
+
+        Raises:
+            OhmskinError: If there is no such method.
+        """
         chosen = method(key)
         return self.setup(chosen.layout).see(chosen.assuming(self.assumption), contacts, seed, 0)
 
@@ -124,7 +140,17 @@ class Bench:
         seeds: int,
         what: Callable[[View, Contacts], dict[str, Any]],
     ) -> Result:
-        """What is read from the views of each method, case and seed: arrays (n_methods, n_cases, n_seeds, ...)."""
+        """What is read from the views of each method, case and seed.
+
+        Args:
+            keys: Of the methods.
+            cases: The contacts of each.
+            seeds: How many; they are 0, 1, ...
+            what: Reads numbers or arrays, by name, from a view of contacts.
+
+        Returns:
+            By the same names, arrays (n_methods, n_cases, n_seeds, ...).
+        """
         found = [what(self.see(key, case, seed), case) for key in keys for case in cases for seed in range(seeds)]
         shape = (len(keys), len(cases), seeds)
         return {name: np.reshape([row[name] for row in found], shape + np.shape(found[0][name])) for name in found[0]}

@@ -141,7 +141,11 @@ class Setup:
         self._sensors: dict[Mode, Sensor] = {}
 
     def design(self, driven: bool) -> tuple[ContactTable, drives.Candidates]:
-        """What informed drives choose from: the responses of contacts, and all injections at `CURRENT`."""
+        """What informed drives choose from: the responses of contacts, and all injections at `CURRENT`.
+
+        Args:
+            driven: Whether driven electrodes are measured, too.
+        """
         complete, n_elec = complete_pattern(self.electrodes), len(self.electrodes)
         contacts = float(np.mean(self.skin.contact_change(self.known.impedances))) if driven else None
         return self.table, drives.Candidates.at_currents(complete, n_elec, self.noise, CURRENT, contacts)
@@ -188,7 +192,7 @@ class Setup:
         return self._sensors[mode]
 
     def see(self, mode: Mode, contacts: Contacts, *seed: int) -> View:
-        """What a mode makes of one frame under contacts, with nothing known before."""
+        """What a `mode` makes of one frame under `contacts`, noise drawn by `seed`, with nothing known before."""
         sensor = self.sensor(mode)
         _, percept = sensor.step(sensor.start(), self.scan(contacts, *seed))
         image, found = percept.image, percept.detections
@@ -201,13 +205,19 @@ class Setup:
         return View(self, mode, percept, self.model.mesh, self.raster, image, found)
 
     def differences(self, mode: Mode, percept: Percept) -> tuple[Difference, ...]:
-        """The data that a mode reads of a frame."""
+        """The data that a `mode` reads of the frames of a `percept`: all of them if it fuses, or the last one."""
         frames = percept.frames if mode.fuse else percept.frames[-1:]
         return tuple(map(self.known.difference, frames))
 
     def follow(self, mode: Mode, frames: Iterable[Contacts], *seed: int, turn: int = 0) -> Iterator[Percept]:
-        """What a mode makes of frames, each under its contacts, with what is known from those before. Frame k has the
-        noise of ``(*seed, k)``; the round of exploring injections starts at a turn."""
+        """What a mode makes of frames, with what is known from those before.
+
+        Args:
+            mode: The mode.
+            frames: The contacts of each, `PERIOD` apart.
+            seed: Of the noise; frame k has that of ``(*seed, k)``.
+            turn: Number of the first scan, where the round of exploring injections starts.
+        """
         sensor = self.sensor(mode)
         state = replace(sensor.start(), turn=turn)
         for k, contacts in enumerate(frames):

@@ -154,8 +154,13 @@ class VoltageSource:
     def currents(self, model: TransferModel, pattern: DrivePattern) -> Floats:
         """The current (n_inj,) of each injection of a pattern (A).
 
+        Args:
+            model: The sheet, its electrodes with contact impedances.
+            pattern: The injections.
+
         Raises:
             ModelError: If a driven electrode is a point, whose own resistance is that of the mesh.
+            PatternError: If the pattern names an electrode that is not there.
         """
         pattern.check(len(model.electrodes))
         return self._through(model, pattern.injections)
@@ -171,13 +176,14 @@ class VoltageSource:
         return np.asarray(self.amplitude / (pair + self.resistance))
 
     def voltages(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """Voltages (n_meas,) of a pattern (V)."""
+        """Voltages (n_meas,) of a pattern (V); arguments and errors as for `currents`."""
         return model.voltages(pattern, self.currents(model, pattern))
 
     def by_pairs(self, model: TransferModel, pattern: DrivePattern) -> Floats:
         """d voltages / d R_ij (n_meas, n_pairs) in V/ohm, including the change of the current.
 
         J_V = I (J_m - R_m / (R_pair + resistance) J_pair). Times `TransferModel.pair_sensitivity` it is dV/dsigma.
+        Arguments and errors as for `currents`.
         """
         nothing = np.zeros(pattern.n_meas)
         known = self.unmeasured(model, Difference(pattern, nothing, nothing))
@@ -188,17 +194,27 @@ class VoltageSource:
 
         The baseline must have been learned with the same currents in its frames. A contact lowers the resistance of
         the driven pair too and raises its current: to first order dV = I (dR_m - R_m / (R_pair + resistance) dR_pair).
+
+        Args:
+            model: As for `currents`.
+            difference: Change of the voltages (V).
         """
         amperes = self.currents(model, difference.pattern)[difference.pattern.measurements[:, 0]]
         loading = model.voltages(difference.pattern) * amperes / self.amplitude
         return replace(difference, currents=amperes, source_loading=loading)
 
     def sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """dV/dsigma (n_meas, n_elem) of a pattern (V/siemens), including the change of the current."""
+        """dV/dsigma (n_meas, n_elem) of a pattern (V/S), including the change of the current.
+
+        Arguments and errors as for `currents`.
+        """
         return np.asarray(self.by_pairs(model, pattern) @ model.pair_sensitivity)
 
     def contact_sensitivity(self, model: TransferModel, pattern: DrivePattern) -> Floats:
-        """dV/dz (n_meas, n_elec) of a pattern in V per ohm m2 (disc) or ohm m (rim), with the current's change."""
+        """dV/dz (n_meas, n_elec) of a pattern in V per ohm m2 (disc) or ohm m (rim), the current's change included.
+
+        Arguments and errors as for `currents`.
+        """
         return np.asarray(self.by_pairs(model, pattern) @ model.pair_contact_sensitivity)
 
 

@@ -94,9 +94,16 @@ class FloatingPatches:
         return self.linearised(conductance)[0]
 
     def linearised(self, conductance: ArrayLike) -> tuple[Floats, Floats]:
-        """The same, and the voltage (n, n_elec) over each of n contacts that touch, for 1 A into each electrode (ohm).
+        """The transfer resistances, and the voltage over each of n contacts that touch.
 
-        With u_i and u_j of them, the two-terminal resistance of a pair falls by (u_i - u_j)^2 with each siemens.
+        Argument and errors as of `transfer_resistance`.
+
+        Returns:
+            (n_elec, n_elec) in ohms; (n, n_elec) for 1 A into each electrode (ohm). With u_i and u_j of these, the
+            two-terminal resistance of a pair falls by (u_i - u_j)^2 for each siemens more at that contact.
+
+        Raises:
+            ModelError: As `transfer_resistance`.
         """
         joint = np.asarray(conductance, float)
         if joint.shape != (len(self.points),):

@@ -131,7 +131,11 @@ class ContactTable:
         return other
 
     def spaced(self, spacing: float) -> Ints:
-        """Numbers of places, one in each square of a grid so wide (m): the one closest to the square's middle."""
+        """Numbers (n,) of places, one in each square of a grid: the one closest to the square's middle.
+
+        Args:
+            spacing: Side of a square (m).
+        """
         low, width = self.places.min(axis=0), np.ptp(self.places, axis=0)
         width[0] = self.period or width[0]
         many = np.maximum(np.rint(width / spacing), 1)
@@ -158,13 +162,15 @@ class ContactTable:
         )
 
     def offsets(self, ends: ArrayLike, starts: ArrayLike) -> Floats:
-        """Vectors (..., 2) from places to others (m), round a closed band the short way."""
+        """Vectors (..., 2) from `starts` (..., 2) to `ends` (..., 2) (m), round a closed band the short way."""
         return shortest(np.asarray(ends, float) - np.asarray(starts, float), self.period)
 
     def __call__(self, positions: ArrayLike, radius: ArrayLike | None = None) -> ContactResponse:
-        """Responses of contacts at positions (n, 2) (m) with radii, one or (n,) (m); the usual one unless given.
+        """Responses of contacts.
 
-        Positions off the table's rectangle count as the closest in it, radii beyond three times the usual one as that.
+        Args:
+            positions: (n, 2) in metres; one off the table's rectangle counts as the closest in it.
+            radius: One or (n,) (m); the usual one unless given, at most three times that.
         """
         positions = np.asarray(positions, float).reshape(-1, 2)
         r = np.minimum(np.asarray(self.radius if radius is None else radius, float), _SPREAD[-1] * self.radius)

@@ -74,7 +74,7 @@ class TransferModel(ReadOnly):
         return other
 
     def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
-        """The same skin with other contact impedances, see `Electrodes.with_contact_impedances`."""
+        """The same skin with other contact impedances, `values` as for `Electrodes.with_contact_impedances`."""
         other = self._with(electrodes=self.electrodes.with_contact_impedances(values))
         other._solve()
         return other
@@ -83,6 +83,9 @@ class TransferModel(ReadOnly):
         """The same model with all conductances multiplied by `factor`; costs no factorisation.
 
         Contact impedances are divided by `factor` too, and with them voltages; to keep them use `with_conductivity`.
+
+        Raises:
+            ModelError: If the factor is not positive.
         """
         if not (np.isfinite(factor) and factor > 0):
             raise ModelError(f"conductivity factor is {factor}; it must be positive")
@@ -250,15 +253,22 @@ class TransferModel(ReadOnly):
     def movement_sensitivity(
         self, pattern: DrivePattern, currents: ArrayLike = 1.0, layers: int = 2, slide: bool = False
     ) -> Floats:
-        """dV/dx (n_meas, n_elec, dim of space) of a pattern against electrodes' places (V/m), see `pair_movement`."""
+        """dV/dx (n_meas, n_elec, dim of space) of a pattern against electrodes' places (V/m).
+
+        Args:
+            pattern: What is driven and measured.
+            currents: Injected currents, one value or (n_inj,) (A).
+            layers, slide: As for `pair_movement`.
+        """
         pairs = self.pair_movement(layers, slide)
         rows = pattern.combination(self.pairs) @ pairs.reshape(len(pairs), -1)
         return np.asarray(rows * self._driven(pattern, currents)[:, None]).reshape(-1, *pairs.shape[1:])
 
     def tensor_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """dV/dsigma_ab (n_meas, n_elem, dim, dim) against the entries of the tensor (V/siemens), symmetric.
+        """dV/dsigma_ab (n_meas, n_elem, dim, dim) of a pattern against the entries of the tensor (V/S), symmetric.
 
-        A change T of the tensor of element e changes measurement m by the sum of result[m, e, a, b] T[a, b].
+        A change T of the tensor of element e changes measurement m by the sum of result[m, e, a, b] T[a, b]; `currents`
+        are one value or (n_inj,) (A).
         """
         pattern.check(len(self.electrodes))
         a, b, c, d = pattern.quadruples.T

@@ -58,7 +58,7 @@ class Edge(_Closed):
 
 @dataclass(frozen=True)
 class Band(_Closed):
-    """A rectangle whose left and right sides are joined: x = 0 and x = `circumference` are the same place.
+    """A `Domain`: a rectangle whose left and right sides are joined, x = 0 and x = `circumference` the same place.
 
     Its rim is the lower one, y = 0, from x = 0 on; the upper one counts as a hole.
 

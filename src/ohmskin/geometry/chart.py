@@ -61,7 +61,7 @@ def check_even(scale: Floats) -> None:
 
 @dataclass(frozen=True)
 class FlatChart:
-    """A flat skin in the plane z = 0, its own map.
+    """The `Chart` of a flat skin in the plane z = 0, its own map.
 
     Args:
         domain: Its shape.
@@ -87,7 +87,7 @@ class FlatChart:
 
 
 class RevolutionChart:
-    """A skin on a surface of revolution about the z axis: part of a turn, all of it, or a cap over the axis.
+    """The `Chart` of a surface of revolution about the z axis: part of a turn, all of it, or a cap over the axis.
 
     Of part of a turn, the middle is in the direction of the x axis; a closed one meets itself on the other side. The
     map of a skin round the axis is a rectangle, or a closed band (`Band`), x round the axis (eastwards, seen from

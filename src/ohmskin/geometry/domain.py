@@ -57,7 +57,7 @@ def _positive(name: str, value: float) -> None:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A rectangle with its lower left corner at the origin; the rim starts there and runs counterclockwise.
+    """A `Domain`: a rectangle with its lower left corner at the origin; the rim starts there, counterclockwise.
 
     Args:
         width: Extent along x (m).
@@ -113,7 +113,7 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc about the origin; the rim starts on the positive x axis and runs counterclockwise.
+    """A `Domain`: a disc about the origin; the rim starts on the positive x axis and runs counterclockwise.
 
     Args:
         radius: Radius (m).

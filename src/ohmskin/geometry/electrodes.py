@@ -40,7 +40,7 @@ class Electrodes(ReadOnly):
         kinds: Kind of each electrode (n_elec,).
         extents: (n_elec,) radius of a disc, length along the rim of a rim segment, 0 for a point (m); area (m2) or
             length (m) of facets.
-        contact_impedances: (n_elec,) of a disc in ohm m2, of a rim segment in ohm m, 0 for a point.
+        contact_impedances: (n_elec,) of a disc or faces in ohm m2, of a rim segment or edges in ohm m, 0 for a point.
         facets: Of each electrode its facets (n_facets, dim), by the nodes of one mesh; none of those of other kinds.
 
     Raises:
@@ -135,7 +135,14 @@ class Electrodes(ReadOnly):
         return self._with(ElectrodeKind.POINT, 0.0, 0.0, which)
 
     def with_contact_impedances(self, values: ArrayLike) -> Self:
-        """A copy with other contact impedances, one value for all area electrodes or (n_elec,), 0 for points."""
+        """A copy with other contact impedances.
+
+        Args:
+            values: One value for all area electrodes, or (n_elec,), 0 for points; above 0, units as of `Electrodes`.
+
+        Raises:
+            GeometryError: If one is out of range, or there is not one for each electrode.
+        """
         given = real(values, "contact impedances are", GeometryError)
         return replace(self, contact_impedances=np.where(self.are_areas, given, 0.0) if given.ndim == 0 else given)
 
@@ -236,6 +243,9 @@ class Electrodes(ReadOnly):
             start: Place of the first, as a share of the rim's length counterclockwise from where the rim starts (0 to
                 1). On a disc, 0.25 is 12 o'clock.
             clockwise: Number them clockwise.
+
+        Raises:
+            GeometryError: If there are fewer than 4, or `start` is out of range.
         """
         if count < 4:
             raise GeometryError(f"{count} electrodes on the rim; need at least 4")
@@ -249,10 +259,18 @@ class Electrodes(ReadOnly):
 
     @classmethod
     def grid(cls, sheet: Rectangle | Band, columns: int = 4, rows: int = 4, inset: float = 0.0) -> Self:
-        """A regular grid that spans the sheet, `inset` metres away from its rim (paper, section IV-A).
+        """A regular grid that spans the sheet (paper, section IV-A).
 
         The default 4 x 4 grid has 12 electrodes on the outer ring (0-11) and 4 inside (12-15). Round a closed band the
         columns are evenly spaced; a ring is a row of the lower half and, back again, one of the upper half.
+
+        Args:
+            sheet: The sheet.
+            columns, rows: Number of electrodes along x and along y, at least 2 each.
+            inset: Distance of the outer ring from the rim (m), from 0 to below half of the shorter side.
+
+        Raises:
+            GeometryError: If one of them is out of range.
         """
         if columns < 2 or rows < 2:
             raise GeometryError(f"a grid of {columns} x {rows} electrodes; need at least 2 x 2")

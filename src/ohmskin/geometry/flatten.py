@@ -27,7 +27,7 @@ _MOST_SHEARED = 1.15  # ratio of singular values that 95 % of the area may have
 
 
 class MeshChart:
-    """A skin on triangles in space. Of a patch, the map is a polygon; of a ring, a closed band (`Band`); holes stay.
+    """The `Chart` of a skin on triangles in space: of a patch a polygon, of a ring a closed band (`Band`); holes stay.
 
     A patch is flattened by spectral conformal parameterisation (Mullen et al. 2008), its rim free; a developable one
     unrolls true to lengths. A ring's y is a harmonic function between its longest rims, its x the conjugate; holes are

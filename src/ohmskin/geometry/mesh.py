@@ -172,7 +172,11 @@ class Mesh(ReadOnly):
 
     @cached_property
     def neighbours(self) -> Ints:
-        """The element (n_elem, dim + 1) beyond each facet, numbered as in `_facets`; -1 on the rim."""
+        """The element (n_elem, dim + 1) beyond each facet, -1 on the rim; facet k is across from corner k - 1.
+
+        Raises:
+            GeometryError: If more than two elements share a facet.
+        """
         facets = np.sort(self._facets.reshape(-1, self.dim), axis=1)
         facet = facets @ (self.n_nodes ** np.arange(self.dim, dtype=np.int64))  # one number for each: quick to sort
         order = np.argsort(facet, kind="stable")

@@ -34,7 +34,7 @@ class ClosedLine:
 
 
 class Polygon:
-    """A polygon, perhaps with polygonal holes. The rim is the outline, counterclockwise from the first corner given.
+    """A `Domain`: a polygon, perhaps with polygonal holes; the rim runs counterclockwise from the first corner given.
 
     Args:
         outline: Corners (n, 2) in metres, in order, the first not repeated. Turned round if they run clockwise.

@@ -57,7 +57,7 @@ class Episode:
     ended: bool = False
 
     def after(self, time: float, contacts: Sequence[Felt]) -> "Episode":
-        """The episode after a frame more at a time (s), with one contact or more."""
+        """The episode after one more frame, taken at a `time` (s), with `contacts`, at least one."""
         places = [contact.position for contact in contacts]
         middle = tuple(sum(axis) / len(places) for axis in zip(*places, strict=True))
         early = time - self.began < _SMOOTH or not self.place

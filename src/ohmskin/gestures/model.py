@@ -44,7 +44,7 @@ class GestureModel:
     sure: float = 0.7
 
     def probabilities(self, features: ArrayLike) -> Floats:
-        """(n, n_gestures) probabilities of `GESTURES`, of figures (n, n_features)."""
+        """(n, n_gestures) probabilities of `GESTURES`, of `features` (n, n_features) of episodes."""
         values = self._standard(features)
         for number, (weights, offsets) in enumerate(self.layers):
             values = values @ weights + offsets
@@ -53,7 +53,7 @@ class GestureModel:
         return np.asarray(likely / likely.sum(axis=1, keepdims=True))
 
     def distances(self, features: ArrayLike) -> Floats:
-        """(n,) squared distances of figures (n, n_features) from the closest gesture that it was trained on."""
+        """(n,) squared distances of `features` (n, n_features) from the closest gesture that it was trained on."""
         away = self._standard(features)[:, None] - self.centres
         return np.asarray(np.einsum("ngi,gij,ngj->ng", away, self.precision, away).min(axis=1))
 
@@ -117,7 +117,7 @@ class GestureModel:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> "GestureModel":
-        """The model of a file; the one that ships unless given.
+        """The model of the file at `path`; the one that ships unless given.
 
         Raises:
             DataError: If the file cannot be read, or is none.

@@ -60,8 +60,13 @@ class GestureReader:
         return GestureState()
 
     def update(self, state: GestureState, time: float, contacts: Sequence[Felt]) -> GestureState:
-        """What is known after the contacts of one frame, taken at a time (s); the gesture is None where nothing has
-        touched for half a second."""
+        """The state after one more frame; its gesture is None where nothing has touched for half a second.
+
+        Args:
+            state: The state after the last one.
+            time: When the frame was taken (s).
+            contacts: The contacts of the frame; may be empty.
+        """
         episode, gesture = state.episode, state.gesture
         if episode is not None and time < episode.last:  # a recording that was wound back
             episode = gesture = None
@@ -95,6 +100,11 @@ class GestureFollower:
         self._state = self._reader.start()
 
     def __call__(self, time: float, contacts: Sequence[Felt]) -> Gesture | None:
-        """What the contacts do; None where nothing has touched for a while."""
+        """What the contacts do after one more frame; None where nothing has touched for half a second.
+
+        Args:
+            time: When the frame was taken (s).
+            contacts: The contacts of the frame; may be empty.
+        """
         self._state = self._reader.update(self._state, time, contacts)
         return self._state.gesture

@@ -98,10 +98,10 @@ class AbsoluteGaussNewton:
         self._to_image = sp.eye_array(self.model.mesh.n_elem).tocsr() if self._means is None else self._means
 
     def reconstruct(self, *frames: Frame | Difference) -> Image:
-        """The image of one frame, or of several fused. Channels that are not finite are left out.
+        """The image of one of the `frames`, or of several fused. Channels that are not finite are left out.
 
-        A change against the untouched skin stands for the voltages that the model would have with it: what the model
-        gets wrong of the untouched skin cancels.
+        A change against the untouched skin (`Difference`) stands for the voltages that the model would have with it:
+        what the model gets wrong of the untouched skin cancels.
 
         Raises:
             DataError: If no finite datum is left.
@@ -109,7 +109,7 @@ class AbsoluteGaussNewton:
         return self.iterate(*frames).image
 
     def iterate(self, *frames: Frame | Difference) -> Iterations:
-        """The image, with how it was reached; as `reconstruct`."""
+        """The image, with how it was reached; arguments and errors as for `reconstruct`."""
         data = pair_system(self.model.pairs, *(self._as_absolute(frame) for frame in frames))
         start = np.zeros(self._to_image.shape[1])
         change = self._at(start, data, self.noise).left

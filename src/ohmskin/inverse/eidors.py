@@ -40,7 +40,7 @@ class ReconstructionMatrix:
     normalised: bool = False
 
     def reconstruct(self, difference: Difference) -> Floats:
-        """Change of conductivity (n_elem,) (S)."""
+        """Change of conductivity (n_elem,) (S) of a `difference`."""
         return np.asarray(self.matrix @ (difference.normalised if self.normalised else difference).volts)
 
     def noise_figure(self, signal: ArrayLike) -> float:

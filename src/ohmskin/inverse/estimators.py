@@ -97,7 +97,7 @@ class Unchanged:
 
 @dataclass(frozen=True, eq=False)
 class FrameWise:
-    """An estimator without memory.
+    """An `Estimator` without memory.
 
     Args:
         estimator: Makes an image of some scans.
@@ -118,7 +118,12 @@ class FrameWise:
 
 @dataclass(frozen=True, eq=False)
 class Recursive:
-    """A Kalman filter as an estimator."""
+    """A Kalman filter as an `Estimator`.
+
+    Args:
+        filter: The filter.
+        cells: What its images are made of.
+    """
 
     filter: Kalman
     cells: Cells
@@ -170,6 +175,9 @@ class Settings:
         amplitude: Relative conductivity change expected (1).
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         bipolar: Whether contacts may lower the conductivity, too.
+
+    Raises:
+        ModelError: If there is no such rule.
     """
 
     model: TransferModel

@@ -101,7 +101,7 @@ class GaussNewton(Reconstructs):
         return Image(self.penalty.to_image(w), noise_std)
 
     def unexplained(self, *differences: Difference) -> tuple[Floats, Floats]:
-        """The data (n_finite,) of scans, and what of them an image leaves that may be negative somewhere (V).
+        """The data (n_finite,) of scans, `differences`, and what an image leaves of them that may be negative (V).
 
         Raises:
             DataError: If no finite datum is left.

@@ -53,7 +53,7 @@ class Greit:
         self._weights: dict[object, float] = {}
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one scan, or of several fused. Channels that are not finite are left out.
+        """The image of one scan, or of several fused; arguments as of `GaussNewton.reconstruct`.
 
         Raises:
             DataError: If no finite datum is left, or the scans do not all have the same current.
@@ -64,7 +64,10 @@ class Greit:
         return Image(unknowns @ self.modes.modes, noise_std)
 
     def weight(self, differences: tuple[Difference, ...]) -> float:
-        """The regularisation with the wanted noise figure, remembered by pattern, currents and channels."""
+        """The regularisation with the wanted noise figure, remembered by pattern, currents and channels.
+
+        Arguments and errors as of `reconstruct`.
+        """
         known = tuple((np.isfinite(d.volts) & np.isfinite(d.currents)).tobytes() for d in differences)
         currents = tuple(np.round(d.currents, 12).tobytes() for d in differences)
         key = (tuple(d.pattern for d in differences), known, currents)

@@ -64,6 +64,9 @@ class Reconstructs(Protocol):
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one scan, or of several fused. Channels that are not finite are left out.
 
+        Args:
+            differences: The scans, each as changes against the untouched skin.
+
         Raises:
             DataError: If no finite datum is left.
         """

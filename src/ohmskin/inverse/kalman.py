@@ -90,7 +90,15 @@ class Kalman:
         return Belief(np.zeros(n), self.amplitude**2 * np.eye(n), np.zeros((n, n)), self.modes)
 
     def predict(self, belief: Belief, elapsed: float) -> Belief:
-        """The belief some time later (s), with nothing measured since."""
+        """The belief with nothing measured since.
+
+        Args:
+            belief: The belief at the last update.
+            elapsed: Time since then (s), 0 or more.
+
+        Raises:
+            ModelError: If the time is negative.
+        """
         check_share(elapsed=elapsed)
         kept = np.exp(-elapsed / self.time_constant)
         added = (1 - kept**2) * self.amplitude**2 + self.walk**2 * elapsed
@@ -125,5 +133,5 @@ class Kalman:
         return Belief(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one frame without earlier ones: that of `GaussNewton`."""
+        """The image of one frame without earlier ones; as for `GaussNewton.reconstruct`, whose image it is."""
         return self.update(self.start(), *differences, elapsed=0.0).image

@@ -67,7 +67,10 @@ class ImageModes:
     def of_relative(cls, relative: Floats, penalty: Penalty, pairs: Pairs) -> "ImageModes":
         """The modes of any image under a prior, of average variance one over the sheet.
 
-        `relative` (n_pairs, n_image): change of two-terminal resistances with each value's relative change (ohm).
+        Args:
+            relative: (n_pairs, n_image) change of two-terminal resistances with each value's relative change (ohm).
+            penalty: Of the prior.
+            pairs: In whose order the resistances are.
         """
         white = penalty.whitened(relative.T)
         if len(white) < len(relative):  # more pairs than unknowns: the modes are the unknowns, whitened
@@ -93,11 +96,7 @@ class ImageModes:
         return self._rows[pattern]
 
     def system(self, *differences: Difference) -> System:
-        """The equations of one scan, or of several fused. Channels that are not finite are left out.
-
-        Raises:
-            DataError: If no finite datum is left.
-        """
+        """The equations of one scan, or of several fused; arguments and errors as of `GaussNewton.reconstruct`."""
 
         def rows(d: Difference) -> Floats:
             return self.rows(d.pattern) if d.source_loading is None else d.combination(self.pairs) @ self.mixing

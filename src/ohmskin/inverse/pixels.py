@@ -118,7 +118,11 @@ class Pixels:
         return Penalty(matrix, mean_variance=variance, places=self.centroids)
 
     def sensitivity(self, model: TransferModel) -> Floats:
-        """Change (n_pairs, n_pixels) of two-terminal resistances with each pixel's relative change (ohm)."""
+        """Change (n_pairs, n_pixels) of two-terminal resistances with each pixel's relative change (ohm).
+
+        Args:
+            model: The sheet, on the mesh that the pixels cover.
+        """
         return model.grouped_sensitivity(sp.csc_array(sp.diags_array(model.conductivity) @ self.shares))
 
 

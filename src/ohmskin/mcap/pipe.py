@@ -97,7 +97,17 @@ class WriterPipe:
             return Progress(said.get("written", 0), said.get("frames", 0), dropped, trouble)
 
     def send(self, topic: int, sequence: int, stamp: int, data: bytes) -> bool:
-        """Hand over one message, stamped in ns by the calendar; False if it had to be dropped. Never waits."""
+        """Hand over one message. Never waits.
+
+        Args:
+            topic: Its number in `TOPICS`.
+            sequence: Number of the message; its lowest 32 bits are kept.
+            stamp: When, in ns since 1970.
+            data: The message, encoded.
+
+        Returns:
+            False if it had to be dropped.
+        """
         with self._lock:
             if self._closed:
                 return False

@@ -31,7 +31,12 @@ Value = TypeVar("Value")
 
 
 class LazyList(Sequence[Value], Generic[Value]):
-    """Values that are each read when they are asked for, by a number such as a place in a file."""
+    """Values that are each read when they are asked for.
+
+    Args:
+        read: Reads one, by a number such as a place in a file.
+        numbers: (n,) the number of each.
+    """
 
     def __init__(self, read: Callable[[int], Value], numbers: Any) -> None:
         self._read, self.numbers = read, numbers
@@ -104,21 +109,24 @@ class Tape(Closing):
         self._pattern = lru_cache(256)(self._patterns.__getitem__)
 
     def frame(self, index: int) -> Frame:
-        """One frame with its pattern."""
+        """Frame number `index`, from 0, with its pattern."""
         return self.frames[index].frame(self.pattern(index))
 
     def pattern(self, index: int) -> DrivePattern:
-        """The pattern of one frame."""
+        """The pattern of frame number `index`, from 0."""
         return self._pattern(int(self.pattern_numbers[index]))
 
     def select(self, *roles: Role) -> Sequence[Frame]:
-        """The frames scanned for one of these purposes, in order."""
+        """The frames scanned for one of these `roles`, in order."""
         return LazyList(self.frame, np.flatnonzero(np.isin(self.roles, roles)))
 
     def times_of(self, listed: LazyList[Any]) -> Floats:
-        """(n,) times of `touches`, `images` or `log` (s), as in `times`: that of the newest frame before each.
+        """(n,) times of other things, as in `times` (s): that of the newest frame before each.
 
         By the order in the file and not by the calendar, which may be set anew in the middle of a recording.
+
+        Args:
+            listed: `touches`, `images` or `log`.
         """
         frames, others = (np.array(own.numbers, np.int64) for own in (self.frames, listed))
         return np.asarray(self.times[np.maximum(np.searchsorted(frames, others) - 1, 0)])

@@ -39,6 +39,7 @@ class Player:
         say: Called with a sentence when a mode cannot be had.
 
     Raises:
+        DeviceError: If the device of the engine is not a recording.
         PatternError: If cycles of `mode` were not recorded; the message lists those that were.
     """
 

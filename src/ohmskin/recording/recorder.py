@@ -86,7 +86,15 @@ class Recorder(Closing):
         self._engine = engine
 
     def frame(self, frame: Frame, role: Role | None = None) -> None:
-        """Record one frame; `tee` calls it."""
+        """Record one frame; `tee` calls it.
+
+        Args:
+            frame: The frame.
+            role: What it was scanned for; unless given, what the engine of `watch` says, if there is one.
+
+        Raises:
+            DataError: If no device was opened with `tee`.
+        """
         if self._pipe is None:
             raise DataError("this recorder has no device yet; open one with recorder.tee(device)")
         stamp, mode = time.time_ns(), ""
@@ -103,7 +111,7 @@ class Recorder(Closing):
             self._unnamed += 1
 
     def publish(self, touch: Touch) -> None:
-        """Record what a cycle felt: contacts, an image and the loop's health as often as they are due."""
+        """Record a `touch`: its contacts, and an image and the loop's health as often as they are due."""
         if self._pipe is None:
             return
         stamp, number = time.time_ns(), touch.sequence

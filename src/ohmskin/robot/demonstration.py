@@ -113,17 +113,22 @@ class Demonstration:
         self._reach: Floats | None = None  # joint positions in place of the robot's own movement
 
     def pokes(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[Encounter]:
-        """Poke the robot `count` times at random places; `show` is called after every cycle."""
+        """Poke the robot at random places.
+
+        Args:
+            count: How often.
+            show: Called with the state after every cycle.
+        """
         for _ in range(count):
             yield self._encounter(*self._reachable(), show)
 
     def hugs(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[Hug]:
-        """Hug the robot `count` times: pads of two arms press as many skins at once, at random places."""
+        """Hug the robot: pads of two arms press as many skins at once, at random places; arguments as for `pokes`."""
         for _ in range(count):
             yield self._hug(show)
 
     def free(self, seconds: float, show: Callable[[Moment], None] = lambda _: None) -> int:
-        """Move for so long without being touched; the number of contacts that were reported all the same."""
+        """Move untouched for `seconds` (s), `show` as for `pokes`; the number of contacts reported all the same."""
         self.wearer.bring(_AWAY, _UP)
         end, found = self.wearer.time + seconds, set[tuple[str, int]]()
         while self.wearer.time < end:
@@ -133,7 +138,7 @@ class Demonstration:
         return len(found)
 
     def own_touches(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[OwnTouch]:
-        """Let the robot touch itself `count` times, in postures found by chance, with no hand near it."""
+        """Let the robot touch itself, in postures found by chance, with no hand near it; arguments as for `pokes`."""
         self.wearer.bring(_AWAY, _UP)
         for _ in range(count):
             yield self._own_touch(way_to_itself(self.wearer, self._random), show)

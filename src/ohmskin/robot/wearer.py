@@ -44,7 +44,7 @@ class Push:
     hand: int = -1
 
     def press(self, foam_spread: float) -> Press:
-        """What presses the virtual skin so, with foam of that spread (m): something round, of the same force."""
+        """What presses the virtual skin so, something round of the same force, if its foam has a `foam_spread` (m)."""
         place, radius = (float(self.place[0]), float(self.place[1])), max(self.radius, _LEAST_RADIUS)
         per_pascal = Press(place, radius, 1.0).force(foam_spread)
         return Press(place, radius, min(self.force / per_pascal, _MOST_PRESSURE))
@@ -95,7 +95,15 @@ class Wearer:
         return self.robot.posed(dict(zip(self._names, self.data.qpos.tolist(), strict=True)))
 
     def surface(self, patch: int, place: Floats) -> tuple[Floats, Floats]:
-        """The point (3,) at a place (2,) of a skin's map, and the outward normal (3,) there, in the world (m)."""
+        """Where a place of a skin is in the world.
+
+        Args:
+            patch: Number of the skin.
+            place: (2,) on its map (m).
+
+        Returns:
+            The point (3,) in the world (m), and the outward normal (3,) there.
+        """
         placed = self.body.patches[patch]
         link = self.data.body(placed.patch.frame)
         turn, chart = link.xmat.reshape(3, 3), placed.skin.chart
@@ -103,7 +111,15 @@ class Wearer:
         return point, turn @ placed.patch.turn(*chart.frames([place])[0, 2])
 
     def place(self, patch: int, point: Floats) -> tuple[Floats, float]:
-        """The place (2,) of a skin's map that is closest to a point (3,) in the world, and how far off that is (m)."""
+        """The place of a skin closest to a point.
+
+        Args:
+            patch: Number of the skin.
+            point: (3,) in the world (m).
+
+        Returns:
+            The place (2,) on the skin's map (m), and how far off it the point is (m).
+        """
         placed = self.body.patches[patch]
         link = self.data.body(placed.patch.frame)
         local = (point - link.xpos) @ link.xmat.reshape(3, 3) - placed.patch.position
@@ -111,7 +127,12 @@ class Wearer:
         return places[0], float(away[0])
 
     def advance(self, seconds: float, *tips: Floats) -> None:
-        """Go on by so much time, while the tips of the first hands move to points (3,) in the world."""
+        """Simulate.
+
+        Args:
+            seconds: How long (s); whole steps of `STEP`, at least one.
+            tips: (3,) where the tip of each of the first hands is at the end (m, in the world); they move straight.
+        """
         steps, ends = max(1, round(seconds / STEP)), np.array(tips)
         start = self.data.mocap_pos[: len(tips)].copy()
         for k in range(steps):
@@ -190,7 +211,11 @@ class Wearer:
         return Push(patch, place, self.surface(patch, place)[0], float(sum(forces)), radius, name, hand)
 
     def yielding(self, patch: int, place: Floats) -> Floats:
-        """Joint steps (rad, m) that move a place of a skin inwards by a metre, along its normal, to first order."""
+        """Steps of all joints (rad, m) that move a place of a skin inwards by 1 m along its normal, to first order.
+
+        Args:
+            patch, place: As for `surface`.
+        """
         jacobian = np.zeros((3, self.model.nv))
         point, normal = self.surface(patch, place)
         link = self.model.body(self.body.patches[patch].patch.frame).id
@@ -203,7 +228,7 @@ class Wearer:
         self.target = np.clip(joints, self.low, self.high)
 
     def rest(self, time: float) -> Floats:
-        """Joint positions of the robot's own slow movement (rad, m)."""
+        """Joint positions (rad, m) of the robot's own slow movement at a `time` (s)."""
         numbers = np.arange(len(self._still))
         return np.asarray(self._still + _MOTION * np.sin((0.5 + 0.13 * numbers) * time))
 

@@ -60,7 +60,11 @@ class Difference:
         source_loading: Floats | None = None,
         reference: Floats | None = None,
     ) -> "Difference":
-        """One made of what is checked already."""
+        """A difference made without checks.
+
+        Args:
+            pattern, currents, volts, source_loading, reference: As for `Difference`, float arrays of these shapes.
+        """
         one = object.__new__(cls)
         vars(one).update(
             pattern=pattern, currents=currents, volts=volts, source_loading=source_loading, reference=reference
@@ -80,21 +84,28 @@ class Difference:
         return self.valid(self.pattern.undriven, self.currents[kept], self.volts[kept], loading, reference)
 
     def caused_by(self, changes: Floats, pairs: Pairs | None = None) -> Floats:
-        """What changes (n_pairs,) of the two-terminal resistances (ohm), of all pairs unless these are given, cause of
-        it (n_meas,) (V)."""
+        """What changes of two-terminal resistances cause of this difference (n_meas,) (V).
+
+        Args:
+            changes: (n_pairs,) in ohms.
+            pairs: Of which pairs of electrodes they are; of all unless given.
+        """
         pairs = Pairs.all(round((1 + sqrt(1 + 8 * len(changes))) / 2)) if pairs is None else pairs
         ad, bc, ac, bd, ab = np.append(changes, 0.0)[terms_of(self.pattern, pairs)]
         own = 0.0 if self.source_loading is None else self.source_loading * ab
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
     def less(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
-        """It less the effect of changes of two-terminal resistances, as for `caused_by`."""
+        """The difference less what changes of two-terminal resistances cause; arguments as for `caused_by`."""
         return changed(self, volts=self.volts - self.caused_by(changes, pairs))
 
     def times(self, shares: Floats | float) -> "Difference":
-        """The same data with voltage and current of each measurement, one value or (n_meas,), times a share (1).
+        """The same data with voltage and current of each measurement times a share.
 
         Estimators' noise is then that of these: a measurement whose share is smaller counts less.
+
+        Args:
+            shares: One value or (n_meas,) (1).
         """
         reference = None if self.reference is None else self.reference * shares
         return changed(self, currents=self.currents * shares, volts=self.volts * shares, reference=reference)

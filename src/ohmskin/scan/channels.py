@@ -52,7 +52,7 @@ class Channels:
         return known
 
     def doubtful(self, pattern: DrivePattern) -> Bools:
-        """(n_meas,) whether a channel has no or little information, so that it is left out."""
+        """(n_meas,) whether a channel of a `pattern` has no or little information, so that it is left out."""
         gains, errors = self.of(pattern)
         return np.asarray((np.abs(gains) < _SILENT) | (errors > _DOUBTFUL * np.median(self.errors)))
 

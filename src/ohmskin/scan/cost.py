@@ -39,7 +39,7 @@ class Cost:
         return self.overhead + float(self._injections(pattern.measured).sum())
 
     def times(self, pattern: DrivePattern) -> Floats:
-        """When each voltage (n_meas,) is converted, from the start of a scan (s)."""
+        """When each voltage (n_meas,) of a `pattern` is converted, from the start of a scan (s)."""
         which, measured, each = pattern.measurements[:, 0], pattern.measured, self._injections(pattern.measured)
         within = np.arange(pattern.n_meas) - (measured.cumsum() - measured)[which]
         conversions = within // self.channels + 1 if self.channels else 1

@@ -44,6 +44,9 @@ class NetworkFit:
         pattern: The pattern driven.
         currents: (n_meas,) current behind each measurement (A).
         volts: (n_meas,) or (n_meas, n_frames) data (V); NaN where they are not known.
+
+    Raises:
+        DataError: If the pattern is too large to judge.
     """
 
     def __init__(self, pattern: DrivePattern, currents: Floats, volts: Floats) -> None:

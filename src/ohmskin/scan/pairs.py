@@ -38,7 +38,12 @@ class Pairs(ReadOnly):
 
     @classmethod
     def of(cls, n_elec: int, ends: Ints) -> "Pairs":
-        """These pairs (n, 2) of electrodes, each once, whatever their order; an electrode with itself is none."""
+        """The pairs of some electrodes.
+
+        Args:
+            n_elec: Number of electrodes.
+            ends: (n, 2) the electrodes of each pair, in any order and as often as may be; one with itself is left out.
+        """
         ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
         if len(ends) == n_pairs(n_elec):
             return Pairs.all(n_elec)
@@ -75,7 +80,11 @@ class Pairs(ReadOnly):
         return found
 
     def covers(self, quadruples: Ints) -> bool:
-        """Whether all measurements (n, 4), source, sink, plus, minus, are combinations of these pairs."""
+        """Whether all measurements are combinations of these pairs.
+
+        Args:
+            quadruples: (n, 4) source, sink, plus, minus of each.
+        """
         return self.whole or not (self.numbers[terms(quadruples)] == len(self))[_distinct(quadruples)].any()
 
 

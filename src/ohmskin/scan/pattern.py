@@ -54,7 +54,11 @@ class DrivePattern(ReadOnly):
 
     @classmethod
     def valid(cls, injections: Ints, measurements: Ints) -> "DrivePattern":
-        """A pattern made of parts of valid ones (int64, its own arrays): it is not checked again."""
+        """A pattern made without checks.
+
+        Args:
+            injections, measurements: As for `DrivePattern`, int64; made read-only.
+        """
         pattern = object.__new__(cls)
         for name, array in (("injections", injections), ("measurements", measurements)):
             array.setflags(write=False)
@@ -163,7 +167,11 @@ class DrivePattern(ReadOnly):
             raise PatternError(f"the pattern names electrode {highest}; there are {n_elec} (0..{n_elec - 1})")
 
     def split(self, max_injections: int, max_measurements: int = 2**31) -> Iterator["DrivePattern"]:
-        """This pattern in pieces of at most so many injections and measurements each, in order.
+        """This pattern in pieces, in order.
+
+        Args:
+            max_injections: Most injections of a piece, at least 1.
+            max_measurements: Most measurements of a piece.
 
         Raises:
             PatternError: If one injection alone has more measurements than that.
@@ -201,6 +209,9 @@ def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePat
 
     The walk starts behind the sink, so that adjacent drive gives the classical adjacent voltages. The n - 3 voltages
     of an injection span all that can be measured without a driven electrode, whose contact would enter.
+
+    Raises:
+        PatternError: If there are fewer than four electrodes, or the pattern is invalid.
     """
     pairs = np.asarray(injections)
     order = np.asarray(_ring(electrodes, electrodes))

@@ -55,6 +55,7 @@ class CompiledCycle:
     Raises:
         ModelError: If the sheet is not flat, or the estimator's images are nowhere negative.
         PatternError: If the drive does not choose by eq. (7), or the baseline has not seen all its patterns.
+        DataError: If a reference of the baseline is not finite.
     """
 
     def __init__(

@@ -116,7 +116,7 @@ class Forces(Protocol):
 
 
 class PressFollower:
-    """Forces of the presses on a calibrated contact layer that explain the data best; see `PressFitter`.
+    """`Forces` of the presses on a calibrated contact layer that explain the data best; see `PressFitter`.
 
     Args:
         fitter: Knows what presses change.

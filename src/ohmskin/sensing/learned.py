@@ -25,7 +25,7 @@ def one_contact(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Inf
 
 @dataclass(frozen=True, eq=False)
 class LearnedReader:
-    """Places one contact by a learned map; fits contacts to data that are outliers of those learned from.
+    """A `Reader` that places one contact by a learned map, and fits contacts to data unlike those learned from.
 
     Args:
         physics: Reads what is unlike that, and follows drift while nothing touches.
@@ -41,11 +41,11 @@ class LearnedReader:
         return self.physics.estimator
 
     def start(self, before: Belief | None = None) -> Belief:
-        """Nothing touches the skin."""
+        """As of `Reader.start`: nothing touches the skin."""
         return self.physics.start(before)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """The belief after one more frame; data unlike those learned from are read by physics."""
+        """The belief after one more frame, as of `Reader.update`; data unlike those learned from are fitted."""
         pairs = self.physics.fitter.table.pairs
         found = self.told(before.without_drift(recent, pairs))
         if found is None:

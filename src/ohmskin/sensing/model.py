@@ -112,7 +112,7 @@ class SkinModel:
         return self.quality is not None or self.channels is not None
 
     def soundness(self, frame: Frame) -> tuple[Bools, Bools]:
-        """Whether the current of each injection (n_inj,) can be, and which voltages (n_meas,) can be.
+        """Whether the current of each injection (n_inj,) of a `frame` can be, and which voltages (n_meas,) can be.
 
         Currents can that are a tenth to ten times those on the quiet skin; voltages whose current can, and that are not
         clipped. Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
@@ -185,7 +185,11 @@ class SkinModel:
         return self._estimators[key]
 
     def one_step(self, estimator: Estimator) -> GaussNewton:
-        """What looks at base scans: the estimator if it is one-step Gauss-Newton, else that with the paper's prior."""
+        """What looks at base scans: `estimator` if it is one-step Gauss-Newton, else that with the paper's prior.
+
+        Raises:
+            ModelError: If a package has replaced the estimator `gauss-newton`.
+        """
         for found in (estimator, self.estimator("gauss-newton")):
             if (
                 isinstance(found, FrameWise)

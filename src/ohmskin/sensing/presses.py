@@ -120,7 +120,7 @@ class PressFitter:
         return self.known.pressed_sheet.with_layer(self.known.skin.calibrated_layer)
 
     def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
-        """The presses that explain what scans show, one for each contact.
+        """The presses that explain what `scans` show, one for each of the `contacts` (n,).
 
         Raises:
             DataError: If no finite datum is left.
@@ -220,13 +220,13 @@ class PressFitter:
         return Information.of(fitter.table.pairs, errors, scans)[1].misfit.sums
 
     def start(self, contacts: Sequence[Contact], size: float = 1.0) -> Floats:
-        """Parameters (4 n,) of presses at contacts: x, y (m), logarithms of radius (m), that many usual ones, and of
-        pressure (Pa)."""
+        """Parameters (4 n,) of presses at `contacts` (n,): x, y (m), logarithm of the radius (m), which is `size` times
+        the usual one, and of the pressure (Pa)."""
         usual = self._usual + np.array([np.log(size), 0.0])
         return np.concatenate([[*contact.position, *usual] for contact in contacts])
 
     def presses(self, params: Floats) -> list[Press]:
-        """The presses of parameters (4 n,)."""
+        """The presses of `params` (4 n,), as `start` gives them."""
         return [self._press(one) for one in params.reshape(-1, _PER_PRESS)]
 
     def _press(self, params: Floats) -> Press:
@@ -246,14 +246,14 @@ class PressFitter:
         return _minimised(start, lambda params: self.weighed(data, params, *self.caused(params)), self.moved)
 
     def moved(self, params: Floats, step: Floats) -> Floats:
-        """Parameters (4 n,) after a step, as far as one may go."""
+        """Parameters `params` (4 n,) after a `step` (4 n,), as far as one may go."""
         by_press, radius = step.reshape(-1, _PER_PRESS).copy(), self.known.fitter.table.radius
         by_press[:, :2] *= np.minimum(1, radius / np.maximum(np.hypot(*by_press[:, :2].T), 1e-300))[:, None]
         by_press[:, 2:] = np.clip(by_press[:, 2:], -1.0, 1.0)
         return self._within(params + by_press.ravel())
 
     def caused(self, params: Floats) -> tuple[Floats, Floats]:
-        """What presses (4 n,) change of the two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n).
+        """What presses, `params` (4 n,), change of two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n).
 
         Presses far from each other are taken for themselves and add up, to 2 % or so: time goes with the cube of size.
         """
@@ -275,12 +275,12 @@ class PressFitter:
         return [np.flatnonzero(labels == label).tolist() for label in range(labels.max() + 1)]
 
     def most_contacts(self, presses: Sequence[Press]) -> int:
-        """How many contacts of patches the largest of the `groups` may close; its model takes about the cube of it."""
+        """The most contacts of patches that one of the `groups` of `presses` may close; time goes with their cube."""
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
     def weighed(self, data: Sums, params: Floats, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
-        """Cost, curvature and downhill gradient of presses (4 n,) that cause so much."""
+        """Cost, curvature, downhill gradient in `data` of presses, `params`, with `caused` and `slopes` of `caused`."""
         cost, normal, gradient = self._explained(data, caused, slopes)
         own, precision, pull = self._prior(params.reshape(-1, _PER_PRESS))
         return cost + own, normal + np.diag(precision), gradient + pull
@@ -305,8 +305,8 @@ class PressFitter:
         return float((off**2).sum()), stds**-2.0, off.ravel() / stds
 
     def told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
-        """Presses (4 n,) of a covariance (4 n, 4 n), with their forces; what is not known of the layer counts, too.
-        Errors are of the logarithm, at most its prior's: a force's is how far the upper one is off."""
+        """Presses, `params` (4 n,) of a `covariance` (4 n, 4 n), with forces; uncertainty of the layer included. Errors
+        are of the logarithm, at most its prior's: a force's is how far the upper one is off."""
         told, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))

@@ -70,17 +70,22 @@ class Belief:
         return self.estimate.image
 
     def without_drift(self, scans: Sequence[Difference], pairs: Pairs) -> list[Difference]:
-        """Scans, drift of the quiet skin, of these pairs of electrodes, taken off."""
+        """Scans without the drift of the quiet skin.
+
+        Args:
+            scans: As measured.
+            pairs: Pairs of electrodes whose drift it is.
+        """
         drift = self.tracks.drift if isinstance(self.tracks, TrackState) else self.drift
         return [scan if drift is None else scan.less(drift, pairs) for scan in scans]
 
     def seen_in(self, misfit: float) -> "Belief":
-        """The same of contacts seen in an image that leaves a share of the data unexplained."""
+        """The same of contacts seen in an image that leaves a share `misfit` of the data unexplained (1)."""
         detections, contacts = (doubted(some, image_trust(misfit)) for some in (self.detections, self.contacts))
         return changed(self, detections=detections, contacts=contacts, unexplained=misfit)
 
     def with_drift_of(self, before: "Belief") -> "Belief":
-        """The same with the drift of another belief: data that are doubted teach none."""
+        """The same with the drift of another belief, `before`: data that are doubted teach none."""
         tracks = self.tracks
         if isinstance(tracks, TrackState) and isinstance(before.tracks, TrackState):
             tracks = changed(tracks, drift=before.tracks.drift, common_drift=before.tracks.common_drift)
@@ -117,7 +122,7 @@ def undriven(scans: Sequence[Difference]) -> list[Difference]:
 
 @dataclass(frozen=True, eq=False)
 class DetectionReader:
-    """Finds contacts in the image of every frame, and tracks them by nearest neighbours.
+    """A `Reader` that finds contacts in the image of every frame, and tracks them by nearest neighbours.
 
     Args:
         estimator: Estimator of the image.
@@ -139,7 +144,13 @@ class DetectionReader:
         return self.follow(before, estimate, self.detect(estimate, recent))
 
     def follow(self, before: Belief, estimate: Estimate, found: Sequence[Contact]) -> Belief:
-        """The belief after a frame that showed these contacts."""
+        """The belief after a frame.
+
+        Args:
+            before: The belief after the last one.
+            estimate: Of the image of this one.
+            found: The contacts that this one showed.
+        """
         assert isinstance(before.tracks, Tracks)
         tracks, contacts = self.tracker.update(before.tracks, found)
         return Belief(estimate, tuple(found), contacts, tracks, explains=not found)
@@ -147,7 +158,7 @@ class DetectionReader:
 
 @dataclass(frozen=True, eq=False)
 class FitReader:
-    """Fits contacts to every frame, and tracks them by nearest neighbours.
+    """A `Reader` that fits contacts to every frame, and tracks them by nearest neighbours.
 
     Args:
         estimator: Estimator of the image.
@@ -218,7 +229,7 @@ class FitReader:
 
 @dataclass(frozen=True, eq=False)
 class FilterReader:
-    """Tracks contacts by a filter on the data.
+    """A `Reader` that tracks contacts by a filter on the data.
 
     Args:
         estimator: What makes the image, of the newest frames with drift taken off.

@@ -166,7 +166,7 @@ class Sensor:
         self.seconds = 0.0
 
     def with_drive(self, drive: Drive) -> "Sensor":
-        """The same sensor with another number of injections; its state stays valid."""
+        """The same sensor with another `drive`, its own with other injections a frame; its state stays valid."""
         other = copy(self)
         other.drive = drive
         return other
@@ -263,7 +263,12 @@ class Sensor:
         return self.measure(state, lambda pattern: next(scanned, None) or scan(pattern))
 
     def measure(self, state: SensorState, scan: Scan) -> Measured:
-        """The scans of one frame, each chosen by what is known then."""
+        """The scans of one frame, each chosen by what is known then.
+
+        Args:
+            state: After the last step.
+            scan: Drives a pattern once.
+        """
         frames: list[Frame] = []
         scans: list[Difference] = []
         look: Estimate | None = None

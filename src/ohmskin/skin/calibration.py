@@ -47,6 +47,9 @@ class Calibration:
         channels: (n, 4) source, sink, plus, minus of the channels judged from presses, and
         channel_gains, channel_errors: how each follows the model, see `ohmskin.scan.Channels`.
         position_map: Where contacts really are, as presses of known places taught: a `PositionMap` as text.
+
+    Raises:
+        SkinError: If an entry is out of range, or lists that belong together do not fit.
     """
 
     date: str = ""
@@ -114,7 +117,15 @@ class Calibration:
         return PositionMap.parse(self.position_map) if self.position_map else None
 
     def check(self, domain: Domain, n_elec: int) -> None:
-        """Raise SkinError unless the calibration fits a sheet with so many electrodes."""
+        """Hold the calibration against the skin that it is of.
+
+        Args:
+            domain: Its map.
+            n_elec: Number of its electrodes.
+
+        Raises:
+            SkinError: If it does not fit.
+        """
         for name, given in (("positions", self.positions), ("contact_impedances", self.contact_impedances)):
             if given and len(given) != n_elec:
                 raise SkinError(f"calibration.{name} has {len(given)} entries for {n_elec} electrodes; calibrate again")

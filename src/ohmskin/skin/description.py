@@ -74,6 +74,10 @@ class Skin:
         imaging: How images and contacts are made of the measurements.
         calibration: What `ohmskin calibrate` found; it holds for this sheet, these electrodes and imaging.
         modes: Modes of its own, beside those of `MODES`.
+
+    Raises:
+        SkinError: If an entry is out of range, or tables do not fit each other.
+        GeometryError: If the sheet or the electrodes cannot be used.
     """
 
     name: str = "paper"
@@ -103,7 +107,7 @@ class Skin:
 
     @classmethod
     def load(cls, source: str | Path) -> "Skin":
-        """Read a skin from a TOML file, or one that ships with ohmskin by its name.
+        """Read a skin from its `source`, a TOML file, or one that ships with ohmskin by its name.
 
         Raises:
             SkinError: If there is no such file or skin, or its contents are not a valid description.
@@ -237,8 +241,8 @@ class Skin:
         return _design(self, driven)
 
     def contact_change(self, impedance: Floats | float) -> Floats:
-        """Standard deviation of how contact impedances (ohm) change unseen: screws on a sprayed sheet do when pressed
-        nearby, and every contact is taken to have a hundredth of the sheet's resistance."""
+        """Standard deviation of how contact impedances, `impedance` (ohm), change unseen: screws on a sprayed sheet do
+        when pressed nearby, and every contact is taken to have a hundredth of the sheet's resistance."""
         return np.asarray(_CHANGE * np.maximum(impedance, _LEAST_CONTACT / self.sheet.conductivity))
 
     @property
@@ -268,7 +272,7 @@ class Skin:
         return self.mesh_for(self.electrodes)
 
     def mesh_for(self, electrodes: Electrodes, size: float = 0.0) -> Mesh:
-        """A mesh of the sheet with edges `size` (m), the estimator's unless given, and a node at every electrode.
+        """A mesh of the sheet with edges `size` (m), the estimator's unless given, and a node at each of `electrodes`.
 
         It is finer where discs are, see `electrode_points`.
         """

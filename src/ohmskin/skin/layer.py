@@ -35,7 +35,7 @@ class ContactLayer:
     creep_time: float = number(10.0, 1e-3, 1e5, "s")
 
     def counts(self, domain: Domain) -> tuple[int, int]:
-        """Columns and rows of patches on a map.
+        """Columns and rows of patches on a map of that `domain`.
 
         Raises:
             SkinError: If patches would overlap.
@@ -68,7 +68,12 @@ class ContactLayer:
         return Foam(pressure, pressure * exp(gap) + self.creep * crept, gap, crept)
 
     def pressing(self, before: "Foam | None", acting: float, elapsed: float) -> "Foam":
-        """The foam under a press of which is known what acts on the sheet (Pa); the inverse of `acting`."""
+        """The foam under a press of which is known what acts on the sheet; the inverse of `acting`.
+
+        Args:
+            before, elapsed: As for `acting`.
+            acting: Pressure that acts on the sheet, above 0 (Pa).
+        """
         if before is None:
             return Foam(acting, acting, 0.0, 0.0)
         crept = self._crept(before, elapsed)

@@ -57,7 +57,7 @@ class Mode:
 
     @classmethod
     def of(cls, name: str, entries: Any) -> "Mode":
-        """The mode that a skin file or a recording describes.
+        """The mode called `name` that a skin file or a recording describes, `entries` by their names.
 
         Raises:
             SkinError: If an entry is unknown, missing or of the wrong type.

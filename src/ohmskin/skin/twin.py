@@ -63,7 +63,12 @@ class Press:
         return self.pressure * float(np.pi) * (inner**2 + inner * outer + outer**2) / 3  # a frustum of a cone
 
     def pressure_at(self, distance: Floats, spread: float) -> Floats:
-        """Pressure (...) (Pa) so far from its centre (...) (m); foam lets it fall to 0 within `spread` of its edge."""
+        """Pressure (...) (Pa) at some distance from the centre.
+
+        Args:
+            distance: (...) in metres.
+            spread: Width of the ring outside the radius in which foam lets the pressure fall to 0 (m).
+        """
         return np.asarray(self.pressure * np.clip((self.radius + spread - distance) / max(spread, 1e-12), 0.0, 1.0))
 
 

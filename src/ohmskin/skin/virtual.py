@@ -113,11 +113,18 @@ class VirtualSkin:
         return self._resistance
 
     def duration(self, pattern: DrivePattern) -> float:
-        """How long the instrument takes for a scan (s)."""
+        """How long the instrument takes for a scan of `pattern` (s)."""
         return self.skin.cost.time(pattern)
 
     def scan(self, pattern: DrivePattern) -> Frame:
-        """Scan the skin as it is now; returns at once, with the device time advanced by `duration`."""
+        """Scan a pattern of the skin as it is now; returns at once, with the device time advanced by `duration`.
+
+        Args:
+            pattern: What is driven and measured.
+
+        Raises:
+            PatternError: If it names an electrode that is not there.
+        """
         pattern.check(len(self.skin.electrodes))
         self._yield()
         if self._stale:

@@ -94,7 +94,7 @@ class ContactFilter:
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def explains(self, state: TrackState) -> bool:
-        """Whether contacts, if there are any, explain the newest frame as well as they do usually."""
+        """Whether contacts, if there are any in a `state`, explain the newest frame as well as they do usually."""
         if not state.pressing or not state.history:
             return not state.pressing
         newest = state.history[0]

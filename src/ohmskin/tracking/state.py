@@ -91,12 +91,12 @@ class TrackState:
         return [k for k, track in enumerate(self.tracks) if not track.lifted]
 
     def covariance_of(self, k: int) -> Floats:
-        """Of the parameters of contact number k (4, 4)."""
+        """Of the parameters of contact number `k` (4, 4)."""
         at = slice(STATE * k, STATE * k + PER_CONTACT)
         return self.covariance[at, at]
 
     def effect(self, k: int) -> tuple[float, float]:
-        """The size of a contact's effect, and its standard deviation (m2)."""
+        """The size of the effect of contact number `k`, and its standard deviation (m2)."""
         return abs(float(self.mean[k, 2])), effect_std(self.covariance_of(k))
 
     def with_contact(self, params: Floats, covariance: Floats, speed: float, name: int | None = None) -> "TrackState":
@@ -119,7 +119,7 @@ class TrackState:
         return changed(self, tracks=(*self.tracks, track), mean=mean, covariance=whole, next_id=next_id)
 
     def without(self, gone: Sequence[int]) -> "TrackState":
-        """The state without some of its contacts."""
+        """The state without the contacts whose numbers are in `gone`."""
         if not gone:
             return self
         kept = np.array([k for k in range(len(self.tracks)) if k not in gone], int)

@@ -73,7 +73,12 @@ class LiveView(Closing):
             self._show(checked)
 
     def starting(self, words: str, share: float | None = None) -> None:
-        """Show the current step of the loop before the first frame, and the share that is done (0 to 1)."""
+        """Show the current step of the loop before the first frame.
+
+        Args:
+            words: What is being done.
+            share: The share that is done (0 to 1); None: unknown.
+        """
         self._outbox.put((b"W", to_json({"type": "starting", "message": words, "share": share}).encode()))
 
     def show(self, setup: Mapping[str, Any]) -> None:
