@@ -78,6 +78,7 @@ def evidence(
 
     Raises:
         DataError: If the rate is not within 0 and 1, or no finite datum is left.
+        ModelError: If the noise is not positive.
     """
     if not 0 < rate < 1 or freedom < 1:
         raise DataError(f"rate of false alarms {rate:g}, freedom {freedom}; use a rate within 0 and 1, and 1 or more")

@@ -35,13 +35,11 @@ class Engine(Closing):
         skin: What the device is.
         mode: Name of the mode; the one of least measured error unless given.
         report: Called with every message for the user.
-        estimator, prior, rule: Names of another estimator, prior or rule for the regularisation parameter than those
-            of the modes.
+        estimator, prior, rule: Names of others than the modes have, of `ESTIMATORS`, `PRIORS` and `RULES`.
 
     Attributes:
         modes: The modes of the skin, by name.
-        known: What was learned of the quiet skin; None before the first calibration.
-        sensor: What it senses with now, likewise.
+        known, sensor: What was learned of the quiet skin, and what senses now; None before the first calibration.
         scans_made: Scans of the cycle that is under way.
 
     Raises:
@@ -100,6 +98,7 @@ class Engine(Closing):
             DeviceLost: If the device goes away. What was learned before is kept.
             DataError: If the skin is not quiet, or its data are no skin's; likewise.
             ModelError: If the estimator or the prior is unknown, or does not go with the skin.
+            PatternError: If the device cannot drive the mode.
         """
         (before, message), self.state = (self.state, self.message), State.CALIBRATING
 
@@ -165,6 +164,7 @@ class Engine(Closing):
 
         Raises:
             PatternError: If it is not one of `modes`; the message lists them.
+            ModelError: If its estimator, prior or rule is unknown, or does not go with the skin.
         """
         self._switch(self._named(name))
 

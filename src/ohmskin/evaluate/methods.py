@@ -45,7 +45,11 @@ class Method:
         return Mode(self.key, self.drive, "centroid", injections=self.injections, fuse=self.fuse)
 
     def assuming(self, name: str) -> Mode:
-        """The same with what an assumption of that name takes otherwise."""
+        """The same with what the assumption of that `name`, one of `ASSUMPTIONS`, takes otherwise.
+
+        Raises:
+            OhmskinError: If there is none.
+        """
         taken = assumption(name)
         mode = self.mode.using(prior=taken.prior)
         more = taken.pairs - STATED.pairs if self.drive in ("local", "eq7") else 0

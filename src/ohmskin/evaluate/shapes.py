@@ -72,5 +72,14 @@ def _box(u: Floats, v: Floats, left: float, right: float, low: float, high: floa
 
 
 def disc(x: float, y: float, radius: float, strength: float) -> Shape:
-    """A round contact at (x, y) of a `radius` in metres, with a `strength` (relative change of conductivity, or Pa)."""
+    """A round contact.
+
+    Args:
+        x, y: Its centre (m).
+        radius: Its radius (m).
+        strength: Relative change of conductivity, or pressure (Pa).
+
+    Raises:
+        OhmskinError: If a value is out of range.
+    """
     return Shape("disc", (float(x), float(y)), float(radius), float(strength))

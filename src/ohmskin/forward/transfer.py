@@ -67,14 +67,22 @@ class TransferModel(ReadOnly):
         return f"TransferModel({self.mesh}, {len(self.electrodes)} electrodes)"
 
     def with_conductivity(self, conductivity: ArrayLike) -> "TransferModel":
-        """The same skin with another conductivity. (n_elem,) values keep the directions of a sheet that has such."""
+        """The same skin with another `conductivity`, as for `TransferModel`; (n_elem,) values keep the directions of a
+        sheet that has such.
+
+        Raises:
+            ModelError: If it is not positive, or has the wrong shape.
+        """
         values, root = conductivity_of(self.mesh, conductivity)
         other = self._with(conductivity=values, _root=self._root if root is None else root)
         other._solve()
         return other
 
     def with_contact_impedances(self, values: ArrayLike) -> "TransferModel":
-        """The same skin with other contact impedances, `values` as for `Electrodes.with_contact_impedances`."""
+        """The same skin with other contact impedances.
+
+        Arguments and errors as of `Electrodes.with_contact_impedances`.
+        """
         other = self._with(electrodes=self.electrodes.with_contact_impedances(values))
         other._solve()
         return other
@@ -151,7 +159,16 @@ class TransferModel(ReadOnly):
         return two_terminal(self.transfer_resistance, self.pairs)
 
     def voltages(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """Voltages (n_meas,) of a pattern (V) at given injected currents, one value or (n_inj,) in amperes."""
+        """Voltages (n_meas,) of a pattern (V).
+
+        Args:
+            pattern: What is driven and measured.
+            currents: Injected currents, one value or (n_inj,) (A).
+
+        Raises:
+            PatternError: If the pattern names an electrode that is not there, or needs a pair that the model lacks.
+            ModelError: If currents are not finite, or do not fit the pattern.
+        """
         pattern.check(len(self.electrodes))
         a, b, c, d = pattern.quadruples.T
         s = self.transfer_resistance
@@ -241,12 +258,15 @@ class TransferModel(ReadOnly):
         return pair_movement(self.mesh, self.electrodes, self.quadratures, self.tensors, self.potentials, layers, slide)
 
     def sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """J of eq. (4): dV/dsigma (n_meas, n_elem) of a pattern (V/siemens) at given injected currents (A)."""
+        """J of eq. (4): dV/dsigma (n_meas, n_elem) of a pattern (V/S); arguments and errors as for `voltages`."""
         rows: Floats = pattern.combination(self.pairs) @ self.pair_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
 
     def contact_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
-        """dV/dz (n_meas, n_elec) of a pattern at given injected currents (A), in V per ohm m2 (disc) or ohm m (rim)."""
+        """dV/dz (n_meas, n_elec) of a pattern in V per ohm m2 (disc) or ohm m (rim).
+
+        Arguments and errors as for `voltages`.
+        """
         rows: Floats = pattern.combination(self.pairs) @ self.pair_contact_sensitivity
         return rows * self._driven(pattern, currents)[:, None]
 
@@ -255,10 +275,7 @@ class TransferModel(ReadOnly):
     ) -> Floats:
         """dV/dx (n_meas, n_elec, dim of space) of a pattern against electrodes' places (V/m).
 
-        Args:
-            pattern: What is driven and measured.
-            currents: Injected currents, one value or (n_inj,) (A).
-            layers, slide: As for `pair_movement`.
+        Arguments and errors as for `voltages`; `layers` and `slide` as for `pair_movement`.
         """
         pairs = self.pair_movement(layers, slide)
         rows = pattern.combination(self.pairs) @ pairs.reshape(len(pairs), -1)
@@ -267,8 +284,8 @@ class TransferModel(ReadOnly):
     def tensor_sensitivity(self, pattern: DrivePattern, currents: ArrayLike = 1.0) -> Floats:
         """dV/dsigma_ab (n_meas, n_elem, dim, dim) of a pattern against the entries of the tensor (V/S), symmetric.
 
-        A change T of the tensor of element e changes measurement m by the sum of result[m, e, a, b] T[a, b]; `currents`
-        are one value or (n_inj,) (A).
+        A change T of the tensor of element e changes measurement m by the sum of result[m, e, a, b] T[a, b]. Arguments
+        and errors as for `voltages`.
         """
         pattern.check(len(self.electrodes))
         a, b, c, d = pattern.quadruples.T
@@ -279,7 +296,15 @@ class TransferModel(ReadOnly):
         return rows
 
     def current_density(self, source: int, sink: int, current: float = 1.0) -> Floats:
-        """Current density (n_elem, dim), of a sheet in A/m, for a current (A) from electrode `source` to `sink`."""
+        """Current density (n_elem, dim), of a sheet in A/m, of a body in A/m2.
+
+        Args:
+            source, sink: Electrodes where the current enters and leaves.
+            current: How large it is (A).
+
+        Raises:
+            PatternError: If an electrode is not there, or both are one.
+        """
         DrivePattern(np.array([[source, sink]]), np.array([[0, source, sink]])).check(len(self.electrodes))
         potential = (self.potentials[:, source] - self.potentials[:, sink])[self.mesh.elements] * current
         field = np.einsum("ekd,ek->ed", self.gradients, potential)

@@ -65,6 +65,9 @@ class Band(_Closed):
     Args:
         circumference: Extent along x (m).
         height: Extent along y (m).
+
+    Raises:
+        GeometryError: If one is not positive.
     """
 
     height: float

@@ -62,6 +62,9 @@ class Rectangle:
     Args:
         width: Extent along x (m).
         height: Extent along y (m).
+
+    Raises:
+        GeometryError: If one is not positive.
     """
 
     width: float
@@ -117,6 +120,9 @@ class Disc:
 
     Args:
         radius: Radius (m).
+
+    Raises:
+        GeometryError: If it is not positive.
     """
 
     radius: float

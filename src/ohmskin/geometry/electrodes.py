@@ -116,6 +116,9 @@ class Electrodes(ReadOnly):
         Args:
             radius: One value or one for each of `which` (m).
             contact_impedance: Resistance times area of the contact, likewise (ohm m2).
+
+        Raises:
+            GeometryError: If a number is not an electrode's, a value is not positive, or discs overlap.
         """
         return self._with(ElectrodeKind.DISC, radius, contact_impedance, which)
 
@@ -127,11 +130,18 @@ class Electrodes(ReadOnly):
         Args:
             length: Along the rim, one value or one for each of `which` (m).
             contact_impedance: Resistance times length of the contact, likewise (ohm m).
+
+        Raises:
+            GeometryError: If a number is not an electrode's, or a value is not positive.
         """
         return self._with(ElectrodeKind.RIM, length, contact_impedance, which)
 
     def with_points(self, which: Iterable[int] | None = None) -> Self:
-        """A copy in which the electrodes `which` (all, if None) are points."""
+        """A copy in which the electrodes `which` (all, if None) are points.
+
+        Raises:
+            GeometryError: If a number is not an electrode's.
+        """
         return self._with(ElectrodeKind.POINT, 0.0, 0.0, which)
 
     def with_contact_impedances(self, values: ArrayLike) -> Self:

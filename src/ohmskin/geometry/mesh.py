@@ -225,7 +225,11 @@ class Mesh(ReadOnly):
         return tree(self.centroids, self.period)
 
     def mapped(self, move: Callable[[Floats], ArrayLike]) -> "Mesh":
-        """The same elements with nodes (n_nodes, dim) moved by `move` to (n_nodes, 2 or 3): a sheet round a link."""
+        """The same elements with nodes (n_nodes, dim) moved by `move` to (n_nodes, 2 or 3) (m): a sheet round a link.
+
+        Raises:
+            GeometryError: If they make no mesh there.
+        """
         return Mesh(np.asarray(move(self.nodes), float), self.elements)
 
     def nodes_at(self, points: ArrayLike, tolerance: float = 1e-7) -> Ints:
@@ -242,7 +246,8 @@ class Mesh(ReadOnly):
         return np.asarray(node, np.int64)
 
     def closest_elements(self, points: ArrayLike, count: int = 3) -> Ints:
-        """Numbers (n, count) of the elements whose centroids are closest to `points` (n, dim)."""
+        """Numbers (n, count) of the elements whose centroids are closest to `points` (n, dim of space) (m); raises
+        GeometryError if the points have another dimension."""
         return np.asarray(self._centroid_tree.query(folded(self._points(points), self.period), k=count)[1], np.int64)
 
     def locate(self, points: ArrayLike) -> tuple[Ints, Floats]:

@@ -83,7 +83,11 @@ class GaussNewton(Reconstructs):
         self.modes = ImageModes.of_relative(self.relative(), self.penalty, self.model.pairs)
 
     def with_amplitude(self, amplitude: float) -> "GaussNewton":
-        """The same estimator with another prior amplitude; costs nothing."""
+        """The same estimator with another prior `amplitude` (1); costs nothing.
+
+        Raises:
+            ModelError: If it is not positive.
+        """
         check_positive(amplitude=amplitude)
         other = copy.copy(self)
         other.amplitude = amplitude

@@ -158,6 +158,7 @@ def reimage(
         DataError: If it is not a recording, or `start` is not in it.
         PatternError: If the mode was not recorded.
         ModelError: If there is no such estimator, prior or rule.
+        DeviceError: If the skin is not that of the recording.
     """
     device = ReplayDevice(f"replay:{path}", speed=np.inf, start=start, loop=False)
     with (

@@ -73,7 +73,11 @@ class Recorder(Closing):
         self._frames, self._unnamed, self._ended = 0, 0, Progress()
 
     def tee(self, device: Device) -> Device:
-        """The device, its frames recorded on their way. The first one is described in the file."""
+        """The same `device`, its frames recorded on their way. The first one is described in the file.
+
+        Raises:
+            DataError: If the file cannot be made.
+        """
         if self._pipe is None:
             self._open(device)
             for frame in device.reference:

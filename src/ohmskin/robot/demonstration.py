@@ -331,7 +331,10 @@ def engines(body: Body, seed: int = 0, mode: str = "") -> Iterator[tuple[Engine,
     Args:
         body: The body.
         seed: Seed of the first skin's noise; the others have the next ones.
-        mode: Drive mode of all; each patch's own unless given.
+        mode: Mode of all; each patch's own unless given.
+
+    Raises:
+        PatternError: If the mode is not possible on a patch.
     """
     with ExitStack() as stack:
         made = []

@@ -230,7 +230,14 @@ class Baseline:
         return known
 
     def difference(self, frame: Frame) -> Difference:
-        """The change of a frame's voltages against the untouched skin at the same currents."""
+        """The change of a frame's voltages against the untouched skin at the same currents.
+
+        Args:
+            frame: Of any pattern whose measurements were seen while the skin was quiet.
+
+        Raises:
+            PatternError: If one was not.
+        """
         currents = frame.measurement_currents
         reference = currents * self.reference(frame.pattern)
         volts = frame.voltages - reference

@@ -109,6 +109,9 @@ def reciprocity_residuals(pattern: DrivePattern, currents: Floats, volts: Floats
         pattern: The pattern driven.
         currents: (n_inj,) injected currents (A).
         volts: (n_meas,) voltages (V).
+
+    Raises:
+        DataError: If the pattern is too large to judge.
     """
     fit = NetworkFit(pattern, currents[pattern.measurements[:, 0]], volts)
     return fit.residuals(fit.known)[:, 0]

@@ -251,12 +251,22 @@ def adjacent(rings: Sequence[Sequence[int]]) -> DrivePattern:
 
     Args:
         rings: Electrode numbers of each ring in their order round it, such as `Electrodes.rings`, or [range(16)].
+
+    Raises:
+        PatternError: If there are fewer than four electrodes, or rings are not lists of numbers.
     """
     return skip(rings, 1)
 
 
 def opposite(ring: Sequence[int]) -> DrivePattern:
-    """Drive each electrode of one ring against the one half-way round, once; measure at all others of the ring."""
+    """Drive each electrode of one ring against the one half-way round, once; measure at all others of the ring.
+
+    Args:
+        ring: Electrode numbers in their order round it, such as range(16).
+
+    Raises:
+        PatternError: If there are fewer than four electrodes, or the ring is no list of numbers.
+    """
     ring = _ring(ring, ring)
     half = len(ring) // 2
     return measure_others(np.array([(ring[k], ring[k + half]) for k in range(half)]), list(ring))

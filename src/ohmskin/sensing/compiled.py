@@ -182,7 +182,15 @@ class CompiledCycle:
         ]
 
     def frame(self, base: Data, measure: Callable[[Ints], Data]) -> list[Contact]:
-        """A whole cycle: `look` at the base scan, `measure` what it asks for (given numbers of pairs), `see`."""
+        """A whole cycle: `look` at the base scan, measure what it asks for, `see`.
+
+        Args:
+            base: Voltages (n_meas,) (V) and currents (n_inj,) (A) of the base scan.
+            measure: Called with the numbers (n,) of the pairs to drive; gives the same of the second scan.
+
+        Raises:
+            DataError: As `look` and `see`.
+        """
         return self.see(*measure(self.look(*base)))
 
     def pattern(self, chosen: Ints) -> DrivePattern:

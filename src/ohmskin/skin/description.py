@@ -272,9 +272,15 @@ class Skin:
         return self.mesh_for(self.electrodes)
 
     def mesh_for(self, electrodes: Electrodes, size: float = 0.0) -> Mesh:
-        """A mesh of the sheet with edges `size` (m), the estimator's unless given, and a node at each of `electrodes`.
+        """A mesh of the sheet with a node at every electrode, finer where discs are, see `electrode_points`.
 
-        It is finer where discs are, see `electrode_points`.
+        Args:
+            electrodes: The electrodes, on the map.
+            size: Length of edges (m); 0: the estimator's.
+
+        Raises:
+            SkinError: If it would take too much time or memory.
+            GeometryError: If the sheet cannot be meshed so.
         """
         size = size or self.imaging.mesh_size
         check_expense(self.domain, len(candidate_pairs(electrodes, self.domain.period)), size)

@@ -23,6 +23,9 @@ class Mode:
         driven: Whether electrodes that carry the current are measured, too, by devices that can.
         title: Its plain name.
         summary: What it does, in one sentence.
+
+    Raises:
+        SkinError: If an entry is of the wrong type or out of range.
     """
 
     name: str

@@ -26,6 +26,9 @@ class Motion:
         drifting: Time over which what no contact explains becomes part of the baseline (s).
         settling: Time over which what is left of a lifted contact does (s).
         creeping: Time in which foam recovers from a press (s); until then, next to nothing beside it is no contact.
+
+    Raises:
+        ModelError: If one is not positive.
     """
 
     speed: float = 0.3
