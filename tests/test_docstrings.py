@@ -115,6 +115,32 @@ def test_every_public_name_has_what_the_reference_shows_of_it() -> None:
     assert silent == []
 
 
+def test_every_method_and_property_is_described() -> None:
+    """In its own words, those of a base or protocol, or among the attributes of its class: no other is shown."""
+    silent = []
+    for one in public():
+        attributes = (inspect.getdoc(one.owner) or "").partition("Attributes:")[2]
+        if one.owner and not words_of(one).strip() and f"{one.thing.__name__}:" not in attributes:
+            silent.append(one.name)
+        if inspect.isclass(one.thing) and issubclass(one.thing, Enum):
+            lines = re.findall(r"^    [A-Z_]+ = .*", inspect.getsource(one.thing), re.MULTILINE)
+            silent += [f"{one.name}: {line}" for line in lines if "  #: " not in line]
+    assert silent == []
+
+
+def test_the_tree_of_errors_is_drawn_as_it_is() -> None:
+    drawn, above = {}, [""] * 9
+    for indent, name, other in re.findall(
+        r"^(    +)(\w+)(?: +an? (\w+), too)?$", str(errors.OhmskinError.__doc__), re.M
+    ):
+        depth = len(indent) // 4 - 1
+        drawn[name], above[depth] = [above[depth - 1], *[other] * bool(other)], name
+    kinds = [one for one in vars(errors).values() if inspect.isclass(one) and issubclass(one, errors.OhmskinError)]
+    assert drawn == {kind.__name__: [base.__name__ for base in kind.__bases__] for kind in kinds} | {
+        "OhmskinError": [""]
+    }
+
+
 def arguments_of(one: Public) -> list[str]:
     """The arguments that its user gives."""
     thing = one.thing

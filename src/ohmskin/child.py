@@ -108,7 +108,7 @@ class Child:
             self.process.wait()
 
     def close(self, patience: float = 3.0) -> None:
-        """End it and let go of its pipes. Safe twice."""
+        """End it and let go of its pipes. Safe to call twice."""
         self.end(patience)
         for pipe in (self.process.stdout, self.process.stderr):
             if pipe is not None:

@@ -12,7 +12,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> object:
-        """Let go of what it holds, and say how that went if there is anything to say. Safe twice."""
+        """Release what it holds; some return a summary. Safe to call twice."""
 
     def __enter__(self) -> Self:
         return self

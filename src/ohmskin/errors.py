@@ -4,7 +4,21 @@ import re
 
 
 class OhmskinError(Exception):
-    """Base class of every error that ohmskin raises on purpose. What it says is `harmless`."""
+    """Base class of every error that ohmskin raises on purpose. Control characters in its message are written out.
+
+    OhmskinError
+        GeometryError         a ValueError, too
+        PatternError          a ValueError, too
+        ModelError            a ValueError, too
+        SkinError             a ValueError, too
+        DataError             a ValueError, too
+        ViewError
+        PublishError
+        DeviceError
+            DeviceLost        a ConnectionError, too
+            DeviceRefused
+            ProtocolError     a ValueError, too
+    """
 
     def __init__(self, *args: object) -> None:
         super().__init__(*(harmless(part) if isinstance(part, str) else part for part in args))

@@ -28,7 +28,7 @@ class PlacedSkin:
         patch: Name, link and pose.
         skin: Its description.
         device: Address of its device.
-        mode: Drive mode; the skin's best unless given.
+        mode: Its mode; the skin's best unless given.
     """
 
     patch: Patch

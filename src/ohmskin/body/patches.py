@@ -74,7 +74,7 @@ class PatchProcess:
         self._child.stop()
 
     def close(self, patience: float = _STOP_TIMEOUT) -> None:
-        """End it; kill it if it has not ended after so many seconds. Safe twice."""
+        """End it; kill it if it has not ended after so many seconds. Safe to call twice."""
         self._end(patience)
 
     def _start(self) -> None:
@@ -250,7 +250,7 @@ class Merger(Closing):
         return merged
 
     def close(self) -> None:
-        """Let go of all boards. Safe twice."""
+        """Let go of all boards. Safe to call twice."""
         for reader in self._readers:
             reader.close()
         self._board.close()

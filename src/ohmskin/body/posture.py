@@ -59,6 +59,6 @@ class Posture(Closing):
         return self._self_touch.told(self.robot, contacts)
 
     def close(self) -> None:
-        """Let go of the boards. Safe twice."""
+        """Let go of the boards. Safe to call twice."""
         self._reader.close()
         self._board.close()

@@ -67,7 +67,7 @@ class BodyReplay(Closing):
         self.ended = self._next is None
 
     def close(self) -> None:
-        """Let go of the file and the boards. Safe twice."""
+        """Let go of the file and the boards. Safe to call twice."""
         self._stack.close()
 
     def _read(self, file: Container) -> Iterator[tuple[str, int, bytes]]:

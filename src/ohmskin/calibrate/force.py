@@ -21,7 +21,7 @@ class PressSample:
         force: Force (N).
         strength: `Contact.strength`, median over some cycles (m2); 0 where it was not felt.
         loading: Whether the force was rising; otherwise it was falling.
-        contact: What it seemed last; None where it was not felt.
+        contact: The contact found for it last; None where it was not felt.
         scans: What it changed, in each of those cycles.
         auxiliary: What the auxiliary channel read then (N or Pa), the median; NaN: nothing.
     """

@@ -121,9 +121,9 @@ class Rates:
 
     Args:
         base: Base scans per second as measured.
-        cycles: Cycles per second by drive mode, from what was measured; the host's own work, if slower, is on top.
+        cycles: Cycles per second by mode, from what was measured; the host's own work, if slower, is on top.
         settle_time: Waiting time proposed for each injection (s).
-        proposed: Cycles per second by drive mode with the proposed waiting time.
+        proposed: Cycles per second by mode with the proposed waiting time.
     """
 
     base: float

@@ -32,7 +32,7 @@ class SelfTest:
         device: Name of the device.
         date: When, UTC, in ISO form.
         diagnosis: Wiring and sheet.
-        noise, offset, linearity, settling, link, rates: What the instrument is worth.
+        noise, offset, linearity, settling, link, rates: What was measured of the instrument.
     """
 
     skin: str

@@ -79,7 +79,7 @@ def board_path(name: str) -> Path:
 
 
 class Board(Closing):
-    """The writer's side.
+    """The writer's side of a board: shared memory with the newest message of one process.
 
     Args:
         name: What readers call it; letters, digits and underscores.
@@ -120,10 +120,10 @@ class Board(Closing):
         os.replace(fresh, path)
 
     def write(self, message: bytes) -> None:
-        """Show a message instead of the one before; never waits.
+        """Put a `message` in place of the one before; never waits.
 
         Raises:
-            PublishError: If it is larger than was said.
+            PublishError: If it is larger than `largest`.
         """
         if len(message) > self._slot_bytes - _SLOT.size:
             raise PublishError(f"a message of {len(message)} bytes on a board for {self._slot_bytes - _SLOT.size}")
@@ -136,7 +136,7 @@ class Board(Closing):
         self._words[_NEWEST] = self._number
 
     def close(self) -> None:
-        """Announce the end, and remove the file; who has it open keeps what is on it. Safe twice."""
+        """Announce the end, and remove the file; who has it open keeps what is on it. Safe to call twice."""
         if self._lock is None:
             return
         self._words[_CLOSED] = 1
@@ -148,7 +148,10 @@ class Board(Closing):
 
 
 class BoardReader(Closing):
-    """A reader's side. The board need not be there yet, and may be taken away and come again.
+    """A reader's side of a board, which need not be there yet, and may be taken away and come again.
+
+    Args:
+        name: What the writer called it.
 
     Attributes:
         setup: What the writer said about itself; empty before there is a board.

@@ -45,18 +45,19 @@ class Client(Closing):
             self._source = Subscriber(name, where or "tcp/127.0.0.1:7447", token)
 
     def newest(self) -> Felt | None:
-        """The newest that was felt, new or seen before; None before there is anything.
+        """The newest contacts, given before or not; None before there are any.
 
-        Never waits: look at its `age`.
+        Never waits: look at their `age`.
         """
         self._last = self._source.newest() or self._last
         return self._last
 
     def wait(self, timeout: float) -> Felt | None:
-        """The next that is felt and was not given before; None if nothing comes within `timeout` seconds."""
+        """The next contacts that were not given before; None if nothing comes within `timeout` seconds."""
         if (fresh := self._source.newest() or self._source.wait(timeout)) is not None:
             self._last = fresh
         return fresh
 
     def close(self) -> None:
+        """Close the connection. Safe to call twice."""
         self._source.close()

@@ -12,10 +12,10 @@ _NAP = 0.005  # s
 
 
 class Commands(Closing):
-    """Has a skin take how it is now for untouched, or change its drive mode; each waits until that is done.
+    """Commands to the loop of a skin: to tare it, or to change its mode. Each waits until that is done.
 
-    with Commands("skin") as commands:
-        commands.tare()
+        with Commands("skin") as commands:
+            commands.tare()
 
     Args:
         name: What `ohmskin live --name` gave; BODY.PATCH for a patch of a body.
@@ -31,7 +31,7 @@ class Commands(Closing):
         self._answers = BoardReader(f"{name}.answered")
 
     def tare(self) -> None:
-        """Take the skin as it is now for untouched: reference, noise and thresholds anew. Nothing is felt meanwhile.
+        """Learn the untouched skin anew: reference, noise and thresholds. Nothing may touch it meanwhile.
 
         Raises:
             PublishError: If the skin refuses, as when it is not quiet, or does not answer; it senses on as before.
@@ -39,7 +39,7 @@ class Commands(Closing):
         self._ask("tare")
 
     def set_mode(self, mode: str) -> None:
-        """Change to another drive mode, such as 16T.
+        """Change to another `mode`, by its name, such as 16T.
 
         Raises:
             PublishError: If it is not possible, or the skin does not answer.

@@ -51,7 +51,12 @@ class Patch:
         return x * ax + y * bx + z * cx, x * ay + y * by + z * cy, x * az + y * bz + z * cz
 
     def at(self, point: Sequence[float], axes: Sequence[Sequence[float]]) -> "Patch":
-        """The flat sheet that touches a curved one at a point (3,) (m), with axes (3, 3), both as in `place`."""
+        """The flat sheet that touches a curved one at a point.
+
+        Args:
+            point: (3,) as in `place` (m).
+            axes: (3, 3) directions of its x, y and normal there.
+        """
         x, y, normal = (self.turn(*axis) for axis in axes)
         return replace(self, position=self.place(*point), axes=(x, y, normal))
 
@@ -103,7 +108,7 @@ class Contact:
         normal: Outward normal of the skin there.
         extent: Area above half the peak (m2).
         strength: Integral of the relative conductivity change over the extent (m2); not a force, but grows with it.
-        confidence: Probability that it is one (0 to 1).
+        confidence: Probability that the peak exceeds the detection threshold, given the noise (0 to 1).
         peak: Largest relative conductivity change.
         radius: Of the disc that explains the data best (m); None where the mode does not fit it.
         velocity: In the frame (m/s); None likewise.
@@ -144,7 +149,12 @@ class Contact:
         return sqrt(trace / 2 + sqrt(max(0.0, 2 * squares - trace * trace)) / 2)
 
     def moved(self, pose: Sequence[Sequence[float]], frame: str) -> "Contact":
-        """It in another frame, in which its own has this pose: rows of a matrix (4, 4) (m)."""
+        """The same contact in another frame.
+
+        Args:
+            pose: Pose of its own frame in the other: rows of a matrix (4, 4) (m).
+            frame: Name of the other.
+        """
 
         def turn(vector: Sequence[float]) -> tuple[float, ...]:
             return tuple(sum(pose[i][j] * vector[j] for j in range(3)) for i in range(3))
@@ -168,7 +178,7 @@ class Sighting:
         sequence: Number of its newest cycle; 0 if it has not been heard of.
         time: Its last sample on this machine's monotonic clock (s); minus infinity if it has not been heard of.
         stamp: The same by the calendar (ns since 1970); 0 likewise.
-        mode: Its drive mode.
+        mode: Name of its mode.
     """
 
     patch: str

@@ -17,8 +17,8 @@ _POSE = struct.Struct("<16d")
 class JointStates(Closing):
     """Sends joint positions to a body, for the detection of self-touch and for its page.
 
-    with JointStates("torso") as joints:
-        joints.push({"elbow": -1.1})            # again whenever they have moved
+        with JointStates("torso") as joints:
+            joints.push({"elbow": -1.1})            # again whenever they have moved
 
     Args:
         name: Name of the body.

@@ -49,7 +49,7 @@ class Segments:
     Args:
         labels: (n_cells,) 1 where it conducts better, -1 where worse, 0 in the background.
         evidence: For each class by its label.
-        rate: Share of data of the mere background of which noise would make a class, at most (1).
+        rate: False alarms: share of data of the background alone in which noise is taken for a class, at most (1).
     """
 
     labels: Shorts

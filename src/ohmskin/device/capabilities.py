@@ -20,11 +20,11 @@ _LONGEST = 1e6  # s; what is larger is not in seconds
 class Feature(IntFlag):
     """Features of a device beside scanning."""
 
-    VIRTUAL = 1  # simulated: touches can be put on it with `press`
-    CURRENT_MEASURED = 2  # the currents of a frame are measured, not nominal
-    VOLTAGE_SOURCE = 4  # it drives volts; otherwise amperes
-    DRIVEN_MEASURED = 8  # voltages of the electrodes that carry the current can be measured, too
-    AUXILIARY = 16  # each frame has one value more, of a sensor beside the electrodes
+    VIRTUAL = 1  #: simulated: touches can be put on it with `press`
+    CURRENT_MEASURED = 2  #: the currents of a frame are measured, not nominal
+    VOLTAGE_SOURCE = 4  #: it drives volts; otherwise amperes
+    DRIVEN_MEASURED = 8  #: voltages of the electrodes that carry the current can be measured, too
+    AUXILIARY = 16  #: each frame has one value more, of a sensor beside the electrodes
 
 
 _RECORDED: dict[str, Any] = {
@@ -119,7 +119,7 @@ class Capabilities:
 
     @property
     def cost(self) -> Cost:
-        """What a scan costs, at most: it does not say how many voltages it converts at once, so one by one."""
+        """Time of a scan, at most: how many voltages it converts at once is not known, so one by one."""
         return Cost(self.settle_time, self.conversion_time, channels=1)
 
     def scan_time(self, pattern: DrivePattern) -> float:

@@ -284,7 +284,7 @@ class HostileDevice(Closing):
         return checks
 
     def close(self) -> None:
-        """Hang up and free the port. Safe twice."""
+        """Hang up and free the port. Safe to call twice."""
         self._hang_up()
         self._listener.close()
 

@@ -134,7 +134,7 @@ class ReplayDevice(Device):
 
     @property
     def mode(self) -> str:
-        """The drive mode of the next frame; empty if it was not recorded."""
+        """The mode of the next frame; empty if it was not recorded."""
         return str(self._reel.modes[int(self._reel.mode_of[self._next()])])
 
     @property

@@ -52,7 +52,7 @@ class DeviceServer(Closing):
         self._spawn(self._accept)  # last: from now on it alone starts threads
 
     def close(self) -> None:
-        """Hang up on every host, lift their presses and free the port. Safe twice."""
+        """Hang up on every host, lift their presses and free the port. Safe to call twice."""
         self._stop.set()
         while alive := [thread for thread in self._threads if thread.is_alive()]:  # the accepting one may start another
             for thread in alive:

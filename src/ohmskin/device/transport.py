@@ -34,7 +34,7 @@ class Transport(Protocol):
         """Send all of `data`."""
 
     def close(self) -> None:
-        """Let go of the line. Safe twice."""
+        """Let go of the line. Safe to call twice."""
 
 
 def open_transport(url: str) -> Transport:

@@ -93,10 +93,12 @@ class Fixed:
 
     @property
     def patterns(self) -> tuple[DrivePattern, ...]:
+        """The pattern alone."""
         return (self.pattern,)
 
     @property
     def injections(self) -> int:
+        """Injections of the pattern."""
         return self.pattern.n_inj
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
@@ -164,6 +166,7 @@ class TwoScans:
 
     @property
     def injections(self) -> int:
+        """Injections of both scans together."""
         return self.base.n_inj + self.second.pairs
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:

@@ -114,7 +114,7 @@ def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple
 
 
 class InformedPolicy(Exploration):
-    """Chooses the injections of a frame that are most informative about the contacts, and some to explore.
+    """A `Drive` of the injections that are most informative about the contacts, and some to explore.
 
     Args:
         electrodes, injections, drives, period: As `Exploration`.

@@ -65,7 +65,11 @@ def take_turns(weights: ArrayLike, count: int) -> Ints:
 
 
 class OptimalDrive(SecondScan):
-    """The paper's adaptive drive (section III-B): the pairs whose connecting lines pass closest to a contact."""
+    """The paper's adaptive drive (section III-B): the pairs whose connecting lines pass closest to a contact.
+
+    Args:
+        electrodes, pairs, period: As for `SecondScan`.
+    """
 
     @cached_property
     def reach(self) -> float:

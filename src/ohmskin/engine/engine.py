@@ -173,7 +173,7 @@ class Engine(Closing):
         return self.known is None or mode in self._sensors
 
     def set_estimator(self, estimator: str = "", prior: str = "", rule: str = "") -> None:
-        """Make images with another estimator, prior or rule from the next cycle on, in all modes.
+        """Make images with another estimator, prior or rule from the next cycle on, in all modes; what is empty stays.
 
         Raises:
             ModelError: If one is unknown, or does not go with the skin; nothing is changed then.

@@ -13,10 +13,10 @@ from ohmskin.skin import Mode
 class State(Enum):
     """State of the loop."""
 
-    CALIBRATING = "calibrating"
-    RUNNING = "running"
-    PAUSED = "paused"
-    LOST = "lost"
+    CALIBRATING = "calibrating"  #: learning the quiet skin, or not calibrated yet
+    RUNNING = "running"  #: scanning
+    PAUSED = "paused"  #: not scanning, as was asked for
+    LOST = "lost"  #: the device is gone; it is looked for
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ _AT_CORNER = 0.025  # of the distance of electrodes on a rim
 class ElectrodeKind(StrEnum):
     """How an electrode touches the skin."""
 
-    POINT = "point"  # at one mesh node; its own voltage when driven grows without bound as the mesh is refined
-    DISC = "disc"  # a disc on the sheet, cut off where it reaches beyond the rim; contact impedance in ohm m2
-    RIM = "rim"  # a stretch of the rim of a sheet; contact impedance in ohm m
-    FACETS = "facets"  # facets of one mesh: faces of a body (contact impedance in ohm m2), edges of a rim (in ohm m)
+    POINT = "point"  #: at one mesh node; its own voltage when driven grows without bound as the mesh is refined
+    DISC = "disc"  #: a disc on the sheet, cut off where it reaches beyond the rim; contact impedance in ohm m2
+    RIM = "rim"  #: a stretch of the rim of a sheet; contact impedance in ohm m
+    FACETS = "facets"  #: facets of one mesh: faces of a body (contact impedance in ohm m2), edges of a rim (in ohm m)
 
 
 @dataclass(frozen=True, eq=False)

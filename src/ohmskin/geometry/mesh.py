@@ -95,10 +95,12 @@ class Mesh(ReadOnly):
 
     @property
     def n_nodes(self) -> int:
+        """Number of nodes."""
         return len(self.nodes)
 
     @property
     def n_elem(self) -> int:
+        """Number of elements."""
         return len(self.elements)
 
     @property

@@ -56,7 +56,7 @@ class GestureReader:
         self.model = model or GestureModel.load()
 
     def start(self) -> GestureState:
-        """Nothing touches."""
+        """The state before anything touches."""
         return GestureState()
 
     def update(self, state: GestureState, time: float, contacts: Sequence[Felt]) -> GestureState:

@@ -192,6 +192,10 @@ def resolved(recording: Recording, model: TransferModel) -> Recording:
 
     Rectified voltages take the model's signs, and so do values that are all positive where the model's are not;
     voltages all the other way round are turned; differences are added to the model's quiet voltages. Notes list it.
+
+    Args:
+        recording: As read; `values` says what it has.
+        model: Of the untouched skin.
     """
     pattern = recording.frames[0].pattern
     at_rest = model.voltages(pattern) * recording.frames[0].measurement_currents

@@ -108,7 +108,7 @@ class FrameWise:
     cells: Cells
 
     def start(self) -> Estimate:
-        """The initial state: no change."""
+        """The initial state: an image of no change."""
         return Unchanged(len(self.cells.measures))
 
     def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:

@@ -85,6 +85,7 @@ class ImageModes:
 
     @property
     def n_modes(self) -> int:
+        """Number of modes."""
         return len(self.modes)
 
     def rows(self, pattern: DrivePattern) -> Floats:

@@ -52,6 +52,10 @@ class ModelMatch:
 def match_model(model: TransferModel, frame: Frame) -> ModelMatch:
     """Compare a quiet frame with the model of the untouched sheet.
 
+    Args:
+        model: The model; its conductivity need not be right.
+        frame: Of any pattern; what is not finite is left out.
+
     Raises:
         DataError: If the frame has fewer than three known values.
         PatternError: If it names electrodes that the model does not have.

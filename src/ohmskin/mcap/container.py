@@ -118,7 +118,7 @@ class Container(Closing):
         return data[at + _RECORD.size + _MESSAGE.size : at + _RECORD.size + length]
 
     def close(self) -> None:
-        """Close the file. Safe twice."""
+        """Close the file. Safe to call twice."""
         self._file.close()
 
     def _head(self, start: int) -> tuple[int, int] | None:

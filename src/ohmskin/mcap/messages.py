@@ -30,10 +30,10 @@ _CONTACT = "i" + "d" * (len(components(2)) - 1)
 class Role(IntEnum):
     """Purpose of a frame."""
 
-    UNTOLD = 0
-    BASE = 1  # the first scan of a cycle
-    CHOSEN = 2  # a later one, whose pattern depends on what the first one showed
-    QUIET = 3  # the untouched skin, to calibrate
+    UNTOLD = 0  #: not known
+    BASE = 1  #: the first scan of a cycle
+    CHOSEN = 2  #: a later one, whose pattern depends on what the first one showed
+    QUIET = 3  #: the untouched skin, to calibrate
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class FrameRecord:
         stamp: When it arrived, by the calendar (ns since 1970).
         pattern: Digest of its pattern.
         role: What it was scanned for.
-        mode: Name of the drive mode; empty if not recorded.
+        mode: Name of the mode; empty if not recorded.
     """
 
     voltages: Floats
@@ -79,7 +79,7 @@ class TouchRecord:
         sequence: Number of the cycle.
         time: Of its last sample, on the host's monotonic clock (s).
         stamp: When it was recorded, by the calendar (ns since 1970).
-        mode: Name of the drive mode.
+        mode: Name of the mode.
         frames: Sequence numbers of its frames.
         contacts: Tracked contacts.
     """

@@ -124,7 +124,7 @@ class WriterPipe:
             return True
 
     def close(self) -> Progress:
-        """Write what waits, finish the file and say how it went. Safe twice."""
+        """Write what waits, finish the file and say how it went. Safe to call twice."""
         with self._lock:
             if not self._closed:
                 self._closed = True

@@ -132,7 +132,7 @@ class Tape(Closing):
         return np.asarray(self.times[np.maximum(np.searchsorted(frames, others) - 1, 0)])
 
     def close(self) -> None:
-        """Close the file. Safe twice."""
+        """Close the file. Safe to call twice."""
         self._file.close()
 
     def _list(self, decode: Callable[[bytes], Value]) -> LazyList[Value]:

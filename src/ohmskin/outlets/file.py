@@ -52,7 +52,7 @@ class FileOutlet:
         self._writer.add_message(self._channels[topic], time.time_ns(), data, stamp, self._count)
 
     def close(self) -> None:
-        """Finish the file. Safe twice."""
+        """Finish the file. Safe to call twice."""
         if self._channels:
             self._channels.clear()
             self._writer.finish()

@@ -96,7 +96,7 @@ class JointsProcess(Closing):
         self.address = str(self._child.ready(_START_TIMEOUT, PublishError)["ready"])
 
     def close(self) -> None:
-        """End it. Safe twice."""
+        """End it. Safe to call twice."""
         self._child.close()
 
 

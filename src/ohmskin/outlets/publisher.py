@@ -108,7 +108,7 @@ class Publisher(Closing):
         return felt(touch.sequence, [seen], contacts, self._board.boot)
 
     def close(self) -> None:
-        """End outlets, take the boards away. Safe twice."""
+        """End outlets, take the boards away. Safe to call twice."""
         self._stack.close()
 
 

@@ -78,7 +78,7 @@ class RelayProcess(Closing):
             )
 
     def close(self) -> None:
-        """End the process. Safe twice."""
+        """End the process. Safe to call twice."""
         if self._child is not None:
             self._child.close()
             self._child = None

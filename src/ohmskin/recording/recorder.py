@@ -154,7 +154,7 @@ class Recorder(Closing):
         return progress
 
     def close(self) -> Progress:
-        """Finish the file and say how it went; a file without a single frame is taken away again. Safe twice."""
+        """Finish the file and say how it went; a file without any frame is deleted. Safe to call twice."""
         if self._pipe is not None:
             self._pipe.close()
             self._ended, self._pipe = self.progress, None

@@ -136,7 +136,7 @@ class SkinSensor(Closing):
             self._engine.forget()
 
     def close(self) -> None:
-        """End the loop. Safe twice."""
+        """End the loop. Safe to call twice."""
         if self._engine is not None:
             self._engine.close()
 

@@ -73,7 +73,7 @@ class Difference:
 
     @cached_property
     def undriven(self) -> "Difference":
-        """What electrodes that carry no current say: the data of which contact impedances are no part.
+        """The data of electrodes that carry no current, of which contact impedances are no part.
 
         Itself if that is all, or if there is nothing else.
         """

@@ -15,10 +15,10 @@ _LARGEST = 1e100  # V or A, which may be squared
 class FrameFlag(IntFlag):
     """Flags of a frame."""
 
-    CLIPPED = 1  # at least one voltage left the converter's range
-    CURRENT_LIMIT = 2  # an injection ran into the source's current limit
-    FIRST = 4  # the first frame since the device started
-    OVERRUN = 8  # the device could not keep its own timing
+    CLIPPED = 1  #: at least one voltage left the converter's range
+    CURRENT_LIMIT = 2  #: an injection ran into the source's current limit
+    FIRST = 4  #: the first frame since the device started
+    OVERRUN = 8  #: the device could not keep its own timing
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,10 +67,12 @@ class DrivePattern(ReadOnly):
 
     @property
     def n_inj(self) -> int:
+        """Number of injections."""
         return len(self.injections)
 
     @property
     def n_meas(self) -> int:
+        """Number of measurements."""
         return len(self.measurements)
 
     @cached_property

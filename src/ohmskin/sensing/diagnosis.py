@@ -17,7 +17,7 @@ _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 
 
 class Cause(NamedTuple):
-    """Kinds of faults of the data.
+    """The kind of a fault of the data, and where it is.
 
     Args:
         kind: ``open``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``, ``spikes``,
@@ -34,7 +34,7 @@ class Finding:
     """A fault of the data.
 
     Args:
-        cause: Why.
+        cause: Its kind and electrodes.
         words: The same in plain words.
     """
 

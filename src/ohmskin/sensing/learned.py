@@ -41,7 +41,7 @@ class LearnedReader:
         return self.physics.estimator
 
     def start(self, before: Belief | None = None) -> Belief:
-        """As of `Reader.start`: nothing touches the skin."""
+        """The belief while nothing touches the skin."""
         return self.physics.start(before)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:

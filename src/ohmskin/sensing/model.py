@@ -170,7 +170,7 @@ class SkinModel:
         return scan
 
     def estimator(self, name: str, prior: str = "paper", rule: str = "physical") -> Estimator:
-        """The estimator of that name; made once.
+        """The estimator of that `name`, with that `prior` and `rule` (`ESTIMATORS`, `PRIORS`, `RULES`); made once.
 
         Raises:
             ModelError: If there is no such estimator, prior or rule, or it does not fit the skin.

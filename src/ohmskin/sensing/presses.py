@@ -64,7 +64,7 @@ class KnownPress:
 
     Args:
         force: Force (N).
-        contact: Where and how large it seemed.
+        contact: The contact found for it.
         scans: What it changed.
         peak: The greatest force before it eased off to this one (N); 0: it was rising.
     """

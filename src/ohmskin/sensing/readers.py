@@ -103,7 +103,7 @@ class Reader(Protocol):
     def estimator(self) -> Estimator: ...
 
     def start(self, before: Belief | None = None) -> Belief:
-        """Nothing touches the skin; names and drift known from `before`, a belief of the same reader, are kept."""
+        """The belief while nothing touches the skin; names and drift known `before`, to the same reader, are kept."""
         ...
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
@@ -135,7 +135,7 @@ class DetectionReader:
     tracker: Tracker
 
     def start(self, before: Belief | None = None) -> Belief:
-        """Nothing touches the skin."""
+        """The belief while nothing touches the skin."""
         return Belief(self.estimator.start(), tracks=Tracks() if before is None else before.tracks)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
@@ -171,7 +171,7 @@ class FitReader:
     tracker: Tracker
 
     def start(self, before: Belief | None = None) -> Belief:
-        """Nothing touches the skin."""
+        """The belief while nothing touches the skin."""
         if before is None:
             return Belief(self.estimator.start())
         return Belief(self.estimator.start(), tracks=before.tracks, drift=before.drift)
@@ -247,7 +247,7 @@ class FilterReader:
         return self.filter.fitter
 
     def start(self, before: Belief | None = None) -> Belief:
-        """Nothing touches the skin; what is known of its drift is kept."""
+        """The belief while nothing touches the skin; what is known of its drift is kept."""
         if before is None:
             return Belief(self.estimator.start(), tracks=self.filter.start())
         assert isinstance(before.tracks, TrackState)

@@ -37,7 +37,12 @@ _LONGEST = 1.0  # s between two frames, beyond which nothing more is forgotten
 
 @dataclass(frozen=True)
 class Thresholds:
-    """gamma_0 (eq. 6), relative conductivity change: for the base image and for the final one."""
+    """Thresholds gamma_0 (eq. 6) of relative conductivity change (1), as learned from quiet frames.
+
+    Args:
+        base: Of the base image.
+        final: Of the final image.
+    """
 
     base: float
     final: float
@@ -50,7 +55,7 @@ class Percept:
     Args:
         frames: The scans.
         belief: The belief after it.
-        look: Makes the image of the base scan; None where a frame has one scan.
+        look: The estimate after the base scan, with its image; None where a frame has one scan.
         diagnosis: What is known of the instrument.
     """
 
@@ -177,7 +182,7 @@ class Sensor:
         return self.reader.estimator.cells
 
     def start(self, before: Belief | None = None) -> SensorState:
-        """Nothing touches the skin; names and drift known from `before`, a belief of the same reader, are kept."""
+        """The state while nothing touches the skin; names and drift known `before`, to the same reader, are kept."""
         return SensorState(self.reader.start(before))
 
     def step(self, state: SensorState, scan: Scan) -> tuple[SensorState, Percept]:

@@ -21,7 +21,7 @@ class Calibration:
         date: When it was made, UTC, in ISO form.
         version: Of ohmskin, when it was made.
         made_for: `Skin.digest` of what it was made for.
-        mode: Drive mode that the strengths were measured in.
+        mode: Mode that the strengths were measured in.
         conductivity: Fitted sheet conductivity (S per square).
         positions: (n_elec, 2) where the electrodes were found (m); as described unless given.
         log_conductivity: (n_waves^2,) coefficients of `forward.conductivity.cosines`, a field by which the logarithm of

@@ -21,6 +21,17 @@ class ContactLayer:
     press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting press what acts
     grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure
     falls to 0 within `foam_spread`.
+
+    Args:
+        columns, rows: Number of patches along x and y, 0 to 256.
+        patch: Side of a patch (m).
+        conductance: Per area at the pressure scale (S/m2).
+        pressure_scale: Pressure at which the conductance is that (Pa).
+        exponent: Of its growth with pressure (1), 0.1 to 3.
+        foam_spread: Width of the ring round a press in which its pressure falls to 0 (m).
+        hysteresis: Share by which more acts when a press eases off (1), 0 to 0.5.
+        creep: Share by which what acts grows under a lasting press (1), 0 to 1.
+        creep_time: Time constant of that (s).
     """
 
     columns: int = number(0, 0, 256)

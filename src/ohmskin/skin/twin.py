@@ -82,8 +82,9 @@ class PressedSheet:
         contact_factors: Factor on each electrode's contact impedance (n_elec,), for poor contacts.
         model: Of the untouched sheet with its electrodes and their contacts; on a mesh finer than the estimator's, with
             `contact_factors`, unless given.
-        contacts: Along each side of a patch, closer at its edges, where the current enters. With 8, presses of 5 mm and
-            more do to 2 % what they do with ever more of them; with 4, some ten times as quick, to 5 %.
+        contacts: Their number along each side of a patch, closer at its edges, where the current enters. With 8,
+            presses of 5 mm and more do to 2 % what they do with ever more of them; with 4, some ten times as quick,
+            to 5 %.
 
     Attributes:
         untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included;

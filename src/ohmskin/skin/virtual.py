@@ -35,7 +35,7 @@ class VirtualSkin:
         skin: What it is.
         seed: Seed of the noise.
         faults: What is wrong with its wiring.
-        contacts: Between sheet and patch along each side of it, see `PressedSheet`.
+        contacts: Number of contacts between sheet and patch along each side of a patch, see `PressedSheet`.
 
     Raises:
         SkinError: If a fault names an electrode that is not there, or two faults name the same one.
@@ -88,7 +88,13 @@ class VirtualSkin:
         return dict(self._presses)
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """Press at (x, y), or move press `number` there (metres, pascals). No pressure lifts it.
+        """Press the skin, move a press, or lift it.
+
+        Args:
+            number: Which press.
+            x, y: Its centre, on the sheet (m).
+            radius: Its radius (m), above 0.
+            pressure: Its pressure (Pa); 0 lifts it.
 
         Raises:
             SkinError: If the place is off the sheet, radius or pressure are out of range, or all presses together take

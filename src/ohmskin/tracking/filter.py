@@ -49,7 +49,7 @@ class ContactFilter:
         self.bar, self.split_bar = birth_threshold(fitter), revision_threshold(fitter)
 
     def start(self) -> TrackState:
-        """Nothing touches the skin."""
+        """The state before anything touches the skin."""
         n_pairs = len(self.fitter.table.pairs)
         return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _WARM**2), np.zeros(n_pairs))
 

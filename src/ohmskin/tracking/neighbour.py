@@ -50,7 +50,12 @@ class Tracker:
     patience: int = 3
 
     def update(self, state: Tracks, found: Sequence[Contact]) -> tuple[Tracks, tuple[Contact, ...]]:
-        """The next state, and the contacts to report, with ids, in the order found."""
+        """The next state, and the contacts to report, with ids.
+
+        Args:
+            state: The state after the last frame.
+            found: The contacts of this one; those reported are in their order.
+        """
         old = state.tracks
         track_of: dict[int, int] = {}
         if old and found:
