@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -9,6 +10,7 @@ from PIL import Image as Bitmap
 from playwright.sync_api import Browser, Page, expect
 from test_view_browser import AS_USUAL, Reader, SyntheticLoop, make_setup
 
+from ohmskin.arrays import Floats
 from ohmskin.plot.report import Folded, Image, Picture, Section, Table, write_report
 from ohmskin.view import LiveView
 
@@ -26,7 +28,7 @@ def loop(request: pytest.FixtureRequest) -> Iterator[SyntheticLoop]:
         setup |= {"recording": {"length": 12.0}}
     loop = SyntheticLoop(setup, always=((0.05, 0.15),))
     if request.param == "replay":
-        loop.header["recording"] = {"position": 2.4, "length": 12.0, "speed": 1.0, "loop": False, "ended": False}
+        loop.header["recording"] = HALFWAY
     yield loop
     loop.close()
 
@@ -38,8 +40,10 @@ def violations(page: Page) -> list[str]:
 
 @pytest.mark.parametrize("screen", SCREENS)
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_axe_finds_nothing_in_any_state(chromium: Browser, loop: SyntheticLoop, theme: str, screen: str) -> None:
-    loop.header.update(state="running", message="", mode="16O", findings=[], **AS_USUAL)
+def test_axe_finds_nothing_in_any_state(
+    chromium: Browser, loop: SyntheticLoop, theme: str, screen: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop.header.update(state="running", message="", mode="16O", findings=[], gesture=None, **AS_USUAL)
     reader = Reader(chromium, loop, color_scheme=theme, **SCREENS[screen])
     page, said = reader.page, list[str]()
     page.on("console", lambda message: said.append(message.text))
@@ -56,24 +60,56 @@ def test_axe_finds_nothing_in_any_state(chromium: Browser, loop: SyntheticLoop, 
         page.click("#guided")
         expect(page.locator("#guide")).to_be_visible()
     assert violations(page) == []
-    loop.header.update(state="lost", message="device lost: cable; reconnecting")
-    expect(page.locator("#unknown")).to_be_visible()
-    page.wait_for_timeout(500)  # it fades, and axe judges contrast
+    weighed(loop, monkeypatch)
+    expect(page.locator("#contacts tbody tr[data-doubtful=true]")).to_have_count(1)
+    expect(page.get_by_role("cell", name="1.2 ±0.2").first).to_be_visible()
     assert violations(page) == []
+    for shown, change in AFTER["replay" if "recording" in loop.header else "live"].items():
+        loop.header.update(change)
+        expect(page.locator("#state")).to_have_attribute("data-state", shown)
+        page.wait_for_timeout(500)  # the map fades, and axe judges contrast
+        assert (shown, violations(page)) == (shown, [])
     assert said == []
     reader.close()
 
 
+LOST = {"state": "lost", "message": "device lost: cable; reconnecting"}
+HALFWAY = {"position": 2.4, "length": 12.0, "speed": 1.0, "loop": False, "ended": False}
+AFTER: dict[str, dict[str, dict[str, Any]]] = {  # what the page shows after changes of the header
+    "live": {"paused": {"state": "paused"}, "calibrating": {"state": "calibrating"}, "lost": LOST},
+    "replay": {
+        "end": {"state": "paused", "recording": HALFWAY | {"position": 12.0, "ended": True}},
+        "paused": {"recording": HALFWAY},
+        "lost": LOST,
+    },
+}
+
+
+def weighed(loop: SyntheticLoop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two contacts in newtons, one of them doubtful, and a gesture."""
+    publish = loop.view.publish
+
+    def calibrated(header: dict[str, Any], base: Floats, image: Floats) -> None:
+        contacts = [contact | {"force": 1.234, "force_std": 0.21} for contact in header["contacts"]]
+        publish(header | {"contacts": contacts, "gesture": {"name": "push", "confidence": 0.95}}, base, image)
+
+    monkeypatch.setattr(loop.view, "publish", calibrated)
+    monkeypatch.setattr(loop, "always", ((0.05, 0.15), (0.15, 0.05)))
+
+
+@pytest.mark.parametrize("screen", SCREENS)
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_axe_finds_nothing_while_the_loop_starts(chromium: Browser, theme: str) -> None:
+def test_axe_finds_nothing_before_the_loop_and_after_it(chromium: Browser, theme: str, screen: str) -> None:
+    context = chromium.new_context(color_scheme=theme, **SCREENS[screen])  # type: ignore[arg-type]
+    page = context.new_page()
     with LiveView(port=0) as view:
         view.starting("compiling, once on this machine", 0.4)
-        context = chromium.new_context(color_scheme=theme)  # type: ignore[arg-type]
-        page = context.new_page()
         page.goto(view.url)
         expect(page.locator("#unknown-why")).to_have_text("Starting")
         assert violations(page) == []
-        context.close()
+    expect(page.locator("#notice")).to_contain_text("Connection to ohmskin lost")
+    assert violations(page) == []
+    context.close()
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -321,6 +321,9 @@ def test_everyone_can_use_the_page_of_a_body(half: Any, chromium: Any, theme: st
         until(lambda: there("!document.getElementById('all').hidden"))
         assert violations(page) == []
         assert said == []
+        overview.close()
+        until(lambda: page.evaluate("document.getElementById('state').dataset.state === 'lost'"))
+        assert violations(page) == []
         context.close()
 
 

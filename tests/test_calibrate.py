@@ -115,7 +115,7 @@ def test_presses_not_felt_are_counted_and_left_out() -> None:
     curve = fit_force(sampled(lambda f: 1e-4 * f if f > 1 else 0.0))
     assert curve.missed == 4
     assert curve.forces[0] == 2.0
-    with pytest.raises(DataError, match="0 of 16 presses were felt"):
+    with pytest.raises(DataError, match="0 of 16 presses were detected"):
         fit_force(sampled(lambda f: 0.0))
     with pytest.raises(DataError, match="does not rise with force"):
         fit_force(sampled(lambda f: 1e-4 / f))

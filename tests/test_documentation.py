@@ -1,13 +1,13 @@
-"""What the documentation says to type: every command is understood; those of README and tutorials are run."""
+"""What README and docs say to type behind `ohmskin`: every command is understood, and run here or by another test.
 
-import importlib.util
+Other commands are in test_shell_commands.py."""
+
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-import tomllib
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
@@ -43,7 +43,7 @@ ELSEWHERE = {  # what cannot be run here, and what runs it
     "policies": "test_policies.py",
     "bench": "test_scale.py and test_speed.py",
 }
-OF_OTHERS = {"mine.mat", "datamat_2_1.mat"}  # recordings that are not here: test_import.py
+OF_OTHERS = {"mine.mat", "datamat_2_1.mat"}  # test_import.py, which writes or has such recordings
 DEVICES = ("tcp://127.0.0.1:7155", "tcp://127.0.0.1:7156", "serial:///dev/ttyACM0", "rig:/dev/ttyUSB0,Dev1")
 FEWER = {
     "--seconds": "1",
@@ -86,53 +86,6 @@ def typed(text: str) -> Iterator[list[str]]:
     for words in commands(text, SENTENCE):
         if not words[-1].startswith("--") and not any(word.isupper() and len(word) > 2 for word in words):
             yield words
-
-
-SHELL = r"make|python|pip|ros2|sudo|cd|colcon|chrt|source|g\+\+"  # what other commands begin with
-ELSE = {  # other commands than make, pip and python's, and what runs them
-    "g++ -std": "test_cpp_client.py, with another program",
-    "cd packaging/client": "test_lerobot.py, which builds the wheel",
-    "ros2 ": "not run here: ROS 2 is not installed",
-    "colcon build": "not run here: ROS 2 is not installed",
-    "source .venv": "by its reader's shell",
-    "chrt -r": "not run here: its user must be root",
-    "sudo ": "not run here: it changes the machine",
-}
-
-
-def shell_commands(text: str) -> set[str]:
-    """Commands of a page that are not ohmskin's, in blocks of code and in sentences."""
-    blocks = re.findall(rf"^(?:    )?((?:{SHELL}) .*?)(?: +# .*)?$", text, re.MULTILINE)
-    prose = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
-    return {*blocks, *re.findall(rf"`((?:{SHELL}) [^`]+)`", prose)}
-
-
-def understood(command: str) -> bool:
-    """Whether the target, extra, module or script of a command is there."""
-    program, *words = shlex.split(command.replace("[FOLDER]", "").replace("[DATA]", ""))
-    if program == "make":
-        done = subprocess.run(["make", "-n", *words], cwd=ROOT, capture_output=True, text=True)
-        return done.returncode == 0 or "NAME" in command
-    if program == "pip":
-        extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
-        chosen = {extra for word in words for found in re.findall(r"\[(.*)\]", word) for extra in found.split(",")}
-        return chosen <= {*extras} and all((ROOT / word).is_dir() for word in words if "/" in word)
-    if program.startswith("python"):
-        return importlib.util.find_spec(words[1]) is not None if words[0] == "-m" else (ROOT / words[0]).is_file()
-    return command.startswith(tuple(ELSE))
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_other_command_is_understood(page: Path) -> None:
-    for command in shell_commands(page.read_text(encoding="utf-8")):
-        assert understood(command), command
-
-
-def test_other_commands_are_found_and_wrong_ones_refused() -> None:
-    found = set().union(*(shell_commands(page.read_text(encoding="utf-8")) for page in PAGES))
-    assert {"make live", "make -C firmware f107", "pip install 'ohmskin[robot,plot]'"} <= found
-    for wrong in ("make dosc", "pip install 'ohmskin[plots]'", "python -m benchmarks.none", "python no.py", "ls x"):
-        assert not understood(wrong), wrong
 
 
 def alone(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":

@@ -61,7 +61,7 @@ def test_a_newcomer_is_led_through_quiet_and_ten_presses(reader: Reader) -> None
     page.get_by_role("button", name="Press for me").click()
     page.evaluate(HURRY)
     expect(guide.get_by_text("Good")).to_be_visible(timeout=60_000)
-    expect(guide.get_by_text("9 of 10 presses felt, 0.0 mm off on average")).to_be_visible()
+    expect(guide.get_by_text("9 of 10 presses detected, 0.0 mm off on average")).to_be_visible()
     assert len(reader.heard("lift")) == 9
     assert not reader.heard("save")
     expect(guide.locator("#guide-text")).to_contain_text("Nothing is saved.")
@@ -111,10 +111,10 @@ def test_places_are_spread_inside_any_outline(scripts: Page) -> None:
 @pytest.mark.parametrize(
     ("change", "verdict", "says"),
     [
-        ("[x + 0.002, y]", "Good", "10 of 10 presses felt, 2.0 mm off on average, 2.0 mm at most."),
+        ("[x + 0.002, y]", "Good", "10 of 10 presses detected, 2.0 mm off on average, 2.0 mm at most."),
         ("[x + 0.006, y]", "Fair", "6.0 mm off"),
         ("[x + 0.02, y]", "Poor", "20.0 mm off"),
-        ("x < 0.05 ? null : [x, y]", "Good", "presses felt, 0.0 mm"),
+        ("x < 0.05 ? null : [x, y]", "Good", "presses detected, 0.0 mm"),
         ("null", "Poor", "0 of 10 presses were detected"),
         ("[0.2 - x, y]", "Check the wiring", "fits better mirrored left to right"),
         ("[y, 0.2 - x]", "Check the wiring", "fits better turned by a quarter"),

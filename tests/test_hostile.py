@@ -149,7 +149,7 @@ def test_a_host_that_gives_up_fails_by_name() -> None:
 def test_a_trick_that_is_none_is_refused_with_the_choices() -> None:
     done = ohmskin("check-host", "--only", "dancing")
     assert done.returncode == 2
-    assert "no trick 'dancing'; choose from frames of another pattern, " in done.stderr
+    assert "no fault 'dancing'; choose from frames of another pattern, " in done.stderr
 
 
 def test_the_command_tells_what_a_host_made_of_it() -> None:

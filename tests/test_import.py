@@ -185,6 +185,12 @@ def test_eidors_structs_however_deep(tmp_path: Path, ktc: tuple[TransferModel, T
         recording.quiet[0].voltages, ktc[0].voltages(frame.pattern, frame.currents), rtol=1e-9, atol=1e-15
     )
     assert (recording.skin, "name a skin" in recording.notes[-1]) == ("", True)
+    if form == "fmdl":  # as docs/guide/coming-from.md says
+        (tmp_path / "file.mat").rename(tmp_path / "mine.mat")
+        (tmp_path / "mine.toml").write_text(Skin.load("ktc2023").dump(), encoding="utf-8")
+        shown = command_line.ohmskin("image", "mine.mat", "--skin", "mine.toml", cwd=tmp_path)
+        assert shown.returncode == 0, shown.stderr
+        assert (tmp_path / "mine.png").is_file()
 
 
 def test_plain_matrices_and_lists(tmp_path: Path, ktc: tuple[TransferModel, TransferModel]) -> None:
@@ -462,6 +468,8 @@ def test_the_example_of_import_runs(uef_folder: Path, tmp_path: Path) -> None:
     *rows, last = run_guide("import_tank.py", uef_folder, tmp_path)
     assert len(rows) == 8
     assert float(last.split()[2]) < 9
+    shown = command_line.ohmskin("image", str(uef_folder / "datamat_2_1.mat"), cwd=tmp_path)  # as the page says
+    assert shown.returncode == 0, shown.stderr
     assert (tmp_path / "import-tank.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -131,7 +131,7 @@ def test_learn_reads_press_data_writes_a_skin_and_a_picture(tmp_path: Path) -> N
     np.testing.assert_array_equal(recording.frames[5].voltages, given.frames[5].voltages)
     out = tmp_path / "learned.toml"
     done = ohmskin("learn", str(file), "--output", str(out), "--picture", str(tmp_path / "learned.png"))
-    assert "120 of 120 presses felt; mean error at presses not learned from: physics" in done.stdout
+    assert "120 of 120 presses detected; mean error at presses not learned from: physics" in done.stdout
     assert (tmp_path / "learned.png").stat().st_size > 10_000
     skin = Skin.load(out)
     assert skin.calibration.judged is not None

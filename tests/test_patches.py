@@ -276,7 +276,7 @@ def test_the_gallery_opens_one_patch_and_shows_a_silent_one_as_unknown(shown: An
         until(lambda: "unknown: silent for" in cards.nth(0).inner_text() if cards.count() else False)
         assert "#1" not in cards.nth(0).inner_text()
         assert cards.nth(0).locator("canvas").evaluate("(canvas) => getComputedStyle(canvas).filter") == "grayscale(1)"
-        assert "not heard of" in cards.nth(1).inner_text()
+        assert "no data yet" in cards.nth(1).inner_text()
         assert page.locator(".skin").evaluate("(name) => name.scrollWidth <= name.clientWidth")  # all of it is shown
         boxes = [card.bounding_box() for card in cards.all()]
         assert boxes[0]["width"] == boxes[1]["width"]

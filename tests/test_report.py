@@ -1,6 +1,7 @@
 """Reports in HTML and in Markdown say the same, and all pictures take their colours from the live page."""
 
 import ast
+import base64
 import re
 from pathlib import Path
 
@@ -27,6 +28,8 @@ def test_the_benchmark_is_written_as_a_page_and_as_markdown(tmp_path: Path) -> N
     assert "chip no'>short" in page
     assert "| time & space | 2 s | 1.5 to 2.5 | at most 1 | **short** |" in text
     assert "0 targets met, 1 short, 0 not run; --quick" in page
+    (icon,) = re.findall(r'rel="icon" href="data:image/svg\+xml;base64,(.*?)"', page)  # a browser asks for no other
+    assert base64.b64decode(icon) == (SCRIPT.parent / "icon.svg").read_bytes()
     assert "0 targets met, 1 short, 0 not run; --quick" in text
 
 

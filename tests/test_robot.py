@@ -375,7 +375,7 @@ def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     told = ohmskin("robot", "--most-force", "20", "--most-reaction", "0.05")
     assert told.returncode == 1
     assert "poke 2: 21.0 N exceeds the limit of 20 N" in told.stderr
-    assert "poke 2: no answer exceeds the limit of 0.05 s" in told.stderr
+    assert "poke 2: no reaction exceeds the limit of 0.05 s" in told.stderr
     assert "poke 1" not in told.stderr
     assert ohmskin("robot", "--most-force", "25").returncode == 0
 

@@ -186,7 +186,7 @@ def test_presses_of_known_weights_are_saved_with_the_skin_as_newtons(
         looker.send("mode", mode="16O")
         session.calibrate()
         looker.send("begin")
-        assert looker.send("save")[-1]["guided"].startswith("Newtons are not calibrated: 0 of 0 presses were felt")
+        assert looker.send("save")[-1]["guided"].startswith("Newtons are not calibrated: 0 of 0 presses were detected")
         for k, (x, y) in enumerate([(0.06, 0.13), (0.12, 0.07), (0.14, 0.14), (0.07, 0.06)]):
             force = (2.0, 6.0)[k % 2]
             looker.send("weigh", force=force)

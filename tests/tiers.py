@@ -186,6 +186,7 @@ LONG = {
     "test_segments.py::test_noise_makes": "noise of single frames in the same file",
     "test_self_test.py::test_the_command_says_so": "the self-test that the command calls",
     "test_sensing.py::test_a_change_of_all_contact*[[]0.9": "the change the other way",
+    "test_shell_commands.py::test_a_command_runs": "that every command is run or listed, and what pip is asked for",
     "test_several.py::test_two_presses_are_two*[[]0.025-9-16T": "the same farther apart",
     "test_sheet.py::test_a_skin_that_is_not": "electrodes and sheet found again",
     "test_sheet.py::test_contacts_are_placed": "electrodes and sheet found again",

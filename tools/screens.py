@@ -54,7 +54,9 @@ def running(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
 @contextmanager
 def chromium() -> Iterator[Browser]:
     """The browser of this machine, without a window."""
-    path = next(path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name)))
+    found = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+    if not (path := next(filter(None, found), None)):
+        raise SystemExit("no Chromium on the PATH: apt-get install chromium")
     with sync_playwright() as play:
         yield play.chromium.launch(executable_path=path, args=["--no-sandbox"])
 

@@ -93,7 +93,7 @@ class BodyReplay(Closing):
         felt = decode_contacts(data, time.monotonic() - at * 1e-9)
         for number, seen in enumerate(felt.patches):
             if (publisher := self._publishers.get(seen.patch)) is None or publisher.patch.frame != seen.frame:
-                raise DataError(f"patch {seen.patch!r} on {seen.frame!r} is none of body {self._body.name!r}")
+                raise DataError(f"patch {seen.patch!r} on {seen.frame!r} does not belong to body {self._body.name!r}")
             if seen.sequence in (0, self._seen[seen.patch]):
                 continue
             self._seen[seen.patch] = seen.sequence

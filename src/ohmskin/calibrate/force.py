@@ -92,7 +92,7 @@ def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
     felt = [sample for sample in samples if sample.strength > 0]
     levels = sorted({sample.force for sample in felt})
     if len(levels) < 2 or levels[0] <= 0:
-        told = f"{len(felt)} of {len(samples)} presses were felt, at {len(levels)} forces"
+        told = f"{len(felt)} of {len(samples)} presses were detected, at {len(levels)} forces"
         raise DataError(f"{told}; press harder, at two forces or more")
     strength, force = (np.array([getattr(sample, name) for sample in felt]) for name in ("strength", "force"))
     loading = np.array([sample.loading for sample in felt])

@@ -58,7 +58,7 @@ class PositionReport:
         first = rows[0 if self.map.own else 1 :]
         told = ", ".join(f"{name} {1e3 * np.mean(one[known]):.2f} mm" for name, one in first)
         lines = [
-            f"{known.sum()} of {len(known)} presses felt; mean error at presses not learned from: {told}",
+            f"{known.sum()} of {len(known)} presses detected; mean error at presses not learned from: {told}",
             f"{100 * self.held:.0f} % of them within their 90 % ellipses",
         ]
         if self.curve:
@@ -128,7 +128,7 @@ def learn_positions(
     """
     known: Bools = np.asarray(np.isfinite(found).all(axis=1) & np.isfinite(places).all(axis=1))
     if known.sum() < _LEAST or min(np.ptp(places[known], axis=0)) == 0:
-        told = f"{known.sum()} of {len(found)} presses of known places were felt"
+        told = f"{known.sum()} of {len(found)} presses of known places were detected"
         raise DataError(f"{told}; to learn positions press {_LEAST} places or more, spread over the sheet")
     found, changes, places = found[known], np.nan_to_num(changes[known]), places[known]
     own = _is_own(similarity(found, places), found.mean(axis=0), size)

@@ -161,7 +161,7 @@ def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> N
     """Take samples while somebody presses, until there are enough."""
     cell = LoadCell()
     end = open_load_cell(source, topic, cell.tell)
-    say(f"press anywhere with the load cell, one finger at a time, each force for a moment; {sampler.count} wanted")
+    say(f"press anywhere with the load cell, one finger at a time, {sampler.count} times; hold each for a moment")
     idle = 0
     try:
         while not sampler.done:
@@ -177,7 +177,7 @@ def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> N
                 place = f"{one.force:.2f} N at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
                 say(f"    [{len(sampler.samples)} of {sampler.count}] {place}: strength {1e6 * one.strength:.3g} mm2")
             elif idle > _IDLE:
-                why = "no force was received" if np.isnan(cell.force) else "no steady press was felt"
+                why = "no force was received" if np.isnan(cell.force) else "no steady press was detected"
                 raise DeviceError(f"{why} in {_IDLE} cycles; the newest force from {source} is {cell.force:.3g} N")
     finally:
         end()

@@ -67,7 +67,7 @@ def check_host(
 ) -> None:
     """Serve a virtual skin that injects faults, and report whether the host that connects recovers.
 
-    The host must scan again after each trick by itself, over a new connection if need be; one that ends may be
+    The host must scan again after each fault by itself, over a new connection if need be; one that ends may be
     started again. The exit status is 1 if it did not.
 
     Args:
@@ -79,10 +79,10 @@ def check_host(
         json: Print JSON instead of lines.
     """
     if unknown := sorted(set(only) - set(TRICKS)):
-        raise OhmskinError(f"no trick {unknown[0]!r}; choose from {', '.join(TRICKS)}")
+        raise OhmskinError(f"no fault {unknown[0]!r}; choose from {', '.join(TRICKS)}")
     stop, instrument = Stop(), VirtualInstrument(Skin.load(skin), seed)
     with HostileDevice(instrument, host, port, seed or 0, calm) as device, _Report(json) as report:
-        print(f"hostile device at {device.url}: connect a host to it", file=sys.stderr, flush=True)
+        print(f"device that injects faults at {device.url}: connect the host to check", file=sys.stderr, flush=True)
         stop.listen()
         device.check_host({name: TRICKS[name] for name in only or TRICKS}, patience, report, lambda: bool(stop))
 

@@ -54,7 +54,7 @@ def export(
         check_plot()
         cycles = watched(reimage(file, mode=mode, skin=skin, start=start or 0.0, stop=stop))
         if to == "mp4":
-            print(f"film of {exporting.write_film(target, cycles, rate)} pictures: {target}")
+            print(f"video of {exporting.write_film(target, cycles, rate)} pictures: {target}")
             return
         cycle = exporting.strongest(cycles) if at is None else exporting.cycle_at(file, at, mode=mode, skin=skin)
         exporting.save_comparison(target, {f"{cycle.time:.2f} s": cycle})

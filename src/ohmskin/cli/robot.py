@@ -72,7 +72,7 @@ def robot(
     check_seed(int, seed)
     for path in (video, picture):
         if path is not None and not path.parent.is_dir():
-            raise OhmskinError(f"there is no folder {path.parent}; make it first")
+            raise OhmskinError(f"there is no folder {path.parent}; create it first")
     loaded = Body.load(body) if body else Skin.load(skin or "paper")
     from ohmskin.robot import Demonstration, Moment, arm, engines, summary  # here: help needs no MuJoCo
 
@@ -120,7 +120,7 @@ def robot(
 
         invented = demonstration.free(free, watch)
     if picture and not picture.exists():
-        console.print("no poke was felt; no picture was written")
+        console.print("no poke was detected; no picture was written")
     figures = summary(encounters, touches, hugged) | {"free_motion": free, "invented_in_free_motion": invented}
     over = [sentence for one in enumerate(encounters, 1) for sentence in _exceeded(*one, most_force, most_reaction)]
     for sentence in over:
@@ -153,9 +153,11 @@ def _progress(console: Console) -> Iterator[Callable[[str], None]]:
 
 def _tell(figures: dict[str, Any]) -> None:
     """The figures, line by line."""
-    print(f"{figures['felt']} of {figures['pokes']} pokes felt, {figures['on_the_right_link']} on the right link")
+    print(f"{figures['felt']} of {figures['pokes']} pokes detected, {figures['on_the_right_link']} on the right link")
     if figures["hugs"]:
-        print(f"{figures['hugged_skins_felt']} of {figures['hugged_skins']} skins felt in {figures['hugs']} hugs")
+        print(
+            f"{figures['hugged_skins_felt']} of {figures['hugged_skins']} contacts of {figures['hugs']} hugs detected"
+        )
     if figures["own_touches"]:
         print(f"{figures['own_touches_told']} of {figures['own_touches']} self-touches recognised")
     if free := figures["free_motion"]:
@@ -174,5 +176,5 @@ def _exceeded(number: int, poke: "Encounter", most_force: float, most_reaction: 
     if poke.peak_force > most_force:
         yield f"poke {number}: {poke.peak_force:.1f} N exceeds the limit of {most_force:g} N"
     if most_reaction < math.inf and not poke.reaction <= most_reaction:
-        answer = "no answer" if math.isnan(poke.reaction) else f"a reaction after {poke.reaction:.3f} s"
+        answer = "no reaction" if math.isnan(poke.reaction) else f"a reaction after {poke.reaction:.3f} s"
         yield f"poke {number}: {answer} exceeds the limit of {most_reaction:g} s"

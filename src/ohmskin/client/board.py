@@ -226,7 +226,9 @@ class BoardReader(Closing):
             if (found.st_dev, found.st_ino) == self._identity:
                 return
             if not _HEAD_BYTES < found.st_size <= LARGEST_BOARD:
-                raise PublishError(f"{self._path} has {found.st_size} bytes and is no board of this version of ohmskin")
+                raise PublishError(
+                    f"{self._path} has {found.st_size} bytes and is not a board of this version; restart its writer"
+                )
             memory = mmap.mmap(file, found.st_size, access=mmap.ACCESS_READ)
         finally:
             os.close(file)
@@ -235,14 +237,16 @@ class BoardReader(Closing):
         fits = _HEAD_BYTES + setup_bytes <= slots_at and slots_at + n_slots * slot_bytes == found.st_size
         try:
             if magic != MAGIC or n_slots != _SLOTS or slot_bytes <= _SLOT.size or not fits:
-                raise ValueError("its head is not one")
+                raise ValueError("its head is damaged")
             setup = json.loads(memory[_HEAD_BYTES : _HEAD_BYTES + setup_bytes])
             if not isinstance(setup, dict):
-                raise ValueError("its setup is no table")
+                raise ValueError("its setup is not a table")
         except (ValueError, RecursionError) as error:
             words.release()
             memory.close()
-            raise PublishError(f"{self._path} is no board of this ohmskin ({error}); restart its writer") from error
+            raise PublishError(
+                f"{self._path} is not a board of this version of ohmskin ({error}); restart its writer"
+            ) from error
         self.close()
         self._memory, self._words, self.setup = memory, words, setup
         self._slots_at, self._slot_bytes, self._number = slots_at, slot_bytes, 0

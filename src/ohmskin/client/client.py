@@ -33,7 +33,7 @@ class Client(Closing):
     def __init__(self, address: str = "shm:skin", token: str | None = None) -> None:
         found = _ADDRESS.fullmatch(address)
         if not found or (found[1] == "shm" and found[3]):
-            raise PublishError(f"{address!r} is no address of a skin; use shm:NAME or zenoh:NAME@tcp/HOST:PORT")
+            raise PublishError(f"{address!r} is not the address of a skin; use shm:NAME or zenoh:NAME@tcp/HOST:PORT")
         kind, name, where = found[1], found[2] or "skin", found[3]
         self._last: Felt | None = None
         self._source: _Source

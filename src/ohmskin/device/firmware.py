@@ -125,12 +125,12 @@ class EmulatedBoard(Closing):
         assert errors is not None
         os.set_blocking(errors.fileno(), False)
         said = (errors.read() or b"").decode(errors="replace").strip()
-        return DeviceLost(f"the emulator exited: {said or 'it gave no reason'}")
+        return DeviceLost(f"the emulator exited: {said or 'no reason given'}")
 
 
 def _emulator() -> str:
     if (found := shutil.which(_EMULATOR)) is None:
-        raise DeviceError(f"{_EMULATOR} is missing, the board's emulator: apt-get install qemu-system-arm")
+        raise DeviceError(f"the board's emulator, {_EMULATOR}, is missing: apt-get install qemu-system-arm")
     return found
 
 

@@ -178,7 +178,7 @@ TRICKS: dict[str, Trick] = {
     "hanging up after a reply": (FrameData, _closing(lambda r: r.packet)),
     "a crash": (FrameData, _closing(lambda r: r.packet[:10], reset=True)),
     "an error": (FrameData, _error(ErrorCode.FAILED, b"on fire")),
-    "an error that is no text": (FrameData, _error(ErrorCode.FAILED, b"\xff\xfe\x80 \xc3")),
+    "an error that is not text": (FrameData, _error(ErrorCode.FAILED, b"\xff\xfe\x80 \xc3")),
     "an error that steers a terminal": (FrameData, _error(ErrorCode.FAILED, _STEERING.encode())),
     "an error of 64 KB": (FrameData, _error(ErrorCode.FAILED, 60_000 * b"x")),
     "an unknown error code": (FrameData, _error(0xFFFF, b"")),
@@ -189,7 +189,7 @@ TRICKS: dict[str, Trick] = {
     "no greeting": (Capabilities, _bytes(lambda _: b"")),
     "hanging up at the greeting": (Capabilities, _closing(lambda _: b"")),
     "a greeting of another kind": (Capabilities, _bytes(lambda r: encode(Ack(0), r.sequence))),
-    "a name that is no text": (Capabilities, _bytes(lambda r: r.sealed(r.payload(name="") + b"\xff\xfe skin"))),
+    "a name that is not text": (Capabilities, _bytes(lambda r: r.sealed(r.payload(name="") + b"\xff\xfe skin"))),
     "a name of 64 KB": (Capabilities, _bytes(lambda r: r.sealed(r.payload(name="") + 60_000 * b"\x1b"))),
     "a name that steers a terminal": (Capabilities, _fields(lambda *_: {"name": _STEERING})),
     "no electrodes": (Capabilities, _fields(lambda *_: {"n_electrodes": 0})),
@@ -275,7 +275,7 @@ class HostileDevice(Closing):
             self._serve(patience, lambda: self._frames >= _AFTER)
             words = "" if self._frames >= _AFTER else f"no frame was asked for within {patience:g} s after it"
             if self._unsound > unsound:
-                words = words or "the host sent packets that are damaged or no requests"
+                words = words or "the host sent packets that are damaged, or are not requests"
             if self._over():
                 break
             checks.append(Check(name, "failed" if words else "passed", words))

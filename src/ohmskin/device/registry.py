@@ -28,7 +28,7 @@ def scheme_of(url: str) -> str:
     known = drivers()
     if not colon or scheme not in known:
         schemes = ", ".join(f"{name}:" for name in sorted(known))
-        raise DeviceError(f"no driver for {url!r}; it begins with one of {schemes}")
+        raise DeviceError(f"no driver for {url!r}; an address begins with one of {schemes}")
     return scheme
 
 

@@ -206,7 +206,7 @@ class WireDevice(Device):
             case ErrorCode.UNKNOWN_SLOT | ErrorCode.DIGEST_MISMATCH:  # the upload that went before was lost
                 return True
             case _:
-                raise DeviceRefused(f"{self._peer} refused: {text or 'it does not say why'} (code {code})")
+                raise DeviceRefused(f"{self._peer} refused: {text or 'no reason given'} (code {code})")
 
     def _complaint(self, unreadable: Unreadable) -> str:
         if unreadable.version != VERSION:

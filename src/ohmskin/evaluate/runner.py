@@ -91,7 +91,7 @@ def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
                 futures |= dict(islice(submitted, 1))
     except BrokenProcessPool as error:
         raise OhmskinError(
-            "a worker process died. From the command line it may want memory: run again with fewer --jobs to go on. "
+            "a worker process died, perhaps for lack of memory: run again with fewer --jobs, finished parts are kept. "
             "A script must start its run below: if __name__ == '__main__':"
         ) from error
     finally:

@@ -167,7 +167,7 @@ def noise_figure(
     curve = noise_figures(estimator.model, estimator.modes, decomposition, differences)(at.weights)
     meaning = f"noise figure of a small target; {goal:g}"
     if not curve.min() <= goal <= curve.max():
-        raise ModelError(f"noise figure {goal:g} cannot be had here; choose {curve.min():.3g} to {curve.max():.3g}")
+        raise ModelError(f"noise figure {goal:g} cannot be reached here; choose {curve.min():.3g} to {curve.max():.3g}")
     return at.choice("noise figure", curve, meaning, at.crossing(curve, goal))
 
 

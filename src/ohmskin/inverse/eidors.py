@@ -119,4 +119,4 @@ def _penalty(model: TransferModel, jacobian: Floats, prior: str, exponent: float
         if np.ptp(model.conductivity) > 1e-12 * model.conductivity.max():
             raise ModelError("prior_laplace is for a skin of one conductivity; use GaussNewton(prior='laplacian') else")
         return graph_laplacian(model.mesh).matrix
-    raise ModelError(f"prior {prior!r} is none of EIDORS' here; choose from {', '.join(EIDORS_PRIORS)}")
+    raise ModelError(f"prior {prior!r} is not one of EIDORS' priors; choose from {', '.join(EIDORS_PRIORS)}")

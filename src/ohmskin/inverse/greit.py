@@ -82,7 +82,7 @@ class Greit:
         above = figures > self.noise_figure
         if above[0] or not above.any():
             choices = f"{figures[0]:.3g} to {figures.max():.3g}"
-            raise ModelError(f"noise figure {self.noise_figure:g} cannot be had with this scan; choose {choices}")
+            raise ModelError(f"noise figure {self.noise_figure:g} cannot be reached with this scan; choose {choices}")
         k = int(np.argmax(above))
         inside = np.log(weights[k]), np.log(weights[k - 1])
         weight = float(np.exp(brentq(lambda weight: figure(np.exp(weight))[0] - self.noise_figure, *inside)))

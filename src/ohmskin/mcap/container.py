@@ -113,7 +113,7 @@ class Container(Closing):
             self._loaded = start, self._data(*head) if head and head[1] <= LARGEST_RECORD else b""
         data = self._loaded[1]
         if at + _RECORD.size + _MESSAGE.size > len(data):
-            raise DataError(f"{self.path} has changed while it was read")
+            raise DataError(f"{self.path} has changed while it was read; read it again")
         _, length = _RECORD.unpack_from(data, at)
         return data[at + _RECORD.size + _MESSAGE.size : at + _RECORD.size + length]
 

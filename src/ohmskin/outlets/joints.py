@@ -92,7 +92,7 @@ class JointsProcess(Closing):
             raise PublishError(f"joint states cannot be received over {place!r}; choose from zenoh and dds")
         check_outlet(place)
         settings = {"name": name, "joints": list(joints), "place": place, "topic": topic, "token": token}
-        self._child = Child.module("ohmskin.outlets.joints", "the process that hears joint states", settings)
+        self._child = Child.module("ohmskin.outlets.joints", "the process that receives joint states", settings)
         self.address = str(self._child.ready(_START_TIMEOUT, PublishError)["ready"])
 
     def close(self) -> None:

@@ -70,4 +70,4 @@ class Film:
 def check_film() -> None:
     """Raise DataError unless films can be made here."""
     if not FFMpegWriter.isAvailable():
-        raise DataError("a film needs the program ffmpeg: apt-get install ffmpeg; or choose png, csv, npz or parquet")
+        raise DataError("a video needs ffmpeg; install it: apt-get install ffmpeg; or choose png, csv, npz or parquet")

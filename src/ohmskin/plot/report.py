@@ -81,7 +81,14 @@ def write_report(sections: Sequence[Section], path: Path) -> Path:
         links = " ".join(f"<a href='#{s.anchor}'>{s.label}</a>" for s in sections if s.anchor)
         parts = [_html_section(section) for section in sections]
         body = "\n".join([parts[0], f"<nav>{links}</nav>", *parts[1:]])
-        for name, text in (("title", sections[0].title), ("version", ohmskin.__version__), ("body", body)):
+        icon = base64.b64encode((resources.files("ohmskin") / "view" / "static" / "icon.svg").read_bytes()).decode()
+        said = {
+            "title": escape(sections[0].title.replace("`", "")),
+            "version": ohmskin.__version__,
+            "icon": icon,
+            "body": body,
+        }
+        for name, text in said.items():
             page = page.replace("{{" + name + "}}", text)
     else:
         page = "\n\n".join(part for section in sections for part in _markdown_section(section, path.parent)) + "\n"

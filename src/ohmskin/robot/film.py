@@ -199,7 +199,7 @@ def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
         ModelError: If ffmpeg is not installed or, at the end, the file cannot be written.
     """
     if (ffmpeg := shutil.which("ffmpeg")) is None:
-        raise ModelError("a video needs ffmpeg; install it: apt install ffmpeg")
+        raise ModelError("a video needs ffmpeg; install it: apt-get install ffmpeg")
     width, height = film.size
     raw = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {_RATE} -i -"
     command = [ffmpeg, *raw.split(), *["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"], str(path)]
@@ -219,4 +219,4 @@ def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
     finally:
         said = process.communicate()[1].decode(errors="replace").strip()
         if process.returncode:  # which is also why a picture could not be written
-            raise ModelError(f"ffmpeg failed: {said.splitlines()[-1] if said else 'it gives no reason'}")
+            raise ModelError(f"ffmpeg failed: {said.splitlines()[-1] if said else 'no reason given'}")

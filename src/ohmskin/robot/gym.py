@@ -35,7 +35,7 @@ class SkinObservation(gymnasium.Wrapper):  # type: ignore[misc]
     def __init__(self, env: Any, sensor: SkinSensor, kind: str = "voltages") -> None:
         super().__init__(env)
         if kind not in KINDS:
-            raise ModelError(f"a skin is observed as {', '.join(KINDS)}, not as {kind!r}")
+            raise ModelError(f"no observation {kind!r}; choose from {', '.join(KINDS)}")
         if not hasattr(env.unwrapped, "data"):
             raise ModelError(f"environment {env} has no MuJoCo `data`; a skin feels in MuJoCo environments only")
         self._sensor, self._kind = sensor, kind

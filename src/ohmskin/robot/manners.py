@@ -38,11 +38,11 @@ def _following(force: float | None) -> float:
 
 
 MANNERS = {
-    "yield": Manner("goes on and gives way, the faster the more force is felt", _admitted, halts=False, returns=_STILL),
-    "stiff": Manner("does not answer", lambda _: 0.0, halts=False),
+    "yield": Manner("moves on, and yields the faster the larger the force", _admitted, halts=False, returns=_STILL),
+    "stiff": Manner("does not react", lambda _: 0.0, halts=False),
     "stop": Manner("stands still while it is touched", lambda _: 0.0),
-    "retract": Manner("withdraws at once, and comes back", lambda _: _FASTEST, returns=_STILL),
-    "follow": Manner("keeps a touch of 2 N, to and fro", _following, needs_force=True),
+    "retract": Manner("withdraws at once, then returns", lambda _: _FASTEST, returns=_STILL),
+    "follow": Manner("keeps a contact at 2 N, moving both ways", _following, needs_force=True),
     "guide": Manner("goes where it is pushed, and stays there", _admitted),
 }
 """By name, for `ohmskin robot --manner`."""

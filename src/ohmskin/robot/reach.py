@@ -31,4 +31,7 @@ def way_to_itself(wearer: Wearer, random: np.random.Generator) -> Floats:
             if share > 0.2 and wearer.body.patches[patch].skin.domain.depth([place])[0] > _RIM:
                 return np.asarray(start + (share + 0.15) * (end - start))
             break
-    raise ModelError(f"body {wearer.body.name!r} does not come to touch itself with a skin in {_TRIES} postures")
+    raise ModelError(
+        f"body {wearer.body.name!r} does not touch itself with a skin in any of {_TRIES} postures; "
+        "leave out own touches, or widen the limits of its joints"
+    )

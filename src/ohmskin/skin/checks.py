@@ -28,7 +28,7 @@ def read_text(path: Path, most: int, what: str) -> str:
         with path.open("rb") as file:
             content = file.read(most + 1)
         if len(content) > most:
-            raise SkinError(f"{what} {path} has more than {most} bytes; that cannot be right")
+            raise SkinError(f"{what} {path} has more than {most} bytes; check that it is the right file")
         return content.decode()
     except (OSError, ValueError) as error:  # also a name with a null byte
         raise SkinError(f"cannot read {what} {path}: {error}") from error
@@ -96,7 +96,7 @@ def beside(folder: Path, name: Any, what: str, other: str) -> Path:
     try:
         path = (folder / name).resolve()
     except (OSError, ValueError) as error:  # also a null byte
-        raise SkinError(f"{what} {shown(name)} is no name of a file: {error}") from None
+        raise SkinError(f"{what} {shown(name)} is not a file name: {error}") from None
     if not path.is_relative_to(folder.resolve()):
         raise SkinError(f"{what} {name!r} lies outside the folder of the {other}; put it beside that")
     return path

@@ -50,7 +50,7 @@ def read_urdf(path: Path) -> Element:
     except (ElementTree.ParseError, ValueError) as error:
         raise SkinError(f"{path} is not valid XML: {error}") from error
     if root.tag != "robot" or root.find("link") is None:
-        raise SkinError(f"{path} is no URDF file: it must have a <robot> with <link>s (expand xacro first)")
+        raise SkinError(f"{path} is not a URDF file: it must have a <robot> with <link>s (expand xacro first)")
     return root
 
 

@@ -237,7 +237,7 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", None, type=socket.SOCK_STREAM)[0]
     except OSError as unknown:
-        raise OSError(f"{host!r} is no address of this machine ({unknown.strerror})") from unknown
+        raise OSError(f"{host!r} is not an address of this machine ({unknown.strerror})") from unknown
     both = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
     for candidate in [port] if port == 0 else range(port, min(port + _PORTS, 65536)):
         try:

@@ -72,7 +72,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
         if runs:
             right = _exactly(np.array([not (run["ghosts"][1] or run["lost"][1]) for run in runs]))
             task = next(task for _, task, _ in done.of("trouble", f"drifting/{mode}/"))
-            text = f"No ghost and no finger lost in {mode}, pairs drifting by {task.times:g} times the noise a minute"
+            text = f"No contact false or lost in {mode}, pairs drifting by {task.times:g} times the noise a minute"
             yield Goal("trouble", text, 1.0, False, right, "%", f"{len(runs)} seeds")
             away = np.array([run["away"] for run in runs])
             text = f"Error of a finger resting in that drift over that without, {mode}"
@@ -119,7 +119,7 @@ def trouble_tables(done: Outcome[Any]) -> list[Block]:
         "and leaves at its end. Frames with more contacts than fingers, or fewer, and mean errors in mm, without the "
         "drift and with it:"
     )
-    columns = ("ghosts without", "lost without", "ghosts", "lost", "error without", "error")
+    columns = ("false without", "lost without", "false", "lost", "error without", "error")
     return [
         text,
         Table((*head, f"slides gone in {GONE} frames"), rows),

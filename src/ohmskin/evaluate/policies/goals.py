@@ -256,7 +256,7 @@ def _quiet(done: Done) -> Iterator[Goal]:
         # once all frames were run there is nothing to infer
         low, high = (rate.low, rate.high) if frames < QUIET else (rate.value, rate.value)
         task = runs[0][1]
-        text = f"Contacts invented by {mode} in {QUIET} quiet frames ({NAMES[task.world]}, {task.decibels:g} dB)"
+        text = f"False contacts of {mode} in {QUIET} quiet frames ({NAMES[task.world]}, {task.decibels:g} dB)"
         shown = sum(int(result["frames"]) for _, _, result in runs)
         note = f"a rate below {rate.high:.1e} a frame, with 97.5 % confidence; {shown} frames showed one by themselves"
         estimate = Estimate(QUIET * rate.value, QUIET * low, QUIET * high)

@@ -196,7 +196,7 @@ export class BodyView {
       }
       const [skin, fresh] = [this.skins[which], known && patch.age !== null && patch.age <= stale];
       skin?.show(patch, fresh, theme, limit, threshold);
-      const silent = patch.age === null ? "not heard of" : known ? `silent for ${number(patch.age, 1)} s` : "unknown";
+      const silent = patch.age === null ? "no data yet" : known ? `silent for ${number(patch.age, 1)} s` : "unknown";
       const at = skin?.middle ?? [0, 0, 0];
       this._labels.push({ link: patch.link, at, up: skin?.radius ?? 0, name: patch.name, text: fresh ? "" : silent });
       for (const contact of fresh ? patch.contacts : []) {

@@ -79,7 +79,7 @@ export function judge(pairs, domain) {
     .sort((a, b) => a[1] - b[1])[0];
   const worst = Math.max(...felt.map(([[x, y], [u, v]]) => Math.hypot(u - x, v - y)));
   const told =
-    `${felt.length} of ${pairs.length} presses felt, ${number(1e3 * error, 1)} mm off on average, ` +
+    `${felt.length} of ${pairs.length} presses detected, ${number(1e3 * error, 1)} mm off on average, ` +
     `${number(1e3 * worst, 1)} mm at most.`;
   if (error > FAIR && least < error / 2) {
     const hint = `The map fits better ${name}: are the electrodes connected in that order?`;

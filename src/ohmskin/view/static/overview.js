@@ -70,7 +70,7 @@ class Card {
     card.dataset.fresh = fresh;
     card.dataset.touched = fresh && patch.contacts.length > 0;
     this._where.textContent = `${patch.link} ${patch.mode ? `· ${patch.mode} ` : ""}· `;
-    const silent = patch.age === null ? "not heard of" : `unknown: silent for ${number(patch.age, 1)} s`;
+    const silent = patch.age === null ? "no data yet" : `unknown: silent for ${number(patch.age, 1)} s`;
     element("span", "age", this._where).textContent = fresh ? "live" : known ? silent : "unknown";
     this._told.textContent = fresh ? this._lines(patch, card.dataset.one === "true") : "";
     if (card.hidden || !patch.domain) return;
