@@ -7,6 +7,9 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small dense solves are slower with more
 sys.path.insert(0, str(Path(__file__).parent))
 
+from docutils import nodes
+from sphinx.application import Sphinx
+
 import ohmskin
 
 project = "ohmskin"
@@ -31,6 +34,7 @@ default_role = "py:class"  # a class in backticks is a link
 html_theme = "furo"
 html_title = f"ohmskin {version}"
 html_favicon = "../src/ohmskin/view/static/icon.svg"
+html_static_path, html_css_files = ["static"], ["site.css"]
 html_show_sourcelink = html_copy_source = False
 
 myst_heading_anchors = 4
@@ -57,3 +61,14 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "remove_config_comments": True,
 }
+
+
+def mark_cells(_: Sphinx, page: nodes.document, __: str) -> None:
+    """Tell site.css which cells of tables are sentences and which are short, as Markdown cannot."""
+    for cell in page.findall(nodes.entry):
+        cell["classes"].append("sentence" if len(cell.astext()) > 24 else "short")
+
+
+def setup(app: Sphinx) -> None:
+    """What Sphinx calls."""
+    app.connect("doctree-resolved", mark_cells)

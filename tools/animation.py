@@ -36,7 +36,7 @@ def opened(stack: ExitStack, url: str, condition: str) -> Page:
     """A page, as soon as a condition is true of it."""
     page = stack.enter_context(chromium()).new_page(viewport=SIZE)
     page.goto(url)
-    until(page, condition, 120)
+    until(page, condition)
     return page
 
 

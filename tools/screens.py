@@ -128,7 +128,7 @@ class Screens:
         until(self.desk, f"{FRAME}.contacts.length === 0")
 
 
-def until(page: Page, condition: str, seconds: float = 60.0) -> None:
+def until(page: Page, condition: str, seconds: float = 300.0) -> None:
     for _ in range(round(10 * seconds)):
         if page.evaluate(f"Boolean({condition})"):
             return
@@ -223,7 +223,7 @@ def body(screens: Screens, stack: ExitStack, recording: Path) -> None:
     described.write_text(BODY)
     url, _ = stack.enter_context(running("patches", str(described), "--no-browser", "--port", "0"))
     page = screens.open(url)
-    until(page, f"{FRAME}.patches.every((patch) => patch.age !== null)", 120)
+    until(page, f"{FRAME}.patches.every((patch) => patch.age !== null)")
     page.wait_for_timeout(3000)
     screens.take("body")
     screens.desk.goto(f"{url}#fore")

@@ -63,7 +63,7 @@ def static(done: Done) -> list[Drawn]:
     for axes, key, values in zip(maps, shown, seen, strict=True):
         image = axes.imshow(values.reshape(task.side, task.side), vmin=0, vmax=top, **style)
         draw_sheet(axes, left=key == shown[0])
-        axes.set_title(f"{key}: mean {values.mean():.2f}, worst {values.max():.2f} mm")
+        axes.set_title(f"{key}: mean {values.mean():.1f}, worst {values.max():.1f}")
     lower.colorbar(image, ax=list(maps), label="position bound / mm", shrink=0.9)
     caption = (
         f"Static single contacts at {task.side**2} lattice and {task.random} random places, {task.seeds} noise seeds. "
