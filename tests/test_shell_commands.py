@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -89,11 +90,15 @@ CANNOT = {  # what cannot be run here: its form (patterns of what follows), and 
 }
 
 
+EXTRA = "|".join(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"])
+PIP = rf"pip install '?(ohmskin|\.)(\[({EXTRA})(,({EXTRA}))*\])?'?"
+
+
 def kind(command: str) -> str:
     """Which of the tables has a command; empty if none has."""
     if command in RUN:
         return "run"
-    if command.startswith("pip install ") and "/" not in command:
+    if re.fullmatch(PIP, command):
         return "pip"
     for name, table in (("elsewhere", ELSEWHERE), ("cannot", CANNOT)):
         if any(re.fullmatch(pattern, command) for pattern in table):
@@ -135,7 +140,14 @@ def test_tables_have_no_command_that_no_page_has_and_name_files_that_are_there()
     "wrong",
     [
         *("make dosc", "make -C firmware flahs", "python -m benchmarks.none", "sudo rm x", "colcon build --symlink"),
-        *("ros2 launch ohmskin_ros skin.launch.py rivz:=true", "ls x", "ssh robot", "chrt -f 5", "docker run x"),
+        *(
+            "pip install 'ohmskin[plots]'",
+            "ros2 launch ohmskin_ros skin.launch.py rivz:=true",
+            "ls x",
+            "ssh robot",
+            "chrt -f 5",
+            "docker run x",
+        ),
     ],
 )
 def test_commands_that_no_table_has_are_found(wrong: str) -> None:
@@ -143,23 +155,14 @@ def test_commands_that_no_table_has_are_found(wrong: str) -> None:
     assert kind(wrong) == ""
 
 
-@pytest.fixture
-def shell(tmp_path: Path) -> dict[str, str]:
-    """An environment whose `python`, `pytest` and `ohmskin` are those of these tests."""
-    programs = tmp_path / "programs"
-    programs.mkdir()
-    for name in ("python", "pytest", "ohmskin"):
-        (programs / name).symlink_to(Path(sys.prefix) / "bin" / name)
-    return os.environ | {"PATH": f"{programs}:{os.environ['PATH']}", "OMP_NUM_THREADS": "1"}
-
-
 @pytest.mark.parametrize("command", RUN)
-def test_a_command_runs(command: str, tmp_path: Path, shell: dict[str, str]) -> None:
+def test_a_command_runs(command: str, tmp_path: Path) -> None:
     if (program := shlex.split(command)[0]) in ("make", "ssh") and not shutil.which(program):
         pytest.skip(f"needs {program}")
     if program in ("make", "source") and not (ROOT / ".venv" / ".ready").exists():
         pytest.skip("needs the environment that `make live` sets up")
     line = RUN[command].replace("{tmp}", str(tmp_path))
+    shell = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "OMP_NUM_THREADS": "1"}
     done = subprocess.run(["bash", "-c", line], cwd=ROOT, env=shell, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -18,7 +18,7 @@ from playwright.sync_api import Page
 from screens import FRAME, IMAGES, chromium, running, until
 
 ROOT = Path(__file__).parents[1]
-SIZE, WIDTH, STEP, MILLISECONDS = {"width": 1180, "height": 760}, 720, 200, 90  # px, px, ms, ms
+SIZE, WIDTH, STEP, MILLISECONDS = {"width": 1440, "height": 900}, 880, 200, 90  # px, px, ms, ms
 
 
 def photographed(page: Page, path: np.ndarray) -> Iterator[Image.Image]:
