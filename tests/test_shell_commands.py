@@ -140,14 +140,8 @@ def test_tables_have_no_command_that_no_page_has_and_name_files_that_are_there()
     "wrong",
     [
         *("make dosc", "make -C firmware flahs", "python -m benchmarks.none", "sudo rm x", "colcon build --symlink"),
-        *(
-            "pip install 'ohmskin[plots]'",
-            "ros2 launch ohmskin_ros skin.launch.py rivz:=true",
-            "ls x",
-            "ssh robot",
-            "chrt -f 5",
-            "docker run x",
-        ),
+        *("pip install 'ohmskin[plots]'", "ls x", "ssh robot", "chrt -f 5", "docker run x", "./mine.sh", "gmsh a.geo"),
+        "ros2 launch ohmskin_ros skin.launch.py rivz:=true",
     ],
 )
 def test_commands_that_no_table_has_are_found(wrong: str) -> None:
