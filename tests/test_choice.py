@@ -156,7 +156,7 @@ def test_rules_that_cannot_choose_say_so() -> None:
     _, difference = truth(0)
     with pytest.raises(ModelError, match="no rule 'gcv'; choose from physical, noise figure, cross-validation"):
         choose("gcv", estimator(), difference)
-    with pytest.raises(ModelError, match="noise figure 1000 cannot be had here; choose"):
+    with pytest.raises(ModelError, match="noise figure 1000 cannot be reached here; choose"):
         noise_figure(estimator(), difference, goal=1e3)
     with pytest.raises(ModelError, match="goal is -1"):
         noise_figure(estimator(), difference, goal=-1)

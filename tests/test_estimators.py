@@ -729,7 +729,7 @@ def test_a_contact_that_only_raises_conductivity_is_not_fitted_to_a_fall() -> No
     [
         (
             lambda: Greit(model(), NOISE, noise_figure=1e4).reconstruct(touch()),
-            "noise figure 10000 cannot be had with this scan; choose",
+            "noise figure 10000 cannot be reached with this scan; choose",
         ),
         (lambda: Greit(model(), -1.0), "noise is -1.0; it must be finite and positive"),
         (lambda: TotalVariation(model(), NOISE, outline=0.0), "outline is 0.0"),

@@ -32,7 +32,7 @@ EVERY_DAY = (
     "a packet without an end",
     "payloads cut short",
     "hanging up in mid-packet",
-    "an error that is no text",
+    "an error that is not text",
     "patterns forgotten for ever",
     "another digest in the slot",
     "a name of 64 KB",

@@ -233,5 +233,5 @@ def test_press_data_that_cannot_be_are_refused_in_words(tmp_path: Path) -> None:
     savemat(tmp_path / "p.mat", {"voltages": np.ones((5, 208)), "positions": np.ones((4, 2))})
     with pytest.raises(DataError, match=r"voltages have shape \(208, 5\) for 4 positions"):
         read_recording(tmp_path / "p.mat")
-    with pytest.raises(DataError, match="3 of 3 presses of known places were felt; to learn positions press 8"):
+    with pytest.raises(DataError, match="3 of 3 presses of known places were detected; to learn positions press 8"):
         learn_positions(given.pattern, given.positions, np.zeros((3, 208)), given.positions, 0.2)

@@ -352,7 +352,7 @@ def test_pictures_and_films(
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     with monkeypatch.context() as nothing:
         nothing.setenv("PATH", str(tmp_path))
-        with pytest.raises(DataError, match="needs the program ffmpeg"):
+        with pytest.raises(DataError, match="a video needs ffmpeg; install it"):
             write_film(tmp_path / "a.mp4", iter([cycle]))
     if shutil.which("ffmpeg") is None:
         pytest.skip("needs ffmpeg: apt-get install ffmpeg")
