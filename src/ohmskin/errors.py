@@ -4,20 +4,22 @@ import re
 
 
 class OhmskinError(Exception):
-    """Base class of every error that ohmskin raises on purpose. Control characters in its message are written out.
+    """Base class of every error that ohmskin raises on purpose.
 
-    OhmskinError
-        GeometryError         a ValueError, too
-        PatternError          a ValueError, too
-        ModelError            a ValueError, too
-        SkinError             a ValueError, too
-        DataError             a ValueError, too
-        ViewError
-        PublishError
-        DeviceError
-            DeviceLost        a ConnectionError, too
-            DeviceRefused
-            ProtocolError     a ValueError, too
+        OhmskinError
+            GeometryError         a ValueError, too
+            PatternError          a ValueError, too
+            ModelError            a ValueError, too
+            SkinError             a ValueError, too
+            DataError             a ValueError, too
+            ViewError
+            PublishError
+            DeviceError
+                DeviceLost        a ConnectionError, too
+                DeviceRefused
+                ProtocolError     a ValueError, too
+
+    Control characters in messages are written out, long words shortened: they may come from a device or a file.
     """
 
     def __init__(self, *args: object) -> None:

@@ -21,12 +21,23 @@ class Instrument(Protocol):
         """What it is and its limits per scan."""
 
     def scan(self, pattern: DrivePattern) -> Frame:
-        """Drive `pattern` once; may block for the time of the acquisition."""
+        """Drive `pattern` once; may block for the time of the acquisition.
+
+        Raises:
+            DeviceRefused: If it cannot; the host is told why.
+        """
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """Put touch `number` at (x, y) (m) with a radius (m) and a pressure (Pa); 0 lifts it.
+        """Put a touch on the skin, move or lift it. Virtual instruments only.
 
-        Virtual instruments only.
+        Args:
+            number: Which touch, from 0.
+            x, y: Its centre on the sheet (m).
+            radius: Its radius (m).
+            pressure: Its pressure (Pa); 0 lifts it.
+
+        Raises:
+            DeviceRefused: If it cannot be there.
         """
 
 

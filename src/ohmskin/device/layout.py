@@ -69,6 +69,9 @@ class Layout:
 
     Args:
         text: Fields such as `n:u16 rows:f32[n][2] name:text<=32`, scalars first.
+
+    Raises:
+        ProtocolError: If a field is malformed.
     """
 
     def __init__(self, text: str) -> None:

@@ -20,7 +20,7 @@ from ohmskin.skin import Fault, Skin, VirtualSkin
 
 
 class VirtualInstrument:
-    """A `VirtualSkin` that takes the time a real instrument takes. What `ohmskin serve-skin` serves.
+    """The `Instrument` of a `VirtualSkin`, as slow as a real one. What `ohmskin serve-skin` serves.
 
     Args:
         skin: What to simulate.

@@ -101,7 +101,11 @@ def encode_pattern(pattern: DrivePattern) -> bytes:
 
 
 def decode_pattern(data: bytes) -> DrivePattern:
-    """The pattern of a message."""
+    """The pattern of a message.
+
+    Raises:
+        DataError: If it is none.
+    """
     decoder = Decoder(data)
     decoder.take("I")
     injections, measurements = read_array(decoder, "u2"), read_array(decoder, "u4")
@@ -132,7 +136,11 @@ def _auxiliary(value: float | None) -> tuple[float, int]:
 
 
 def decode_frame(data: bytes) -> FrameRecord:
-    """The frame of a message, whose time is one. Read in one go, because an index reads them all."""
+    """The frame of a message, whose time is one. Read in one go, because an index reads them all.
+
+    Raises:
+        DataError: If it is none.
+    """
     try:
         seconds, nanoseconds, at, arrived, *numbers, role, n_meas = _FRAME_START.unpack_from(data)
         voltages = unsignalled(np.frombuffer(data, "<f8", n_meas, _FRAME_START.size))

@@ -102,7 +102,11 @@ def _opened(place: str, token: str | None) -> tuple[str, Any]:
 
 
 def meeting_place(place: str) -> tuple[bool, str]:
-    """Whether to listen, and where."""
+    """Whether to listen, and where.
+
+    Raises:
+        PublishError: If that is not a place.
+    """
     if not place:
         taken = True
         with socket.socket() as probe:
