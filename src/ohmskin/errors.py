@@ -68,7 +68,7 @@ class ViewError(OhmskinError):
 
 
 class PublishError(OhmskinError):
-    """What is felt cannot be published, or not be heard."""
+    """Contacts that cannot be published or received, or a command that a skin refuses."""
 
 
 class DeviceError(OhmskinError):
@@ -80,7 +80,7 @@ class DeviceLost(DeviceError, ConnectionError):
 
 
 class DeviceRefused(DeviceError):
-    """The device answered and said no."""
+    """The device answered, and refused the request."""
 
 
 class ProtocolError(DeviceError, ValueError):

@@ -225,7 +225,7 @@ class Merger(Closing):
         self._board = Board(name, {"patches": [asdict(patch) for patch in patches], "boards": list(boards)}, LARGEST)
 
     def step(self) -> Felt | None:
-        """Write what all patches feel, if one of them felt anew.
+        """Publish the contacts of all patches, if one of them has new ones.
 
         The contacts of a patch that has fallen silent stay as they were, with the time since its last frame.
         """

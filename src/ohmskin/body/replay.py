@@ -1,4 +1,4 @@
-"""A recorded body again: what its patches felt and showed, and how its joints stood, on the boards of then."""
+"""A recorded body again: contacts, images and joint positions, on the boards of its patches."""
 
 import logging
 import time
@@ -89,7 +89,7 @@ class BodyReplay(Closing):
             log.warning("a message of %s at %s is skipped: %s", topic, self._path, error)
 
     def _show_contacts(self, at: int, data: bytes) -> None:
-        """To each patch that had felt anew its own part; times as long ago as they were then."""
+        """Publish the contacts of each patch that had new ones; times as long ago as they were then."""
         felt = decode_contacts(data, time.monotonic() - at * 1e-9)
         for number, seen in enumerate(felt.patches):
             if (publisher := self._publishers.get(seen.patch)) is None or publisher.patch.frame != seen.frame:

@@ -19,9 +19,9 @@ class PressSample:
     Args:
         at: Where (m).
         force: Force (N).
-        strength: `Contact.strength`, median over some cycles (m2); 0 where it was not felt.
+        strength: `Contact.strength`, median over some cycles (m2); 0 where it was not detected.
         loading: Whether the force was rising; otherwise it was falling.
-        contact: The contact found for it last; None where it was not felt.
+        contact: The contact found for it last; None where it was not detected.
         scans: What it changed, in each of those cycles.
         auxiliary: What the auxiliary channel read then (N or Pa), the median; NaN: nothing.
     """
@@ -45,8 +45,8 @@ class ForceCurve:
         error: Root mean square error over the samples (N).
         hysteresis: Largest mean difference of strength between unloading and loading at a force, by the largest.
         scatter: Standard deviation of strength between places at one force, as a share, mean over the forces.
-        missed: Samples that were not felt.
-        flat: Forces (N) no stronger felt than the next lower one, where the skin is saturated or too coarse.
+        missed: Samples that were not detected.
+        flat: Forces (N) of no more strength than the next lower one, where the skin is saturated or too coarse.
     """
 
     strengths: tuple[float, ...]
@@ -87,7 +87,7 @@ def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
         samples: Known forces, with the strength that was found for each.
 
     Raises:
-        DataError: If fewer than two forces were felt.
+        DataError: If fewer than two forces were detected.
     """
     felt = [sample for sample in samples if sample.strength > 0]
     levels = sorted({sample.force for sample in felt})

@@ -26,7 +26,7 @@ def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple
         The calibration, the curve, and what was found, in sentences.
 
     Raises:
-        DataError: If fewer than two forces were felt.
+        DataError: If fewer than two forces were detected.
     """
     curve = fit_force(presses.samples)
     found = fit_auxiliary(presses.samples, known.quiet.rest, curve.put_into(found))
@@ -64,7 +64,7 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
 
 
 def _felt(presses: Presses) -> list[KnownPress]:
-    """The presses that were felt; those that eased off only where one that rose was felt, too."""
+    """The presses that were detected; those that eased off only where one that rose was, too."""
     felt, risen = list[KnownPress](), None
     for one, peak in zip(presses.samples, presses.peaks, strict=True):
         risen = one.at if one.contact is not None and not peak else risen

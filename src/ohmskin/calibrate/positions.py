@@ -38,8 +38,8 @@ class PositionReport:
 
     Args:
         map: The map, learned from all presses.
-        physics, similarity, mapped: (n,) distances of the places told from those pressed (m): as physics tells them,
-            after the similarity, after all. NaN: not felt.
+        physics, similarity, mapped: (n,) distances of estimated places from those pressed (m): by the physical
+            model, after the similarity, after all. NaN: not detected.
         held: Share of the presses within their 90 % ellipses.
         curve: The learning curve: from how many presses a map was learned, and its mean error (m) at others.
     """
@@ -90,7 +90,7 @@ def read_places(
         progress: Called with the share done, 0 to 1.
 
     Returns:
-        Places (n, 2) (m), NaN where nothing was felt; changes (n, n_meas) of the voltages, in units of their error.
+        Places (n, 2) (m), NaN where nothing was detected; changes (n, n_meas) of the voltages, in units of their error.
     """
     fitter = known.fitter
     found, changes = np.full((len(frames), 2), np.nan), np.zeros((len(frames), frames[0].pattern.n_meas))
@@ -117,14 +117,14 @@ def learn_positions(
 
     Args:
         pattern: That was driven.
-        found: (n, 2) places by the physical model (m); NaN where a press was not felt.
+        found: (n, 2) places by the physical model (m); NaN where a press was not detected.
         changes: (n, n_meas) of the voltages, in units of their error.
         places: (n, 2) where it was pressed (m), in any frame.
         size: Of the sheet (m).
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        DataError: If fewer than eight presses were felt, or all at one place.
+        DataError: If fewer than eight presses were detected, or all at one place.
     """
     known: Bools = np.asarray(np.isfinite(found).all(axis=1) & np.isfinite(places).all(axis=1))
     if known.sum() < _LEAST or min(np.ptp(places[known], axis=0)) == 0:

@@ -1,4 +1,4 @@
-"""What is felt: contacts in the robot's frames, and their record on a board (docs/guide/publishing.md)."""
+"""Contacts in the robot's frames, and their record on a board (docs/guide/publishing.md)."""
 
 import struct
 import time
@@ -221,7 +221,7 @@ class Felt:
 
 
 def felt(sequence: int, patches: Sequence[Sighting], contacts: Sequence[Contact], boot: int = 0) -> Felt:
-    """What patches felt together, as old as the oldest of them."""
+    """The contacts of all patches together, as old as the oldest of them."""
     oldest = min(patches, key=lambda sighting: sighting.time)
     return Felt(sequence, oldest.time, oldest.stamp, tuple(patches), tuple(contacts), boot)
 
@@ -301,7 +301,7 @@ def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
 
 
 class SharedMemory:
-    """What is felt, from the board of that name.
+    """Contacts from the board of that name.
 
     Attributes:
         patches: The patches of the board; empty before there is one.

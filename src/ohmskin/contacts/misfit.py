@@ -156,7 +156,7 @@ def seen(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
 def likeliest(rows: Rows, lost: Floats, vector: Floats, ridge: float) -> Floats:
     """The x (n,) of least squared misfit with `ridge` times its square, nothing common (conjugate gradients).
 
-    Data tell of few combinations of resistances, so that it takes as many products with their rows, and no matrix.
+    Data determine few combinations of resistances, so that it takes as many products with their rows, and no matrix.
     """
     n = len(vector)
     x, left, product = np.zeros(n), vector.copy(), np.empty((1, n))

@@ -34,7 +34,7 @@ class TouchTable:
         touches: Elements (n,) of each place; all of a place change by the same factor.
 
     Attributes:
-        coupling: Y (n_places, n_modes, n_elec) of each place, those felt from outside first, rows of zeros at the end.
+        coupling: Y (n_places, n_modes, n_elec), first the modes that electrodes can measure at all, rows of zeros last.
         spread: a (n_places, n_modes).
 
     Raises:

@@ -82,7 +82,7 @@ class WriterPipe:
 
     @property
     def progress(self) -> Progress:
-        """How it goes, as of a fraction of a second ago; what waits is handed over."""
+        """State of the recording a fraction of a second ago; what waits is handed over."""
         with self._lock:
             if not self._closed:
                 self._push()
@@ -124,7 +124,7 @@ class WriterPipe:
             return True
 
     def close(self) -> Progress:
-        """Write what waits, finish the file and say how it went. Safe to call twice."""
+        """Write what waits, finish the file, and return its last `progress`. Safe to call twice."""
         with self._lock:
             if not self._closed:
                 self._closed = True

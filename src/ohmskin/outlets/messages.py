@@ -1,4 +1,4 @@
-"""What is felt as ROS 2 messages, in the frames of the robot; see `ohmskin.outlets.topics` for their definitions."""
+"""Contacts as ROS 2 messages, in the frames of the robot; see `ohmskin.outlets.topics` for their definitions."""
 
 from collections.abc import Mapping, Sequence
 

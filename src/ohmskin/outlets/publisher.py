@@ -32,7 +32,7 @@ class Publisher(Closing):
     """Shows what a skin feels in shared memory and, through a process of its own, to ROS 2 and others.
 
     Args:
-        skin: What is felt with.
+        skin: The skin whose contacts they are.
         outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
         name: What clients call it; topics begin with it, too.
         patch: Where the sheet sits on the robot; its own frame ``skin`` unless given.
@@ -73,7 +73,7 @@ class Publisher(Closing):
         self.addresses = [f"shm:{name}", *self._relay.addresses]
 
     def publish(self, touch: Touch) -> None:
-        """Show what a cycle felt; never waits."""
+        """Publish the contacts of a cycle; never waits."""
         # The calendar may be set anew at any time, so that each stamp is taken from how long ago the sample was.
         stamp = time.time_ns() - round((time.monotonic() - touch.time) * 1e9)
         self._board.write(pack(self.felt(touch, stamp), [self.patch]))
@@ -88,7 +88,7 @@ class Publisher(Closing):
         self._relay.wake()
 
     def repeat(self, seen: Sighting, contacts: Sequence[Placed]) -> None:
-        """Show what was felt before."""
+        """Publish contacts of before, `seen` then."""
         self._board.write(pack(felt(seen.sequence, [seen], contacts, self._board.boot), [self.patch]))
 
     def show(self, pixels: Floats, sequence: int, stamp: int) -> None:
@@ -102,7 +102,7 @@ class Publisher(Closing):
         self._picture.write(Picture.pack(pixels, sequence, stamp))
 
     def felt(self, touch: Touch, stamp: int) -> Felt:
-        """What a cycle felt, in the patch's frame."""
+        """The contacts of a cycle, in the patch's frame."""
         seen = Sighting(self.patch.name, self.patch.frame, touch.sequence, touch.time, stamp, touch.mode.name)
         contacts = in_frame(touch.contacts, self._chart, self.patch)
         return felt(touch.sequence, [seen], contacts, self._board.boot)

@@ -1,4 +1,4 @@
-"""Images of several moments: side by side, and one after the other as a film."""
+"""Images of several moments: side by side, and one after the other as a video."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -68,6 +68,6 @@ class Film:
 
 
 def check_film() -> None:
-    """Raise DataError unless films can be made here."""
+    """Raise DataError unless videos can be made here."""
     if not FFMpegWriter.isAvailable():
         raise DataError("a video needs ffmpeg; install it: apt-get install ffmpeg; or choose png, csv, npz or parquet")

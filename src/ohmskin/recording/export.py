@@ -1,4 +1,4 @@
-"""Recordings as tables, arrays, pictures and films, for those who read them elsewhere."""
+"""Recordings as tables, arrays, pictures and videos, for those who read them elsewhere."""
 
 import csv
 import os
@@ -164,7 +164,7 @@ def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
 
 
 def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> int:
-    """Write an MP4 film of `rate` pictures per recorded second, through ffmpeg; the number of its pictures.
+    """Write an MP4 video of `rate` pictures per recorded second, through ffmpeg; the number of its pictures.
 
     Each picture is of the newest cycle at its time. Colours stay fixed from the first one on.
 

@@ -19,7 +19,7 @@ class Replayed:
 
     Args:
         time: Where it is in the recording (s from its first frame behind the calibration).
-        touch: What was felt.
+        touch: The outcome.
         known: What was learned of the quiet skin before; its `model.mesh` is that of the image.
         thresholds: gamma_0.
     """

@@ -1,4 +1,4 @@
-"""The recorder: a sink that keeps everything the loop measured and felt, in a file that others can read."""
+"""The recorder: a sink that keeps everything the loop measured and detected, in a file that others can read."""
 
 import os
 import platform
@@ -145,7 +145,7 @@ class Recorder(Closing):
 
     @property
     def progress(self) -> Progress:
-        """How much was written and dropped, and what stands in the way."""
+        """What was written and dropped, and why nothing can be written now, if so."""
         if self._pipe is None:
             return self._ended
         progress = self._pipe.progress
@@ -154,7 +154,7 @@ class Recorder(Closing):
         return progress
 
     def close(self) -> Progress:
-        """Finish the file and say how it went; a file without any frame is deleted. Safe to call twice."""
+        """Finish the file, and return its last `progress`; one without any frame is deleted. Safe to call twice."""
         if self._pipe is not None:
             self._pipe.close()
             self._ended, self._pipe = self.progress, None

@@ -62,7 +62,7 @@ class Moment:
 
     Args:
         time: Simulated time (s).
-        touches: What each skin felt.
+        touches: The cycle of each skin.
         pushes: What presses the skins.
         sensed: All contacts.
         wearer: The robot, which goes on moving: draw it now.
@@ -85,7 +85,7 @@ class Demonstration:
         body: The robot.
         engines: The loops on virtual skins, calibrated, in the order of its patches.
         seed: Chooses the places of the pokes.
-        manner: How the robot answers, of `MANNERS`; a stiff one shows what the sense of touch is worth.
+        manner: How the robot answers, of `MANNERS`; a stiff one serves for comparison.
         computing: Time for computing in each cycle (s).
 
     Raises:

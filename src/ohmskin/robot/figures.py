@@ -17,11 +17,11 @@ class Encounter:
         link: The link that it is on.
         position: Where the finger first touched it, on its map (m).
         felt_on: Link of the first contact that was reported; empty if there was none.
-        reaction: Time from the first touch to the first command that yields (s); NaN if it was not felt.
+        reaction: Time from the first touch to the first command that yields (s); NaN if it was not detected.
         peak_force: Largest force (N).
         errors: Distance between the sensed and the true place, frame by frame (m).
         forces: True and estimated force (N), frame by frame where it was estimated.
-        invented: Contacts reported where nothing was.
+        invented: False contacts, reported where nothing was.
         self_touches: Frames in which the poke was taken for a touch of the robot's own.
     """
 
@@ -44,12 +44,12 @@ class Hug:
     Args:
         patches: The skins that were pressed, by MuJoCo.
         felt: Those whose contacts were reported.
-        reaction: Time from the first touch to the first command that yields (s); NaN if nothing was felt.
+        reaction: Time from the first touch to the first command that yields (s); NaN if nothing was detected.
         peak_forces: Largest force on each of `patches` (N).
         errors: Distance between the sensed and the true places, contact by contact and frame by frame (m).
         forces: True and estimated force (N), likewise where it was estimated.
         totals: Sums of the true and of the estimated forces on all skins (N), of frames in which all were estimated.
-        invented: Contacts reported where nothing was.
+        invented: False contacts, reported where nothing was.
     """
 
     patches: tuple[str, ...]
@@ -82,9 +82,9 @@ class OwnTouch:
 def summary(
     encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = (), hugs: Sequence[Hug] = ()
 ) -> dict[str, object]:
-    """Figures of a run, for JSON: how many pokes were felt, position errors (m), reaction times (s), forces (N).
+    """Figures of a run, for JSON: how many pokes were detected, position errors (m), reaction times (s), forces (N).
 
-    What there is not, such as the reaction to a poke that was not felt, is None.
+    What there is not, such as the reaction to a poke that was not detected, is None.
 
     Args:
         encounters: The pokes.

@@ -16,7 +16,7 @@ class Manner:
 
     Args:
         title: In words.
-        speed: Speed (m/s) inwards along the skin's normal, of the force that is felt (N); None: it is not known.
+        speed: Speed (m/s) inwards along the skin's normal, of the force on it (N); None: it is not known.
         halts: Whether its own movement stands still while it is touched.
         returns: Time (s) within which it comes back to where it was; None: it stays.
         needs_force: Whether the skin must be calibrated to newtons.

@@ -66,7 +66,7 @@ class FaultDetector:
             scans: Their changes against the quiet skin.
             elapsed: Time since the last frame (s).
             suspects: Electrodes whose data the reader does not believe.
-            unexplained: Share of what the last frame said that its contacts did not explain.
+            unexplained: Share of the data of the last frame that its contacts did not explain.
 
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.

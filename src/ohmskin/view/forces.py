@@ -49,7 +49,7 @@ class GuidedForces:
         """Write the skin's description with what the presses say of newtons to a new file; says what was found.
 
         Raises:
-            DataError: If fewer than two forces were felt, or the file cannot be written.
+            DataError: If fewer than two forces were detected, or the file cannot be written.
         """
         skin, known = self._engine.skin, self._engine.known
         if known is None:

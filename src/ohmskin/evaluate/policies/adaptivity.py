@@ -53,7 +53,7 @@ class Gain:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """The lightest press that is felt, over the sheet.
+    """The lightest press that is detected, over the sheet.
 
     Args:
         decibels: Noise level (dB) on the contact-layer twin.

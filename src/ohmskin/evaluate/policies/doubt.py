@@ -216,7 +216,7 @@ def gain_picture(done: Outcome[Any]) -> list[Drawn]:
 
 
 def sensitivity_picture(done: Outcome[Any]) -> list[Drawn]:
-    """Maps of the lightest press that is felt."""
+    """Maps of the lightest press that is detected."""
     ((_, task, result),) = done.of("sensitivity")
     canvas = Figure(figsize=(7.4, 2.9), layout="constrained")
     maps = canvas.subplots(1, len(WAYS))
@@ -249,7 +249,7 @@ def sensitivity_tables(done: Outcome[Any]) -> list[Block]:
 
 
 def sensitivity_goals(done: Outcome[Any]) -> Iterator[Goal]:
-    """A light press is felt."""
+    """A light press is detected."""
     for _, task, result in done.of("sensitivity"):
         felt = (result["least"][-1] <= LIGHT).astype(float)
         text = f"A press of {1e3 * task.radius:g} mm and {LIGHT:g} Pa felt by 16P (twin, {task.decibels:g} dB)"

@@ -1,4 +1,4 @@
-"""Presses: whether light and hard ones are felt as one contact, and how accurate their forces are."""
+"""Presses: whether light and hard ones are detected as one contact, and how accurate their forces are."""
 
 from copy import copy
 from dataclasses import dataclass, replace

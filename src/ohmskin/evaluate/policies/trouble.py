@@ -53,7 +53,7 @@ INTERFERENCE: dict[str, Spoil] = {
 
 
 class Bench(Device):
-    """The paper's virtual skin, with nothing between it and the loop, whose wires and frames can be spoilt.
+    """The paper's virtual skin, with nothing between it and the loop, with faults of its wires and frames.
 
     Args:
         seed: Of its noise.
@@ -163,7 +163,7 @@ class Troubled:
     def run(self) -> Result:
         """Results, of each of the troubles: ``false`` (n_troubles,) quiet frames with a contact; ``named``, seconds
         until it is reported, an open electrode by its number, infinite if it never is; ``well``, seconds from its mend
-        until no electrode is left out and nothing is felt; ``sound``, ``away`` and ``after`` (n_troubles, n_presses),
+        until no electrode is left out and nothing is detected; ``sound``, ``away``, ``after`` (n_troubles, n_presses),
         errors before, while and after (m), see `Loop.error`; ``gone`` (same), see `Loop.slide`, after it.
         """
         loop = Loop(self.mode, self.seed)
@@ -222,7 +222,7 @@ class Drifting:
 
     def run(self) -> Result:
         """Results, without drift and with it: ``ghosts`` (2,) frames with more contacts than fingers, ``lost`` with
-        fewer, `_GRACE` frames aside in which one may come and go; ``away``, mean error (m), infinite if never felt."""
+        fewer, `_GRACE` frames aside in which one may come and go; ``away``, mean error (m), inf if never detected."""
         rows = [self._under(times) for times in (0.0, self.times)]
         return dict(zip(("ghosts", "lost", "away"), np.array(rows).T, strict=True))
 
