@@ -37,7 +37,9 @@ class Flawed:
         return self.frames[0].pattern
 
 
-def flawed_skin(seed: int, presses: int, silent: int = 2, strange: float = 0.1, gain: float = 0.15) -> Flawed:
+def flawed_skin(
+    seed: int, presses: int, silent: int = 2, strange: float = 0.1, gain: float = 0.15, drift: float = 0.05
+) -> Flawed:
     """Electrodes 3 mm off, a sheet uneven by 20 % and a film by 30 %, gains of channels, a share of them strange,
     injections that tell nothing, and drift."""
     random = np.random.default_rng(seed)
@@ -61,7 +63,7 @@ def flawed_skin(seed: int, presses: int, silent: int = 2, strange: float = 0.1, 
     off = np.isin(pattern.measurements[:, 0], none)
     changes[:, off] = 0.5 * usual * random.standard_normal((presses, off.sum()))
     wandering = np.cumsum(random.standard_normal(changes.shape), axis=0) / np.sqrt(presses)
-    changes += usual * (0.01 * random.standard_normal(changes.shape) + 0.05 * wandering)
+    changes += usual * (0.01 * random.standard_normal(changes.shape) + drift * wandering)
     at_rest, currents = gains * model.voltages(pattern), np.full(pattern.n_inj, CURRENT)
     shaken = [at_rest + 0.002 * usual * random.standard_normal(pattern.n_meas) for _ in range(10)]
     quiet, frames = (

@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from ohmskin.arrays import Floats
 from ohmskin.calibrate import judge_channels
-from ohmskin.calibrate.positions import PositionReport, learn_positions, read_places, similarity
+from ohmskin.calibrate.positions import PositionReport, learn_positions, novelty, read_places, similarity
 from ohmskin.drive import Fixed
 from ohmskin.errors import DataError, SkinError
 from ohmskin.importers import Recording, read_recording, resolved
@@ -62,7 +62,7 @@ def test_known_presses_make_unseen_ones_better_the_more_the_better_and_few_no_wo
                 counts, errors = zip(*report.curve, strict=True)
                 assert counts == (20, 50, 100)
                 assert errors[-1] < errors[0]
-                _, variances = report.map(found[unseen], report.map.features(changes[unseen]))
+                _, variances = report.map(found[unseen], np.nan_to_num(changes[unseen]))
                 inside += (away**2 < 4.605 * variances).tolist()
     assert max(ratios[20]) <= 1.1
     assert np.mean(ratios[100]) <= 0.7
@@ -101,12 +101,42 @@ def test_a_map_reads_back_as_it_was_and_damage_is_refused() -> None:
     report = taught(given, found, changes, 80)
     text = report.map.dump()
     again = PositionMap.parse(text)
-    for features in (None, again.features(changes)):
-        for one, other in zip(report.map(found, features), again(found, features), strict=True):
+    for told in (None, np.nan_to_num(changes)):
+        for one, other in zip(report.map(found, told), again(found, told), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-8)
     for damaged in (text[:-40], "AAAA" + text[4:], text[:200] + text[300:], "x", text[: len(text) // 2] + "!"):
         with pytest.raises(SkinError, match=r"position_map cannot be read: .*; learn it again"):
             replace(given.skin, calibration=replace(given.skin.calibration, position_map=damaged))
+
+
+def test_noise_that_was_not_there_when_presses_taught_widens_the_ellipses() -> None:
+    given = flawed_skin(36, 260, drift=0.0)
+    skin, found, changes = physics(given, 60)
+    report, unseen = taught(given, found, changes, 60), slice(60, 260)
+    known, random = SkinModel(skin, skin.transfer_model(), given.quiet), np.random.default_rng(0)
+    rest = np.mean([one.voltages for one in given.quiet], axis=0)
+    usual = np.sqrt(np.mean((np.array([one.voltages for one in given.frames]) - rest) ** 2))
+    noisy = [
+        replace(one, voltages=one.voltages + 0.1 * usual * random.normal(size=208)) for one in given.frames[unseen]
+    ]
+    held, blind = [], []
+    for frames in (given.frames[unseen], noisy):
+        at, told = read_places(known, frames)
+        places, variances = report.map(at, np.nan_to_num(told))
+        squares = ((places - given.positions[unseen]) ** 2).sum(axis=1)
+        held.append(np.mean(squares < 4.605 * variances))
+        blind.append(np.mean(squares < 4.605 * replace(report.map, length=0.0)(at, np.nan_to_num(told))[1]))
+    assert 0.82 <= min(held) <= max(held) <= 0.99
+    assert blind[1] < 0.75
+
+
+def test_false_alarms_come_at_their_rate_after_few_presses_too() -> None:
+    random = np.random.default_rng(0)
+    for count, middle in ((20, -1.5), (20, -0.3), (100, -1.5), (1000, -1.5)):
+        limits, rates = np.transpose([novelty(one) for one in np.exp(random.normal(middle, 0.3, (400, count)))])
+        over = [np.mean(np.exp(random.normal(middle, 0.3, 2000)) > limit) for limit in limits]
+        assert np.mean(over) == pytest.approx(np.mean(rates), rel=0.2, abs=0.002)
+        assert limits.max() <= 0.9
 
 
 def table(given: Flawed, path: Path, header: str = "", scale: float = 1.0, unit: str = "") -> Path:

@@ -6,10 +6,12 @@ Its accuracy is estimated by cross-validation of all of it: presses are never ju
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import log, sqrt
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
+from scipy.special import stdtr, stdtrit
 
 from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.calibrate.networks import can_train, trained
@@ -25,6 +27,7 @@ _INDUCING = 200, 400  # inducing points of positions alone, and with features
 _FOLDS = 5
 _MANY = 80  # presses from which networks are trained, too
 _KNOWN, _RATE = 500, 0.01  # presses kept to tell what is unlike them, and the share of false alarms
+_TELLING = 5  # false alarms from which on their rate is counted
 _LIMITS = 1e-3, 0.9  # of distances; changes that have nothing to do with presses are some 1.3 away
 _COUNTS = (20, 50, 100, 200, 500, 1000)  # presses of a learning curve
 _OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
@@ -67,7 +70,7 @@ class PositionReport:
         networks = "a Gaussian process and networks" if self.map.networks is not None else "a Gaussian process alone"
         missing = "" if can_train() else "; networks need scikit-learn: pip install 'ohmskin[learn]'"
         lines.append(f"the map is {networks}{missing}")
-        lines.append(f"of presses like these {100 * self.map.rate:g} % are outliers, located by the physical model")
+        lines.append(f"of presses like these {100 * self.map.rate:.2g} % are outliers, located by the physical model")
         if not self.map.own:
             linear = self.map.registration.linear
             turn = np.rad2deg(np.arctan2(linear[1, 0], linear[0, 0]))
@@ -135,7 +138,7 @@ def learn_positions(
     learn = partial(_learn, pattern, size=size, own=own)
     order = np.random.default_rng(0).permutation(len(found))
     after, whole, near_only = np.empty_like(places), np.empty_like(places), np.empty_like(places)
-    variances, away = np.empty((len(places), 2)), np.empty(len(places))
+    variances, away, left = np.empty((len(places), 2)), np.empty(len(places)), np.empty((2, len(places)))
     folds = min(_FOLDS, len(found))
     for number in range(folds):
         test = np.sort(order[number::folds])
@@ -143,30 +146,28 @@ def learn_positions(
         one = learn(found[train], changes[train], places[train])
         after[test] = one.registration(found[test])
         near_only[test], variances[test, 0] = one.registered(found[test])
-        whole[test], variances[test, 1] = one.registered(found[test], one.features(changes[test]))
-        away[test] = one.distances(changes[test])
+        whole[test], variances[test, 1] = one.registered(found[test], changes[test])
+        away[test], left[:, test] = one.distances(changes[test]), one.left(changes[test])
         progress((number + 1) / (folds + 2))
-    final = learn(found, changes, places)
-    trust = [
-        max(float(np.quantile(((one - places) ** 2).sum(axis=1) / variance, 0.9)) / _NINETY, 0.1)
-        for one, variance in ((near_only, variances[:, 0]), (whole, variances[:, 1]))
-    ]
-    final = replace(final, trust=np.array(trust), limit=float(np.clip(np.quantile(away, 1 - _RATE), *_LIMITS)))
+    final, (limit, rate) = learn(found, changes, places), novelty(away)
+    misses = [((one - places) ** 2).sum(axis=1) / variances[:, k] for k, one in enumerate((near_only, whole))]
+    trust = np.maximum([_ninety(one) / _NINETY for one in misses], 0.1)
+    usual, length = _usual(*left), _length(found, changes)
+    final = replace(final, trust=trust, limit=limit, rate=rate, usual=usual, length=length)
     progress((folds + 1) / (folds + 2))
     # each fold by the trust that the others give, so that the share held is not of what it was set by
-    ratio = ((whole - places) ** 2).sum(axis=1) / variances[:, 1]
     held = np.empty(len(places), bool)
     for number in range(folds):
         test = order[number::folds]
         others = np.setdiff1d(order, test)
-        held[test] = ratio[test] < np.quantile(ratio[others], 0.9)
+        held[test] = misses[1][test] < _ninety(misses[1][others])
     physics, registered, mapped = (_scattered(np.hypot(*(one - places).T), known) for one in (found, after, whole))
     test = order[::folds]
     curve = list[tuple[int, float]]()
     for count in (count for count in _COUNTS if count < 0.7 * (len(order) - len(test))):
         train = np.random.default_rng(1).permutation(np.setdiff1d(order, test))[:count]
         fewer = learn(found[train], changes[train], places[train])
-        reached, _ = fewer.registered(found[test], fewer.features(changes[test]))
+        reached, _ = fewer.registered(found[test], changes[test])
         curve.append((count, float(np.linalg.norm(reached - places[test], axis=1).mean())))
     progress(1.0)
     return PositionReport(final, physics, registered, mapped, float(held.mean()), tuple(curve))
@@ -187,6 +188,45 @@ def _is_own(one: Similarity, middle: Floats, size: float) -> bool:
     return bool(alike and not turned and np.linalg.norm(one(middle) - middle) < _OWN_SHIFT * size)
 
 
+def _ninety(values: Floats) -> float:
+    """What one value more is below with a probability of 0.9, however few (n,) there are (split conformal)."""
+    return float(np.quantile(values, 0.9, method="weibull"))
+
+
+def novelty(away: Floats) -> tuple[float, float]:
+    """The limit of distances beyond which changes are unlike presses of these distances (n,), and the share of presses
+    like these that are beyond it: of few presses as if distances were log-normal."""
+    count = len(away)
+    if count * _RATE >= _TELLING:
+        limit = float(np.clip(np.quantile(away, 1 - _RATE), *_LIMITS))
+        return limit, max(float(np.mean(away > limit)), _RATE)
+    logs = np.log(np.maximum(away, _LIMITS[0]))
+    middle, spread = float(logs.mean()), float(logs.std(ddof=1)) * sqrt(1 + 1 / count) + 1e-9
+    limit = float(np.clip(np.exp(middle + stdtrit(count - 1, 1 - _RATE) * spread), *_LIMITS))
+    return limit, max(float(stdtr(count - 1, (middle - log(limit)) / spread)), _RATE)
+
+
+def _usual(left: Floats, squares: Floats) -> Floats:
+    """`PositionMap.usual`, from what features leave (n,) of changes of squared sizes (n,)."""
+    rows = np.stack([1 / squares, np.ones(len(left))], axis=1)
+    scale = rows.max(axis=0)
+    return np.asarray(nnls(rows / scale, left / squares)[0] / scale)
+
+
+def _length(found: Floats, changes: Floats) -> float:
+    """`PositionMap.length`, from the places (n, 2) (m) of presses and of those whose changes are most alike."""
+    some = slice(None, None, -(-len(found) // 1000))
+    found, shares = (
+        found[some],
+        changes[some] / np.maximum(np.linalg.norm(changes[some], axis=1, keepdims=True), 1e-300),
+    )
+    squares = np.maximum(2 - 2 * shares @ shares.T, 1e-12)
+    np.fill_diagonal(squares, np.inf)
+    alike = squares.argmin(axis=1)
+    apart = ((found - found[alike]) ** 2).sum(axis=1)
+    return float(np.sqrt(np.median(apart / squares.min(axis=1))))
+
+
 def _learn(
     pattern: DrivePattern, found: Floats, changes: Floats, places: Floats, size: float, own: bool
 ) -> PositionMap:
@@ -200,7 +240,9 @@ def _learn(
     sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
     known = (features / sizes)[np.random.default_rng(2).permutation(len(features))[:_KNOWN]]
     quadruples, networks = pattern.quadruples.astype(float), trained(at, left) if len(at) >= _MANY else None
-    return PositionMap(registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, networks)
+    return PositionMap(
+        registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, np.zeros(2), 0.0, networks
+    )
 
 
 def _regress(at: Floats, offsets: Floats, size: float) -> Regression:

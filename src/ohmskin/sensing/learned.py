@@ -1,11 +1,13 @@
 """The learned reader: one contact where presses taught that it is; physics for all that is unlike those presses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from ohmskin.arrays import changed
 from ohmskin.contacts import Contact, ContactFitter, Solution
+from ohmskin.contacts.follow import CLEAR
 from ohmskin.contacts.information import Information
 from ohmskin.errors import ModelError
 from ohmskin.inverse.estimators import Estimator
@@ -47,15 +49,18 @@ class LearnedReader:
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
         """The belief after one more frame, as of `Reader.update`; data unlike those learned from are fitted."""
         pairs = self.physics.fitter.table.pairs
-        found = self.told(before.without_drift(recent, pairs))
+        cleaned = before.without_drift(recent, pairs)
+        found = self.told(cleaned)
         if found is None:
             belief = self.physics.update(before, new, recent, elapsed)
-            return replace(belief, novel=before.novel + elapsed if belief.detections else 0.0)
+            return changed(belief, novel=before.novel + elapsed if belief.detections else 0.0)
         assert isinstance(before.tracks, Tracks)
-        fresh, lately = (undriven(before.without_drift(scans, pairs)) for scans in (new, recent))
+        lately = undriven(cleaned)
+        fresh = lately if len(new) == len(recent) else undriven(before.without_drift(new, pairs))
         estimate = self.estimator.update(before.estimate, fresh, lately, elapsed)
         tracks, contacts = self.physics.tracker.update(before.tracks, [found])
-        return Belief(estimate, (found,), contacts, tracks, before.drift, before.unlearned + elapsed)
+        unlearned = before.unlearned + elapsed
+        return Belief(estimate, (found,), contacts, tracks, before.drift, unlearned, explains=True)
 
     def told(self, scans: Sequence[Difference]) -> Contact | None:
         """The contact read from scans, without drift; None if they are unlike what was learned from, or if another
@@ -65,15 +70,16 @@ class LearnedReader:
         if changes is None:
             return None
         told, wary, one = one_contact(fitter, scans)
-        left = told.less(one.caused).beside(one.slopes)
-        two = fitter.added(wary, *fitter.scores(left), one.params)
-        if fitter.clear(one, two, fitter.bar**2):
-            return None
+        if one.cost > CLEAR * fitter.bar**2:  # or no second contact can explain most of it
+            left = told.less(one.caused).beside(one.slopes)
+            two = fitter.added(wary, *fitter.scores(left), one.params)
+            if fitter.clear(one, two, fitter.bar**2):
+                return None
         physics = fitter.contact(one.params[0], one.covariances[0])
         (contact,) = self.placement.moved([physics], changes)
         x, y = fitter.onto(np.array([contact.position]))[0].tolist()
         sure = trust(told.unexplained(one.caused)) * contact.confidence
-        return replace(contact, position=(x, y), confidence=sure, radius=None)  # no radius: it is where it is
+        return changed(contact, position=(x, y), confidence=sure, radius=None)  # no radius: it is where it is
 
 
 def learned(known: SkinModel, estimator: Estimator, threshold: float) -> LearnedReader:

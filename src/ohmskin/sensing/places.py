@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ohmskin.arrays import Bools, Floats, Ints, Remembered
+from ohmskin.arrays import Floats, Ints, Remembered
 from ohmskin.contacts import Contact
 from ohmskin.scan import Difference, DrivePattern, Pairs
 from ohmskin.scan.baseline import codes_of
@@ -13,7 +13,6 @@ from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.readers import Belief
 from ohmskin.skin.positions import PositionMap
 
-_TAUGHT = 1e-9  # part of a direction, below which it is rounding
 _ENOUGH = 0.6  # share of the channels learned from that must be measured for the changes to tell places
 
 
@@ -44,28 +43,25 @@ class Placement:
             values = signs * scan.volts[here] / self.noise
             measured = np.isfinite(values)
             changes[there[measured]] = values[measured]
-        missing = np.isnan(changes) & ~self._silent
-        if missing.mean() > 1 - _ENOUGH:
-            return None
-        changes = np.nan_to_num(changes)
-        changes = self.map.completed(changes, missing) if missing.any() else changes
+        unknown = np.isnan(changes)
+        changes[unknown] = 0.0
+        missing = unknown & self.map.taught
+        if missing.any():
+            if missing.mean() > 1 - _ENOUGH:
+                return None
+            changes = self.map.completed(changes, missing)
         return changes if self.map.distances(changes[None])[0] <= self.map.limit else None
 
     def moved(self, contacts: Sequence[Contact], changes: Floats | None) -> tuple[Contact, ...]:
         """Contacts where the map puts them; of a single one by the changes, too, if they are known."""
         if not contacts or any(contact.radius is None for contact in contacts):
             return tuple(contacts)
-        features = self.map.features(changes[None]) if changes is not None and len(contacts) == 1 else None
-        places, variances = self.map(np.array([contact.position for contact in contacts]), features)
+        told = changes[None] if changes is not None and len(contacts) == 1 else None
+        places, variances = self.map(np.array([contact.position for contact in contacts]), told)
         return tuple(
             replace(contact, position=(x, y), covariance=((variance, 0.0), (0.0, variance)))
             for contact, (x, y), variance in zip(contacts, places.tolist(), variances.tolist(), strict=True)
         )
-
-    @property
-    def _silent(self) -> Bools:
-        """(n_meas,) channels that presses taught nothing of, such as doubtful ones."""
-        return np.asarray(np.abs(self.map.basis).max(axis=0) < _TAUGHT)
 
     def _channels(self, pattern: DrivePattern) -> tuple[Ints, Ints, Floats]:
         """Which of the channels learned from a pattern measures, by which of its measurements, and their signs."""
@@ -88,7 +84,7 @@ def placed(placement: Placement | None, belief: Belief, scans: Sequence[Differen
     A single contact is placed by all that scans say, if that is like what was learned from; several by their places.
     Contacts that are not fitted stay where they are.
     """
-    if placement is None or not belief.detections:
+    if placement is None or not belief.detections or belief.detections[0].radius is None:
         return belief
     changes = placement.changes(belief.without_drift(scans, pairs)) if len(belief.detections) == 1 else None
     detections, contacts = (placement.moved(one, changes) for one in (belief.detections, belief.contacts))

@@ -4,7 +4,7 @@ A Gaussian process, and from some hundred presses on an ensemble of networks bes
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ohmskin.arrays import Bools, Floats
 from ohmskin.errors import SkinError
 from ohmskin.skin.packed import UNREADABLE, pack, unpack
 
+_TAUGHT = 1e-9  # part of a direction, below which it is rounding
 _RIDGE = 1e-3  # beside 1 of a direction that is wholly measured: what is hardly measured counts as none
 
 
@@ -138,6 +139,9 @@ class PositionMap:
         limit: Distance of such shares from the closest known ones beyond which changes are unlike those learned from,
             and
         rate: share of presses not learned from, but like those, that are beyond it (1).
+        usual: (2,) of presses learned from, what features leave of a channel's change: its variance without a press
+            (1), and as a share of the squared size of the changes (1).
+        length: How far noise of a channel as large as all changes moves a place (m).
         networks: Tell offsets, too; None: `full` alone does.
     """
 
@@ -151,11 +155,13 @@ class PositionMap:
     known: Floats
     limit: float
     rate: float
+    usual: Floats
+    length: float
     networks: Networks | None = None
 
     def features(self, changes: Floats) -> Floats:
-        """(n, n_features) of changes (n, n_meas) in units of their error; what is not known counts as none."""
-        return np.asarray(np.nan_to_num(changes) @ self.basis.T)
+        """(n, n_features) of changes (n, n_meas) in units of their error, 0 where they are not known."""
+        return np.asarray(changes @ self.basis.T)
 
     def completed(self, changes: Floats, missing: Bools) -> Floats:
         """Changes (n_meas,) with those that are missing as the others have them, by what presses have in common."""
@@ -166,28 +172,52 @@ class PositionMap:
 
     def distances(self, changes: Floats) -> Floats:
         """Distances (n,) of changes (n, n_meas), as shares of their size, from those learned from (1)."""
-        sizes = np.maximum(np.linalg.norm(np.nan_to_num(changes), axis=1, keepdims=True), 1e-300)
+        sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
         alike = (self.features(changes) / sizes) @ self.known.T
-        lengths = (self.known**2).sum(axis=1)
-        return np.asarray(np.sqrt(np.maximum(1 - 2 * alike + lengths, 0.0).min(axis=1)))
+        return np.asarray(np.sqrt(np.maximum(1 + (self._known_squares - 2 * alike).min(axis=1), 0.0)))
 
-    def registered(self, positions: Floats, features: Floats | None = None) -> tuple[Floats, Floats]:
+    @cached_property
+    def _known_squares(self) -> Floats:
+        return np.asarray((self.known**2).sum(axis=1))
+
+    @cached_property
+    def taught(self) -> Bools:
+        """(n_meas,) channels that presses taught of: not doubtful ones."""
+        return np.asarray(np.abs(self.basis).max(axis=0) >= _TAUGHT)
+
+    def left(self, changes: Floats) -> tuple[Floats, Floats]:
+        """Variance (n,) of what features leave of a channel's change (1), and squared sizes (n,) of all changes (1)."""
+        squares = (changes**2).sum(axis=1)
+        rest = squares - (self.features(changes) ** 2).sum(axis=1)
+        return np.maximum(rest, 0.0) / max(int(self.taught.sum()) - len(self.basis), 1), np.maximum(squares, 1e-300)
+
+    def moved_by_noise(self, changes: Floats) -> Floats:
+        """Variances (n,) of places along each axis (m2) by noise that was not there when presses taught, such as drift:
+        by what features leave of changes (n, n_meas) beyond what they left then."""
+        left, squares = self.left(changes)
+        more = np.maximum(left - self.usual[0] - self.usual[1] * squares, 0.0)
+        return np.asarray(self.length**2 * more / squares)
+
+    def registered(self, positions: Floats, changes: Floats | None = None) -> tuple[Floats, Floats]:
         """Places (n, 2) of contacts in the frame of the presses (m), and variances (n,) along each axis (m2).
 
         Args:
             positions: (n, 2) by the physical model, on the sheet (m).
-            features: (n, n_features); None: not known.
+            changes: (n, n_meas) in units of their error; None: not known.
         """
-        regression, trust = (self.near, self.trust[0]) if features is None else (self.full, self.trust[1])
-        at = positions if features is None else np.hstack([positions, features])
-        offsets, variances = regression(at)
-        if self.networks is not None and features is not None:
+        if changes is None:
+            offsets, variances = self.near(positions)
+            return self.registration(positions) + offsets, self.trust[0] * variances
+        at = np.hstack([positions, self.features(changes)])
+        offsets, variances = self.full(at)
+        if self.networks is not None:
             offsets = (offsets + self.networks(at)) / 2
-        return self.registration(positions) + offsets, trust * variances
+        noise = self.registration.scale**2 * self.moved_by_noise(changes)
+        return self.registration(positions) + offsets, self.trust[1] * variances + noise
 
-    def __call__(self, positions: Floats, features: Floats | None = None) -> tuple[Floats, Floats]:
+    def __call__(self, positions: Floats, changes: Floats | None = None) -> tuple[Floats, Floats]:
         """The same, on the sheet."""
-        places, variances = self.registered(positions, features)
+        places, variances = self.registered(positions, changes)
         if self.own:
             return places, variances
         back = self.registration.back(places - self.registration(positions))
@@ -204,6 +234,7 @@ class PositionMap:
             "trust": self.trust,
             "known": self.known.astype(np.float32),
             "novelty": np.array([self.limit, self.rate]),
+            "noise": np.array([*self.usual, self.length]),
         }
         if self.networks is not None:
             told = self.networks
@@ -235,8 +266,8 @@ def _parse(text: str) -> PositionMap:
     try:
         given = unpack(text)
         features, n_meas = given["basis"].shape
-        shapes = {"linear": (2, 2), "shift": (2,), "quadruples": (n_meas, 4), "trust": (2,), "own": (), "novelty": (2,)}
-        shapes["known"] = len(given["known"]), features
+        shapes = {"linear": (2, 2), "shift": (2,), "quadruples": (n_meas, 4), "trust": (2,), "own": ()}
+        shapes |= {"known": (len(given["known"]), features), "novelty": (2,), "noise": (3,)}
         if wrong := [name for name, shape in shapes.items() if given[name].shape != shape]:
             raise ValueError(f"{wrong[0]} has shape {given[wrong[0]].shape}")
         near, full = (_regression(given, name, width) for name, width in (("near", 2), ("full", 2 + features)))
@@ -248,6 +279,8 @@ def _parse(text: str) -> PositionMap:
         limit, rate = given["novelty"].tolist()
         if not (len(given["known"]) and limit > 0 and 0 <= rate <= 1):
             raise ValueError(f"{len(given['known'])} presses and a limit of {limit:g} give no limit of novelty")
+        if not (given["noise"] >= 0).all():
+            raise ValueError(f"its noise is {given['noise']}")
         return PositionMap(
             registration,
             bool(given["own"]),
@@ -259,6 +292,8 @@ def _parse(text: str) -> PositionMap:
             given["known"],
             limit,
             rate,
+            given["noise"][:2],
+            float(given["noise"][2]),
             _networks(given, 3 + features),
         )
     except UNREADABLE as error:
