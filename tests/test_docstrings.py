@@ -78,7 +78,8 @@ def words_of(one: Public) -> str:
     """
     module = sys.modules[one.thing.__module__]
     if one.owner is None:
-        said = " ".join(inspect.getdoc(base) or "" for base in getattr(one.thing, "__mro__", [one.thing]))
+        own = [base for base in getattr(one.thing, "__mro__", [one.thing]) if base.__module__.startswith("ohmskin")]
+        said = " ".join(inspect.getdoc(base) or "" for base in own)
         referred = []
     else:
         key = one.thing.__name__

@@ -43,7 +43,7 @@ class ForceCurve:
         strengths: Rising (m2).
         forces: Rising (N).
         error: Root mean square error over the samples (N).
-        hysteresis: Largest mean difference of strength between unloading and loading at a force, by the largest.
+        hysteresis: Largest mean difference of strength between unloading and loading at a force, over the largest (1).
         scatter: Standard deviation of strength between places at one force, as a share, mean over the forces.
         missed: Samples that were not detected.
         flat: Forces (N) of no more strength than the next lower one, where the skin is saturated or too coarse.
@@ -68,7 +68,7 @@ def fit_auxiliary(samples: Sequence[PressSample], rest: float, calibration: Cali
 
     Args:
         samples: Presses of known force.
-        rest: What the channel read on the quiet skin.
+        rest: What the channel read on the quiet skin (N or Pa).
         calibration: To put it into.
     """
     read = np.array([sample.auxiliary for sample in samples]) - rest

@@ -84,7 +84,7 @@ class ForceSampler:
             contacts: All of it; only a cycle with exactly one counts.
             scans: What was measured, (n_scans,) changes against the quiet skin.
             force: What the load cell read at that moment (N); below 0.1, or NaN, it measures no press.
-            auxiliary: What the auxiliary channel read, in its unit; NaN: there is none.
+            auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.
 
         Returns:
             Whether a sample was taken.

@@ -106,7 +106,7 @@ class PressGuide:
         Args:
             contacts: All of it; the strongest one near the place of the step counts.
             scans: What was measured, (n_scans,) changes against the quiet skin.
-            auxiliary: What the auxiliary channel read, in its unit; NaN: there is none.
+            auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.
 
         Returns:
             Whether the press is done and the next step is due.

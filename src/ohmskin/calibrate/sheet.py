@@ -69,7 +69,8 @@ def fit_sheet(
     Args:
         domain: The sheet, flat.
         described: The electrodes as described.
-        build: A model of the sheet with electrodes there and such a factor on its conductivity.
+        build: Makes a model of the sheet, given electrodes and the coefficients (`WAVES`^2,) of the logarithm of a
+            factor on its conductivity, see `cosines`.
         pattern: What was driven, without driven electrodes.
         resistances: (n_meas,) measured transfer resistances (ohm); what is not finite is left out.
         noise: Their standard deviation, one or (n_meas,) (ohm).

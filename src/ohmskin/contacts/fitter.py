@@ -328,7 +328,7 @@ class ContactFitter(DiscFitter):
             one: It explained with one contact.
             two: It explained with two.
             bar: The least gain, in units of the noise's variance.
-            share: Of what is asked.
+            share: Share of the usual demands that suffices (1).
         """
         if self.gained(told, one, two) > share * bar:
             return True

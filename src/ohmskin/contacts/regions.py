@@ -18,7 +18,7 @@ class Region:
         elements: (n,) numbers of its cells.
         centroid: (2,) centroid weighted by image value and area (m).
         anchors: (3, 2) centroids of the three cells closest to it (m), from which eq. (7) chooses the drive.
-        peak: Largest image value in it.
+        peak: Largest image value in it (1).
         peak_element: The cell that holds it.
     """
 
@@ -35,7 +35,7 @@ def find_regions(values: Floats, cells: Cells, threshold: float, dip: float = 1.
     Args:
         values: Image (n_elem,).
         cells: Its mesh, or the pixels it is made of.
-        threshold: gamma_0 of eq. (6).
+        threshold: gamma_0 of eq. (6) (1).
         dip: Two peaks of one connected region count as two where the saddle between them lies at least this share below
             the lower one. 1 never splits, which is eq. (6) to the letter.
     """
@@ -68,8 +68,8 @@ def label_peaks(values: Floats, neighbours: Ints, threshold: float, dip: float) 
     Args:
         values: (n_elem,) image.
         neighbours: (n_elem, n_facets) elements that share a facet with each, -1 where there is none.
-        threshold: What an element must exceed.
-        dip: Depth between two peaks from which on they are two.
+        threshold: Value that an element must exceed (1).
+        dip: Depth between two peaks from which on they are two (1).
     """
     above = np.flatnonzero(values > threshold)
     order = above[np.argsort(-values[above], kind="stable")][::-1].copy()

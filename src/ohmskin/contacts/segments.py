@@ -74,7 +74,7 @@ def evidence(
         noise: Standard deviation of a difference of voltages (V).
         scans: Changes against the quiet skin.
         freedom: Degrees of freedom with which the noise is known.
-        rate: Of false alarms.
+        rate: Rate of false alarms (1), above 0 and below 1.
 
     Raises:
         DataError: If the rate is not within 0 and 1, or no finite datum is left.
@@ -117,7 +117,7 @@ def segments(
     Args:
         image, cells: The image, and what it is made of.
         found: The evidence.
-        rate: Of false alarms, with which that was found.
+        rate: Rate of false alarms with which that was found (1).
         fraction, dip: Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
     """
     labels = np.zeros(len(image.values), np.int32)

@@ -35,7 +35,7 @@ class TouchTable:
 
     Attributes:
         coupling: Y (n_places, n_modes, n_elec), first the modes that electrodes can measure at all, rows of zeros last.
-        spread: a (n_places, n_modes).
+        spread: a (n_places, n_modes), eigenvalues (1).
 
     Raises:
         ModelError: If there is no place, or one has no elements, or names one twice or one that is not there.

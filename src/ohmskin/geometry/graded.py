@@ -34,7 +34,7 @@ def mesh_graded(
         size: Edge length far from electrodes (m).
         electrodes: Where to refine.
         fine: Edge at electrodes (m); an eighth of the extent unless given, at most `size`; of `size` for points.
-        growth: By how much edges lengthen per length away from electrodes.
+        growth: By how much edges lengthen per length away from electrodes (1), 0.01 to 1.
 
     Raises:
         GeometryError: If gmsh is not installed, a size is not positive or above half of the domain, `growth` is not
@@ -77,7 +77,7 @@ def mesh_surface(
         size: Edge length far from electrodes (m).
         electrodes: Where to refine; within a thousandth of the surface's extent of it.
         fine: Edge at electrodes (m); an eighth of an area electrode's extent, or of `size` for points, unless given.
-        growth: By how much edges lengthen per length away from electrodes.
+        growth: By how much edges lengthen per length away from electrodes (1), 0.01 to 1.
 
     Raises:
         GeometryError: If gmsh is missing or cannot mesh the surface, a size is out of range, or an electrode is off it.

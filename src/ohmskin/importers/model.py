@@ -36,7 +36,14 @@ class ImportedModel:
     notes: tuple[str, ...] = ()
 
     def transfer_model(self, conductivity: float = 1.0) -> TransferModel:
-        """The model, of the file's conductivity if it has one, else of this."""
+        """The model, of the file's conductivity if it has one.
+
+        Args:
+            conductivity: Where the file has none, as for `TransferModel`.
+
+        Raises:
+            ModelError: If it is not positive, or has the wrong shape.
+        """
         return TransferModel(
             self.mesh, self.electrodes, conductivity if self.conductivity is None else self.conductivity
         )

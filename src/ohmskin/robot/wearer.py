@@ -172,7 +172,7 @@ class Wearer:
         return other
 
     def stand(self, joints: Floats) -> None:
-        """Stand with the joints at these positions (rad, m), at once."""
+        """Stand with the `joints` at these positions (n_joints,) (rad, m), at once."""
         self.data.qpos[:] = joints
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -224,7 +224,7 @@ class Wearer:
         return np.asarray(-along / (along @ along + 1e-3))
 
     def aim(self, joints: Floats) -> None:
-        """Let the servos go to joint positions (rad, m), within the joints' limits."""
+        """Let the servos go to positions (n_joints,) of the `joints` (rad, m), within their limits."""
         self.target = np.clip(joints, self.low, self.high)
 
     def rest(self, time: float) -> Floats:

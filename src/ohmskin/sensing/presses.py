@@ -82,7 +82,7 @@ class FittedLayer:
     Args:
         conductance: Per area at the layer's pressure scale (S/m2).
         exponent: Of its growth with pressure (1).
-        conductance_std: Standard deviation of the logarithm of the conductance.
+        conductance_std: Standard deviation of the logarithm of the conductance (1).
         exponent_std: Standard deviation of the exponent.
         hysteresis: Of the foam (1), see `ContactLayer`; below 0: unknown, as no press eased off.
         unexplained: Share of what the presses changed that no such layer explains, noise included (1).
@@ -280,7 +280,7 @@ class PressFitter:
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
     def weighed(self, data: Sums, params: Floats, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
-        """Cost, curvature, downhill gradient in `data` of presses, `params`, with `caused` and `slopes` of `caused`."""
+        """Cost, curvature, downhill gradient in `data`; `params` as for `caused`, `caused` and `slopes` as of it."""
         cost, normal, gradient = self._explained(data, caused, slopes)
         own, precision, pull = self._prior(params.reshape(-1, _PER_PRESS))
         return cost + own, normal + np.diag(precision), gradient + pull

@@ -42,8 +42,8 @@ class Calibration:
         layer_exponent: of its growth with pressure (1), as presses of known force showed them; 0: as described.
         layer_stds: Standard deviations of that conductance's logarithm, and of that exponent.
         layer_hysteresis: Its `ContactLayer.hysteresis`, as presses that eased off showed it (1); below 0: as described.
-        auxiliary_gain, auxiliary_error: Of the `Auxiliary` channel, as presses of known force showed it; 0: as
-            described.
+        auxiliary_gain, auxiliary_error: Of the `Auxiliary` channel (N/N or Pa/N), and of the gain as a share (1), as
+            presses of known force showed it; 0: as described.
         channels: (n, 4) source, sink, plus, minus of the channels judged from presses, and
         channel_gains, channel_errors: how each follows the model, see `ohmskin.scan.Channels`.
         position_map: Where contacts really are, as presses of known places taught: a `PositionMap` as text.
