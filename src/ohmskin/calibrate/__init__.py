@@ -1,4 +1,4 @@
-"""Before a skin is used: the self-test of its wiring and instrument, and its calibration to newtons."""
+"""Self-test of wiring and instrument; calibration of a skin to its quiet state, to newtons and to places."""
 
 from ohmskin.calibrate.channels import ChannelJudgement, judge_channels
 from ohmskin.calibrate.force import ForceCurve, PressSample, fit_auxiliary, fit_force

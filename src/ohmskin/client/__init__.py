@@ -1,12 +1,14 @@
-"""What a robot's program needs of its skin: the newest contacts, at once. Imports the standard library only.
+"""The newest contacts of a skin or a robot, for a control loop in another process.
 
-from ohmskin.client import Client
+    from ohmskin.client import Client
 
-with Client() as skin:
-    while True:
-        felt = skin.newest()
-        if felt is None or felt.age > 0.1 or felt.contacts:
-            stop()
+    with Client() as skin:
+        while True:
+            felt = skin.newest()
+            if felt is None or felt.age > 0.1 or felt.contacts:
+                stop()
+
+Imports the standard library only.
 """
 
 from ohmskin.client.board import Board, BoardReader

@@ -1,4 +1,4 @@
-"""Simulated touches by the million, for learning: voltages, truth and parameters."""
+"""Data sets of simulated touches, for learning: voltages, truth and parameters."""
 
 from ohmskin.dataset.generate import generate
 from ohmskin.dataset.load import SPLITS, TouchData

@@ -1,4 +1,4 @@
-"""The adaptive loop: calibration, health, and keeping going."""
+"""The adaptive loop: calibration, cycles, health, and reconnection to lost devices."""
 
 from ohmskin.engine.engine import Engine
 from ohmskin.engine.health import Health

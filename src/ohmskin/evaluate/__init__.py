@@ -1,9 +1,11 @@
 """The paper's experiments, figures of merit and their report.
 
-from ohmskin import evaluate
+    from ohmskin import evaluate
 
-task = evaluate.Localisation("discs", decibels=45, amplitude=0.1, seeds=20)
-print(evaluate.errors(task.run()).mean())
+    task = evaluate.Localisation("discs", decibels=45, amplitude=0.1, seeds=20)
+    print(evaluate.errors(task.run()).mean())
+
+prints the mean error of all methods, places and seeds (m).
 """
 
 from ohmskin.evaluate.experiments import (

@@ -1,4 +1,4 @@
-"""Where things are: domains, meshes, cells of an image, electrode layouts, rasters."""
+"""Geometry: domains, charts, meshes, cells of an image, electrode layouts, rasters."""
 
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.cells import Cells

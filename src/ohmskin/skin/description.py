@@ -241,8 +241,8 @@ class Skin:
         return _design(self, driven)
 
     def contact_change(self, impedance: Floats | float) -> Floats:
-        """Standard deviation of unseen changes of contact impedances, `impedance`, one or (n_elec,) (ohm): screws on a
-        sprayed sheet change when pressed nearby; every contact counts as having 1 % of the sheet's resistance."""
+        """Standard deviation of unseen changes of contact impedances, `impedance`, one or (n_elec,) (ohm): a fifth, at
+        least of 1 % of the sheet's resistance. Screws on a sprayed sheet change when it is pressed nearby."""
         return np.asarray(_CHANGE * np.maximum(impedance, _LEAST_CONTACT / self.sheet.conductivity))
 
     @property
