@@ -1,9 +1,11 @@
 """Policies compared: what to measure next, by the paper, by position information, and with a memory.
 
-from ohmskin.evaluate import policies
+    from ohmskin.evaluate import policies
 
-task = policies.Static("discs", decibels=40, seeds=20, schemes=("best", "16P"))
-print(policies.static_errors(task.run()).mean(axis=-1))  # (n_schemes, n_readers), metres
+    task = policies.Static("discs", decibels=40, seeds=20, schemes=("best", "16P"))
+    print(policies.static_errors(task.run()).mean(axis=-1))
+
+prints the mean errors (n_schemes, n_readers) in metres.
 """
 
 import ohmskin.plot  # noqa: F401 (which says what to install if Matplotlib is missing)
