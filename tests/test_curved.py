@@ -121,6 +121,21 @@ def test_patches_that_overlap_are_refused() -> None:
         VirtualSkin(replace(Skin.load("sleeve"), contact_layer=ContactLayer(columns=24, rows=24)))
 
 
+@pytest.mark.parametrize(("name", "even"), [("sleeve", 0.0), ("cone", 0.01), ("cap", 0.06), ("vase", 0.02)])
+def test_patches_are_of_one_size_on_the_skin_whatever_the_scale_of_its_map(name: str, even: float) -> None:
+    """On a cap rows cannot follow the scale along them: there the sides differ by so much in the mean."""
+    layer, chart = ContactLayer(), SHEETS[name].chart
+    middles, sides = layer.patches(chart)
+    inside = chart.domain.depth(middles) > 0
+    lengths = (sides * chart.scale(middles))[inside]
+    assert abs(lengths / layer.patch - 1).mean() <= even + 1e-9
+    assert lengths.max() <= layer.patch * (1 + 1e-9)
+    assert inside.sum() == pytest.approx(0.81 * chart.domain.area / layer.patch**2, rel=0.04)
+    apart = shortest(middles[:, None] - middles, chart.domain.period)
+    gaps = np.abs(apart).max(axis=2) - (sides[:, None] + sides) / 2
+    assert gaps[~np.eye(len(sides), dtype=bool)].min() > 0.02 * layer.patch
+
+
 # --- closed bands -----------------------------------------------------------------------------------------------------
 
 

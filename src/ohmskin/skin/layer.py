@@ -3,11 +3,16 @@
 from dataclasses import dataclass
 from math import exp, log, log1p
 
+import numpy as np
+
+from ohmskin.arrays import Floats
 from ohmskin.errors import SkinError
-from ohmskin.geometry import Domain
+from ohmskin.geometry import Chart
 from ohmskin.skin.checks import number
 
 _COVERED = 0.9  # share of a layer's length that patches cover, unless described otherwise
+_MOST_COVERED = 0.95  # of the shorter side of the cell that a patch has
+_FINE = 128  # places along each side of a map at which its scale is looked at
 _STRETCH = 0.6  # of the logarithm of pressure, in which hysteresis has turned to 1/e; above its largest gap
 _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
 
@@ -16,7 +21,8 @@ _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
 class ContactLayer:
     """Floating conductive patches on foam that short the sheet where they are pressed on it.
 
-    There are `columns` x `rows` of them or, where these are 0, as many as leave gaps of a tenth. The conductance per
+    There are `columns` x `rows` of them on the skin's map or, where these are 0, as many as leave gaps of a tenth on
+    the skin: in rows, each with as many as fit in it. `patch` is a side of each, on the skin. The conductance per
     area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has a memory: when a
     press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting press what acts
     grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure
@@ -45,19 +51,76 @@ class ContactLayer:
     creep: float = number(0.0, 0, 1)
     creep_time: float = number(10.0, 1e-3, 1e5, "s")
 
-    def counts(self, domain: Domain) -> tuple[int, int]:
-        """Columns and rows of patches on a map of that `domain`.
+    def number_on(self, chart: Chart) -> int:
+        """About how many patches there are on a map, those off its sheet included.
+
+        Args:
+            chart: The map of the skin.
+        """
+        if self._regular(chart):
+            return int(np.prod(self._counts(chart)))
+        return round(_COVERED**2 * chart.domain.area / self.patch**2)
+
+    def patches(self, chart: Chart) -> tuple[Floats, Floats]:
+        """Middles (n, 2) of the patches on a map, and the sides (n,) of these squares there (m); some may be off the
+        sheet.
+
+        Args:
+            chart: The map of the skin.
 
         Raises:
             SkinError: If patches would overlap.
         """
-        x0, y0, x1, y1 = domain.bounds
-        fitting = [max(1, round(_COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0)]
-        columns, rows = self.columns or fitting[0], self.rows or fitting[1]
-        if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
-            over = f"{columns} x {rows} patches of {self.patch:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
-            raise SkinError(f"{over}; lower contact_layer.columns, rows or patch, or leave columns and rows out")
-        return columns, rows
+        x0, y0, x1, y1 = chart.domain.bounds
+        if self._regular(chart):
+            columns, rows = self._counts(chart)
+            x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
+            y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
+            middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+            sides = self.patch / chart.scale(middles)
+            pitch, widest = min((x1 - x0) / columns, (y1 - y0) / rows), float(sides.max())
+            if pitch < widest * (1 - 1e-9) and columns * rows > 1:
+                over = f"{columns} x {rows} patches of {widest:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
+                raise SkinError(f"{over}; lower contact_layer.columns, rows or patch, or leave columns and rows out")
+            return middles, sides
+        x, y = (low + (high - low) * (np.arange(_FINE) + 0.5) / _FINE for low, high in ((x0, x1), (y0, y1)))
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
+        scale = chart.scale(grid.reshape(-1, 2)).reshape(_FINE, _FINE)
+        inside = chart.domain.depth(grid.reshape(-1, 2)).reshape(_FINE, _FINE) > 0
+        inside[~inside.any(axis=1)] = True
+        means = np.average(scale, axis=1, weights=inside)
+        scale = np.where(inside, scale, means[:, None])
+        found = list[Floats]()
+        for low, high in self._divided(y0, y1, means):
+            row = scale[np.argmin(np.abs(y - (low + high) / 2))]
+            for left, right in self._divided(x0, x1, row):
+                middle = (left + right) / 2, (low + high) / 2
+                found.append(np.array([*middle, right - left, high - low]))
+        cells = np.array(found)
+        sides = np.minimum(self.patch / chart.scale(cells[:, :2]), _MOST_COVERED * cells[:, 2:].min(axis=1))
+        return cells[:, :2], sides
+
+    def _regular(self, chart: Chart) -> bool:
+        """Whether patches are in columns on the map."""
+        return chart.flat or bool(self.columns or self.rows)
+
+    def _counts(self, chart: Chart) -> tuple[int, int]:
+        """Columns and rows of patches."""
+        x0, y0, x1, y1 = chart.domain.bounds
+        columns, rows = (max(1, round(_COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0))
+        return self.columns or columns, self.rows or rows
+
+    def _divided(self, low: float, high: float, scale: Floats) -> Floats:
+        """Ends (n, 2) of the parts of a length of the map that are as long on the skin as a patch and its gap.
+
+        Args:
+            low, high: Its ends (m).
+            scale: (n,) metres on the skin for a metre on the map, at the middles of as many equal parts of it.
+        """
+        along = np.append(0.0, np.cumsum(scale)) * (high - low) / len(scale)
+        count = max(1, round(_COVERED * float(along[-1]) / self.patch))
+        ends = np.interp(along[-1] * np.arange(count + 1) / count, along, np.linspace(low, high, len(along)))
+        return np.stack([ends[:-1], ends[1:]], axis=1)
 
     @property
     def remembers(self) -> bool:

@@ -95,8 +95,7 @@ class PressedSheet:
         self, skin: Skin, contact_factors: ArrayLike = 1.0, model: TransferModel | None = None, contacts: int = 8
     ) -> None:
         layer, size = skin.contact_layer, 0.66 * skin.imaging.mesh_size
-        patches = int(np.prod(layer.counts(skin.domain)))
-        check_patches(patches, 1.15 * min(layer.patch**2, skin.domain.area) / size**2)
+        check_patches(layer.number_on(skin.chart), 1.15 * min(layer.patch**2, skin.domain.area) / size**2)
         if model is None:
             mesh = skin.mesh_for(skin.discs, size)
             factors = np.broadcast_to(np.asarray(contact_factors, float), len(skin.electrodes))
@@ -120,17 +119,14 @@ class PressedSheet:
 
     def _contacts(self, count: int) -> tuple[Floats, Ints, Floats]:
         """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
-        layer, (x0, y0, x1, y1) = self.skin.contact_layer, self.skin.domain.bounds
-        columns, rows = layer.counts(self.skin.domain)
-        x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
-        y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
-        centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        middles, widths = self.skin.contact_layer.patches(self.skin.chart)
         even = np.arange(count + 1) / count
-        ends = layer.patch * ((1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even))
+        ends = (1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even)
         middle, side = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
         offsets, sizes = (np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2) for one in (middle, side))
-        points = (centres[:, None] + offsets).reshape(-1, 2)
-        return points, np.repeat(np.arange(len(centres)), len(offsets)), np.tile(sizes, (len(centres), 1))
+        points, sides = (widths[:, None, None] * one for one in (offsets, sizes))
+        numbers = np.repeat(np.arange(len(middles)), len(offsets))
+        return (middles[:, None] + points).reshape(-1, 2), numbers, sides.reshape(-1, 2)
 
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
