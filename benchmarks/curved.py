@@ -36,6 +36,7 @@ RADIUS, PRESSURE = 8e-3, 15e3  # m, Pa
 FRAMES, AFTER = 10, 12
 MISSED = 30e-3  # m
 DECIBELS = 50.0
+RESAMPLES = 2000
 ASKED, NORMAL = 1.2, 5.0  # times the flat skin's error; degrees
 GRID, EVEN = ElectrodeLayout(), ElectrodeLayout(layout="even", count=16)
 HALF = Sheet(shape="cylinder", radius=0.05, height=0.25, angle=np.pi)
@@ -112,19 +113,27 @@ def measure(name: str, count: int, seed: int, mode: str) -> Found:
     return Found(errors, normals, invented)
 
 
-def row(name: str, found: list[Found], flat: float) -> str:
+def ratio(errors: Floats, flat: Floats) -> str:
+    """A mean error over that of a flat skin, with a 95 % interval: places drawn anew, with replacement."""
+    random = np.random.default_rng(0)
+    drawn = [random.choice(one, (RESAMPLES, len(one))) for one in (errors, flat)]
+    low, high = np.percentile(np.nanmean(drawn[0], axis=1) / np.nanmean(drawn[1], axis=1), [2.5, 97.5])
+    return f"{np.nanmean(errors) / np.nanmean(flat):.2f} ({low:.2f} to {high:.2f})"
+
+
+def row(name: str, found: list[Found], flat: Floats) -> str:
     """A skin as a line of a Markdown table."""
     errors, normals = (np.concatenate([getattr(one, key) for one in found]) for key in ("errors", "normals"))
     missed, invented = int(np.isnan(errors).sum()), sum(one.invented for one in found)
     mean, seeds = np.nanmean(errors), ", ".join(f"{1e3 * np.nanmean(one.errors):.2f}" for one in found)
     worst = f"{1e3 * np.nanmax(errors):.1f} mm | {missed}, {invented} of {len(errors)}"
-    return f"| {name} | {1e3 * mean:.2f} mm ({seeds}) | {mean / flat:.2f} | {worst} | {np.nanmax(normals):.1f}° |"
+    return f"| {name} | {1e3 * mean:.2f} mm ({seeds}) | {ratio(errors, flat)} | {worst} | {np.nanmax(normals):.1f}° |"
 
 
-def holds(found: list[Found], flat: float) -> bool:
+def holds(found: list[Found], flat: Floats) -> bool:
     """Whether a skin's errors, misses and normals are within what was asked."""
     errors, normals = (np.concatenate([getattr(one, key) for one in found]) for key in ("errors", "normals"))
-    return bool(np.isfinite(errors).all() and errors.mean() <= ASKED * flat and normals.max() <= NORMAL)
+    return bool(np.isfinite(errors).all() and errors.mean() <= ASKED * np.nanmean(flat) and normals.max() <= NORMAL)
 
 
 def main() -> None:
@@ -139,13 +148,13 @@ def main() -> None:
     head = (
         "skin, layout",
         "mean error on the surface (each seed)",
-        "against flat",
+        "against flat (95 %)",
         "worst",
         "missed, invented",
         "normal",
     )
     print(f"| {' | '.join(head)} |\n{'|---' * len(head)}|", flush=True)
-    exceeded, flat = list[str](), np.nan
+    exceeded, flat = list[str](), np.full(1, np.nan)
     with ProcessPoolExecutor(chosen.jobs) as pool:
         asked = {
             name: [pool.submit(measure, name, chosen.places, seed, chosen.mode) for seed in range(chosen.seeds)]
@@ -153,7 +162,7 @@ def main() -> None:
         }
         for name, waiting in asked.items():
             found = [one.result() for one in waiting]
-            flat = float(np.nanmean([one.errors for one in found])) if name == FLAT else flat
+            flat = np.concatenate([one.errors for one in found]) if name == FLAT else flat
             print(row(name, found, flat), flush=True)
             if name in TO_HOLD and not holds(found, flat):
                 exceeded.append(name)

@@ -124,10 +124,13 @@ def test_presses_not_felt_are_counted_and_left_out() -> None:
 def test_a_plan_stays_on_the_sheet_and_loads_and_unloads() -> None:
     for name in ("paper", "tank"):
         skin = Skin.load(name)
-        plan = press_plan(skin, [2.0, 1.0, 4.0], places=4)
+        plan = press_plan(skin, [2.0, 1.0, 4.0], places=5)
         assert [step.force for step in plan[:5]] == [1, 2, 4, 2, 1]
         assert [step.loading for step in plan[:5]] == [True, True, True, False, False]
-        assert len({step.at for step in plan}) == 4
+        at = np.array(sorted({step.at for step in plan}))
+        assert len(at) == 5
+        assert (np.ptp(at, axis=0) > 0.4 * np.ptp(np.reshape(skin.domain.bounds, (2, 2)), axis=0)).all()
+        assert np.linalg.norm(at[:, None] - skin.electrodes.positions, axis=2).min() > 0.2 * np.sqrt(skin.domain.area / 16)
         assert (skin.domain.depth([step.at for step in plan]) > 0).all()
     assert "put 102 g in total (1.00 N) at x 100 mm, y 100 mm" in str(press_plan(PAPER, [1.0, 2.0])[0])
     with pytest.raises(SkinError, match="two or more"):

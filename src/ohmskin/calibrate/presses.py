@@ -8,11 +8,17 @@ import numpy as np
 from ohmskin.calibrate.force import PressSample
 from ohmskin.contacts import Contact
 from ohmskin.errors import SkinError
+from ohmskin.geometry.mesh import shortest
 from ohmskin.scan import Difference
 from ohmskin.skin import Skin
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity (m/s2)."""
+_PLASTIC = (
+    1.32471795724  # x^3 = x + 1: multiples of its powers fill a square evenly, as those of the golden ratio a line
+)
+_FREE = 0.25  # of the usual distance between electrodes, that places keep from them: there a contact is felt otherwise
+_CHOICE = 6  # places looked at for each that is pressed
 _REACH = 0.03  # m from where it was asked for within which a contact is taken for the press
 
 
@@ -38,7 +44,7 @@ class PressStep:
 
 
 def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[PressStep, ...]:
-    """At each of some places spread over the sheet, the forces upwards and downwards again.
+    """At each of some places spread over the sheet, away from electrodes, the forces upwards and downwards again.
 
     Args:
         skin: The skin to press.
@@ -54,15 +60,20 @@ def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[Pr
     if not 1 <= places <= 100:
         raise SkinError(f"{places} places; it must be 1 to 100")
     x0, y0, x1, y1 = skin.domain.bounds
-    golden = (np.sqrt(5) - 1) / 2
-    others = ((0.5 + k * golden, 0.5 + k * golden**2 * 1.32471796) for k in range(1, 50 * places))
-    candidates = [(0.5, 0.5), *((a % 1, b % 1) for a, b in others)]
+    candidates = np.mod(0.5 + np.outer(np.arange(50 * places), [1 / _PLASTIC, 1 / _PLASTIC**2]), 1.0)
     margin = 0.12 * min(x1 - x0, y1 - y0)
-    points = [(x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a, b in candidates]
-    inside = [point for point in points if skin.domain.depth([point])[0] > margin][:places]
+    points = np.array([x0, y0]) + candidates * np.array([x1 - x0, y1 - y0])
+    away = np.linalg.norm(shortest(points[:, None] - skin.electrodes.positions, skin.domain.period), axis=2).min(axis=1)
+    free = away > _FREE * np.sqrt(skin.domain.area / len(skin.electrodes))
+    inside = points[free & (skin.domain.depth(points) > margin)][: _CHOICE * places]
+    gaps, chosen = np.full(len(inside), np.inf), list[tuple[float, float]]()
+    while len(chosen) < min(places, len(inside)):  # the first, then each as far as can be from all before
+        x, y = inside[int(gaps.argmax())].tolist()
+        gaps = np.minimum(gaps, np.linalg.norm(shortest(inside - [x, y], skin.domain.period), axis=1))
+        chosen.append((x, y))
     up = [(force, True) for force in levels]
     down = [(force, False) for force in levels[-2::-1]]
-    return tuple(PressStep(at, force, loading) for at in inside for force, loading in up + down)
+    return tuple(PressStep(at, force, loading) for at in chosen for force, loading in up + down)
 
 
 class PressGuide:
