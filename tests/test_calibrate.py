@@ -130,7 +130,8 @@ def test_a_plan_stays_on_the_sheet_and_loads_and_unloads() -> None:
         at = np.array(sorted({step.at for step in plan}))
         assert len(at) == 5
         assert (np.ptp(at, axis=0) > 0.4 * np.ptp(np.reshape(skin.domain.bounds, (2, 2)), axis=0)).all()
-        assert np.linalg.norm(at[:, None] - skin.electrodes.positions, axis=2).min() > 0.2 * np.sqrt(skin.domain.area / 16)
+        apart = np.sqrt(skin.domain.area / 16)
+        assert np.linalg.norm(at[:, None] - skin.electrodes.positions, axis=2).min() > 0.2 * apart
         assert (skin.domain.depth([step.at for step in plan]) > 0).all()
     assert "put 102 g in total (1.00 N) at x 100 mm, y 100 mm" in str(press_plan(PAPER, [1.0, 2.0])[0])
     with pytest.raises(SkinError, match="two or more"):
