@@ -9,21 +9,20 @@ from functools import partial
 from math import log, sqrt
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import minimize, nnls
+from scipy.optimize import nnls
 from scipy.special import stdtr, stdtrit
 
-from ohmskin.arrays import Bools, Floats, Ints
+from ohmskin.arrays import Bools, Floats
 from ohmskin.calibrate.networks import can_train, trained
+from ohmskin.calibrate.processes import regress
 from ohmskin.errors import DataError
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.sensing import SkinModel
 from ohmskin.sensing.learned import one_contact
-from ohmskin.skin.positions import PositionMap, Regression, Similarity, kernel
+from ohmskin.skin.positions import PositionMap, Similarity
 
 _LEAST = 8  # presses
-_FEATURES, _TUNED = 24, 500  # features; presses that hyperparameters are tuned on
-_INDUCING = 200, 400  # inducing points of positions alone, and with features
+_FEATURES = 24
 _FOLDS = 5
 _MANY = 80  # presses from which networks are trained, too
 _KNOWN, _RATE = 500, 0.01  # presses kept to tell what is unlike them, and the share of false alarms
@@ -32,7 +31,6 @@ _LIMITS = 1e-3, 0.9  # of distances; changes that have nothing to do with presse
 _COUNTS = (20, 50, 100, 200, 500, 1000)  # presses of a learning curve
 _OWN_SCALE, _OWN_TURN, _OWN_SHIFT = 1.25, np.deg2rad(20), 0.2  # within which another frame is the sheet's own
 _NINETY = 4.605  # squared Mahalanobis distance within which are 90 % of a plane's normal distribution
-_JITTER = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,71 +234,13 @@ def _learn(
     basis = directions[:_FEATURES]
     features = changes @ basis.T
     at = np.hstack([found, features])
-    near, full = _regress(found, left, size), _regress(at, left, size)
+    near, full = regress(found, left, size), regress(at, left, size)
     sizes = np.maximum(np.linalg.norm(changes, axis=1, keepdims=True), 1e-300)
     known = (features / sizes)[np.random.default_rng(2).permutation(len(features))[:_KNOWN]]
     quadruples, networks = pattern.quadruples.astype(float), trained(at, left) if len(at) >= _MANY else None
     return PositionMap(
         registration, own, basis, quadruples, near, full, np.ones(2), known, 1.0, _RATE, np.zeros(2), 0.0, networks
     )
-
-
-def _regress(at: Floats, offsets: Floats, size: float) -> Regression:
-    """A Gaussian process of offsets (n, 2) at positions and features (n, 2 + n_features)."""
-    amplitudes, lengths, noise = _tuned(at, offsets, size)
-    chosen = _spread(at, amplitudes, lengths)
-    inducing = at[chosen]
-    variance = float((amplitudes[: 1 + (at.shape[1] > 2)] ** 2).sum())
-    own = kernel(inducing, inducing, amplitudes, lengths) + _JITTER * variance * np.eye(len(chosen))
-    cross = kernel(at, inducing, amplitudes, lengths)
-    data = own + cross.T @ cross / noise**2
-    weights = np.asarray(np.linalg.solve(data, cross.T @ offsets) / noise**2, float)
-    lowered = np.linalg.inv(own) - np.linalg.inv(data)
-    values, vectors = np.linalg.eigh((lowered + lowered.T) / 2)
-    root: Floats = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    factor = np.asarray(np.linalg.qr(root[:, ::-1]).R[::-1, ::-1], float)  # triangular, which is half to keep
-    return Regression(inducing, weights, factor, amplitudes, lengths, noise)
-
-
-def _tuned(at: Floats, offsets: Floats, size: float) -> tuple[Floats, Floats, float]:
-    """Amplitudes, length scales and noise of the largest posterior density, of some presses."""
-    some = slice(None, None, -(-len(at) // _TUNED))
-    at, offsets = at[some], offsets[some]
-    usual = max(float(offsets.std()), 1e-6 * size)
-    apart = at[:, 2:] - at[:, 2:].mean(axis=0)
-    spread = np.sqrt(2 * max(float((apart**2).sum(axis=1).mean()), 1e-12))
-    middle = np.log([usual, usual, 0.25 * size, spread, 0.5 * usual])
-    widths = np.array([1.0, 1.0, 0.7, 1.0, 1.0])
-
-    def unlikely(logs: Floats) -> float:
-        a, b, c, d, noise = np.exp(logs)
-        covariance = kernel(at, at, np.array([a, b]), np.array([c, d])) + (noise**2 + 1e-9 * a**2) * np.eye(len(at))
-        try:
-            lower = np.linalg.cholesky(covariance)
-        except np.linalg.LinAlgError:
-            return 1e12
-        white = solve_triangular(lower, offsets, lower=True)
-        density = 0.5 * (white**2).sum() + offsets.shape[1] * np.log(np.diag(lower)).sum()
-        return float(density + 0.5 * (((logs - middle) / widths) ** 2).sum())
-
-    bounds = [(one - 4 * width, one + 4 * width) for one, width in zip(middle, widths, strict=True)]
-    best = np.exp(minimize(unlikely, middle, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25}).x)
-    return best[:2], best[2:4], float(best[4])
-
-
-def _spread(at: Floats, amplitudes: Floats, lengths: Floats) -> Ints:
-    """Numbers of inducing points: each where those before say least (pivoted Cholesky)."""
-    count = min(len(at), _INDUCING[at.shape[1] > 2])
-    variance = float((amplitudes[: 1 + (at.shape[1] > 2)] ** 2).sum())
-    left, rows, chosen = np.full(len(at), variance), np.empty((count, len(at))), np.empty(count, np.int64)
-    for k in range(count):
-        chosen[k] = left.argmax()
-        if left[chosen[k]] < _JITTER * variance:
-            return chosen[:k]
-        row = kernel(at[chosen[k]][None], at, amplitudes, lengths)[0] - rows[:k, chosen[k]] @ rows[:k]
-        rows[k] = row / np.sqrt(left[chosen[k]])
-        left = left - rows[k] ** 2
-    return chosen
 
 
 def _scattered(values: Floats, known: Bools) -> Floats:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
+from threadpoolctl import threadpool_limits
 
 import ohmskin
 from ohmskin.calibrate.channels import judge_channels
@@ -59,7 +60,7 @@ def learn(
     when = datetime.now(UTC).isoformat(timespec="seconds")
     found = replace(description.calibration, date=when, version=ohmskin.__version__, made_for=description.digest)
     judged = report = None
-    with Progress(console=Console(stderr=True), transient=True) as shown:
+    with threadpool_limits(1, "blas"), Progress(console=Console(stderr=True), transient=True) as shown:
         if channels:
             task = shown.add_task("judging channels", total=1.0)
             judged = judge_channels(
