@@ -77,7 +77,6 @@ class Skin:
 
     Raises:
         SkinError: If an entry is out of range, or tables do not fit each other.
-        GeometryError: If the sheet or the electrodes cannot be used.
     """
 
     name: str = "paper"
@@ -280,7 +279,7 @@ class Skin:
 
         Raises:
             SkinError: If it would take too much time or memory.
-            GeometryError: If the sheet cannot be meshed so.
+            GeometryError: If the sheet cannot be meshed so, or electrodes are off it.
         """
         size = size or self.imaging.mesh_size
         check_expense(self.domain, len(candidate_pairs(electrodes, self.domain.period)), size)
@@ -299,7 +298,7 @@ class Skin:
         return np.asarray((self.sheet.strained(mesh.centroids).T * even).T)
 
     def transfer_model(self) -> TransferModel:
-        """The estimator's forward model of the untouched sheet, factorised; made once."""
+        """The estimator's forward model of the untouched sheet, factorised; made once. Errors as of `mesh_for`."""
         return _transfer_model(self)
 
     def contact_table(self, model: TransferModel) -> ContactTable:
