@@ -158,14 +158,16 @@ class FaultDetector:
         data, kept, whole = self._data(scans, before.bad)
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise
-        times = self._times(scans)
-        if self._window:
-            remedy = without_offset(data, kept, times) or without_spikes(data, kept)
-            if remedy is None and Cause("offset") in before.lately:  # a finger may have come since the older scans
+        times, hum = self._times(scans), Cause("offset") in before.lately
+        remedy = without_offset(data, kept, times) if self._window or hum else None  # what was lately so mostly is still
+        if self._window and remedy is None:
+            remedy = without_spikes(data, kept)
+            if remedy is None and hum:  # a finger may have come since the older scans
                 data, kept, _ = self._data(scans[:newest], before.bad)
                 remedy = without_offset(data, kept, times[: len(kept)])
-            return remedy, whole.noise
-        return likeliest(data, kept, whole, times, self._most - len(before.bad)), whole.noise
+        elif remedy is None:
+            remedy = likeliest(data, kept, whole, times, self._most - len(before.bad))
+        return remedy, whole.noise
 
     def _watched(
         self, bad: Mapping[int, tuple[int, float]], scans: Sequence[Difference], elapsed: float, blamed: set[int]
