@@ -124,6 +124,8 @@ LONG = {
     "test_firmware.py::test_ten_seconds_of_fuzzing": "requests by hypothesis",
     "test_firmware_loop.py::test_a_late_sample": "a bad line in the same emulator",
     "test_firmware_loop.py::test_a_session_finds": "frames of the same board in the same emulator",
+    "test_forces.py::test_forces_that_swell": "forces that change, and what is stated of them, in the same file",
+    "test_forces.py::test_no_force_is_told*[[]12": "another seed",
     "test_forces.py::test_ten_known": "the same presses of one skin in test_presses.py",
     "test_foam.py::test_forces_are_followed": "forces that change in test_forces.py, and what foam adds in this file",
     "test_fuzzing.py::test_ten_seconds": "some mutations of each kind",
