@@ -159,7 +159,7 @@ class FaultDetector:
         if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
             return None, whole.noise
         times, hum = self._times(scans), Cause("offset") in before.lately
-        remedy = without_offset(data, kept, times) if self._window or hum else None  # what was lately so mostly is still
+        remedy = without_offset(data, kept, times) if self._window or hum else None  # mostly it lasts
         if self._window and remedy is None:
             remedy = without_spikes(data, kept)
             if remedy is None and hum:  # a finger may have come since the older scans
