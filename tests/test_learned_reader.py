@@ -1,7 +1,8 @@
 """The learned reader: one contact where presses taught that it is, physics for all that is unlike those presses."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from ohmskin.calibrate import judge_channels, learn_positions, read_places
 from ohmskin.drive import Fixed
 from ohmskin.errors import ModelError
 from ohmskin.scan import DrivePattern, Frame
-from ohmskin.sensing import Percept, Sensor, SkinModel, build, mode_named, modes
+from ohmskin.sensing import Diagnosis, Percept, Sensor, SkinModel, build, mode_named, modes
 from ohmskin.skin import Skin
 
 TAUGHT, PRESSES = 150, 230
@@ -104,3 +105,27 @@ def test_two_presses_and_data_not_of_the_skin_are_left_to_physics_and_told_in_wo
     for frame in first[:10]:
         strange = replace(frame, voltages=rest + random.permutation(frame.voltages - rest))
         assert all(contact.confidence <= 0.5 for contact in seen(used, strange).detections)
+
+
+def _at(frame: Frame, time: float, _: DrivePattern) -> Frame:
+    return replace(frame, time=time)
+
+
+def test_frames_like_those_learned_from_are_examined_for_faults_in_their_turn_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given, _ = learned()
+    used = sensor("16L")
+    examine, examined = used.detector.examine, list[Diagnosis]()
+
+    def counted(before: Diagnosis, *others: Any) -> Any:
+        examined.append(before)
+        return examine(before, *others)
+
+    monkeypatch.setattr(used.detector, "examine", counted)
+    state, contacts = used.start(), 0
+    for k, frame in enumerate(given.frames[:48]):  # before it drifts
+        state, percept = used.step(state, partial(_at, frame, 0.03 * k))
+        contacts += percept.belief.novel == 0 and bool(percept.detections)
+    assert contacts > 40
+    assert 6 <= len(examined) <= 20  # one in eight, and those that are outliers
