@@ -11,7 +11,7 @@ from ohmskin.geometry import Chart
 from ohmskin.skin.checks import number
 
 _COVERED = 0.9  # share of a layer's length that patches cover, unless described otherwise
-_MOST_COVERED = 0.95  # of the shorter side of the cell that a patch has
+_ALONG = 1.1  # by which the scale of a map may change along a row of patches of one size
 _FINE = 128  # places along each side of a map at which its scale is looked at
 _STRETCH = 0.6  # of the logarithm of pressure, in which hysteresis has turned to 1/e; above its largest gap
 _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
@@ -21,12 +21,13 @@ _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
 class ContactLayer:
     """Floating conductive patches on foam that short the sheet where they are pressed on it.
 
-    There are `columns` x `rows` of them on the skin's map or, where these are 0, as many as leave gaps of a tenth on
-    the skin: in rows, each with as many as fit in it. `patch` is a side of each, on the skin. The conductance per
-    area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has a memory: when a
-    press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting press what acts
-    grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure
-    falls to 0 within `foam_spread`.
+    There are `columns` x `rows` of them, equal on the skin's map, or, where these are 0, as many as leave gaps of a
+    tenth. Then they are as large as `patch` on the skin where the scale of its map changes in one direction alone, as
+    on a cone; where it changes in both, as on a cap, they are equal on the map, and on the skin in the mean. The
+    conductance per area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has
+    a memory: when a press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting
+    press what acts grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure falls to 0
+    within `foam_spread`.
 
     Args:
         columns, rows: Number of patches along x and y, 0 to 256.
@@ -57,12 +58,10 @@ class ContactLayer:
         Args:
             chart: The map of the skin.
         """
-        if self._regular(chart):
-            return int(np.prod(self._counts(chart)))
-        return round(_COVERED**2 * chart.domain.area / self.patch**2)
+        return int(np.prod(self._counts(chart)))
 
     def patches(self, chart: Chart) -> tuple[Floats, Floats]:
-        """Middles (n, 2) of the patches on a map, and the sides (n,) of these squares there (m); some may be off the
+        """Middles (n, 2) of the patches on a map, and their sides (n, 2) along x and y there (m); some may be off the
         sheet.
 
         Args:
@@ -71,41 +70,37 @@ class ContactLayer:
         Raises:
             SkinError: If patches would overlap.
         """
+        if chart.flat or self.columns or self.rows:
+            return self._regular(chart)
         x0, y0, x1, y1 = chart.domain.bounds
-        if self._regular(chart):
-            columns, rows = self._counts(chart)
-            x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
-            y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
-            middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-            sides = self.patch / chart.scale(middles)
-            pitch, widest = min((x1 - x0) / columns, (y1 - y0) / rows), float(sides.max())
-            if pitch < widest * (1 - 1e-9) and columns * rows > 1:
-                over = f"{columns} x {rows} patches of {widest:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
-                raise SkinError(f"{over}; lower contact_layer.columns, rows or patch, or leave columns and rows out")
-            return middles, sides
         x, y = (low + (high - low) * (np.arange(_FINE) + 0.5) / _FINE for low, high in ((x0, x1), (y0, y1)))
-        grid = np.stack(np.meshgrid(x, y), axis=-1)
-        scale = chart.scale(grid.reshape(-1, 2)).reshape(_FINE, _FINE)
-        inside = chart.domain.depth(grid.reshape(-1, 2)).reshape(_FINE, _FINE) > 0
-        inside[~inside.any(axis=1)] = True
-        means = np.average(scale, axis=1, weights=inside)
-        scale = np.where(inside, scale, means[:, None])
-        found = list[Floats]()
-        for low, high in self._divided(y0, y1, means):
-            row = scale[np.argmin(np.abs(y - (low + high) / 2))]
-            for left, right in self._divided(x0, x1, row):
-                middle = (left + right) / 2, (low + high) / 2
-                found.append(np.array([*middle, right - left, high - low]))
-        cells = np.array(found)
-        sides = np.minimum(self.patch / chart.scale(cells[:, :2]), _MOST_COVERED * cells[:, 2:].min(axis=1))
-        return cells[:, :2], sides
+        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        scale = chart.scale(grid).reshape(_FINE, _FINE)
+        inside = np.where(chart.domain.depth(grid).reshape(_FINE, _FINE) > 0, scale, np.nan)
+        inside[np.isnan(inside).all(axis=1)] = scale.mean()
+        if (np.nanmax(inside, axis=1) > _ALONG * np.nanmin(inside, axis=1)).any():
+            return self._regular(chart)
+        cells = [
+            ((left + right) / 2, (low + high) / 2, right - left, high - low)
+            for low, high in self._divided(y0, y1, np.nanmean(inside, axis=1))
+            for left, right in self._divided(x0, x1, scale[np.argmin(np.abs(y - (low + high) / 2))])
+        ]
+        middles, sides = np.split(np.array(cells), 2, axis=1)
+        return middles, _COVERED * sides
 
-    def _regular(self, chart: Chart) -> bool:
-        """Whether patches are in columns on the map."""
-        return chart.flat or bool(self.columns or self.rows)
+    def _regular(self, chart: Chart) -> tuple[Floats, Floats]:
+        """Patches in columns and rows, equal on the map."""
+        (columns, rows), (x0, y0, x1, y1) = self._counts(chart), chart.domain.bounds
+        if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
+            over = f"{columns} x {rows} patches of {self.patch:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
+            raise SkinError(f"{over}; lower contact_layer.columns, rows or patch, or leave columns and rows out")
+        x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
+        y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
+        middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return middles, np.full(middles.shape, self.patch)
 
     def _counts(self, chart: Chart) -> tuple[int, int]:
-        """Columns and rows of patches."""
+        """Columns and rows of patches that are equal on the map."""
         x0, y0, x1, y1 = chart.domain.bounds
         columns, rows = (max(1, round(_COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0))
         return self.columns or columns, self.rows or rows

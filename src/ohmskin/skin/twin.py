@@ -124,7 +124,7 @@ class PressedSheet:
         ends = (1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even)
         middle, side = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
         offsets, sizes = (np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2) for one in (middle, side))
-        points, sides = (widths[:, None, None] * one for one in (offsets, sizes))
+        points, sides = (widths[:, None] * one for one in (offsets, sizes))
         numbers = np.repeat(np.arange(len(middles)), len(offsets))
         return (middles[:, None] + points).reshape(-1, 2), numbers, sides.reshape(-1, 2)
 
