@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import ohmskin
-from flawed import CURRENT, Flawed, flawed_skin
+from flawed import CURRENT, Flawed, flawed_skin, weaker_skin
 from scipy.io import savemat
 
 from ohmskin.arrays import Floats
@@ -68,6 +68,20 @@ def test_known_presses_make_unseen_ones_better_the_more_the_better_and_few_no_wo
     assert np.mean(ratios[100]) <= 0.7
     assert np.mean(ratios[300]) <= 0.5
     assert 0.7 <= np.mean(inside) <= 0.97  # the flawed skin drifts, from presses learned from to unseen ones, too
+
+
+def test_a_skin_with_a_weaker_layer_is_learned_from_a_hundred_presses_and_not_spoilt_by_twenty() -> None:
+    given = weaker_skin(204, 200)
+    judged = judge_channels(given.skin, given.quiet, given.frames[:100])
+    skin = replace(given.skin, calibration=judged.put_into(given.skin.calibration))
+    for described, count, most in ((given.skin, 20, 1.1), (skin, 100, 0.7)):  # too few to judge channels by; enough
+        known = SkinModel(described, described.transfer_model(), given.quiet)
+        found, changes = read_places(known, given.frames)
+        report = taught(given, found, changes, count)
+        places, variances = report.map(found[100:], np.nan_to_num(changes[100:]))
+        before, after = (np.linalg.norm(one - given.positions[100:], axis=1) for one in (found[100:], places))
+        assert after.mean() <= most * before.mean()
+        assert np.mean(after**2 < 4.605 * variances) >= 0.75
 
 
 def test_presses_in_a_robots_frame_register_it_and_leave_contacts_on_the_sheet() -> None:

@@ -147,6 +147,7 @@ LONG = {
     "test_layout.py::test_layouts_of_curved*[[]triangle": "the same on a sleeve",
     "test_gestures.py::test_training_makes": "the model that ships tells the same simulated gestures",
     "test_learn.py::test_known_presses": "the same on one skin with fewer presses",
+    "test_learn.py::test_a_skin_with_a_weaker": "a skin with other flaws and fewer presses",
     "test_learn.py::test_presses_in_a_robots": "the same presses in the skin's frame",
     "test_live_browser.py::test_a_finger": "presses on the same page",
     "test_meshed.py::test_a_press_on_a_skin_cut*[[]ring": "a patch, and a sleeve in test_curved.py",
