@@ -66,7 +66,7 @@ class Tape(Closing):
         metadata: Texts by name: ``ohmskin`` (versions, when), ``device``, ``raster``.
         skin: The skin's description as TOML; empty if the file has none.
         notes: What is wrong with the file, in plain words.
-        frames: (n) `FrameRecord` in the order scanned, those of the calibrations included.
+        frames: (n,) `FrameRecord` in the order scanned, those of the calibrations included.
         times: (n,) when each frame arrived (s), 0 at the first one behind the calibration; never decreasing.
         roles: (n,) what each was scanned for (`Role`).
         touches, images, log: `TouchRecord`, pixels (ny, nx) and sentences, in order.
