@@ -100,6 +100,10 @@ def runs(words: list[str]) -> bool:
     return not (words[0] in ELSEWHERE or (words[0] in STUDIES and "--only" in words) or {*words} & OF_OTHERS)
 
 
+LEAVE_NOTHING = {"live", "patches", "self-test", "check-device", "press", "replay"}  # are not run for a second page
+RAN = set[tuple[object, ...]]()
+
+
 def run_all(page: Path, folder: Path, device: str) -> list[str]:
     """Run the commands of a page in a folder, one after the other, for seconds instead of for ever; their names."""
     ran = []
@@ -114,10 +118,13 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
             if words[0] == "patches" and "--record" in words:
                 words[-1] = "60"  # s, until its skins are there on a busy machine, too
             words += ["--name", "documentation"] if "--publish" in words and words[0] == "live" else []  # not "skin"
+            ran.append(words[0])
+            if words[0] in LEAVE_NOTHING and (*words, device == "virtual:") in RAN:
+                continue
+            RAN.add((*words, device == "virtual:"))
             words = [device if word in DEVICES else word.replace("eth0", "lo") for word in words]
             done = (alone if words[0] == "robot" else ohmskin)(*words, cwd=folder)
             assert done.returncode == int("--fault" in words), f"{words}: {done.stderr}"  # 1: it found the fault
-            ran.append(words[0])
     return ran
 
 
