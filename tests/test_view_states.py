@@ -15,7 +15,7 @@ from ohmskin.view import LiveView
 
 ELECTRODE_4, RIM = (0.2, 0.0667), (0.03, 0.2)  # m
 UNKNOWN = {
-    "lost": ("the device is lost", "Device lost: cable; reconnecting."),
+    "lost": ("the device is lost", "Device lost: is “ohmskin serve-skin” running? Reconnecting."),
     "calibrating": ("the skin is being calibrated", "Calibrating: keep the skin untouched."),
 }
 
@@ -61,7 +61,8 @@ def test_where_nobody_knows_what_touches_the_page_says_unknown_and_refuses_press
     expect(page.locator("#unknown")).to_be_hidden()
     page.mouse.move(*reader.place(0.05, 0.15))
     expect(page.locator("#map-readout")).to_contain_text("mm: ")
-    reader.loop.header.update(state=state, message="device lost: cable; reconnecting" if state == "lost" else "")
+    lost = "device lost: is `ohmskin serve-skin` running? Reconnecting"
+    reader.loop.header.update(state=state, message=lost if state == "lost" else "")
     expect(page.locator("#notice")).to_have_text(notice)
     expect(rows).to_have_count(0)
     expect(page.get_by_text("No contact", exact=True)).to_have_count(0)

@@ -98,6 +98,8 @@ function withoutFrames({ connected, everConnected, starting, setup, header, sile
   return null;
 }
 
+/** A message of the loop as a sentence, with commands in quotation marks. */
 function sentence(text) {
-  return text && `${text[0].toUpperCase()}${text.slice(1)}${/[.…!?]$/.test(text) ? "" : "."}`;
+  const quoted = text?.replace(/`([^`]*)`/g, "“$1”");
+  return quoted && `${quoted[0].toUpperCase()}${quoted.slice(1)}${/[.…!?]$/.test(quoted) ? "" : "."}`;
 }
