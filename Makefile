@@ -61,7 +61,7 @@ $(VENV)/bin/python:
 
 $(VENV)/.ready: $(VENV)/bin/python pyproject.toml constraints.txt
 	@echo "set-up: installing ohmskin and what it needs (a minute the first time)"
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[plot]' & $(DOTS)
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile -c constraints.txt -e '.[plot]' & $(DOTS)
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
