@@ -47,7 +47,7 @@ RUN = {  # what is run here, and how: as it stands, or with fewer of something
     "source .venv/bin/activate": "source .venv/bin/activate && ohmskin --version",
     "ssh -L 8000:127.0.0.1:8000 robot": "ssh -G -L 8000:127.0.0.1:8000 robot",  # reads options, connects to nothing
     "python -m ohmskin.client": "python -m ohmskin.client",
-    "python -m benchmarks.curved": "python -m benchmarks.curved --places 1 --seeds 1 --skins 2 || [ $? = 1 ]",  # a bound missed
+    "python -m benchmarks.curved": "python -m benchmarks.curved --places 1 --seeds 1 --skins 2 || [ $? = 1 ]",  # missed
     "python -m benchmarks.estimators": "python -m benchmarks.estimators --places 1",
     "python -m benchmarks.latency": "python -m benchmarks.latency --seconds 1",
     "python -m benchmarks.sensors": "python -m benchmarks.sensors --seeds 1 --places 1 --worlds discs:40"
