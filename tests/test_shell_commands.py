@@ -42,7 +42,7 @@ def shell_commands(text: str) -> set[str]:
 RUN = {  # what is run here, and how: as it stands, or with fewer of something
     "make live": 'make live ARGS="--headless --seconds 1"',
     'make test ARGS="-k cholesky"': 'make test ARGS="-k cholesky -n0 -q --collect-only tests/test_cholesky.py"',
-    "make test WORKERS=4": 'make test WORKERS=4 ARGS="-q --collect-only tests/test_cholesky.py"',
+    "make test WORKERS=8": 'make test WORKERS=8 ARGS="-n0 -q --collect-only tests/test_cholesky.py"',
     "make test-all": 'make test-all ARGS="-n0 -q --collect-only tests/test_cholesky.py"',
     "source .venv/bin/activate": "source .venv/bin/activate && ohmskin --version",
     "ssh -L 8000:127.0.0.1:8000 robot": "ssh -G -L 8000:127.0.0.1:8000 robot",  # reads options, connects to nothing
