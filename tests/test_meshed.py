@@ -365,5 +365,5 @@ def test_what_wrapping_a_dome_stretches_is_told() -> None:
 
 def test_a_file_whose_name_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "skin.toml").write_text('[sheet]\nshape = "mesh"\nfile = "a\\u0000.stl"\n')
-    with pytest.raises(SkinError, match="no name of a file"):
+    with pytest.raises(SkinError, match="not a file name"):
         Skin.load(tmp_path / "skin.toml")
