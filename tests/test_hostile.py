@@ -1,6 +1,7 @@
 """The device that misbehaves: our own host stands all its tricks, and a host that does not fails by name."""
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -166,20 +167,17 @@ def test_the_command_tells_what_a_host_made_of_it() -> None:
         "noise",
         "a crash",
     ]
-    device = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     stop = threading.Event()
-    try:
-        assert device.stderr is not None
-        assert device.stdout is not None
-        url = next(line for line in device.stderr if "tcp://" in line).split("at ")[1].split(":")
-        address = ":".join(url[:3])
-        host = threading.Thread(target=host_that, args=(lambda _: False, address, stop))
-        host.start()
-        said = device.stdout.read()
-        assert device.wait(300) == 0
-    finally:
-        stop.set()
-        device.kill()
-        device.communicate()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as device:
+        try:
+            assert device.stderr is not None
+            address = next(found[0] for line in device.stderr if (found := re.search(r"tcp://[\d.]+:\d+", line)))
+            host = threading.Thread(target=host_that, args=(lambda _: False, address, stop))
+            host.start()
+            said = device.communicate(timeout=300)[0]
+        finally:
+            stop.set()
+            device.kill()
+    assert device.returncode == 0
     host.join(60)
     assert said.splitlines() == ["passed: noise", "passed: a crash", "2 checks, 0 failed"]
