@@ -288,7 +288,8 @@ def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
                 reader = threading.Thread(target=rest.extend, args=(sensed.stdout,))
                 reader.start()
                 pressed = command_line.ohmskin("press", "60", "140", "--seconds", "1.5", "--device", address)
-                time.sleep(1)
+                told = len(rest)  # of frames of before the finger was lifted, perhaps
+                until(lambda: any(not json.loads(line)["contacts"] for line in rest[told:]))
             finally:
                 sensed.terminate()
             reader.join()

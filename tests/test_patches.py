@@ -158,8 +158,8 @@ def test_a_body_without_patches_and_one_that_is_too_large_are_refused(tmp_path: 
     ("urdf", "says"),
     [
         ("<robot", "not valid XML"),
-        ("<robot/>", "no URDF file"),
-        ('<model><link name="a"/></model>', "no URDF file"),
+        ("<robot/>", "is not a URDF file"),
+        ('<model><link name="a"/></model>', "is not a URDF file"),
         ('<!DOCTYPE r [<!ENTITY a "aaaa">]><robot><link name="&a;"/></robot>', "XML entities"),
         ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot><link name="x"/></robot>', "XML entities"),
     ],

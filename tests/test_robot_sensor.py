@@ -202,7 +202,7 @@ def test_gymnasium_takes_it_for_an_environment(resting: tuple[Any, Any], sensor:
             observation, *_ = env.step(np.zeros(2, np.float32))
         assert np.abs(observation["skin"]).max() > 0
         assert env.observation_space.contains(observation)
-    with pytest.raises(ModelError, match="voltages, image, contacts, not as 'smell'"):
+    with pytest.raises(ModelError, match="no observation 'smell'; choose from voltages, image, contacts"):
         SkinObservation(Drop(), sensor, "smell")
 
 
