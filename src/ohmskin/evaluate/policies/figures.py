@@ -87,9 +87,13 @@ def moving(done: Done) -> list[Drawn]:
                 labels.append(f"{key.partition('/')[0]}\n{reader}\n16")
         for t, key in enumerate(task.trackers):
             _dot(axes, len(labels), tracked[t], key)
-            labels.append("\n\n".join(key.split("/")))
-        axes.set_xticks(range(len(labels)), labels, fontsize=6)
-        axes.set(ylim=(0, None), title=f"{NAMES[world]}, {task.decibels:g} dB", ylabel="mean error / mm")
+            name, _, count = key.partition("/")
+            labels.append(f"{name}\n\n{count}" if " " not in name else "\n".join([*name.split(), count]))
+        axes.set_xticks(range(len(labels)), labels, fontsize=4.5)
+        axes.set(title=f"{NAMES[world]}, {task.decibels:g} dB", ylabel="mean error / mm", yscale="log", ylim=(0.8, 60))
+        axes.set_yticks([1, 2, 5, 10, 20, 50])
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.grid(axis="y")
     ((_, task, result),) = done.of("moving", "discs")
     axes = grid[-1]
