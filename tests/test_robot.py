@@ -221,7 +221,7 @@ def test_a_snapshot_is_a_png_whatever_its_name_and_says_where_it_cannot_be_writt
 def test_what_cannot_be_worn_is_refused() -> None:
     with pytest.raises(ModelError, match="rectangular skin, not a disc"):
         arm(Skin.load("tank"))
-    with pytest.raises(ModelError, match="names not a URDF file"):
+    with pytest.raises(ModelError, match="names no URDF file"):
         Wearer(replace(arm(SKIN), robot=None))
 
 

@@ -90,7 +90,7 @@ def test_nothing_given_is_the_sensor_of_the_paper() -> None:
     assert (PAPER.sheet.width, PAPER.sheet.height, PAPER.sheet.conductivity) == (0.2, 0.2, 1.83e-3)
     middles, sides = PAPER.contact_layer.patches(PAPER.chart)
     assert middles.shape == (24 * 24, 2)
-    assert sides == pytest.approx(np.full(24 * 24, 7.5e-3))
+    assert sides == pytest.approx(np.full((24 * 24, 2), 7.5e-3))
 
 
 @pytest.mark.parametrize("name", shipped_skins())
