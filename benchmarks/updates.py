@@ -97,7 +97,9 @@ def main() -> None:
         stack.callback(ended.set)
         overview = stack.enter_context(Overview("bench", names, port=0, robot=body.robot.told()))
         playwright = stack.enter_context(sync_playwright())
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium-headless-shell") or shutil.which("chromium"), args=FLAGS
+        )
         stack.callback(browser.close)
         page = browser.new_page(viewport={"width": 1200, "height": 800}, bypass_csp=True)
         page.add_init_script(COUNT)

@@ -27,12 +27,13 @@ from ohmskin.skin import Skin
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "commands" not in path.name)]
 BESIDE = {  # so that they end by themselves, and press the skin that is there
-    "live": ["--headless", "--seconds", "1"],
-    "replay": ["--headless"],
-    "patches": ["--headless", "--seconds", "5"],
-    "press": ["--device", "tcp://127.0.0.1:7155"],
-    "robot": ["--pokes", "1"],
-    "reproduce": ["--only", "fig3", "--seeds", "1", "--noise", "45", "--amplitude", "0.1", "--jobs", "1"],
+    "live": "--headless --seconds=1",
+    "replay": "--headless",
+    "patches": "--headless --seconds=5",
+    "press": "--device=tcp://127.0.0.1:7155",
+    "robot": "--pokes=1",
+    "--body": "--hugs=1 --own-touches=1 --free=1",
+    "reproduce": "--only=fig3 --seeds=1 --noise=45 --amplitude=0.1 --jobs=1",
 }
 ELSEWHERE = {  # what cannot be run here, and what runs it
     "serve-skin": "test_cli.py, until Ctrl-C",
@@ -100,7 +101,7 @@ def runs(words: list[str]) -> bool:
     return not (words[0] in ELSEWHERE or (words[0] in STUDIES and "--only" in words) or {*words} & OF_OTHERS)
 
 
-LEAVE_NOTHING = {"live", "patches", "self-test", "check-device", "press", "replay"}  # are not run for a second page
+ONCE = {"live", "patches", "self-test", "check-device", "press", "replay", "robot"}  # leave nothing that others take
 RAN = set[tuple[object, ...]]()
 
 
@@ -114,12 +115,13 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
             if "--replay" in words:
                 words += ["--headless"]
             elif not {"--headless", "--device", "--compare"} & {*words} or words[0] == "live":
-                words += [word for word in BESIDE.get(words[0], []) if word not in words]
+                more = [option.split("=") for word in words for option in BESIDE.get(word, "").split()]
+                words += [word for option in more if option[0] not in words for word in option]
             if words[0] == "patches" and "--record" in words:
                 words[-1] = "60"  # s, until its skins are there on a busy machine, too
             words += ["--name", "documentation"] if "--publish" in words and words[0] == "live" else []  # not "skin"
             ran.append(words[0])
-            if words[0] in LEAVE_NOTHING and (*words, device == "virtual:") in RAN:
+            if words[0] in ONCE and (*words, device == "virtual:") in RAN:
                 continue
             RAN.add((*words, device == "virtual:"))
             words = [device if word in DEVICES else word.replace("eth0", "lo") for word in words]

@@ -19,7 +19,7 @@ from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.flaws import Bumps, Flaw, misplaced
 from ohmskin.evaluate.policies.goals import QUIET
 from ohmskin.evaluate.policies.pairs import RADIUS, apart, best_of, ideal_power, pair_places, single_places, unlike_one
-from ohmskin.evaluate.policies.plan import FLAWS
+from ohmskin.evaluate.policies.plan import FLAWS, TOLD, WITH_DRIVEN
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS, instrument_cost, scheme, within
 from ohmskin.evaluate.policies.static import RADIUS_FACTOR, bound_of
 from ohmskin.evaluate.policies.tracked import APART, FASTEST, path
@@ -434,6 +434,8 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         plan = import_module("ohmskin.evaluate.policies.plan")
         patch.setattr(plan, "FLAWS", {name: FLAWS[name] for name in list(FLAWS)[:2]})
+        flaws = ("none", "contact impedance x 1.2", TOLD)
+        patch.setattr(plan, "WITH_DRIVEN", {name: WITH_DRIVEN[name] for name in flaws})
         patch.setattr(plan, "MODES", ("16P",))
         assert policies.compare(folder, TINY, jobs=1) == folder / "report.html"
     return folder

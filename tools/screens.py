@@ -54,7 +54,7 @@ def running(*arguments: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
 @contextmanager
 def chromium() -> Iterator[Browser]:
     """The browser of this machine, without a window."""
-    found = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+    found = map(shutil.which, ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"))
     if not (path := next(filter(None, found), None)):
         raise SystemExit("no Chromium on the PATH: apt-get install chromium")
     with sync_playwright() as play:
