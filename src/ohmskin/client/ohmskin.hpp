@@ -81,7 +81,7 @@ struct Sighting {
     std::uint64_t sequence;     // of its newest cycle; 0 if it has not been heard of
     double time;                // its last sample (s, as now()); minus infinity likewise
     std::int64_t stamp;         // the same by the calendar (ns since 1970); 0 likewise
-    std::array<char, 17> mode;  // its drive mode, ended by 0
+    std::array<char, 17> mode;  // its mode, ended by 0
     double age() const { return now() - time; }
 };
 

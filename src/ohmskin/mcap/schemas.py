@@ -27,7 +27,7 @@ uint32 flags                   # 1 clipped, 2 current limit, 4 first since the d
 uint8 role
 float64[] voltages             # V; NaN where nothing was measured, infinite where the converter clipped
 float64[] currents             # measured, A, one for each injection
-string mode                    # drive mode, if told
+string mode                    # mode, if told
 float64 auxiliary              # of the auxiliary channel: N of a force, Pa of air; NaN not known
 bool has_auxiliary             # whether the device has one
 """,
@@ -36,7 +36,7 @@ bool has_auxiliary             # whether the device has one
 builtin_interfaces/Time stamp  # when it was recorded, by the calendar
 uint64 sequence    # number of the cycle
 float64 time       # of the last sample, on the host's monotonic clock (s)
-string mode        # drive mode
+string mode        # mode
 uint64[] frames    # sequence numbers of the cycle's frames
 ohmskin_msgs/Contact[] contacts
 """,

@@ -25,7 +25,7 @@ string name
 string frame_id                     # of its contacts
 builtin_interfaces/Time stamp       # of its last sample; zero if it has not been heard of
 uint64 sequence                     # number of its cycle
-string mode                         # drive mode
+string mode                         # mode
 """,
     "ohmskin_msgs/PlacedContact": f"""\
 # One place where the robot is touched, in the frame of its patch.

@@ -235,7 +235,7 @@ def _press(done: Done) -> list[Block]:
     ends = tuple(f"{pressure / 1e3:g} kPa" for pressure in tasks[0].pressures)
     return [
         "Fits with driven electrodes measured.",
-        Table(("press", "mode", "nothing felt", "one contact", "several", "median error / mm"), felt),
+        Table(("press", "mode", "nothing detected", "one contact", "several", "median error / mm"), felt),
         text,
         Table(("layer", "frames", *ends, "all", "within one deviation"), rows),
     ]

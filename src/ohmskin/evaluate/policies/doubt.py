@@ -228,9 +228,9 @@ def sensitivity_picture(done: Outcome[Any]) -> list[Drawn]:
         image = axes.imshow(values.reshape(task.side, task.side), clim=(low, high), **style)
         draw_sheet(axes, left=axes is maps[0])
         axes.set_title(f"{key}, {reading.partition(',')[0]}: median {np.median(values):.0f} Pa")
-    canvas.colorbar(image, ax=list(maps), label="lightest press felt / Pa", shrink=0.9)
+    canvas.colorbar(image, ax=list(maps), label="lightest press detected / Pa", shrink=0.9)
     caption = (
-        f"The lightest press of {1e3 * task.radius:g} mm that is felt where it is, on the contact-layer twin at "
+        f"The lightest press of {1e3 * task.radius:g} mm that is detected where it is, on the contact-layer twin at "
         f"{task.decibels:g} dB, median of {task.seeds} noise seeds, over the sheet."
     )
     return [("sensitivity", canvas, caption)]
@@ -243,7 +243,7 @@ def sensitivity_tables(done: Outcome[Any]) -> list[Block]:
     for (key, reading), least in zip(WAYS, result["least"], strict=True):
         each = (f"{np.quantile(least, q, method='nearest'):.0f}" for q in (0.5, 0.9, 1.0))
         rows.append((key, reading, *each, f"{np.mean(least <= LIGHT):.1%}"))
-    head = ("mode", "reader", "median / Pa", "90 % below / Pa", "worst / Pa", f"felt at {LIGHT:g} Pa")
+    head = ("mode", "reader", "median / Pa", "90 % below / Pa", "worst / Pa", f"detected at {LIGHT:g} Pa")
     text = f"Presses of {1e3 * task.radius:g} mm at {task.side**2} places, {task.seeds} seeds each; found within 12 mm."
     return [text, Table(head, rows)]
 
@@ -252,5 +252,5 @@ def sensitivity_goals(done: Outcome[Any]) -> Iterator[Goal]:
     """A light press is detected."""
     for _, task, result in done.of("sensitivity"):
         felt = (result["least"][-1] <= LIGHT).astype(float)
-        text = f"A press of {1e3 * task.radius:g} mm and {LIGHT:g} Pa felt by 16P (twin, {task.decibels:g} dB)"
+        text = f"A press of {1e3 * task.radius:g} mm and {LIGHT:g} Pa detected by 16P (twin, {task.decibels:g} dB)"
         yield Goal("sensitivity", text, 0.9, False, mean(felt), "%", f"{task.seeds} seeds, {task.side**2} places")

@@ -220,7 +220,7 @@ def _press(done: Done) -> Iterator[Goal]:
     for name, task, result in done.of("press", "felt/"):
         one = (result["counted"][task.schemes.index("16P")] == 1).astype(float)
         size = f"{1e3 * task.radius:g} mm, {task.pressure / 1e3:g} kPa"
-        text = f"A {name.partition('/')[2]} press ({size}) felt as one contact by 16P (twin, {task.decibels:g} dB)"
+        text = f"A {name.partition('/')[2]} press ({size}) detected as one contact by 16P (twin, {task.decibels:g} dB)"
         data = f"{task.seeds} seeds at {task.where} places"
         yield Goal("press", text, 0.9, False, mean(one.T), "%", data, "", True)
     off, _ = forces(done)
