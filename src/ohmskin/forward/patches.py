@@ -214,8 +214,6 @@ class _NearField:
         self._own, self._edge = own, float(np.sqrt(4 / np.sqrt(3) * mesh.measures[self._element].max()))
         self._middles = folded(self._middles, mesh.period)
         self._nodes, self._tree = tree(mesh.nodes, mesh.period), tree(self._middles, mesh.period)
-        # elements by their nodes: (n_nodes, n_elem)
-        self._touching = mesh.weighted(mesh.elements, np.ones(mesh.elements.shape)).T.tocsr()
         self._made: dict[int, tuple[Ints, NDArray[np.int16], float]] = {}  # a quarter of the memory, to 2e-5 of a peak
         self._table: tuple[Ints, Ints, Floats] | None = None
 
@@ -261,12 +259,14 @@ class _NearField:
         mesh, own, middle = self.model.mesh, self._own[slot], self._middles[slot]
         even = self._even(self._element[own[0]])
         turn = np.linalg.inv(even).T
+        places, points = (shortest(some - middle, mesh.period) @ turn for some in (mesh.nodes, self.points))
         sides = self.sizes[own, :, None] * turn
         reach = 2 * self._half + _NEAR * self._edge
         near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, reach))])
-        inside = self._nodes.query_ball_point(middle, self._half + _AROUND * self._edge)
-        around, count = np.unique(self._touching[inside].indices, return_counts=True)
-        part, cut = around[count == 3], around[count < 3]
+        inside = np.zeros(mesh.n_nodes, bool)
+        inside[self._nodes.query_ball_point(middle, self._half + _AROUND * self._edge)] = True
+        count = inside[mesh.elements].sum(axis=1)
+        part, cut = np.flatnonzero(count == 3), (count > 0) & (count < 3)
         nodes, matrix = local_stiffness(mesh.gradients[part] @ even, mesh.measures[part], mesh.elements[part])
         held = np.zeros(mesh.n_nodes, bool)
         held[mesh.elements[cut]] = True
@@ -274,21 +274,17 @@ class _NearField:
         row = np.full(mesh.n_nodes, -1)
         row[nodes] = np.arange(len(nodes))
         near = near[(row[self.corners[near]] >= 0).all(axis=1)]
-        rim = row[mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]]
-        places, targets, sources = (
-            shortest(some - middle, mesh.period) @ turn
-            for some in (mesh.nodes[nodes], self.points[near], self.points[own])
-        )
-        mirrored = self._mirrored(sources, places[rim])
-        images = [sources, *(one for one in mirrored if (mesh.locate(middle + one @ even.T)[0] < 0).all())]
+        rim = mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]
+        mirrored = self._mirrored(points[own], places[rim])
+        images = [points[own], *(one for one in mirrored if (mesh.locate(middle + one @ even.T)[0] < 0).all())]
         load = np.zeros((len(nodes), len(own)))
         for corner, weight in zip(row[self.corners[own]].T, self.weights[own].T, strict=True):
             load[corner, np.arange(len(own))] += weight
         exact, there = np.zeros((len(near), len(own))), np.zeros((held.sum(), len(own)))
         for image in images:
-            exact -= log_means(targets, image, sides) / (2 * np.pi)
-            there -= log_means(places[held], image, 1e-9 * sides) / (2 * np.pi)
-            add_flux(load, rim, places[rim], image, np.zeros(2))
+            exact -= log_means(points[near], image, sides) / (2 * np.pi)
+            there -= log_means(places[nodes[held]], image, 1e-9 * sides) / (2 * np.pi)
+            add_flux(load, row[rim], places[rim], image, np.zeros(2))
         free = ~held
         values = np.empty((len(nodes), len(own)))
         values[held] = there

@@ -62,7 +62,7 @@ class Mesh(ReadOnly):
         if len(unused := np.flatnonzero(np.bincount(elements.ravel(), minlength=len(nodes)) == 0)):
             raise GeometryError(f"{len(unused)} mesh nodes belong to no {noun} (first: {unused[0]}); remove them")
         if nodes.shape[1] == corners - 1:
-            inverted = _determinants(_edges(_unrolled(nodes[elements], self.period))) < 0
+            inverted = _determinants(_edges(unrolled(nodes[elements], self.period))) < 0
             elements[inverted, -2:] = elements[inverted, -2:][:, ::-1]
             object.__setattr__(self, "flipped", int(inverted.sum()))
         nodes.setflags(write=False)
@@ -116,7 +116,7 @@ class Mesh(ReadOnly):
     @cached_property
     def corners(self) -> Floats:
         """Corners (n_elem, dim + 1, dim of space) of each element (m); of a closed band, all beside the first one."""
-        return _unrolled(self.nodes[self.elements], self.period)
+        return unrolled(self.nodes[self.elements], self.period)
 
     @cached_property
     def gradients(self) -> Floats:
@@ -331,7 +331,7 @@ def tree(points: Floats, period: float = 0.0) -> cKDTree:
     return cKDTree(points, boxsize=[period, 0.0] if period else None)
 
 
-def _unrolled(corners: Floats, period: float) -> Floats:
+def unrolled(corners: Floats, period: float) -> Floats:
     """Corners (n_elem, dim + 1, dim of space) with all beside the first one."""
     return np.asarray(corners[:, :1] + shortest(corners - corners[:, :1], period)) if period else corners
 

@@ -9,10 +9,10 @@ from scipy.spatial import Delaunay, cKDTree
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
-from ohmskin.geometry.domain import Disc, Domain, Rectangle
+from ohmskin.geometry.domain import Disc, Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.holes import Holed, whole
-from ohmskin.geometry.mesh import Mesh, folded, shortest, tree
+from ohmskin.geometry.mesh import Mesh, folded, shortest, tree, unrolled
 from ohmskin.geometry.polygon import Polygon
 
 _RINGS = (  # radii of a disc electrode, and nodes there
@@ -78,17 +78,15 @@ def mesh_domain(
     if len(inner):
         lattice = lattice[tree(folded(inner, around), around).query(lattice)[0] > 0.6 * size]
     nodes = np.vstack([kept, lattice])
-    triangles = _triangulate(nodes, size, domain)
-    flaps = _flaps(triangles)
+    triangles, flaps = _triangulate(nodes, size, domain)
     for _ in range(smoothing):
         start, end = triangles[:, [0, 1, 2, 1, 2, 0]].T.ravel(), triangles[:, [1, 2, 0, 0, 1, 2]].T.ravel()
         away = shortest(nodes[end] - nodes[start], around)
         sums = [np.bincount(start, weights, len(nodes)) for weights in (away[:, 0], away[:, 1], None)]
         nodes[len(kept) :] += np.stack(sums[:2], axis=1)[len(kept) :] / sums[2][len(kept) :, None]
         nodes = folded(nodes, around)
-        if not (isinstance(domain, Rectangle | Disc) and _is_delaunay(nodes, flaps)):  # convex, and of one leaf
-            triangles = _triangulate(nodes, size, domain)
-            flaps = _flaps(triangles)
+        if not _is_delaunay(nodes, flaps, around):
+            triangles, flaps = _triangulate(nodes, size, domain)
     if isinstance(domain, Polygon | Band | Holed):
         return checked_mesh(nodes, triangles, domain, size)
     return Mesh(nodes, triangles)
@@ -225,10 +223,10 @@ def _flaps(triangles: Ints) -> Ints:
     return np.column_stack([ends[one], triangles.ravel()[one], triangles.ravel()[other]])
 
 
-def _is_delaunay(nodes: Floats, flaps: Ints) -> bool:
-    """Whether triangles of a convex domain are Delaunay still: no circle about one has its neighbour's corner in it."""
+def _is_delaunay(nodes: Floats, flaps: Ints, period: float) -> bool:
+    """Whether the triangles of all nodes are Delaunay still: no circle about one has its neighbour's corner in it."""
     a, b, c, d = nodes[flaps.T]
-    a, b, c = a - d, b - d, c - d
+    a, b, c = (shortest(corner - d, period) for corner in (a, b, c))
     squares = [(corner**2).sum(axis=1) for corner in (a, b, c)]
     crossed = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))]
     area = sum(crossed)  # twice that of a, b and c; its other neighbour is beyond ab
@@ -236,7 +234,8 @@ def _is_delaunay(nodes: Floats, flaps: Ints) -> bool:
     return bool((area * crossed[2] < 0).all() and (inside <= _ROUND * np.abs(area) ** 3).all())
 
 
-def _triangulate(nodes: Floats, size: float, domain: Domain) -> Ints:
+def _triangulate(nodes: Floats, size: float, domain: Domain) -> tuple[Ints, Ints]:
+    """The Delaunay triangles (n_elem, 3) of nodes that lie on a domain; the flaps of all, beside it, too."""
     period, given = domain.period, len(nodes)
     triangles: Ints
     if period:  # copies of what is near the seam on its other side
@@ -255,6 +254,9 @@ def _triangulate(nodes: Floats, size: float, domain: Domain) -> Ints:
     if period:
         middle = nodes[triangles, 0].mean(axis=1)
         triangles = triangles[(middle > -0.01 * size) & (middle < period + 0.01 * size)]
+        triangles = np.unique(np.sort(original[triangles], axis=1), axis=0)
+    flaps = _flaps(triangles)
     if isinstance(domain, Polygon | Holed):  # may be hollow; the others are convex
-        triangles = triangles[domain.depth(nodes[triangles].mean(axis=1)) > 0]
-    return np.unique(np.sort(original[triangles], axis=1), axis=0) if period else triangles
+        middle = unrolled(nodes[triangles], period).mean(axis=1)
+        triangles = triangles[domain.depth(folded(middle, period)) > 0]
+    return triangles, flaps
