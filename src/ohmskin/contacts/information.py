@@ -189,18 +189,18 @@ def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tupl
     whole = joined(tuple(scan.pattern for scan in scans))
     if (last := whole.last) >= pairs.n_elec:
         raise PatternError(f"the pattern names electrode {last}; there are {pairs.n_elec} (0..{pairs.n_elec - 1})")
-    loaded, none = any(scan.source_loading is not None for scan in scans), [np.zeros(s.pattern.n_meas) for s in scans]
-    quiet, loading = (
-        np.concatenate([rest if given is None else given for given, rest in zip(each, none, strict=True)])
-        for each in ([scan.reference for scan in scans], [scan.source_loading for scan in scans])
-    )
-    volts, amperes = np.concatenate([scan.volts for scan in scans]), np.concatenate([scan.currents for scan in scans])
+    loaded = any(scan.source_loading is not None for scan in scans)
+    given = [
+        [np.zeros(len(s.volts)) if each is None else each for each in (s.reference, s.source_loading, s.volts, s.currents)]
+        for s in scans
+    ]
+    quiet, loading, volts, amperes = given[0] if len(scans) == 1 else map(np.concatenate, zip(*given, strict=True))
     contacts = np.zeros((len(pairs), 0)) if errors.contacts is None else np.ascontiguousarray(errors.contacts)
     if contacts.size and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
         contacts = np.ascontiguousarray(contacts[:, np.unique(whole.injections)])
     four, which = whole.quadruples, whole.injection_numbers
-    given = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers, whole.n_inj, loaded
-    return given, (errors.noise, errors.gain, errors.model, contacts)
+    told = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers, whole.n_inj, loaded
+    return told, (errors.noise, errors.gain, errors.model, contacts)
 
 
 def _summed(parts: Sequence[Misfit]) -> Misfit:

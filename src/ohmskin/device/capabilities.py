@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -117,7 +118,7 @@ class Capabilities:
         """Whether electrodes that carry the current can be measured."""
         return Feature.DRIVEN_MEASURED in self.features
 
-    @property
+    @cached_property
     def cost(self) -> Cost:
         """Time of a scan, at most: how many voltages it converts at once is not known, so one by one."""
         return Cost(self.settle_time, self.conversion_time, channels=1)

@@ -9,6 +9,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,12 +49,12 @@ class Field:
     width: int = 1
     limit: int = 0
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Bytes of a scalar or of one row of an array."""
         return self.width * self.dtype.itemsize
 
-    @property
+    @cached_property
     def dtype(self) -> np.dtype:
         """How NumPy stores one number."""
         return np.dtype("<" + _CODES[self.kind])

@@ -106,23 +106,22 @@ class FrameData:
                 f"the device drove a pattern with digest, injections, measurements = {told}; asked for {asked}. "
                 "Its firmware must refuse such a scan; update it"
             )
-        voltages, currents = unsignalled(self.voltages), unsignalled(self.currents)
-        told_beside = None
-        if auxiliary:
-            voltages, told_beside = voltages[:-1], float(voltages[-1])
-        flags = FrameFlag(self.flags)
-        return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, flags, auxiliary=told_beside)
+        values = unsignalled(np.concatenate([self.currents, self.voltages]))
+        currents, voltages = values[: pattern.n_inj], values[pattern.n_inj : pattern.n_inj + pattern.n_meas]
+        beside = float(values[-1]) if auxiliary else None
+        return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, FrameFlag(self.flags), None, beside)
 
 
 Message = Hello | SetPattern | Scan | Press | Capabilities | Ack | FrameData | Refusal
 
 _TYPES: dict[Kind, Any] = dict(zip(Kind, get_args(Message), strict=True))  # in the same order
+_KINDS = {known: kind for kind, known in _TYPES.items()}
 _FIRMWARE = ("firmware_major", "firmware_minor", "firmware_patch")
 
 
 def kind_of(message: Message) -> Kind:
     """The number of this kind of message."""
-    return next(kind for kind, known in _TYPES.items() if isinstance(message, known))
+    return _KINDS[type(message)]
 
 
 def to_fields(message: Message) -> dict[str, Any]:

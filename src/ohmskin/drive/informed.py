@@ -68,14 +68,14 @@ class Ranking:
             raise PatternError(f"{depth} injections ranked in cells of {cell!r} m; both must be positive")
         goals = np.concatenate([position_goals(1), [[[0.0, 0.0, 0.0, size * table.radius]]]], axis=1)
         low, high = table.places.min(axis=0), table.places.max(axis=0)
-        self._shape = np.maximum(np.round((high - low) / cell).astype(int), 1)
-        self._low, self._cell = low, (high - low) / self._shape
+        self._shape: list[int] = np.maximum(np.round((high - low) / cell).astype(int), 1).tolist()
+        width = (high - low) / self._shape
         self.order: Ints = np.empty((*self._shape, depth), np.int64)
         self.values: Floats = np.empty((*self._shape, depth + 1))
         for at in product(*(range(n) for n in self._shape)):
-            middle = low + (np.array(at) + 0.5) * self._cell
+            middle = low + (np.array(at) + 0.5) * width
             # the contact is somewhere in the cell: four places stand for it, and the choice is good for all of them
-            places = middle + 0.25 * self._cell * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
+            places = middle + 0.25 * width * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
             columns = contact_columns(table, prior.at(places))
             near = _near(table, candidates, middle)
             rows, covariance, goal = candidates.part(near).problem(columns, prior.covariance(), goals)
@@ -85,11 +85,20 @@ class Ranking:
                 covariance = np.asarray(np.linalg.inv(information), float)
             chosen, self.values[at] = _ranked(rows, covariance, goal, depth)
             self.order[at] = near[chosen]
+        self._low, self._cell, self._order = low.tolist(), width.tolist(), self.order.tolist()
 
     def cell_of(self, position: Sequence[float] | Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
         x, y = ((float(position[k]) - self._low[k]) / self._cell[k] for k in range(2))
-        return min(max(int(x), 0), int(self._shape[0]) - 1), min(max(int(y), 0), int(self._shape[1]) - 1)
+        return min(max(int(x), 0), self._shape[0] - 1), min(max(int(y), 0), self._shape[1] - 1)
+
+    def in_turn(self, positions: Sequence[Sequence[float] | Floats], count: int, turn: int) -> list[int]:
+        """The next `count` injections of the rankings of all cells with contacts, which take turns; a cell counts
+        once."""
+        ranked = [self._order[x][y] for x, y in dict.fromkeys(map(self.cell_of, positions))]
+        depth, many = self.order.shape[-1], len(ranked)
+        served = range(turn * count, (turn + 1) * count)  # after those that frames before this one have had
+        return [ranked[number % many][number // many % depth] for number in served]
 
 
 def _near(table: ContactTable, candidates: Candidates, place: Floats) -> Ints:
@@ -164,19 +173,19 @@ class InformedPolicy(Exploration):
         """How many injections of a frame explore while contacts are known."""
         return max(1, min(self.explore, self.injections // 2))
 
-    def _choose(self, targets: Sequence[Target], turn: int) -> Ints:
+    def _choose(self, targets: Sequence[Target], turn: int) -> Ints | Sequence[int]:
         if not targets:
             return self.numbers(turn, self.injections)
         explored = self.numbers(turn, self._exploring)
         wanted = self.injections - self._exploring
         if self._ranking is not None:
-            return np.append(explored, _in_turn(self._ranking, [target.position for target in targets], wanted, turn))
+            return [*explored, *self._ranking.in_turn([target.position for target in targets], wanted, turn)]
         search = self._search(targets)
         for number in explored:
             search.take(int(number))
         for _ in range(wanted):
             search.take(search.best())
-        return np.array(search.chosen, np.int64)
+        return search.chosen
 
     def _search(self, targets: Sequence[Target]) -> Search:
         table, candidates = self._known
@@ -212,10 +221,10 @@ class PositionDrive(SecondScan):
     def next(self, targets: Sequence[Target]) -> DrivePattern:
         """The pattern for wherever `targets` may be: at their estimated places, and one standard deviation around."""
         places = [place for target in targets for place in _wherever(target)]
-        return part_of(self.complete, _in_turn(self.ranking, places, self.pairs, turn=0))
+        return part_of(self.complete, self.ranking.in_turn(places, self.pairs, turn=0))
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
-        return _in_turn(self.ranking, [anchors.mean(axis=0) for anchors in regions], self.pairs, turn=0)
+        return np.array(self.ranking.in_turn([anchors.mean(axis=0) for anchors in regions], self.pairs, turn=0))
 
 
 @lru_cache(maxsize=8)
@@ -240,13 +249,3 @@ def _wherever(target: Target) -> list[tuple[float, float]]:
     long, short = sqrt(max(middle + half, 0.0)), sqrt(max(middle - half, 0.0))
     sides = [(-short * sin(angle), short * cos(angle)), (long * cos(angle), long * sin(angle))]
     return [(x, y), *((x + sign * dx, y + sign * dy) for sign in (1, -1) for dx, dy in sides)]
-
-
-def _in_turn(ranking: Ranking, positions: Sequence[Sequence[float] | Floats], count: int, turn: int) -> Ints:
-    """The next `count` injections of the rankings of all cells with contacts, which take turns; a cell counts once."""
-    cells = list(dict.fromkeys(ranking.cell_of(position) for position in positions))
-    depth = ranking.order.shape[-1]
-    served = turn * count + np.arange(count)  # injections that frames before this one have had, then this one's
-    cell, rank = served % len(cells), served // len(cells) % depth
-    x, y = np.array(cells).T
-    return np.asarray(ranking.order[x[cell], y[cell], rank])

@@ -1,5 +1,6 @@
 """Patterns that cover a whole sheet, and parts of them."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -125,12 +126,12 @@ def numbers_of(pattern: DrivePattern, injections: Ints) -> Ints:
     return np.asarray(at[codes.index(*np.asarray(injections).T)])
 
 
-def part_of(complete: DrivePattern, chosen: Ints) -> DrivePattern:
+def part_of(complete: DrivePattern, chosen: Ints | Sequence[int]) -> DrivePattern:
     """The `chosen` injections (count,) of a `complete` pattern, in that order; all must have equally many measurements.
 
     The same ones give the same object again: what is known of a pattern is worked out once.
     """
-    return _part_of(complete, tuple(chosen.tolist()))
+    return _part_of(complete, tuple(map(int, chosen)))
 
 
 @lru_cache(maxsize=1024)

@@ -1,13 +1,13 @@
 """One episode of touch, from the first contact until all are lifted, and the features that classify gestures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import dist, log, log1p
 from typing import Protocol
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, changed
 
 FEATURES = ("duration", "travel", "speed", "most", "mean count", "spread", "plateau", "rise", "ended")
 _FAR, _SMOOTH = 5e-3, 0.06  # m of travel, and s over which places are averaged, as they are noisy
@@ -68,7 +68,7 @@ class Episode:
         start = place if early or len(places) > self.most else self.start  # a finger more moves the middle
         strength = sum(abs(contact.strength) for contact in contacts)
         spread = max((dist(a, b) for k, a in enumerate(places) for b in places[:k]), default=0.0)
-        return replace(
+        return changed(
             self,
             last=time,
             frames=self.frames + 1,

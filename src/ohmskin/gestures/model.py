@@ -45,27 +45,33 @@ class GestureModel:
 
     def probabilities(self, features: ArrayLike) -> Floats:
         """(n, n_gestures) probabilities of `GESTURES`, of `features` (n, n_features) of episodes."""
-        values = self._standard(features)
-        for number, (weights, offsets) in enumerate(self.layers):
-            values = values @ weights + offsets
-            values = np.tanh(values) if number + 1 < len(self.layers) else values
-        likely = np.exp(values - values.max(axis=1, keepdims=True))
-        return np.asarray(likely / likely.sum(axis=1, keepdims=True))
+        return self._likely(self._standard(features))
 
     def distances(self, features: ArrayLike) -> Floats:
         """(n,) squared distances of `features` (n, n_features) from the closest gesture that it was trained on."""
-        away = self._standard(features)[:, None] - self.centres
-        return np.asarray(np.einsum("ngi,gij,ngj->ng", away, self.precision, away).min(axis=1))
+        return self._away(self._standard(features))
 
     def tell(self, features: ArrayLike) -> tuple[str, float]:
         """The gesture of features (n_features,) and its probability (1): `UNKNOWN` if they are outliers, or none is
         probable."""
-        one = np.asarray(features, float)[None]
-        likely = self.probabilities(one)[0]
-        best = int(likely.argmax())
-        if self.distances(one)[0] > self.limit:
+        one = self._standard(features)[None]
+        if self._away(one)[0] > self.limit:
             return UNKNOWN, 0.0
-        return (GESTURES[best] if likely[best] >= self.sure else UNKNOWN), float(likely[best])
+        likely: list[float] = self._likely(one)[0].tolist()
+        best = max(likely)
+        return (GESTURES[likely.index(best)] if best >= self.sure else UNKNOWN), best
+
+    def _likely(self, values: Floats) -> Floats:
+        *hidden, (last, offsets) = self.layers
+        for weights, own in hidden:
+            values = np.tanh(values @ weights + own)
+        values = values @ last + offsets
+        likely = np.exp(values - values.max(axis=1, keepdims=True))
+        return np.asarray(likely / likely.sum(axis=1, keepdims=True))
+
+    def _away(self, values: Floats) -> Floats:
+        away = (values[:, None] - self.centres)[:, :, None]
+        return np.asarray((away @ self.precision @ away.swapaxes(2, 3))[:, :, 0, 0].min(axis=1))
 
     def _standard(self, features: ArrayLike) -> Floats:
         return np.asarray((np.asarray(features, float) - self.middle) / self.spread)

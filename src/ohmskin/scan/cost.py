@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Cost:
 
     def time(self, pattern: DrivePattern) -> float:
         """How long a scan of `pattern` takes (s)."""
-        return self.overhead + float(self._injections(pattern.measured).sum())
+        return _time(self, pattern)
 
     def times(self, pattern: DrivePattern) -> Floats:
         """When each voltage (n_meas,) of a `pattern` is converted, from the start of a scan (s)."""
@@ -61,3 +62,8 @@ class Cost:
         """How long injections (n,) take of which so many voltages (n,) are measured (s)."""
         conversions = -(-measured // self.channels) if self.channels else np.minimum(measured, 1)
         return np.asarray(self.settle + self.conversion * conversions)
+
+
+@lru_cache(maxsize=1024)
+def _time(cost: Cost, pattern: DrivePattern) -> float:
+    return cost.overhead + float(cost._injections(pattern.measured).sum())

@@ -164,9 +164,8 @@ class DrivePattern(ReadOnly):
 
     def check(self, n_elec: int) -> None:
         """Raise PatternError unless every electrode named is one of `n_elec`."""
-        highest = int(max(self.injections.max(), self.measurements[:, 1:].max()))
-        if highest >= n_elec:
-            raise PatternError(f"the pattern names electrode {highest}; there are {n_elec} (0..{n_elec - 1})")
+        if self.last >= n_elec:
+            raise PatternError(f"the pattern names electrode {self.last}; there are {n_elec} (0..{n_elec - 1})")
 
     def split(self, max_injections: int, max_measurements: int = 2**31) -> Iterator["DrivePattern"]:
         """This pattern in pieces, in order.

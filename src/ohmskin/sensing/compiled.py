@@ -229,7 +229,7 @@ class Compiled:
             frames.append(scan(pattern))
             if frames[-1].pattern != pattern:  # a recording has what was driven then
                 raise DataError("another pattern was driven than was asked for")
-            if not known.soundness(frames[-1])[1].all():
+            if not known.soundness(frames[-1]).whole:
                 raise DataError("a voltage is missing, clips, or has no current behind it")
             return frames[-1].voltages, frames[-1].currents
 

@@ -188,8 +188,8 @@ class FaultDetector:
         """How many voltages are missing, and how many are at the end of the converter's range."""
         lost = {"missing": 0, "clipped": 0}
         for frame in frames:
-            flowing, sound = self._known.soundness(frame)
-            if not sound.all():
+            flowing, sound, _, whole = self._known.soundness(frame)
+            if not whole:
                 missing = np.isnan(frame.voltages)
                 lost["missing"] += int(missing.sum())
                 lost["clipped"] += int((~missing & ~sound & flowing[frame.pattern.measurements[:, 0]]).sum())
@@ -199,11 +199,11 @@ class FaultDetector:
         self, before: Diagnosis, frames: Sequence[Frame], scans: Sequence[Difference], now: float
     ) -> tuple[dict[int, float], set[Cause]]:
         """Since when (s) no current flows through electrodes, and what follows of that."""
-        if not before.silent and all(self._known.soundness(frame)[0].all() for frame in frames):
+        if not before.silent and all(self._known.soundness(frame).currents for frame in frames):
             return {}, set()
         alive, pairs = set[int](), set[tuple[int, int]]()
         for frame in frames:
-            flowing, _ = self._known.soundness(frame)
+            flowing = self._known.soundness(frame).flowing
             alive |= set(frame.pattern.injections[flowing].ravel().tolist())
             pairs |= {(a, b) for a, b in np.sort(frame.pattern.injections[~flowing], axis=1).tolist()}
         silent = {e: since for e, since in before.silent.items() if e not in alive}

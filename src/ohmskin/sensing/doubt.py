@@ -1,10 +1,10 @@
 """How far contacts are believed: what they, or the image that shows them, leave unexplained of the data."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
+from ohmskin.arrays import changed
 from ohmskin.contacts import Contact
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
@@ -30,7 +30,9 @@ def _falling(left: float, strange: float) -> float:
 
 def doubted(contacts: Sequence[Contact], share: float) -> tuple[Contact, ...]:
     """Contacts whose confidence is that share of what it was (1)."""
-    return tuple(replace(contact, confidence=share * contact.confidence) for contact in contacts)
+    if share == 1.0:
+        return tuple(contacts)
+    return tuple(changed(contact, confidence=share * contact.confidence) for contact in contacts)
 
 
 def image_misfit(known: SkinModel, scans: Sequence[Difference]) -> float:

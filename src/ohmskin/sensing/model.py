@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ohmskin.arrays import Bools, Floats, Remembered
+from ohmskin.arrays import Floats, Remembered, changed
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
@@ -16,12 +16,11 @@ from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Setting
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Pairs, Quality
 from ohmskin.scan.pairs import in_series, pairs_measured
 from ohmskin.sensing.quiet import QuietScans
+from ohmskin.sensing.soundness import Soundness, judged
 from ohmskin.skin import PressedSheet, Skin
 
 _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
 _FINER = 0.8  # edges of the mesh over the estimator's: those resolve a press near the rim to 1.5 %, these to 0.5 %
-_FLOWING = 10.0  # times the quiet skin's current, beyond which, or below whose inverse, a current cannot be
-
 _BY_CHANCE = 3  # largest values that may be the same
 _UNLIKE = 20.0  # noises by which those of the quiet skin must differ
 
@@ -83,7 +82,7 @@ class SkinModel:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
             measured &= ~np.isin(frame.pattern.injections, self.bad).any(axis=1)
             self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
-        self._soundness: Remembered[Frame, tuple[Bools, Bools]] = Remembered()
+        self._soundness: Remembered[Frame, Soundness] = Remembered()
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     @property
@@ -96,8 +95,8 @@ class SkinModel:
 
         So are values that cannot be: of injections whose current does not flow, and where the converter's range ends.
         """
-        flowing, sound = self.soundness(frame)
-        if not sound.all():
+        flowing, sound, _, whole = self.soundness(frame)
+        if not whole:
             currents = np.where(flowing, frame.currents, np.nan)
             frame = replace(frame, voltages=np.where(sound, frame.voltages, np.nan), currents=currents)
         if self.quality is None:
@@ -111,31 +110,30 @@ class SkinModel:
         """Whether some data have a lower weight than others."""
         return self.quality is not None or self.channels is not None
 
-    def soundness(self, frame: Frame) -> tuple[Bools, Bools]:
-        """Whether the current of each injection (n_inj,) of a `frame` can be, and which voltages (n_meas,) can be.
+    def soundness(self, frame: Frame) -> Soundness:
+        """Which values of a `frame` can be.
 
         Currents can that are a tenth to ten times those on the quiet skin; voltages whose current can, and that are not
         clipped. Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
         """
         if (known := self._soundness.get(frame)) is not None:
             return known
-        with np.errstate(invalid="ignore"):
-            share = frame.currents / self._usual[tuple(frame.pattern.injections.T)]
-            unlike = (share < 1 / _FLOWING) | (share > _FLOWING)
-        flowing = np.asarray(np.isfinite(frame.currents) & (frame.currents != 0) & ~unlike)
-        finite = np.isfinite(frame.voltages)
-        sound = finite & flowing[frame.pattern.measurements[:, 0]]
-        if self.bad:  # what they take part in is left out anyhow
-            flowing |= np.isin(frame.pattern.injections, self.bad).any(axis=1)
-        sizes = np.where(sound, np.abs(frame.voltages), -1.0)
-        largest = np.flatnonzero(sound & (sizes == sizes.max()))
-        if len(largest) > _BY_CHANCE:
-            usual = np.abs(self.baseline.reference(frame.pattern) * frame.measurement_currents)[largest]
-            sound[largest] = np.ptp(usual) < _UNLIKE * self.noise
-        if self.bad:
-            sound |= frame.pattern.uses(self.bad)
-        self._soundness[frame] = flowing, sound
-        return flowing, sound
+        pattern, (volts, currents) = frame.pattern, (frame.voltages, frame.currents)
+        *found, alike = judged(currents, volts, pattern.injections, pattern.injection_numbers, self._usual)
+        known = Soundness(*found)
+        if alike > _BY_CHANCE or self.bad:
+            flowing, sound, *_ = known
+            if alike > _BY_CHANCE:
+                sizes = np.where(sound, np.abs(volts), -1.0)
+                largest = np.flatnonzero(sizes == sizes.max())
+                usual = np.abs(self.baseline.reference(pattern) * frame.measurement_currents)[largest]
+                sound[largest] = np.ptp(usual) < _UNLIKE * self.noise
+            if self.bad:  # what they take part in is left out anyhow
+                flowing |= np.isin(pattern.injections, self.bad).any(axis=1)
+                sound |= pattern.uses(self.bad)
+            known = Soundness(flowing, sound, bool(flowing.all()), bool(sound.all()))
+        self._soundness[frame] = known
+        return known
 
     def usual_currents(self, pattern: DrivePattern) -> Floats | None:
         """The currents (n_inj,) of a pattern on the quiet skin (A); None if not all were measured."""
@@ -148,9 +146,9 @@ class SkinModel:
         usual = self.usual_currents(difference.pattern)
         if usual is None or self.weighs:  # which counts less what has less current
             return difference
-        wanted = usual[difference.pattern.measurements[:, 0]]
+        wanted = usual[difference.pattern.injection_numbers]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return replace(difference.times(wanted / difference.currents), currents=wanted)
+            return changed(difference.times(wanted / difference.currents), currents=wanted)
 
     def pressed(self, places: Floats) -> Callable[[DrivePattern], Frame]:
         """Scans without noise as they would be were the sheet touched at places (n, 2 or 3), as linear theory has it.

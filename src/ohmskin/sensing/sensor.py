@@ -199,7 +199,7 @@ class Sensor:
         last = measured.frames[-1]
         now = last.time if last.recorded is None else last.recorded
         elapsed = _LONGEST if state.time is None or not 0 <= now - state.time <= _LONGEST else now - state.time
-        quick = all(self.known.soundness(frame)[1].all() for frame in measured.frames) and not self._doubts(state)
+        quick = all(self.known.soundness(frame).whole for frame in measured.frames) and not self._doubts(state)
         found = None if not quick else self._read(state, measured, measured.scans, state.diagnosis, elapsed)
         if found is not None and not self._surprises(state.belief, found[0]):
             diagnosis = self.detector.passed(state.diagnosis, measured.scans, elapsed)
@@ -294,4 +294,4 @@ class Sensor:
 
 def _any_known(scans: Sequence[Difference]) -> bool:
     """Whether anything is known of scans."""
-    return any(bool((np.isfinite(scan.volts) & np.isfinite(scan.currents)).any()) for scan in scans)
+    return any(bool(np.isfinite(scan.volts + scan.currents).any()) for scan in scans)
