@@ -71,17 +71,16 @@ class ReadOnly:
 def changed(value: V, **fields: object) -> V:
     """A dataclass with other values of some fields, taken as they are: `dataclasses.replace` of a frame's values, of
     which there are many, in a tenth of its time."""
-    kind = type(value)
-    other = object.__new__(kind)
+    other = object.__new__(type(value))
     own = vars(other)
     own.update(vars(value), **fields)
-    for name in _worked_out(kind):
+    for name in _worked_out(type(value)):  # type: ignore[arg-type]
         own.pop(name, None)
     return other
 
 
 @cache
-def _worked_out(kind: type) -> tuple[str, ...]:
+def _worked_out(kind: type[Any]) -> tuple[str, ...]:
     """The names of what objects of a class have worked out of their fields and keep."""
     return tuple(name for each in kind.mro() for name, one in vars(each).items() if isinstance(one, cached_property))
 

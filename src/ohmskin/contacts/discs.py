@@ -60,10 +60,15 @@ class DiscFitter:
         """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
         return 1 / (1 + (self.model_error * data.signal) ** 2)
 
-    def poor(self, told: Information, cost: float) -> bool:
-        """Whether a fit of that cost leaves more of what is measured than is usual, noise and the model's errors."""
+    def doubt(self, told: Information, cost: float) -> float:
+        """How many times more a fit of that cost leaves of what is measured than is usual, noise and the model's
+        errors."""
         share = self.allowance(told)
-        return cost > told.count * (share + follow.USUAL * (1 - share))
+        return cost / (told.count * (share + follow.USUAL * (1 - share)))
+
+    def poor(self, told: Information, cost: float) -> bool:
+        """Whether a fit of that cost leaves more than is usual."""
+        return self.doubt(told, cost) > 1
 
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""

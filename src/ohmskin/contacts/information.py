@@ -15,7 +15,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import measured
-from ohmskin.contacts.measured import Erring, Part, Scan, fainter
+from ohmskin.contacts.measured import Erring, Left, Part, Scan, fainter
 from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
@@ -99,8 +99,12 @@ class Information:
     @classmethod
     def together(cls, parts: Sequence["Information"]) -> "Information":
         """Sum of the information of several whose errors are independent."""
-        told, white = (_summed(each) for each in ([part.misfit for part in parts], [part.white_left for part in parts]))
-        return cls(told, white, sum(part.count for part in parts))
+        white = _summed([part.white_left for part in parts])
+        return cls(_summed([part.misfit for part in parts]), white, sum(part.count for part in parts))
+
+    def likewise(self, parts: Sequence["Information"]) -> "Information":
+        """The same data as others see them that err otherwise: the sum of `parts`, white noise that of these."""
+        return changed(self, misfit=_summed([part.misfit for part in parts]))
 
     @property
     def signal(self) -> float:
@@ -119,9 +123,9 @@ class Information:
         together[: len(known)] += known
         return Information(self.misfit.less(known), self.white, self.count, together)
 
-    def as_left(self, part: Part, known: Floats | None = None) -> "Information":
+    def as_left(self, left: Left, known: Floats | None = None) -> "Information":
         """What a compiled step has left of it, once changes (n_pairs + 1,) are known; None: nothing is."""
-        _, lost, vector, constant = part
+        lost, vector, constant = left
         return changed(self, misfit=changed(self.misfit, lost=lost, vector=vector, constant=constant), known=known)
 
     def without(self, directions: Floats) -> "Information":
@@ -190,11 +194,9 @@ def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tupl
     if (last := whole.last) >= pairs.n_elec:
         raise PatternError(f"the pattern names electrode {last}; there are {pairs.n_elec} (0..{pairs.n_elec - 1})")
     loaded = any(scan.source_loading is not None for scan in scans)
-    given = [
-        [np.zeros(len(s.volts)) if each is None else each for each in (s.reference, s.source_loading, s.volts, s.currents)]
-        for s in scans
-    ]
-    quiet, loading, volts, amperes = given[0] if len(scans) == 1 else map(np.concatenate, zip(*given, strict=True))
+    given = [(scan.reference, scan.source_loading, scan.volts, scan.currents) for scan in scans]
+    parts = [[np.zeros(len(own[2])) if each is None else each for each in own] for own in given]
+    quiet, loading, volts, amperes = parts[0] if len(scans) == 1 else map(np.concatenate, zip(*parts, strict=True))
     contacts = np.zeros((len(pairs), 0)) if errors.contacts is None else np.ascontiguousarray(errors.contacts)
     if contacts.size and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
         contacts = np.ascontiguousarray(contacts[:, np.unique(whole.injections)])

@@ -21,6 +21,7 @@ from ohmskin.arrays import Bools, Floats, Ints, Singles
 
 Rows = tuple[Any, Floats, Floats, Floats, Ints, Floats]
 Part = tuple[Rows, Floats, Floats, float]  # rows, those lost, vector and constant of a `Misfit`
+Left = tuple[Floats, Floats, float]  # the same without the rows
 Scan = tuple[Ints, Ints, Bools, Floats, Floats, Floats, Floats, Ints, int, bool]  # see `measured`
 Erring = tuple[float, float, float, Floats]  # noise, gain, model and contacts of `Errors`, the last (n_pairs, k)
 

@@ -103,5 +103,6 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         "scan.coherence:_coherence",
         (_INT64_2, _FLOAT64_2_F, _FLOAT64_2, _INT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64, _INT64),
     ),
+    ("sensing.soundness:judged", (_FLOAT64_1, _FLOAT64_1, _INT64_2_FIXED, _INT64_1, _FLOAT64_2)),
 )
 """Module, name and argument types of each function; none that the virtual skin has compiled."""

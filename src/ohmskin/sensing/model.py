@@ -119,10 +119,11 @@ class SkinModel:
         if (known := self._soundness.get(frame)) is not None:
             return known
         pattern, (volts, currents) = frame.pattern, (frame.voltages, frame.currents)
-        *found, alike = judged(currents, volts, pattern.injections, pattern.injection_numbers, self._usual)
-        known = Soundness(*found)
+        flowing, sound, flow, whole, alike = judged(
+            currents, volts, pattern.injections, pattern.injection_numbers, self._usual
+        )
+        known = Soundness(flowing, sound, flow, whole)
         if alike > _BY_CHANCE or self.bad:
-            flowing, sound, *_ = known
             if alike > _BY_CHANCE:
                 sizes = np.where(sound, np.abs(volts), -1.0)
                 largest = np.flatnonzero(sizes == sizes.max())

@@ -17,8 +17,8 @@ from ohmskin.tracking.state import STATE, TrackState
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
 _RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
-_MORE = 2.0  # times the gain expected of two when they last failed, from which on they are fitted again,
-_ANYWAY = 4  # and turns after which they are
+_MORE = 2.0  # times the doubts, or the gain expected of two, of the last look in vain, from which on there is another,
+_ANYWAY = 4  # and turns after which there is
 _HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again, and a faint one is none
 
 
@@ -48,12 +48,14 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
         return state
     rested = _Rested.of(state, fitter)
     told, _, _, here = rested.less_all_but(pressing)
-    doubtful = rested.count >= _RESTED and fitter.poor(told, here.cost)
+    doubt = fitter.doubt(told, here.cost) if rested.count >= _RESTED else 0.0
     young = {k for k in pressing if state.tracks[k].since >= state.history[-1].time}  # their first frames may mislead
-    if doubtful and (young or state.doubtful) and (seen := _afresh(rested, bar, speed)) is not None:
+    again = bool(state.refuted) and (doubt > _MORE * state.refuted or turn % _ANYWAY == 0)
+    if doubt > 1 and (young or again) and (seen := _afresh(rested, bar, speed)) is not None:
         return seen
-    if doubtful != state.doubtful:
-        state = changed(state, doubtful=doubtful)
+    refuted = 0.0 if doubt <= 1 else doubt if young or again else max(state.refuted, 1.0)
+    if refuted != state.refuted:
+        state = changed(state, refuted=refuted)
         rested = changed(rested, state=state)
     for k in sorted(young):
         if (placed := _placed(rested, speed, k)) is not None:
@@ -190,9 +192,8 @@ class _Rested:
                 break
             used.append(residuals.reading)
         used = used or [state.history[0].reading]
-        parts = ([reading.beside for reading in used], [reading.wary for reading in used])
-        told, data = map(Information.together, parts)
-        return cls(state, fitter, len(used), told, data)
+        told = Information.together([reading.beside for reading in used])
+        return cls(state, fitter, len(used), told, told.likewise([reading.wary for reading in used]))
 
     def less_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float, Solution]:
         """What they say, and wary of the model's error, less all contacts but the chosen ones, beside shapes that small

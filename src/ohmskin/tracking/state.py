@@ -52,7 +52,8 @@ class TrackState:
         unexplained: Share of the newest frame's data that the contacts do not explain.
         suspects: Electrodes that alone showed a contact in the newest frame.
         covered: Electrodes under contacts of whose resistance nothing is taken to be known, see `Solution`.
-        doubtful: Whether contacts explained the last frames poorly when they were last revised.
+        refuted: How many times the usual residual contacts left when others were last looked for without success (1);
+            0: they explained the last frames when they were last revised.
     """
 
     tracks: tuple[Track, ...]
@@ -69,7 +70,7 @@ class TrackState:
     unexplained: float = 0.0
     suspects: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
-    doubtful: bool = False
+    refuted: float = 0.0
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least so many injections together, less drift and temperature, newest first."""
