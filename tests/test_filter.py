@@ -533,7 +533,7 @@ def test_two_that_were_fitted_in_vain_are_fitted_again_where_they_promise_more_a
         assert [look(promise, turn) for turn in (2, 3, 4, 5)] == [-1.0, -1.0, promise, -1.0]
 
 
-def test_contacts_that_explain_data_poorly_are_looked_for_afresh_in_the_second_look_or_while_they_are_new(
+def test_contacts_that_explain_data_poorly_are_looked_for_afresh_in_the_second_look_while_new_or_at_larger_doubts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Data err a quarter more than the filter is told; there is nothing to be found."""
@@ -543,13 +543,14 @@ def test_contacts_that_explain_data_poorly_are_looked_for_afresh_in_the_second_l
     for seed, place in enumerate(PLACES):
         state = Rig("discs", 48, seed, ContactFilter(judge)).run(30, press("discs", place))
         state, looks = replace(state, history=4 * state.history[:1]), []
-        for since, doubtful in ((-1.0, False), (-1.0, True), (state.time, False)):
+        for since, refuted, turn in ((-1, 0, 1), (-1, 0.5, 1), (state.time, 0, 1), (-1, 3, 1), (-1, 3, 4)):
             calls.clear()
             tracks = tuple(replace(track, since=since) for track in state.tracks)
-            after = with_revision(replace(state, tracks=tracks, doubtful=doubtful), judge, np.inf, 0.1, 1)
-            looks.append((len(calls), after.doubtful and not doubtful))
-        assert looks[0] == (0, True)
-        assert [count for count, _ in looks] == [0, 1, 1]
+            after = with_revision(replace(state, tracks=tracks, refuted=refuted), judge, np.inf, 0.1, turn)
+            looks.append((len(calls), after.refuted))
+        assert [count for count, _ in looks] == [0, 1, 1, 0, 1]
+        doubt = looks[1][1]
+        assert [left for _, left in looks] == [0.5, doubt, doubt, 3, doubt] and 1 < doubt < 3
 
 
 def test_what_a_search_found_nothing_about_is_searched_again_only_if_there_is_more_of_it() -> None:

@@ -70,6 +70,10 @@ class DiscFitter:
         """Whether a fit of that cost leaves more than is usual."""
         return self.doubt(told, cost) > 1
 
+    def usual_squares(self, squares: float, count: int) -> float:
+        """What contacts usually leave of voltages, so many, whose squares have that sum (V2)."""
+        return count * self.errors.noise**2 + follow.USUAL * self.model_error**2 * squares
+
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
         inside = np.array(positions, float, order="C")

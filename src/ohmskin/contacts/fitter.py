@@ -192,10 +192,11 @@ class ContactFitter(DiscFitter):
         params = before.params.copy()
         if not 0 < len(params) <= self.most:
             return None
-        away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
-        if (away < NEAR * self.table.radius).sum() > len(params):  # any but each of itself
-            return None
-        told, data = (self._uncovered(one, before.covered) for one in (told, data))
+        if len(params) > 1:
+            away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
+            if (away < NEAR * self.table.radius).sum() > len(params):  # any but each of itself
+                return None
+        told, data = self._uncovered(told, before.covered), self._uncovered(data, before.covered)
         state, cost, normal, caused, slopes, shapes, doubts = follow.followed(
             told.misfit.part,
             data.misfit.part,
@@ -205,7 +206,7 @@ class ContactFitter(DiscFitter):
             search and self.table.pairs.whole,
             allowed,
         )
-        if state == follow.GONE or not {*before.covered} <= {*self.covered(params)}:
+        if state == follow.GONE or (before.covered and not {*before.covered} <= {*self.covered(params)}):
             return None
         return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T, doubts), state == STILL
 

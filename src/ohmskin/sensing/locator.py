@@ -7,12 +7,13 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution, find_regions
+from ohmskin.contacts.follow import CLEAR
 from ohmskin.drive import Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import Estimate, Made
 from ohmskin.scan import Difference
-from ohmskin.sensing.readers import undriven
+from ohmskin.sensing.readers import Belief, undriven
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,21 +34,34 @@ class Locator:
         """The image of scans."""
         return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
 
-    def targets(self, scans: Sequence[Difference], look: Estimate, before: Solution | None = None) -> list[Target]:
+    def targets(self, scans: Sequence[Difference], look: Estimate, before: Belief) -> list[Target]:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
 
-        Those that were fitted to the last frame are seen more quickly; whether more have come, all scans tell.
+        Those that were fitted to the last frame are taken as they were while they still explain the scans; whether more
+        have come, all scans tell.
         """
         if self.fitter is None:
             return self._regions(look.image)
+        if before.solution is not None and len(before.detections) and self._still(scans, before, before.solution):
+            return targets_of(before.detections)
         told, wary = self.fitter.information(*scans)
-        last = None if before is None else self.fitter.followed(told, wary, before, search=False)
+        last = None if before.solution is None else self.fitter.followed(told, wary, before.solution, search=False)
         found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.explained(told, wary)))
         if found:
             return found
         height = self.fitter.heights(*self.fitter.scores(told))
         radius = self.fitter.table.radius
         return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
+
+    def _still(self, scans: Sequence[Difference], before: Belief, known: Solution) -> bool:
+        """Whether contacts leave no more of scans than one that is followed may, with no step of a fit."""
+        assert self.fitter is not None
+        changes, pairs = known.caused if before.drift is None else known.caused + before.drift, self.fitter.table.pairs
+        seen = undriven(scans)
+        left = [scan.volts - scan.caused_by(changes, pairs) for scan in seen]
+        squares = sum(float(scan.volts @ scan.volts) for scan in seen)
+        usual = self.fitter.usual_squares(squares, sum(map(len, left)))
+        return sum(float(rest @ rest) for rest in left) <= CLEAR * usual
 
     def _regions(self, image: Image) -> list[Target]:
         cells, finder, values = self.estimator.cells, self.finder, image.values

@@ -191,7 +191,7 @@ class FitReader:
         solution = self.fitter.explained(told, wary, before=known)
         if solution.covered:
             told = told.leaving_out(in_series(solution.covered, self.fitter.table.pairs))
-        if solution.shapes is not None:
+        if solution.shapes is not None and solution.shapes.size:
             told = told.without(solution.shapes)
         said, left = told.signals(solution.caused)
         unexplained = told.share_unexplained(said, left)

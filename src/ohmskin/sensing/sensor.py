@@ -288,7 +288,7 @@ class Sensor:
                     _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
                 if _any_known(sound):
                     look = self.locator.look(sound)
-                    targets = self.locator.targets(sound, look, state.belief.solution)
+                    targets = self.locator.targets(sound, look, state.belief)
         return Measured(tuple(frames), tuple(scans), look)
 
 

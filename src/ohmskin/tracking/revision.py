@@ -53,7 +53,7 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     again = bool(state.refuted) and (doubt > _MORE * state.refuted or turn % _ANYWAY == 0)
     if doubt > 1 and (young or again) and (seen := _afresh(rested, bar, speed)) is not None:
         return seen
-    refuted = 0.0 if doubt <= 1 else doubt if young or again else max(state.refuted, 1.0)
+    refuted = 0.0 if doubt <= 1 else doubt if young or again else state.refuted or 1 / _MORE
     if refuted != state.refuted:
         state = changed(state, refuted=refuted)
         rested = changed(rested, state=state)
