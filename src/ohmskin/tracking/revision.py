@@ -88,7 +88,7 @@ def _afresh(rested: "_Rested", bar: float, speed: float) -> TrackState | None:
     for n, (params, covariance) in enumerate(zip(there.params, there.covariances, strict=True)):
         name = state.tracks[pressing[named[n]]].id if n in named else None
         after = after.with_contact(params, covariance, speed, name)
-    return changed(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})))
+    return changed(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})), refuted=0.0)
 
 
 def _without_needless(rested: "_Rested", bar: float) -> TrackState | None:

@@ -53,7 +53,7 @@ class TrackState:
         suspects: Electrodes that alone showed a contact in the newest frame.
         covered: Electrodes under contacts of whose resistance nothing is taken to be known, see `Solution`.
         refuted: How many times the usual residual contacts left when others were last looked for without success (1);
-            0: they explained the last frames when they were last revised; less than 1: they did not, for the first time.
+            0: they explained the last frames when they were last revised; below 1: they did not, for the first time.
     """
 
     tracks: tuple[Track, ...]
