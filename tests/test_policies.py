@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ohmskin.cli import app
+from ohmskin.contacts import ContactFitter
 from ohmskin.drive import ContactPrior, complete_pattern, position_bound
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate import policies, worlds
@@ -18,7 +19,16 @@ from ohmskin.evaluate.cache import describe, key
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.flaws import Bumps, Flaw, misplaced
 from ohmskin.evaluate.policies.goals import QUIET
-from ohmskin.evaluate.policies.pairs import RADIUS, apart, best_of, ideal_power, pair_places, single_places, unlike_one
+from ohmskin.evaluate.policies.pairs import (
+    RADIUS,
+    READING,
+    apart,
+    best_of,
+    ideal_power,
+    pair_places,
+    single_places,
+    unlike_one,
+)
 from ohmskin.evaluate.policies.plan import FLAWS, TOLD, WITH_DRIVEN
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS, instrument_cost, scheme, within
 from ohmskin.evaluate.policies.static import RADIUS_FACTOR, bound_of
@@ -30,7 +40,7 @@ from ohmskin.evaluate.shapes import disc
 from ohmskin.evaluate.statistics import Estimate, mean, share
 from ohmskin.evaluate.two_points import best_single, one_or_two, told
 from ohmskin.evaluate.verdict import MET, MISSED, OPEN, Goal
-from ohmskin.evaluate.worlds import CURRENT, contact
+from ohmskin.evaluate.worlds import CONTACT_ERROR, CONTACT_RADIUS, CURRENT, contact
 from ohmskin.forward.response import effective_change
 from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.scan.pairs import in_series
@@ -383,6 +393,33 @@ def test_pairs_are_judged_by_what_the_fit_counts_and_false_twos_by_single_contac
     assert [g.measured.value for g in told] == [0.5, 0.5]
     assert {g.verdict for g in told} == {OPEN}  # half of twenty may be three quarters
     assert {g.measured.value for text, g in found.items() if "counted as two" in text} == {0.01}
+
+
+@pytest.mark.parametrize(("decibels", "distance", "least"), [(50.0, 0.02, 0.72), (60.0, 0.012, 0.80)])
+def test_two_close_discs_are_counted_and_placed_and_one_is_one(decibels: float, distance: float, least: float) -> None:
+    """60 places that the report has not, two seeds each: 82 and 92 %, and 4 and 2 of 500 single discs are two.
+
+    It was 63 and 67 % while one of a pair could become a shadow of the other, while pairs were sought along two axes
+    alone and refused if their discs overlap by a third, and while discs were said to err by 1 %.
+    """
+    found = policies.Pairs(decibels, 2, 500, (distance,), where=60, schemes=("16P",)).run()
+    assert found["right"].mean() >= least
+    assert (found["counted"] != 1).sum() <= 0.01 * found["counted"].size
+
+
+def test_discs_are_modelled_as_well_as_their_skin_says() -> None:
+    """What the best disc leaves of discs on a finer mesh, without noise: of 360, 0.1 % of their signal, at most 0.4."""
+    quiet, where = setup("discs", 200.0), setup("discs", 60.0)
+    exact = ContactFitter(where.table, where.noise / 100, model_error=0.0, contacts=where.known.contact_changes)
+    sensor, errors = where.sensor(scheme("16P", READING)), []
+    for number, (x, y) in enumerate(single_places(12, 3, where.electrodes.positions)):
+        for radius in (RADIUS, np.sqrt(2) * RADIUS, CONTACT_RADIUS["discs"]):
+            _, seen = sensor.step(sensor.start(), quiet.scan((disc(x, y, radius, 0.5),), number))
+            told = exact.information(*map(quiet.known.difference, seen.frames))[0].beside_common()
+            start, unknown = np.array([[x, y, 0.4 * np.pi * radius**2, radius**2]]), np.zeros(4)
+            one = exact.refine(told, start, unknown, np.diag(unknown))
+            errors.append(np.sqrt(max(one.cost, 0.0)) / told.size(one.caused))
+    assert CONTACT_ERROR["discs"] / 4 < max(errors) < CONTACT_ERROR["discs"]
 
 
 def test_detection_counts_three_frames_and_quiet_frames_count_births() -> None:

@@ -8,7 +8,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from ohmskin.arrays import Floats
+from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts import follow, kernels
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
@@ -18,6 +18,8 @@ from ohmskin.scan import Difference
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
+_ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that may be one
+NEAR = 4.0  # radii, within which two contacts may be one
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 cost_of = attrgetter("cost")
 
@@ -133,6 +135,19 @@ class DiscFitter:
         low, high, *_, period = self.table.sheet
         return kernels.expected(np.ascontiguousarray(effects, float), self.table.radius, low, high, period)
 
+    def believed(self, params: Floats) -> tuple[Floats, Floats]:
+        """What is expected of contacts about `params` (n, 4): two that may be one are about equally strong.
+
+        Data tell how strong these are together, and hardly which share each has: without that, one may become a shadow
+        of the other.
+        """
+        mean, information = self.expected(params[:, 2])
+        if len(params) > 1:
+            away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
+            for both in np.argwhere(np.triu(away < NEAR * self.table.radius, 1)):
+                information += alike(len(params), both, np.abs(params[both, 2]).sum())
+        return mean, information
+
     def refine(
         self,
         data: Information,
@@ -184,3 +199,11 @@ class DiscFitter:
         """The contacts of a fit, strongest first."""
         listed = [self.contact(*one) for one in zip(found.params, found.covariances, strict=True)]
         return tuple(sorted(listed, key=lambda contact: -abs(contact.strength)))
+
+
+def alike(count: int, both: Ints, together: float) -> Floats:
+    """Information (4 n, 4 n) about so many contacts: two of them, `both`, have about half of an effect `together` (m2)
+    each."""
+    apart = np.zeros((count, PER_CONTACT))
+    apart[both, 2] = np.array([1, -1]) / (_ALIKE * together)
+    return np.outer(apart, apart)

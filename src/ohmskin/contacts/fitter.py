@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import follow
-from ohmskin.contacts.discs import DiscFitter, cost_of
+from ohmskin.contacts.discs import NEAR, DiscFitter, alike, cost_of
 from ohmskin.contacts.follow import CLEAR, HALF, PROMISED, STILL
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
@@ -25,15 +25,12 @@ from ohmskin.inverse.modes import check_positive, check_share
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 
-_ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that were taken for one
-_OVERLAP = 2 / 3  # of the sum of their radii, closer than which two contacts are one
+_OVERLAP = 1 / 2  # of the sum of their radii, closer than which two contacts are one
 _APART = 1.15  # of it, from which on no shape of one contact looks like them
 _LOST = 0.7  # share of the data that contacts leave which explain little
 _COVERED = 0.25  # cost of an electrode with a flat prior, as a share of a contact's
 _WIDEST = 2.0  # usual radii of a contact beyond which a pair must be as far apart as it is wide
-_LIKELY = 2  # axes along which a contact of usual size may be a pair
-_FEW = 5  # rounds of a fit that tell which axis of a split is the best
-NEAR = 4.0  # radii, within which two contacts may be one
+_FEW = 8  # rounds of a fit that tell which axis of a split is the best
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 
 _MORE = 1.2  # times the doubts that a search found nothing about, from which on contacts are looked for again
@@ -161,7 +158,8 @@ class ContactFitter(DiscFitter):
             for _ in range(2):  # where they are by then, they have other shapes
                 everything = self._beside_shapes(whole, found.params)
                 told, data = (self._uncovered(one, covered) for one in everything)
-                found = self.refine(data, found.params) if everything is not whole else found
+                if everything is not whole or len(found.params) > 1:
+                    found = self.refine(data, found.params, *self.believed(found.params))
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
         known = None if before is None else self._followed(*given, found)
         return found if known is None else changed(found, doubts=known[0].doubts)
@@ -276,7 +274,8 @@ class ContactFitter(DiscFitter):
             faintest = int(np.argmin(sure))
             if sure[faintest] > FAINT:
                 break
-            found = self.refine(data, np.delete(found.params, faintest, axis=0))
+            rest = np.delete(found.params, faintest, axis=0)
+            found = self.refine(data, rest, *self.believed(rest))
         return found
 
     def split(
@@ -305,12 +304,11 @@ class ContactFitter(DiscFitter):
         bar = self.split_bar if bar is None else bar
         if height.max() ** 2 < PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
             return None
-        mean, information = self.expected(np.zeros(len(found.params) + 1))
-        unlike = np.zeros(len(mean))
-        unlike[[-6, -2]] = np.array([1, -1]) / (_ALIKE * one[2])
-        information += np.outer(unlike, unlike)
+        many = len(found.params) + 1
+        mean, information = self.expected(np.zeros(many))
+        information += alike(many, np.array([many - 2, many - 1]), one[2])
         others, half = np.delete(found.params, k, axis=0), np.tile([one[2] / 2, usual**2 / 2], (2, 1))
-        likely = axes[np.argsort(-height)[:_LIKELY]] if len(axes) == len(follow.AXES) else axes
+        likely = axes[np.argsort(-height)]  # which ends the fits along the others the sooner
         pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in likely)
         starts = np.array([np.vstack([others, pair]) for pair in pairs])
         best = self.refine(data, starts, mean, information, _FEW)

@@ -33,7 +33,7 @@ LAYOUTS = {"grid": "paper", "rim": "paper-rim16"}  # electrode layouts and the s
 WORLD_NAMES = {"discs": "discs of raised conductivity", "pressed": "contact-layer twin"}
 WORLDS = tuple(WORLD_NAMES)
 CONTACT_STRENGTH = {"discs": 0.5, "pressed": 20e3}  # relative change of conductivity | pascals
-CONTACT_ERROR = {"discs": 0.01, "pressed": 0.07}  # what a disc gets wrong of a contact: little of discs on a mesh
+CONTACT_ERROR = {"discs": 0.004, "pressed": 0.07}  # most that a disc gets wrong of a contact's signal
 CONTACT_RADIUS = {"discs": 10e-3, "pressed": 8e-3}  # metres
 
 Contacts = tuple[Shape, ...]

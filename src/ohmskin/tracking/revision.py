@@ -8,7 +8,8 @@ from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 
 from ohmskin.arrays import changed
-from ohmskin.contacts.fitter import NEAR, ContactFitter
+from ohmskin.contacts.discs import NEAR
+from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import PER_CONTACT, Solution
 from ohmskin.tracking.lift import known_gone
