@@ -16,7 +16,7 @@ import numpy as np
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import measured
 from ohmskin.contacts.measured import Erring, Left, Part, Scan, fainter
-from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest
+from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest, signals
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import Pairs
@@ -148,8 +148,8 @@ class Information:
 
     def signals(self, caused: Floats) -> tuple[float, float]:
         """The signal beyond noise, and what remains of it after changes of contacts (n_pairs,); squared sizes."""
-        beside = self.beside_common()
-        return beside.misfit.constant - self.count, beside.less(caused).misfit.constant - self.count
+        said, left = signals(*self.misfit.part, np.ascontiguousarray(caused))
+        return said - self.count, left - self.count
 
     def drift(self) -> Floats:
         """Change (n_pairs,) of each two-terminal resistance that explains the data (ohm); 0 without information."""

@@ -190,6 +190,16 @@ def less(rows: Rows, lost: Floats, vector: Floats, constant: float, known: Float
 
 
 @njit(cache=True, nogil=True)
+def signals(rows: Rows, lost: Floats, vector: Floats, constant: float, caused: Floats) -> tuple[float, float]:
+    """Constants beside a common change of all resistances: that of nothing, and once a change (n_pairs,) is known."""
+    direction, beside = np.zeros((1, len(vector))), np.empty((len(lost) + 1, len(vector)))
+    direction[0, -1] = COMMON
+    vector = vector.copy()
+    constant -= taken_off(rows, lost, direction, vector, beside)
+    return constant, less(rows, beside, vector, constant, caused)[1]
+
+
+@njit(cache=True, nogil=True)
 def products(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
     """What changes (m, n_pairs or n) have in common in the data, into `out` (m, m)."""
     pairs, many, injections = lost.shape[1] - 1, len(rows[3]), len(rows[5])

@@ -130,7 +130,7 @@ class Capabilities:
     def limited(self, frame: Frame) -> Frame:
         """A frame whose voltages that the device cannot measure are infinite, as those that clip are."""
         beyond = np.abs(frame.voltages) > (self.full_scale or math.inf) * (1 + _ROUNDING)
-        if not beyond.any():
+        if not np.count_nonzero(beyond):
             return frame
         return replace(frame, voltages=np.where(beyond, np.copysign(np.inf, frame.voltages), frame.voltages))
 

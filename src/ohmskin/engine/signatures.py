@@ -73,6 +73,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.misfit:less", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:likeliest", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
     ("contacts.misfit:paired", (_T1, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
+    ("contacts.misfit:signals", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
     ("contacts.misfit:sizes", (_T1, _FLOAT64_2, _FLOAT64_2)),
     ("contacts.misfit:taken_off", (_T1, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
     ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),

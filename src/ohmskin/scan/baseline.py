@@ -91,7 +91,9 @@ class Difference:
             pairs: Of which pairs of electrodes they are; of all unless given.
         """
         pairs = Pairs.all(round((1 + sqrt(1 + 8 * len(changes))) / 2)) if pairs is None else pairs
-        ad, bc, ac, bd, ab = np.append(changes, 0.0)[terms_of(self.pattern, pairs)]
+        known = np.zeros(len(changes) + 1)  # the last of no pair
+        known[:-1] = changes
+        ad, bc, ac, bd, ab = known[terms_of(self.pattern, pairs)]
         own = 0.0 if self.source_loading is None else self.source_loading * ab
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
@@ -241,7 +243,8 @@ class Baseline:
         currents = frame.measurement_currents
         reference = currents * self.reference(frame.pattern)
         volts = frame.voltages - reference
-        volts[~np.isfinite(volts)] = np.nan
+        if np.count_nonzero(finite := np.isfinite(volts)) < len(volts):
+            volts[~finite] = np.nan
         return Difference.valid(frame.pattern, currents, volts, reference=reference)
 
 

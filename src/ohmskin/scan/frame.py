@@ -55,7 +55,7 @@ class Frame:
             given = real(getattr(self, name), f"frame {name} are", DataError)
             if given.shape != (count,):
                 raise DataError(f"frame {name} have shape {given.shape}; the pattern driven needs ({count},)")
-            if (beyond := np.abs(given) > _LARGEST).any():
+            if np.count_nonzero(beyond := np.abs(given) > _LARGEST):
                 given = np.where(beyond, np.copysign(np.inf, given), given)
             object.__setattr__(self, name, given)
 

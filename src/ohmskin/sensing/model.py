@@ -1,5 +1,6 @@
 """What is learned of a quiet skin, and the parts that every reader of it shares."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -7,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ohmskin.arrays import Floats, Remembered, changed
+from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
@@ -21,6 +22,7 @@ from ohmskin.skin import PressedSheet, Skin
 
 _LEAST_NOISE = 1e-4  # of the largest voltage: noise-free recordings exist, and the problem must stay well posed
 _FINER = 0.8  # edges of the mesh over the estimator's: those resolve a press near the rim to 1.5 %, these to 0.5 %
+_RECENT = 4  # frames whose soundness is remembered
 _BY_CHANCE = 3  # largest values that may be the same
 _UNLIKE = 20.0  # noises by which those of the quiet skin must differ
 
@@ -82,7 +84,7 @@ class SkinModel:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
             measured &= ~np.isin(frame.pattern.injections, self.bad).any(axis=1)
             self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
-        self._soundness: Remembered[Frame, Soundness] = Remembered()
+        self._soundness: deque[tuple[Frame, Soundness]] = deque(maxlen=_RECENT)
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     @property
@@ -116,8 +118,9 @@ class SkinModel:
         Currents can that are a tenth to ten times those on the quiet skin; voltages whose current can, and that are not
         clipped. Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
         """
-        if (known := self._soundness.get(frame)) is not None:
-            return known
+        for recent, known in self._soundness:
+            if recent is frame:
+                return known
         pattern, (volts, currents) = frame.pattern, (frame.voltages, frame.currents)
         flowing, sound, flow, whole, alike = judged(
             currents, volts, pattern.injections, pattern.injection_numbers, self._usual
@@ -133,7 +136,7 @@ class SkinModel:
                 flowing |= np.isin(pattern.injections, self.bad).any(axis=1)
                 sound |= pattern.uses(self.bad)
             known = Soundness(flowing, sound, bool(flowing.all()), bool(sound.all()))
-        self._soundness[frame] = known
+        self._soundness.append((frame, known))
         return known
 
     def usual_currents(self, pattern: DrivePattern) -> Floats | None:

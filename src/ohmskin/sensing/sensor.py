@@ -294,4 +294,4 @@ class Sensor:
 
 def _any_known(scans: Sequence[Difference]) -> bool:
     """Whether anything is known of scans."""
-    return any(bool(np.isfinite(scan.volts + scan.currents).any()) for scan in scans)
+    return any(np.count_nonzero(np.isfinite(scan.volts + scan.currents)) for scan in scans)
