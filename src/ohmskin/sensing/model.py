@@ -1,6 +1,5 @@
 """What is learned of a quiet skin, and the parts that every reader of it shares."""
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -84,7 +83,7 @@ class SkinModel:
             measured = np.isfinite(frame.currents) & (frame.currents != 0)
             measured &= ~np.isin(frame.pattern.injections, self.bad).any(axis=1)
             self._usual[tuple(frame.pattern.injections[measured].T)] = frame.currents[measured]
-        self._soundness: deque[tuple[Frame, Soundness]] = deque(maxlen=_RECENT)
+        self._judged: tuple[tuple[Frame, Soundness], ...] = ()
         self._estimators: dict[tuple[str, str, str], Estimator] = {}
 
     @property
@@ -118,7 +117,7 @@ class SkinModel:
         Currents can that are a tenth to ten times those on the quiet skin; voltages whose current can, and that are not
         clipped. Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
         """
-        for recent, known in self._soundness:
+        for recent, known in self._judged:
             if recent is frame:
                 return known
         pattern, (volts, currents) = frame.pattern, (frame.voltages, frame.currents)
@@ -136,7 +135,7 @@ class SkinModel:
                 flowing |= np.isin(pattern.injections, self.bad).any(axis=1)
                 sound |= pattern.uses(self.bad)
             known = Soundness(flowing, sound, bool(flowing.all()), bool(sound.all()))
-        self._soundness.append((frame, known))
+        self._judged = ((frame, known), *self._judged[: _RECENT - 1])  # a new one: threads may read the old
         return known
 
     def usual_currents(self, pattern: DrivePattern) -> Floats | None:
