@@ -93,8 +93,13 @@ class Ranking:
         return min(max(int(x), 0), self._shape[0] - 1), min(max(int(y), 0), self._shape[1] - 1)
 
     def in_turn(self, positions: Sequence[Sequence[float] | Floats], count: int, turn: int) -> list[int]:
-        """The next `count` injections of the rankings of all cells with contacts, which take turns; a cell counts
-        once."""
+        """The next injections of the rankings of all cells with contacts, which take turns; a cell counts once.
+
+        Args:
+            positions: (n, 2) of the contacts (m).
+            count: How many injections a frame has.
+            turn: How many frames before this one have had as many.
+        """
         ranked = [self._order[x][y] for x, y in dict.fromkeys(map(self.cell_of, positions))]
         depth, many = self.order.shape[-1], len(ranked)
         served = range(turn * count, (turn + 1) * count)  # after those that frames before this one have had
