@@ -107,6 +107,19 @@ def test_two_explore_but_no_more_than_half(injections: int, exploring: int) -> N
     assert explored == [round_trip[k % 6] for k in range(6 * exploring)]
 
 
+@pytest.mark.parametrize("kind", ["position", "position exact"])
+def test_where_one_more_contact_may_be_every_other_frame_measures_there_alone(kind: str) -> None:
+    known, there = target(0.05, 0.15), Target.possible(np.array([0.15, 0.06]), 8e-3)
+    assumed = target(0.15, 0.06, 4.8e-3)
+    before, alone, usual = (
+        policy(kind).next(t, n) for t, n in (([known], 4), ([known, there], 4), ([known, there], 5))
+    )
+    assert error_after(alone, assumed) < 0.7 * error_after(before, assumed)
+    assert error_after(alone, assumed) < error_after(usual, assumed)
+    assert error_after(usual, known) < error_after(alone, known)
+    assert numbers(usual)[:1] == numbers(policy(kind).next([known], 5))[:1]  # which goes on exploring
+
+
 def test_all_loops_of_a_skin_share_one_ranking(monkeypatch: pytest.MonkeyPatch) -> None:
     made, ranking = list[object](), Ranking
 

@@ -25,7 +25,7 @@ class Target:
     Args:
         position: (2,) in metres.
         covariance: (2, 2) of the position (m2).
-        effect: Relative conductivity change times area (m2).
+        effect: Relative conductivity change times area (m2); 0 where it is not sure that there is a contact.
         radius: In metres.
         closest: (n, 2) centroids of the elements closest to it (m), if they are known.
     """
@@ -35,6 +35,11 @@ class Target:
     effect: float
     radius: float
     closest: Floats = field(default_factory=lambda: np.empty((0, 2)))
+
+    @classmethod
+    def possible(cls, position: Floats, radius: float) -> Self:
+        """A place (2,) where a contact of some `radius` may be (m)."""
+        return cls(position, radius**2 * np.eye(2), 0.0, radius)
 
     @property
     def anchors(self) -> Floats:

@@ -5,6 +5,7 @@ somewhere in that cell. A frame takes the next ones of that order, so that frame
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import product
 from math import atan2, cos, hypot, sin, sqrt
@@ -170,7 +171,11 @@ class InformedPolicy(Exploration):
         return None if self.exact else _ranking(*self._known, _DEPTH, (), _TRACKED, _EFFECT)
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The pattern of frame number `turn` (from 0), given the belief about contacts, the `targets`."""
+        """The pattern of frame number `turn` (from 0), given the belief about contacts, the `targets`.
+
+        Where one more contact may be (of effect 0), every other frame measures there alone; the others go on as usual,
+        so that a doubt that stays costs half of the frames.
+        """
         return part_of(self.complete, self._choose(targets, turn))
 
     @property
@@ -181,10 +186,14 @@ class InformedPolicy(Exploration):
     def _choose(self, targets: Sequence[Target], turn: int) -> Ints | Sequence[int]:
         if not targets:
             return self.numbers(turn, self.injections)
-        explored = self.numbers(turn, self._exploring)
-        wanted = self.injections - self._exploring
+        sought = [target for target in targets if not target.effect]
+        if alone := bool(sought) and turn % 2 == 0:
+            targets = sought
+        explored = self.numbers(turn, 0 if alone else self._exploring)
+        wanted = self.injections - len(explored)
         if self._ranking is not None:
-            return [*explored, *self._ranking.in_turn([target.position for target in targets], wanted, turn)]
+            places = [target.position for target in targets]
+            return [*explored, *self._ranking.in_turn(places, wanted, 0 if alone else turn)]
         search = self._search(targets)
         for number in explored:
             search.take(int(number))
@@ -194,9 +203,11 @@ class InformedPolicy(Exploration):
 
     def _search(self, targets: Sequence[Target]) -> Search:
         table, candidates = self._known
-        covariance = ContactPrior.usual(table.radius, _TRACKED, _EFFECT).covariance(targets)
+        prior = ContactPrior.usual(table.radius, _TRACKED, _EFFECT)
+        targets = [target if target.effect else replace(target, effect=prior.effect) for target in targets]
         columns = np.hstack(list(contact_columns(table, targets)))
-        return Search(*candidates.problem(columns, covariance, position_goals(len(targets))), repeats=True)
+        problem = candidates.problem(columns, prior.covariance(targets), position_goals(len(targets)))
+        return Search(*problem, repeats=True)
 
 
 class PositionDrive(SecondScan):

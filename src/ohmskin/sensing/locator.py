@@ -50,8 +50,7 @@ class Locator:
         if found:
             return found
         height = self.fitter.heights(*self.fitter.scores(told))
-        radius = self.fitter.table.radius
-        return [Target(self.fitter.places[int(np.argmax(height))], radius**2 * np.eye(2), 0.0, radius)]
+        return [Target.possible(self.fitter.places[int(np.argmax(height))], self.fitter.table.radius)]
 
     def _still(self, scans: Sequence[Difference], before: Belief, known: Solution) -> bool:
         """Whether contacts leave no more of scans than one that is followed may, with no step of a fit."""

@@ -14,6 +14,7 @@ from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import nothing
+from ohmskin.drive import Target
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
 from ohmskin.scan import Difference, Pairs
@@ -49,6 +50,7 @@ class Belief:
         solution: What was fitted to the frame, if contacts are.
         searched: How long ago contacts were looked for afresh (s).
         explains: Whether contacts, if there are any, explain the data as well as they do usually.
+        sought: Where else a contact may be, for the drive to measure next.
     """
 
     estimate: Estimate
@@ -63,6 +65,7 @@ class Belief:
     solution: Solution | None = field(default=None, repr=False)
     searched: float = 0.0
     explains: bool = False
+    sought: tuple[Target, ...] = ()
 
     @property
     def image(self) -> Image:
@@ -265,7 +268,8 @@ class FilterReader:
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
         belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
-        return changed(belief, explains=self.filter.explains(state))
+        sought = () if state.possible is None else (Target.possible(state.possible, self.fitter.table.radius),)
+        return changed(belief, explains=self.filter.explains(state), sought=sought)
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

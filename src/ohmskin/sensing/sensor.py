@@ -277,7 +277,7 @@ class Sensor:
         frames: list[Frame] = []
         scans: list[Difference] = []
         look: Estimate | None = None
-        targets = targets_of(state.belief.contacts)
+        targets = [*targets_of(state.belief.contacts), *state.belief.sought]
         for number in range(self.drive.scans):
             frames.append(scan(self.drive.next(targets, state.turn + number)))
             scans.append(self.known.difference(frames[-1]))

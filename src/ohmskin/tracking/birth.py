@@ -14,6 +14,7 @@ from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
+_POSSIBLE = 4.0  # standard deviations from which on one more contact may be there, and is looked for
 _ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without an electrode, and share that then lacks
 _BLAMED = 3  # of the newest frames in which one electrode alone tells of a contact, from which on its wire is loose
 _NOTHING = 1e-9  # share of the power that a frame keeps whose score counts for nothing
@@ -44,10 +45,13 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         common: Share of the noise's variance that is the same in all frames: it does not average out.
         speed: Standard deviation of a contact's velocity (m/s).
     """
+    state = changed(state, possible=None)
     while len(state.pressing) < fitter.most:
-        found, used = _found(state.history, fitter, bar, common)
-        if found is None:
-            break
+        count, place, height = _standing_out(state.history, fitter, common)
+        if height < bar:
+            return changed(state, possible=fitter.places[place] if height > _POSSIBLE else None)
+        used = state.history[:count]
+        found = _added(used, fitter)
         if (told := _told_by_one(state, fitter, found, used)) is not None:
             suspect, frame = told
             history = [*state.history]
@@ -71,21 +75,20 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
     return state
 
 
-def _found(
-    history: Sequence[Residuals], fitter: ContactFitter, bar: float, common: float
-) -> tuple[Solution | None, Sequence[Residuals]]:
-    """The contact that stands out most over some of the newest frames, if it does enough, and those frames."""
+def _standing_out(history: Sequence[Residuals], fitter: ContactFitter, common: float) -> tuple[int, int, float]:
+    """Over how many of the newest frames a contact more stands out most, at which place, and by how many deviations."""
     windows = _WINDOWS[: np.searchsorted(_WINDOWS, len(history), side="right")]
     score, power = (np.array([getattr(one, name) for one in history], np.float32) for name in ("score", "power"))
     energy = np.array([one.energy for one in history])
-    window, _, height = standing_out(score, power, energy, windows, common, fitter.model_error, fitter.bipolar)
-    count = int(windows[window])
-    used = history[:count]
-    if height < bar:
-        return None, used
-    score, power = (told[:count].sum(axis=0, dtype=float) for told in (score, power))
+    window, place, height = standing_out(score, power, energy, windows, common, fitter.model_error, fitter.bipolar)
+    return int(windows[window]), place, height
+
+
+def _added(used: Sequence[Residuals], fitter: ContactFitter) -> Solution:
+    """The contact that explains most of what is left of some frames."""
+    score, power = (np.sum([getattr(one, name) for one in used], axis=0, dtype=float) for name in ("score", "power"))
     data = Information.together([residuals.unforeseen for residuals in used])
-    return fitter.added(data.times(fitter.allowance(data)), score, power), used
+    return fitter.added(data.times(fitter.allowance(data)), score, power)
 
 
 def _told_by_one(

@@ -54,6 +54,7 @@ class TrackState:
         covered: Electrodes under contacts of whose resistance nothing is taken to be known, see `Solution`.
         refuted: How many times the usual residual contacts left when others were last looked for without success (1);
             0: they explained the last frames when they were last revised; below 1: they did not, for the first time.
+        possible: (2,) where one more contact may be, if so (m).
     """
 
     tracks: tuple[Track, ...]
@@ -71,6 +72,7 @@ class TrackState:
     suspects: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
     refuted: float = 0.0
+    possible: Floats | None = None
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least so many injections together, less drift and temperature, newest first."""
