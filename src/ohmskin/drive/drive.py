@@ -38,7 +38,7 @@ class Target:
 
     @classmethod
     def possible(cls, position: Floats, radius: float) -> Self:
-        """A place (2,) where a contact of some `radius` may be (m)."""
+        """A contact of usual `radius` (m) that may be at `position` (2,) (m)."""
         return cls(position, radius**2 * np.eye(2), 0.0, radius)
 
     @property

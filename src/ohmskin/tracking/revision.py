@@ -18,8 +18,8 @@ from ohmskin.tracking.state import STATE, TrackState
 _TRIALS = 1e3  # looks at whether one contact is two over which `false_twos` holds
 _ELSEWHERE = 6.0  # squared misfit by which another place must be better for a contact that has just come
 _RESTED = 3  # frames in which contacts rested, from which on they are looked for afresh
-_MORE = 2.0  # times the doubts, or the gain expected of two, of the last look in vain, from which on there is another,
-_ANYWAY = 4  # and turns after which there is
+_MORE = 2.0  # times the doubts, or the gain expected of two, when that last failed, from which on it is tried again,
+_ANYWAY = 4  # and turns after which it is
 _HYSTERESIS = 0.5  # share of the bar of a split below which two contacts become one again, and a faint one is none
 
 
