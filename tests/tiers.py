@@ -165,6 +165,7 @@ LONG = {
     "test_policies.py::test_schemes_drive*[[]16O fused": "the same of other schemes",
     "test_policies.py::test_the_command_runs": "experiments in test_trouble.py",
     "test_policies.py::test_the_report_has": "experiments in test_trouble.py",
+    "test_policies.py::test_two_close": "two presses apart, and one that is one, in test_several.py and test_filter.py",
     "test_recorder.py::test_at_most_50*[[]302": "the same killed at two other moments",
     "test_recorder.py::test_at_most_50*[[]353": "the same killed at two other moments",
     "test_recorder.py::test_killed_at_other": "the same killed at two other moments",
