@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from ohmskin import Engine, Skin, VirtualSkin
 from ohmskin.contacts.information import Errors, Information
-from ohmskin.contacts.misfit import likeliest
+from ohmskin.contacts.misfit import ridge_solution
 from ohmskin.drive import Candidates, OptimalDrive, base_pattern, candidate_pairs, candidate_pattern, part_of
 from ohmskin.drive.optimal import pair_weights, take_turns
 from ohmskin.drive.patterns import numbers_of
@@ -112,7 +112,7 @@ def test_the_likeliest_change_is_that_of_the_normal_equations() -> None:
     errors = Errors(1e-3, gain=1e-3, contacts=5 * in_series(range(42), near))
     told, _ = Information.of(near, errors, [scan])
     matrix, vector = told.misfit.matrix[:-1, :-1], told.misfit.vector[:-1]
-    found = likeliest(told.misfit.rows, told.misfit.lost, told.misfit.vector, 0.05)
+    found = ridge_solution(told.misfit.rows, told.misfit.downdates, told.misfit.vector, 0.05)
     exact = np.linalg.solve(matrix + 0.05 * np.eye(len(matrix)), vector)
     assert_allclose(found[:-1], exact, atol=1e-6 * np.abs(exact).max())
     assert found[-1] == 0

@@ -11,9 +11,9 @@ from scipy.stats import norm
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.information import Errors, Information, Misfit
-from ohmskin.contacts.misfit import paired
-from ohmskin.drive import Candidates, InformedPolicy, base_pattern, complete_pattern
+from ohmskin.contacts.information import Errors, Information, QuadraticMisfit
+from ohmskin.contacts.misfit import pair_products
+from ohmskin.drive import Candidates, TrackingDrive, base_pattern, complete_pattern
 from ohmskin.errors import DataError, ModelError, PatternError
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.shapes import Shape
@@ -58,9 +58,9 @@ def table(world: str) -> ContactTable:
 
 
 @cache
-def policy(world: str, decibels: float, injections: int = 4) -> InformedPolicy:
+def policy(world: str, decibels: float, injections: int = 4) -> TrackingDrive:
     candidates = Candidates.at_currents(COMPLETE, 16, worlds.noise_volts(world, decibels), worlds.CURRENT)
-    return InformedPolicy(SKIN.electrodes, lambda: (table(world), candidates), injections, explore=1)
+    return TrackingDrive(SKIN.electrodes, lambda: (table(world), candidates), injections, explore=1)
 
 
 def fitter(world: str, decibels: float, **settings: float) -> ContactFitter:
@@ -116,7 +116,7 @@ def random_difference(pattern: DrivePattern, seed: int, source_loading: bool = F
     return Difference(pattern, currents, rng.normal(size=pattern.n_meas), sagging)
 
 
-def products(misfit: Misfit) -> Floats:
+def products(misfit: QuadraticMisfit) -> Floats:
     """Of the columns of data, themselves last."""
     whole = np.empty((len(misfit.vector) + 1,) * 2)
     whole[:-1, :-1], whole[-1, -1] = misfit.matrix, misfit.constant
@@ -157,28 +157,36 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
     change, beside = np.random.default_rng(3).normal(size=(2, 120, 3))
     columns = np.vstack([change, np.zeros(3)]).astype(np.float32)  # as powers are worked out
     left = whole - np.column_stack([np.zeros((known.sum(), 121)), rows[known] @ change[:, 0]])
-    less = found.less(change[:, 0])
+    less = found.minus(change[:, 0])
     np.testing.assert_allclose(products(less.misfit), left.T @ np.linalg.solve(covariance, left), rtol=1e-8, atol=1e-7)
     assert less.signal == pytest.approx(np.sqrt(np.mean(left[:, -1] ** 2)) / 0.3)
     covariance += (rows[known] @ beside) @ (rows[known] @ beside).T
-    marginal = products(less.without(beside).misfit)
+    marginal = products(less.marginalised(beside).misfit)
     np.testing.assert_allclose(marginal, left.T @ np.linalg.solve(covariance, left), rtol=1e-7, atol=1e-7)
-    for one in (found, less, less.without(beside)):  # of the same places, whatever has been taken off since
+    for one in (found, less, less.marginalised(beside)):  # of the same places, whatever has been taken off since
         expected = np.einsum("pn,nm,pm->p", change.T, one.misfit.matrix[:-1, :-1], change.T)
         np.testing.assert_allclose(one.misfit.scores(columns)[1], expected, rtol=1e-5)
-        np.testing.assert_allclose(one.misfit.sizes(change), np.sqrt(expected), rtol=1e-8)
-    for one in (found.misfit, found.white, less.without(beside).misfit):  # written out, and told of changes one by one
-        np.testing.assert_allclose(one.seen(np.eye(121)), one.matrix, rtol=1e-8, atol=1e-9 * np.abs(one.matrix).max())
+        np.testing.assert_allclose(one.misfit.norms(change), np.sqrt(expected), rtol=1e-8)
+    for one in (
+        found.misfit,
+        found.white,
+        less.marginalised(beside).misfit,
+    ):  # as matrix and as products
+        np.testing.assert_allclose(
+            one.normal_products(np.eye(121)), one.matrix, rtol=1e-8, atol=1e-9 * np.abs(one.matrix).max()
+        )
         ones, others = (np.ascontiguousarray(each.T) for each in (change, beside))
         both = np.stack([np.sum(a * (b @ one.matrix[:-1, :-1]), axis=1) for a, b in
                          ((ones, ones), (others, others), (ones, others))], axis=1)  # fmt: skip
         np.testing.assert_allclose(
-            paired(one.rows, one.lost, ones, others), both, rtol=1e-7, atol=1e-7 * np.abs(both).max()
+            pair_products(one.rows, one.lost, ones, others), both, rtol=1e-7, atol=1e-7 * np.abs(both).max()
         )
     assert found.white.trace == pytest.approx(np.trace(found.white.matrix[:-1, :-1]))
-    blind, seeing = (np.abs(one.misfit.matrix[:-1, :-1] @ beside).max() for one in (less.beside(beside), less))
+    blind, seeing = (
+        np.abs(one.misfit.matrix[:-1, :-1] @ beside).max() for one in (less.marginalised_flat(beside), less)
+    )
     assert blind < 1e-5 * seeing
-    assert found.size(change[:, 0]) == pytest.approx(np.linalg.norm(rows[known] @ change[:, 0]) / 0.3)
+    assert found.norm(change[:, 0]) == pytest.approx(np.linalg.norm(rows[known] @ change[:, 0]) / 0.3)
     for scan in scans:
         expected = scan.currents * (scan.combination(16) @ change[:, 0])
         np.testing.assert_allclose(scan.caused_by(change[:, 0]), expected, rtol=1e-9)
@@ -191,7 +199,7 @@ def test_directions_that_depend_on_each_other_are_taken_off_once() -> None:
     many = few @ random.standard_normal((6, 40))
     told, _ = Information.of(16, Errors(0.1), [random_difference(COMPLETE, 1)])
     misfit = replace(told.misfit, vector=random.standard_normal(121), constant=1e3)
-    once, often = misfit.without(few), misfit.without(many)
+    once, often = misfit.marginalised(few), misfit.marginalised(many)
     np.testing.assert_allclose(often.matrix, once.matrix, atol=1e-6 * np.abs(misfit.matrix).max())
     assert often.constant == pytest.approx(once.constant, rel=1e-6)
 
@@ -211,7 +219,7 @@ def test_data_of_driven_electrodes_count_as_much_less_as_their_larger_changes_er
 def test_what_a_pattern_cannot_see_takes_nothing_from_what_it_says() -> None:
     scan = random_difference(base_pattern(SKIN.electrodes), 2)  # of electrodes that carry no current
     found, _ = Information.of(16, Errors(1e-6, contacts=in_series(range(16), 16)), [scan])
-    beside = found.beside(in_series(range(16), 16))
+    beside = found.marginalised_flat(in_series(range(16), 16))
     np.testing.assert_allclose(beside.misfit.matrix, found.misfit.matrix, rtol=0, atol=1e-6 * found.misfit.matrix.max())
 
 
@@ -237,7 +245,7 @@ def test_a_fit_to_nothing_or_from_no_number_ends() -> None:
     """Its place would be no number, either, which reads outside the table of responses."""
     judge, scan = fitter("discs", 50), random_difference(base_pattern(SKIN.electrodes), 2)
     told, _ = judge.information(scan)
-    nothing_left = told.beside(np.eye(120))
+    nothing_left = told.marginalised_flat(np.eye(120))
     assert np.isfinite(judge.heights(*judge.scores(nothing_left))).all()
     judge.refine(nothing_left, judge.added(nothing_left, *judge.scores(nothing_left)).params)
     for effect in (np.nan, np.inf):
@@ -334,7 +342,7 @@ def test_contacts_that_were_there_before_are_told_as_if_looked_for_afresh(world:
         before = judge.fit(*(rig.measure(each, first, second) for each in patterns))
         for now in ([moved, second], [moved], [moved, third], [], [moved, second, third]):
             told, wary = judge.information(*(rig.measure(each, *now) for each in patterns))
-            found = judge.explained(told, wary), judge.explained(told, wary, before=before)
+            found = judge.fit_information(told, wary), judge.fit_information(told, wary, before=before)
             wrong += [len(one.params) != len(now) for one in found]
             other += len(found[0].params) != len(found[1].params)
             for params, covariance in zip(found[0].params, found[0].covariances, strict=True):
@@ -538,7 +546,7 @@ def test_contacts_that_explain_data_poorly_are_looked_for_afresh_in_the_second_l
 ) -> None:
     """Data err a quarter more than the filter is told; there is next to nothing to be found."""
     judge, calls = fitter("discs", 50), list[int]()
-    search = judge.explained
+    search = judge.fit_information
     monkeypatch.setattr(judge, "explained", lambda *given: [calls.append(1), search(*given)][1])
     for seed, place in enumerate(PLACES):
         state = Rig("discs", 48, seed, ContactFilter(judge)).run(30, press("discs", place))
@@ -559,13 +567,13 @@ def test_what_a_search_found_nothing_about_is_searched_again_only_if_there_is_mo
     judge = fitter("discs", 50)
     for seed, place in enumerate(PLACES):
         told, wary = judge.information(Rig("discs", 48, seed).measure(COMPLETE, press("discs", place)))
-        fresh = judge.explained(told, wary)
-        assert judge.followed(told, wary, fresh) is None
-        searched = judge.explained(told, wary, before=fresh)
+        fresh = judge.fit_information(told, wary)
+        assert judge.refitted(told, wary, fresh) is None
+        searched = judge.fit_information(told, wary, before=fresh)
         assert searched.doubts is not None
         assert searched.doubts.max() > 1
-        assert (judge.followed(told, wary, searched) or (None, False))[1]
-        assert judge.followed(told, wary, replace(searched, doubts=0.8 * searched.doubts)) is None
+        assert (judge.refitted(told, wary, searched) or (None, False))[1]
+        assert judge.refitted(told, wary, replace(searched, doubts=0.8 * searched.doubts)) is None
 
 
 def test_the_rate_of_false_alarms_is_shared_by_the_windows_in_which_contacts_are_looked_for() -> None:

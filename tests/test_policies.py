@@ -415,10 +415,10 @@ def test_discs_are_modelled_as_well_as_their_skin_says() -> None:
     for number, (x, y) in enumerate(single_places(12, 3, where.electrodes.positions)):
         for radius in (RADIUS, np.sqrt(2) * RADIUS, CONTACT_RADIUS["discs"]):
             _, seen = sensor.step(sensor.start(), quiet.scan((disc(x, y, radius, 0.5),), number))
-            told = exact.information(*map(quiet.known.difference, seen.frames))[0].beside_common()
+            told = exact.information(*map(quiet.known.difference, seen.frames))[0].marginalised_common()
             start, unknown = np.array([[x, y, 0.4 * np.pi * radius**2, radius**2]]), np.zeros(4)
             one = exact.refine(told, start, unknown, np.diag(unknown))
-            errors.append(np.sqrt(max(one.cost, 0.0)) / told.size(one.caused))
+            errors.append(np.sqrt(max(one.cost, 0.0)) / told.norm(one.caused))
     assert CONTACT_ERROR["discs"] / 4 < max(errors) < CONTACT_ERROR["discs"]
 
 

@@ -15,10 +15,10 @@ from ohmskin.drive import (
     Drive,
     DriveSettings,
     Exploration,
-    InformedPolicy,
     PositionDrive,
     Ranking,
     Target,
+    TrackingDrive,
     base_pattern,
     complete_pattern,
     part_of,
@@ -51,7 +51,7 @@ def candidates() -> Candidates:
 def policy(kind: str) -> Drive:
     if kind == "exploration":
         return Exploration(GRID, 4)
-    return InformedPolicy(GRID, lambda: (table(), candidates()), 4, explore=1, exact="exact" in kind)
+    return TrackingDrive(GRID, lambda: (table(), candidates()), 4, explore=1, exact="exact" in kind)
 
 
 KINDS = ["exploration", "position", "position exact"]
@@ -101,7 +101,7 @@ def test_exploring_comes_round(kind: str) -> None:
 
 @pytest.mark.parametrize(("injections", "exploring"), [(1, 1), (2, 1), (3, 1), (4, 2), (9, 2)])
 def test_two_explore_but_no_more_than_half(injections: int, exploring: int) -> None:
-    chosen = InformedPolicy(GRID, lambda: (table(), candidates()), 4).with_injections(injections)
+    chosen = TrackingDrive(GRID, lambda: (table(), candidates()), 4).with_injections(injections)
     explored = [k for turn in range(6) for k in numbers(chosen.next([target(0.05, 0.1)], turn))[:exploring]]
     round_trip = numbers(part_of(chosen.complete, chosen.drives))
     assert explored == [round_trip[k % 6] for k in range(6 * exploring)]
@@ -127,11 +127,11 @@ def test_all_loops_of_a_skin_share_one_ranking(monkeypatch: pytest.MonkeyPatch) 
         made.append(given)
         return ranking(*given, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("ohmskin.drive.informed.Ranking", counted)
+    monkeypatch.setattr("ohmskin.drive.position.Ranking", counted)
     chosen, coarse = [target(0.05, 0.1)], Skin.parse("[imaging]\nmesh_size = 15e-3\n").transfer_model()
     design = ContactTable(coarse, 8e-3, 16e-3), candidates()
     base = base_pattern(GRID).injections
-    tracked = [InformedPolicy(GRID, lambda: design, 4).next(chosen, 0) for _ in range(3)]
+    tracked = [TrackingDrive(GRID, lambda: design, 4).next(chosen, 0) for _ in range(3)]
     second = [PositionDrive(GRID, lambda: design, 4, base).next(chosen) for _ in range(3)]
     assert all(pattern == patterns[0] for patterns in (tracked, second) for pattern in patterns)
     assert len(made) == 2
@@ -190,7 +190,7 @@ def test_exact_choices_look_at_the_ellipse() -> None:
 def test_contacts_take_turns_and_one_cell_counts_once() -> None:
     first, second = target(0.05, 0.05), target(0.15, 0.13)
     chosen = policy("position")
-    assert isinstance(chosen, InformedPolicy)
+    assert isinstance(chosen, TrackingDrive)
     ranking = Ranking(table(), candidates())
     served = np.concatenate([numbers(chosen.next([first, second], turn))[1:] for turn in range(8)])
     np.testing.assert_array_equal(served[0::2], ranking.order[ranking.cell_of(first.position)][:12])
@@ -253,14 +253,14 @@ def test_currents_that_a_pair_does_not_get_are_not_counted_on() -> None:
 )
 def test_settings_out_of_range_are_refused(settings: dict, message: str) -> None:
     with pytest.raises(PatternError, match=message):
-        InformedPolicy(GRID, lambda: (table(), candidates()), **settings)
+        TrackingDrive(GRID, lambda: (table(), candidates()), **settings)
 
 
 def test_candidates_must_be_the_complete_ones() -> None:
     some = Candidates.at_currents(base_pattern(GRID), 16, NOISE)
     touched = Target(np.array([0.1, 0.1]), np.eye(2) * 1e-6, 1e-4, 0.01)
     with pytest.raises(PatternError, match=r"all injections of candidate_pattern"):
-        InformedPolicy(GRID, lambda: (table(), some)).next([touched], 0)
+        TrackingDrive(GRID, lambda: (table(), some)).next([touched], 0)
     for depth, cell in ((0, 0.02), (3, -1.0)):
         with pytest.raises(PatternError, match="must be positive"):
             Ranking(table(), candidates(), depth=depth, cell=cell)

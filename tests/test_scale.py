@@ -60,10 +60,10 @@ def test_with_many_electrodes_nothing_has_pairs_times_pairs() -> None:
     raised = np.where(np.linalg.norm(where.centroids - [0.06, 0.13], axis=1) < 0.012, 1.5, 1.0)
     pressed = model.with_conductivity(model.conductivity * raised)
     base = pressed.voltages(drive.base, 1e-3) - model.voltages(drive.base, 1e-3)
-    chosen = cycle.look(base, np.full(drive.base.n_inj, 1e-3))
+    chosen = cycle.base_step(base, np.full(drive.base.n_inj, 1e-3))
     pattern = cycle.pattern(chosen)
     volts = pressed.voltages(pattern, 1e-3) - model.voltages(pattern, 1e-3)
-    contacts = cycle.see(volts, np.full(pattern.n_inj, 1e-3))
+    contacts = cycle.second_step(volts, np.full(pattern.n_inj, 1e-3))
     assert len(contacts) == 1
     assert np.hypot(contacts[0].position[0] - 0.06, contacts[0].position[1] - 0.13) < 0.006
     # the textbook, in pixels
@@ -80,8 +80,8 @@ def test_a_large_second_scan_gives_the_image_of_the_normal_equations() -> None:
     cycle = CompiledCycle(estimator, drive, (0.01, 0.01))
     rng = np.random.default_rng(0)
     base, second = rng.normal(size=drive.base.n_meas) * 1e-4, rng.normal(size=260) * 1e-4
-    pattern = cycle.pattern(cycle.look(base, np.full(12, 1e-3)))
-    cycle.see(second, np.full(20, 1e-3))
+    pattern = cycle.pattern(cycle.base_step(base, np.full(12, 1e-3)))
+    cycle.second_step(second, np.full(20, 1e-3))
     rows = np.vstack([estimator.modes.rows(p) * 1e-3 for p in (drive.base, pattern)])
     normal = rows.T @ rows + 1e-8 * np.eye(rows.shape[1])
     exact = np.linalg.solve(normal, rows.T @ np.concatenate([base, second])) @ estimator.modes.modes

@@ -340,13 +340,13 @@ def test_the_compiled_cycle_sees_what_its_parts_see(pairs: int, fuse: bool) -> N
     for k in range(12):
         pressed = touched(*rng.uniform(0.03, 0.17, (k % 4, 2)))
         base = scanned(pressed, drive.base, rng)
-        chosen, expected = fast.look(*base), plain.look(*base)
+        chosen, expected = fast.base_step(*base), plain.base_step(*base)
         assert_allclose(fast.base_image, plain.base_image, rtol=0, atol=5e-6 * np.abs(plain.base_image).max())
         assert len(set(chosen.tolist())) == pairs
         # float32 may turn the order of pairs that are alike, and exchange the last for one as good; no more
         assert len(set(chosen.tolist()) & set(expected)) >= pairs - 1
         second = scanned(pressed, fast.pattern(chosen), rng)
-        found, right = fast.see(*second), plain.see(*second, chosen)
+        found, right = fast.second_step(*second), plain.second_step(*second, chosen)
         assert_allclose(fast.image, plain.image, rtol=0, atol=5e-6 * np.abs(plain.image).max())
         assert len(found) == len(right)
         for a, b in zip(found, right, strict=True):
@@ -371,11 +371,11 @@ def test_the_compiled_cycle_pads_measurements_and_modes(pairs: int) -> None:
     fast = CompiledCycle(GaussNewton(quiet, 1e-5, amplitude=0.1), drive, (0.02, 0.02))
     plain = Plain(fast)
     base = pressed.voltages(drive.base, 1e-3) - quiet.voltages(drive.base, 1e-3), np.full(drive.base.n_inj, 1e-3)
-    chosen = fast.look(*base)
+    chosen = fast.base_step(*base)
     pattern = fast.pattern(chosen)
-    plain.look(*base)
+    plain.base_step(*base)
     second = pressed.voltages(pattern, 1e-3) - quiet.voltages(pattern, 1e-3), np.full(pattern.n_inj, 1e-3)
-    (found,), (right,) = fast.see(*second), plain.see(*second, chosen)
+    (found,), (right,) = fast.second_step(*second), plain.second_step(*second, chosen)
     assert_allclose(fast.image, plain.image, rtol=0, atol=5e-6 * plain.image.max())
     assert_allclose([*found.position, found.confidence], [*right.position, right.confidence], rtol=1e-5)
 
@@ -386,13 +386,13 @@ def test_the_compiled_cycle_is_the_estimator_with_the_contact_finder() -> None:
     fast = CompiledCycle(estimator(), drive, (0.02, 0.02))
     pressed = touched((0.06, 0.13))
     base = pressed.voltages(drive.base, 1e-3) - even().voltages(drive.base, 1e-3)
-    chosen = fast.look(base, np.full(drive.base.n_inj, 1e-3))
+    chosen = fast.base_step(base, np.full(drive.base.n_inj, 1e-3))
     first = Difference(drive.base, np.full(drive.base.n_meas, 1e-3), base)
     image = estimator().reconstruct(first)
     assert_allclose(fast.base_image, image.values, rtol=0, atol=5e-5 * image.values.max())
     pattern = fast.pattern(chosen)
     volts = pressed.voltages(pattern, 1e-3) - even().voltages(pattern, 1e-3)
-    contacts = fast.see(volts, np.full(pattern.n_inj, 1e-3))
+    contacts = fast.second_step(volts, np.full(pattern.n_inj, 1e-3))
     both = estimator().reconstruct(first, Difference(pattern, np.full(pattern.n_meas, 1e-3), volts))
     assert_allclose(fast.image, both.values, rtol=0, atol=5e-5 * both.values.max())
     assert len(contacts) == 1
@@ -416,11 +416,11 @@ def test_with_a_baseline_it_takes_voltages() -> None:
     without = CompiledCycle(estimator(), drive, (0.02, 0.02))
     pressed = touched((0.15, 0.07))
     currents = np.full(drive.base.n_inj, 1.2e-3)
-    chosen = with_baseline.look(pressed.voltages(drive.base, 1.2e-3), currents)
-    without.look(pressed.voltages(drive.base, 1.2e-3) - even().voltages(drive.base, 1.2e-3), currents)
+    chosen = with_baseline.base_step(pressed.voltages(drive.base, 1.2e-3), currents)
+    without.base_step(pressed.voltages(drive.base, 1.2e-3) - even().voltages(drive.base, 1.2e-3), currents)
     assert_allclose(with_baseline.base_image, without.base_image, atol=1e-3 * without.base_image.max())
     pattern = with_baseline.pattern(chosen)
-    found = with_baseline.see(pressed.voltages(pattern, 0.8e-3), np.full(pattern.n_inj, 0.8e-3))
+    found = with_baseline.second_step(pressed.voltages(pattern, 0.8e-3), np.full(pattern.n_inj, 0.8e-3))
     assert len(found) == 1
     assert np.hypot(found[0].position[0] - 0.15, found[0].position[1] - 0.07) < 0.005
 
@@ -431,7 +431,7 @@ def test_frames_leave_nothing_behind() -> None:
     fast = CompiledCycle(estimator(), drive, (0.02, 0.02))
     pressed = touched((0.05, 0.05), (0.14, 0.12))
     base = scanned(pressed, drive.base, rng)
-    second = scanned(pressed, fast.pattern(fast.look(*base)), rng)
+    second = scanned(pressed, fast.pattern(fast.base_step(*base)), rng)
     first = fast.frame(base, lambda _: second)
     quiet = (np.zeros(drive.base.n_meas), np.full(drive.base.n_inj, 1e-3)), (np.zeros(52), np.full(4, 1e-3))
     assert fast.frame(quiet[0], lambda _: quiet[1]) == []
@@ -443,21 +443,21 @@ def test_a_cycle_refuses_bad_data_and_orders() -> None:
     drive = eq7(4)
     fast = CompiledCycle(estimator(), drive, (0.02, 0.02))
     volts, currents = np.zeros(drive.base.n_meas), np.full(drive.base.n_inj, 1e-3)
-    with pytest.raises(DataError, match="look"):
-        fast.see(np.zeros(52), np.full(4, 1e-3))
-    fast.look(volts, currents)
+    with pytest.raises(DataError, match="base_step"):
+        fast.second_step(np.zeros(52), np.full(4, 1e-3))
+    fast.base_step(volts, currents)
     with pytest.raises(DataError, match="second scan"):
-        fast.see(np.full(52, np.nan), np.full(4, 1e-3))
+        fast.second_step(np.full(52, np.nan), np.full(4, 1e-3))
     with pytest.raises(DataError, match="base scan"):
-        fast.look(volts, 0 * currents)  # no current, no resistance
+        fast.base_step(volts, 0 * currents)  # no current, no resistance
     volts[5] = np.nan
     with pytest.raises(DataError, match="base scan"):
-        fast.look(volts, currents)
+        fast.base_step(volts, currents)
     with pytest.raises(DataError, match="shape"):
-        fast.look(np.zeros(7), currents)
-    fast.look(np.zeros(drive.base.n_meas), currents)
+        fast.base_step(np.zeros(7), currents)
+    fast.base_step(np.zeros(drive.base.n_meas), currents)
     with pytest.raises(DataError, match=r"0\.\.119"):
-        fast.see(np.zeros(52), np.full(4, 1e-3), chosen=[0, 1, 2, 120])
+        fast.second_step(np.zeros(52), np.full(4, 1e-3), chosen=[0, 1, 2, 120])
     with pytest.raises(ModelError, match="linear"):
         CompiledCycle(GaussNewton(even(), 1e-6, positive=True), drive, (0.1, 0.1))
     with pytest.raises(PatternError, match=r"eq. \(7\)"):

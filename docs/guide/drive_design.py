@@ -15,8 +15,8 @@ from ohmskin.drive import (
     DRIVES,
     Candidates,
     DriveSettings,
-    InformedPolicy,
     Target,
+    TrackingDrive,
     complete_pattern,
     position_bound,
 )
@@ -52,7 +52,7 @@ for name, found in errors.items():
     print(f"{name:<30}{mm.mean():7.2f}{np.median(mm):7.2f}{np.sqrt(np.mean(mm**2)):7.2f}{mm.max():7.2f}")
 
 # the drive of a tracker: four injections a frame, two of them exploring
-drive = InformedPolicy(electrodes, lambda: (table, candidates), injections=4)
+drive = TrackingDrive(electrodes, lambda: (table, candidates), injections=4)
 contact = Target(np.array([0.06, 0.13]), np.diag([4e-3, 4e-3]) ** 2, effect=1.5e-4, radius=10e-3)
 print("next:", *(f"{a}-{b}" for a, b in drive.next([contact], turn=0).injections))
 start = time.perf_counter()

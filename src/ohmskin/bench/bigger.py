@@ -112,8 +112,8 @@ def _accuracy(sensor: Sensor) -> float | None:
         return None
     scan = sensor.known.pressed(sensor.known.model.mesh.centroids.mean(axis=0)[None])
     frames = [scan(cycle.drive.base)]
-    chosen = cycle.look(frames[0].voltages, frames[0].currents)
+    chosen = cycle.base_step(frames[0].voltages, frames[0].currents)
     frames.append(scan(cycle.pattern(chosen)))
-    cycle.see(frames[1].voltages, frames[1].currents)
+    cycle.second_step(frames[1].voltages, frames[1].currents)
     exact = cycle.estimator.reconstruct(*map(sensor.known.difference, frames)).values
     return float(np.abs(cycle.image - exact).max() / np.abs(exact).max())

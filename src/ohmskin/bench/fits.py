@@ -29,15 +29,15 @@ def fitting(effort: Effort) -> Iterator[Figure]:
     jobs: dict[str, Job] = {}
     for count in (1, 2):
         scans, found = _fitted(precise, device, count)
-        told, wary = known.fitter.information(*scans)
+        nominal, inflated = known.fitter.information(*scans)
 
         def read(scans: Sequence[Difference] = scans, found: Solution = found) -> None:
-            known.fitter.explained(*known.fitter.information(*scans), before=found)
+            known.fitter.fit_information(*known.fitter.information(*scans), before=found)
 
         jobs[f"read {count}"] = read
         if count == 1:
             jobs["afresh"] = partial(known.fitter.fit, *scans)
-            jobs["test"] = partial(known.fitter.split, told, wary, found, 0)
+            jobs["test"] = partial(known.fitter.split, nominal, inflated, found, 0)
     for count in (1, 3):
         jobs[f"track {count}"] = _tracked(tracking, device, count)
     spent = in_turns(jobs, 3 * effort.seconds, least=5)

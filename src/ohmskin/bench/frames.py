@@ -36,7 +36,7 @@ def changing(effort: Effort) -> Iterator[Figure]:
         quiet = estimator.model.voltages(pattern)
         image = partial(pyeit_alone.image, theirs, *peers.numbers(pattern), 1.01 * quiet, quiet)
         slow = float(np.median([seconds_of(image) for _ in range(1 if effort.quick else 3)]))
-        jobs: dict[str, Job] = {"ours": lambda cycle=cycle, fresh=fresh: cycle.see(*next(fresh))}  # type: ignore[misc]
+        jobs: dict[str, Job] = {"ours": lambda cycle=cycle, fresh=fresh: cycle.second_step(*next(fresh))}  # type: ignore[misc]
         quick = in_turns(jobs, effort.seconds)["ours"]
         yield ratio(name, slow, quick, least=least, note="48 x 48 pixels, 16 new injections")
 
@@ -87,7 +87,7 @@ def _cycle_and_frames() -> tuple[CompiledCycle, list[tuple[Scanned, Scanned]]]:
     for count in rng.integers(1, 4, 16):
         scan = sheets.touched(estimator.model, *rng.uniform(0.03, 0.17, (count, 2)))
         base = noisy(scan(cycle.drive.base))
-        frames.append((base, noisy(scan(cycle.pattern(cycle.look(*base))))))
+        frames.append((base, noisy(scan(cycle.pattern(cycle.base_step(*base))))))
     return cycle, frames
 
 
@@ -96,8 +96,8 @@ def accuracy(effort: Effort) -> Iterator[Figure]:
     cycle, frames = _cycle_and_frames()
     worst = 0.0
     for base, second in frames:
-        chosen = cycle.look(*base)
-        cycle.see(*second)
+        chosen = cycle.base_step(*base)
+        cycle.second_step(*second)
         scans = []
         for pattern, (volts, currents) in ((cycle.drive.base, base), (cycle.pattern(chosen), second)):
             scans.append(Difference(pattern, currents[pattern.measurements[:, 0]], volts))

@@ -9,7 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.contacts import follow, kernels
+from ohmskin.contacts import kernels, refit
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
@@ -62,19 +62,19 @@ class DiscFitter:
         """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""
         return 1 / (1 + (self.model_error * data.signal) ** 2)
 
-    def doubt(self, told: Information, cost: float) -> float:
+    def relative_cost(self, nominal: Information, cost: float) -> float:
         """How many times more a fit of that cost leaves of what is measured than is usual, noise and the model's
         errors."""
-        share = self.allowance(told)
-        return cost / (told.count * (share + follow.USUAL * (1 - share)))
+        share = self.allowance(nominal)
+        return cost / (nominal.count * (share + refit.USUAL * (1 - share)))
 
-    def poor(self, told: Information, cost: float) -> bool:
+    def poor(self, nominal: Information, cost: float) -> bool:
         """Whether a fit of that cost leaves more than is usual."""
-        return self.doubt(told, cost) > 1
+        return self.relative_cost(nominal, cost) > 1
 
     def usual_squares(self, squares: float, count: int) -> float:
         """What contacts usually leave of voltages, so many, whose squares have that sum (V2)."""
-        return count * self.errors.noise**2 + follow.USUAL * self.model_error**2 * squares
+        return count * self.errors.noise**2 + refit.USUAL * self.model_error**2 * squares
 
     def onto(self, positions: Floats) -> Floats:
         """Positions (n, 2), those off the sheet replaced by the closest place on it (m)."""
@@ -97,7 +97,7 @@ class DiscFitter:
     def shapes(self, params: Floats) -> Floats:
         """What small contacts of (n, 4) may change (n_pairs, 2 k) more one way than across, for one deviation (ohm)."""
         own = np.ascontiguousarray(params[:, :PER_CONTACT])
-        return np.asarray(follow.shapes_of(own, self.table.radius, self.model_error, self.table.spline).T)
+        return np.asarray(refit.shapes_of(own, self.table.radius, self.model_error, self.table.spline).T)
 
     def covered(self, params: Floats) -> list[int]:
         """The electrodes under contacts (n, 4)."""
@@ -106,7 +106,7 @@ class DiscFitter:
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
         """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
         stand out, given what remains to be explained beside all contacts."""
-        return follow.bends(left.misfit.part, one, self.table.radius, self.table.sheet, self.table.spline)
+        return refit.split_gains(left.misfit.part, one, self.table.radius, self.table.sheet, self.table.spline)
 
     # --- one contact more? --------------------------------------------------------------------------------------------
 
@@ -135,17 +135,17 @@ class DiscFitter:
         low, high, *_, period = self.table.sheet
         return kernels.expected(np.ascontiguousarray(effects, float), self.table.radius, low, high, period)
 
-    def believed(self, params: Floats) -> tuple[Floats, Floats]:
-        """What is expected of contacts about `params` (n, 4): two that may be one are about equally strong.
+    def prior(self, params: Floats) -> tuple[Floats, Floats]:
+        """Prior mean (4 n,) and information of contacts about `params` (n, 4): close ones are about equally strong.
 
-        Data tell how strong these are together, and hardly which share each has: without that, one may become a shadow
+        Data show how strong these are together, and hardly which share each has: without that, one may become a shadow
         of the other.
         """
         mean, information = self.expected(params[:, 2])
         if len(params) > 1:
             away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
             for both in np.argwhere(np.triu(away < NEAR * self.table.radius, 1)):
-                information += alike(len(params), both, np.abs(params[both, 2]).sum())
+                information += similarity_prior(len(params), both, np.abs(params[both, 2]).sum())
         return mean, information
 
     def refine(
@@ -165,13 +165,13 @@ class DiscFitter:
             information: (4 n, 4 n) inverse of its covariance, likewise.
             rounds: Most steps.
         """
-        told, best = data.misfit, nothing(len(data.misfit.vector) - 1, np.inf)
+        misfit, best = data.misfit, nothing(len(data.misfit.vector) - 1, np.inf)
         for one in np.array(start[..., :PER_CONTACT], float).reshape(-1, *start.shape[-2:-1], PER_CONTACT):
             known, prior = mean, information
             if known is None or prior is None:
                 known, prior = self.expected(one[:, 2])
             cost, normal, caused, slopes = kernels.refined(
-                one, told.rows, told.lost, told.vector, told.constant, known, np.ascontiguousarray(prior),
+                one, misfit.rows, misfit.downdates, misfit.vector, misfit.constant, known, np.ascontiguousarray(prior),
                 rounds, self.table.radius, self._least, *self.squares, self.table.sheet, self.table.spline, best.cost,
             )  # fmt: skip
             if cost < best.cost or not len(best.params):
@@ -201,7 +201,7 @@ class DiscFitter:
         return tuple(sorted(listed, key=lambda contact: -abs(contact.strength)))
 
 
-def alike(count: int, both: Ints, together: float) -> Floats:
+def similarity_prior(count: int, both: Ints, together: float) -> Floats:
     """Information (4 n, 4 n) about so many contacts: two of them, `both`, have about half of an effect `together` (m2)
     each."""
     apart = np.zeros((count, PER_CONTACT))

@@ -3,7 +3,7 @@
 Whether there is one contact more is a test, not a threshold on an image. At each of a set of places, the score of a
 further contact there is compared with its noise (a generalised likelihood-ratio test); the bar is set by the rate of
 false alarms accepted, summed over all places (Bonferroni: the true rate is lower, as neighbouring places are alike).
-Whether a contact is two is another one, see `ContactFitter.several`.
+Whether a contact is two is another one, see `ContactFitter.are_two`.
 """
 
 from math import log, sqrt
@@ -12,12 +12,12 @@ import numpy as np
 from scipy.special import ndtri
 
 from ohmskin.arrays import Floats, changed
-from ohmskin.contacts import follow
-from ohmskin.contacts.discs import NEAR, DiscFitter, alike, cost_of
-from ohmskin.contacts.follow import CLEAR, HALF, PROMISED, STILL
+from ohmskin.contacts import refit
+from ohmskin.contacts.discs import NEAR, DiscFitter, cost_of, similarity_prior
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
-from ohmskin.contacts.misfit import paired
+from ohmskin.contacts.misfit import pair_products
+from ohmskin.contacts.refit import CLEAR, HALF, PROMISED, VALID
 from ohmskin.contacts.solution import Solution, effect_std, nothing
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable
@@ -30,14 +30,14 @@ _APART = 1.15  # of it, from which on no shape of one contact looks like them
 _LOST = 0.7  # share of the data that contacts leave which explain little
 _COVERED = 0.25  # cost of an electrode with a flat prior, as a share of a contact's
 _WIDEST = 2.0  # usual radii of a contact beyond which a pair must be as far apart as it is wide
-_FEW = 8  # rounds of a fit that tell which axis of a split is the best
+_FEW = 8  # rounds of a fit that show which axis of a split is the best
 FAINT = 3.0  # standard deviations of its effect below which a contact is none
 
 _MORE = 1.2  # times the doubts that a search found nothing about, from which on contacts are looked for again
 _PATIENT = sqrt(CLEAR)  # what is accepted of doubts that one scan of several leaves
-_ALL = np.full(follow.DOUBTS, np.inf)
+_ALL = np.full(refit.DOUBTS, np.inf)
 
-_Both = tuple[Information, Information]  # what is told; the same wary of the model's error
+_Both = tuple[Information, Information]  # with nominal noise, and with noise inflated by the model's error
 _Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes covered, what is left beside, contacts
 
 
@@ -59,8 +59,8 @@ class ContactFitter(DiscFitter):
     Attributes:
         bar: Standard deviations by which the score of a new contact must stand out.
         split_bar: By how much two contacts must explain data better than one, in units of the noise's variance.
-        compiled: What compiled steps need of it: settings, see `followed`, the sheet, what contacts do, and what those
-            do that are looked for.
+        compiled: Arguments of compiled steps: settings, see `refit.refit`, the sheet, responses of contacts, and those
+            of the candidates.
 
     Raises:
         ModelError: If a setting is out of range.
@@ -111,80 +111,80 @@ class ContactFitter(DiscFitter):
         Raises:
             DataError: If no finite datum is left.
         """
-        return self.explained(*self.information(*scans))
+        return self.fit_information(*self.information(*scans))
 
-    def explained(
-        self, told: Information, data: Information, bar: float | None = None, before: Solution | None = None
+    def fit_information(
+        self, nominal: Information, inflated: Information, bar: float | None = None, before: Solution | None = None
     ) -> Solution:
-        """The contacts that explain what is measured, `told` and `data` of `information`; `bar` as for `split`.
+        """The contacts that explain what is measured, `nominal` and `inflated` of `information`; `bar` as for `split`.
 
         What was there a moment `before` need not be looked for, where that makes no difference.
         """
-        last = None if before is None else self.followed(told, data, before)
+        last = None if before is None else self.refitted(nominal, inflated, before)
         if last is not None and last[1]:
             return last[0]
-        given = told, data
-        told, data = everything = whole = told.beside_common(), data.beside_common()
-        found, covered = changed(nothing(len(self.table.pairs)), cost=data.misfit.constant), tuple[int, ...]()
+        given = nominal, inflated
+        nominal, inflated = everything = whole = nominal.marginalised_common(), inflated.marginalised_common()
+        found, covered = changed(nothing(len(self.table.pairs)), cost=inflated.misfit.constant), tuple[int, ...]()
         if last is not None and before is not None:
             found, covered = last[0], before.covered
-            everything = self._beside_shapes(whole, before.params)
-            told, data = (self._uncovered(one, covered) for one in everything)
+            everything = self._marginalised_shapes(whole, before.params)
+            nominal, inflated = (self._uncovered(one, covered) for one in everything)
         while len(found.params) < self.most:
-            left = told.less(found.caused) if len(found.params) else told
-            beside = left.beside(found.slopes) if len(found.params) else left
+            left = nominal.minus(found.caused) if len(found.params) else nominal
+            beside = left.marginalised_flat(found.slopes) if len(found.params) else left
             score, power = self.scores(beside)
-            more = [self.split(told, data, found, k, bar, beside) for k in range(len(found.params))]
+            more = [self.split(nominal, inflated, found, k, bar, beside) for k in range(len(found.params))]
             height = self.heights(score, power).max()
-            sure = height >= self.bar + self.model_error * told.size(found.caused)
+            sure = height >= self.bar + self.model_error * nominal.norm(found.caused)
             if sure or height > max(self.bar, sqrt(HALF * left.misfit.constant)):
-                one = self.added(data, score, power, found.params)
+                one = self.added(inflated, score, power, found.params)
                 away = (self.table.offsets(one.params[:-1, :2], one.params[-1, :2]) ** 2).sum(axis=1)
                 apart = (away > one.params[:-1, 3]).all()  # what is left in a contact is its shape
-                more += [one] if apart and (sure or self.clear(found, one, self.bar**2)) else []
-            better = [self._cleared(data, one) for one in more if one is not None]
+                more += [one] if apart and (sure or self.are_apart(found, one, self.bar**2)) else []
+            better = [self._cleared(inflated, one) for one in more if one is not None]
             better = [one for one in better if len(one.params) > len(found.params)]
             strong = bool((np.abs(found.params[:, 2]) > STRONG * np.pi * self.table.radius**2).any())
             under = None
-            if better or strong or self.poor(told, found.cost) or not len(found.params):
+            if better or strong or self.poor(nominal, found.cost) or not len(found.params):
                 under = self._over_an_electrode(everything, found, covered, bool(better))
             best = min(better, key=cost_of, default=None)
             if under and (best is None or self._price(under[-1], len(under[0])) < self._price(best, len(covered))):
-                covered, told, data, found = under
+                covered, nominal, inflated, found = under
             elif best is not None:
                 found = best
             else:
                 break
             for _ in range(2):  # where they are by then, they have other shapes
-                everything = self._beside_shapes(whole, found.params)
-                told, data = (self._uncovered(one, covered) for one in everything)
+                everything = self._marginalised_shapes(whole, found.params)
+                nominal, inflated = (self._uncovered(one, covered) for one in everything)
                 if everything is not whole or len(found.params) > 1:
-                    found = self.refine(data, found.params, *self.believed(found.params))
+                    found = self.refine(inflated, found.params, *self.prior(found.params))
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
-        known = None if before is None else self._followed(*given, found)
+        known = None if before is None else self._refitted(*given, found)
         return found if known is None else changed(found, doubts=known[0].doubts)
 
-    def _beside_shapes(self, whole: _Both, params: Floats) -> _Both:
+    def _marginalised_shapes(self, whole: _Both, params: Floats) -> _Both:
         shapes = self.shapes(params)
-        return (whole[0].without(shapes), whole[1].without(shapes)) if shapes.size else whole
+        return (whole[0].marginalised(shapes), whole[1].marginalised(shapes)) if shapes.size else whole
 
-    def followed(
-        self, told: Information, data: Information, before: Solution, search: bool = True
+    def refitted(
+        self, nominal: Information, inflated: Information, before: Solution, search: bool = True
     ) -> tuple[Solution, bool] | None:
-        """The contacts that were there `before`, as `told` and `data` show them now, and whether these are surely all.
+        """The contacts that were there `before`, fitted to `nominal` and `inflated` now; whether they are surely all.
 
         None if they would not be found afresh, too: they are if each stands out by itself as one that is new must,
         none may be a part of another, and together they leave no more than is usual, or than a search found nothing
         about. Without a `search` for more, they are never surely all, and may leave more.
         """
-        doubts = np.zeros(follow.DOUBTS) if before.doubts is None else before.doubts
-        allowed = np.maximum(1.0, _MORE * doubts) if search else np.full(follow.DOUBTS, _PATIENT)
-        allowed[follow.FAINT] = 1.0
-        found = self._followed(told, data, before, search, allowed)
+        doubts = np.zeros(refit.DOUBTS) if before.doubts is None else before.doubts
+        allowed = np.maximum(1.0, _MORE * doubts) if search else np.full(refit.DOUBTS, _PATIENT)
+        allowed[refit.FAINT] = 1.0
+        found = self._refitted(nominal, inflated, before, search, allowed)
         return None if found is None else (changed(found[0], doubts=before.doubts), found[1])
 
-    def _followed(
-        self, told: Information, data: Information, before: Solution, search: bool = True, allowed: Floats = _ALL
+    def _refitted(
+        self, nominal: Information, inflated: Information, before: Solution, search: bool = True, allowed: Floats = _ALL
     ) -> tuple[Solution, bool] | None:
         """The same, with its doubts, some of which are `allowed` (5,)."""
         params = before.params.copy()
@@ -194,23 +194,23 @@ class ContactFitter(DiscFitter):
             away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
             if (away < NEAR * self.table.radius).sum() > len(params):  # any but each of itself
                 return None
-        told, data = self._uncovered(told, before.covered), self._uncovered(data, before.covered)
-        state, cost, normal, caused, slopes, shapes, doubts = follow.followed(
-            told.misfit.part,
-            data.misfit.part,
-            told.white.part,
+        nominal, inflated = self._uncovered(nominal, before.covered), self._uncovered(inflated, before.covered)
+        state, cost, normal, caused, slopes, shapes, doubts = refit.refit(
+            nominal.misfit.part,
+            inflated.misfit.part,
+            nominal.white.part,
             params,
             *self.compiled,
             search and self.table.pairs.whole,
             allowed,
         )
-        if state == follow.GONE or (before.covered and not {*before.covered} <= {*self.covered(params)}):
+        if state == refit.INVALID or (before.covered and not {*before.covered} <= {*self.covered(params)}):
             return None
-        return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T, doubts), state == STILL
+        return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T, doubts), state == VALID
 
     def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
-        return data.leaving_out(in_series(covered, self.table.pairs)) if covered else data
+        return data.excluding(in_series(covered, self.table.pairs)) if covered else data
 
     def _price(self, found: Solution, covered: int) -> float:
         """What a fit leaves unexplained, and what its contacts and the electrodes covered cost (noise's variance)."""
@@ -233,21 +233,21 @@ class ContactFitter(DiscFitter):
         near[list(covered)] = False
         # in place of one contact, and of all: others may be there because of the electrode
         looks = [(number, [np.delete(found.params, k, axis=0), found.params[:0]]) for number, k in np.argwhere(near)]
-        told, data = everything
-        lost = bool(len(found.params)) and found.cost > _LOST * data.misfit.constant
-        if lost or (not better and (self.poor(told, found.cost) or not len(found.params))):
-            looks += [(number, [found.params, found.params[:0]]) for number in self._likely(told, found, covered)]
+        nominal, inflated = everything
+        lost = bool(len(found.params)) and found.cost > _LOST * inflated.misfit.constant
+        if lost or (not better and (self.poor(nominal, found.cost) or not len(found.params))):
+            looks += [(number, [found.params, found.params[:0]]) for number in self._likely(nominal, found, covered)]
         for number, replaced in looks:
             under = *covered, int(number)
-            told, data = (self._uncovered(one, under) for one in everything)
+            nominal, inflated = (self._uncovered(one, under) for one in everything)
             for others in replaced if len(replaced[0]) else replaced[:1]:
-                rest = self.refine(data, others) if len(others) else nothing(len(found.caused))
-                score, power = self.scores(told.less(rest.caused).beside(rest.slopes))
-                one = self._cleared(data, self.added(data, score, power, rest.params))
+                rest = self.refine(inflated, others) if len(others) else nothing(len(found.caused))
+                score, power = self.scores(nominal.minus(rest.caused).marginalised_flat(rest.slopes))
+                one = self._cleared(inflated, self.added(inflated, score, power, rest.params))
                 if number in self.covered(one.params) and self._price(one, len(under)) < self._price(
                     found, len(covered)
                 ):
-                    tried.append((under, told, data, one))
+                    tried.append((under, nominal, inflated, one))
         return min(tried, key=lambda each: self._price(each[3], 0), default=None)
 
     def _likely(self, data: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
@@ -255,16 +255,16 @@ class ContactFitter(DiscFitter):
 
         That is estimated from what the contact does beside the electrode's own resistance.
         """
-        left = data.less(found.caused).misfit if len(found.params) else data.misfit
+        left = data.minus(found.caused).misfit if len(found.params) else data.misfit
         alone, over = self._at_electrodes
-        own, power, mixed = paired(left.rows, left.lost, alone, over).T
-        told = np.divide(mixed, own, np.zeros(len(own)), where=own > 1e-12 * np.max(own))  # of driven ones alone
+        own, power, mixed = pair_products(left.rows, left.downdates, alone, over).T
+        share = np.divide(mixed, own, np.zeros(len(own)), where=own > 1e-12 * np.max(own))  # of driven ones alone
         vector = left.vector[:-1]
-        score = over @ vector - told * (alone @ vector)
-        power = power - told * mixed
+        score = over @ vector - share * (alone @ vector)
+        power = power - share * mixed
         height = self.heights(score, np.maximum(power, 1e-9 * np.max(power)))
         height[list(covered)] = -np.inf
-        enough = height.max() > self.bar + self.model_error * data.size(found.caused)
+        enough = height.max() > self.bar + self.model_error * data.norm(found.caused)
         return [int(np.argmax(height))] if enough else []
 
     def _cleared(self, data: Information, found: Solution) -> Solution:
@@ -275,13 +275,13 @@ class ContactFitter(DiscFitter):
             if sure[faintest] > FAINT:
                 break
             rest = np.delete(found.params, faintest, axis=0)
-            found = self.refine(data, rest, *self.believed(rest))
+            found = self.refine(data, rest, *self.prior(rest))
         return found
 
     def split(
         self,
-        told: Information,
-        data: Information,
+        nominal: Information,
+        inflated: Information,
         found: Solution,
         k: int,
         bar: float | None = None,
@@ -290,58 +290,58 @@ class ContactFitter(DiscFitter):
         """The data explained with contact number k as two, if that explains them significantly better.
 
         Args:
-            told: What is measured.
-            data: The same, with the model's error as noise.
+            nominal: What is measured.
+            inflated: The same, with the model's error as noise.
             found: The contacts.
             k: Which of them; the pair comes last.
             bar: The least gain, in units of the noise's variance; `split_bar` unless given.
             left: What remains to be explained beside the contacts, if that is known.
         """
-        left = left or told.less(found.caused).beside(found.slopes)
+        left = left or nominal.minus(found.caused).marginalised_flat(found.slopes)
         one = found.params[k]
         usual, own = self.table.radius, np.sqrt(one[3])
         axes, height = self.pairs(left, one)
         bar = self.split_bar if bar is None else bar
-        if height.max() ** 2 < PROMISED * (bar + (self.model_error * told.size(found.caused)) ** 2):
+        if height.max() ** 2 < PROMISED * (bar + (self.model_error * nominal.norm(found.caused)) ** 2):
             return None
         many = len(found.params) + 1
         mean, information = self.expected(np.zeros(many))
-        information += alike(many, np.array([many - 2, many - 1]), one[2])
+        information += similarity_prior(many, np.array([many - 2, many - 1]), one[2])
         others, half = np.delete(found.params, k, axis=0), np.tile([one[2] / 2, usual**2 / 2], (2, 1))
         likely = axes[np.argsort(-height)]  # which ends the fits along the others the sooner
         pairs = (np.hstack([self.onto(one[:2] + np.outer([1, -1], axis)), half]) for axis in likely)
         starts = np.array([np.vstack([others, pair]) for pair in pairs])
-        best = self.refine(data, starts, mean, information, _FEW)
-        two = self.refine(data, best.params, mean, information)
+        best = self.refine(inflated, starts, mean, information, _FEW)
+        two = self.refine(inflated, best.params, mean, information)
         least = _OVERLAP if own < _WIDEST * usual else _APART
-        return two if self._distance(two.params[-2:]) > least and self.several(told, found, two, bar) else None
+        return two if self._distance(two.params[-2:]) > least and self.are_two(nominal, found, two, bar) else None
 
-    def several(self, told: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
+    def are_two(self, nominal: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.
 
-        There are if two gain more than noise and all that the model may get wrong of one (`gained`), or if they are so
+        There are if two gain more than noise and all that the model may get wrong of one (`gain_of`), or if they are so
         far apart that no shape of one looks like them, and explain most of what one leaves beyond errors of the model.
 
         Args:
-            told: What is measured.
+            nominal: What is measured.
             one: It explained with one contact.
             two: It explained with two.
             bar: The least gain, in units of the noise's variance.
             share: Share of the usual demands that suffices (1).
         """
-        if self.gained(told, one, two) > share * bar:
+        if self.gain_of(nominal, one, two) > share * bar:
             return True
-        return self.clear(one, two, bar, share)
+        return self.are_apart(one, two, bar, share)
 
-    def clear(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
+    def are_apart(self, few: Solution, many: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether the last of `many` contacts is apart from the others and explains most of what `few` leave, one less;
-        `bar` and `share` as for `several`."""
+        `bar` and `share` as for `are_two`."""
         gaps = (self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1))
         return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > _APART for gap in gaps)
 
-    def gained(self, told: Information, few: Solution, many: Solution) -> float:
-        """By how much `many` contacts explain `told` better than `few` (noise's variance), less the model's error."""
-        return (few.cost - many.cost) / self.allowance(told) - (self.model_error * told.size(few.caused)) ** 2
+    def gain_of(self, nominal: Information, few: Solution, many: Solution) -> float:
+        """By how much `many` contacts explain data better than `few` (noise's variance), less the model's error."""
+        return (few.cost - many.cost) / self.allowance(nominal) - (self.model_error * nominal.norm(few.caused)) ** 2
 
     def _distance(self, pair: Floats) -> float:
         """Of two contacts (2, 4), over the sum of their radii (1)."""

@@ -14,17 +14,17 @@ from math import sqrt
 import numpy as np
 
 from ohmskin.arrays import Floats, changed
-from ohmskin.contacts import measured
-from ohmskin.contacts.measured import Erring, Left, Part, Scan, fainter
-from ohmskin.contacts.misfit import COMMON, UNSAID, Misfit, likeliest, signals
+from ohmskin.contacts import whitened
+from ohmskin.contacts.misfit import COMMON, FLAT, QuadraticMisfit, ridge_solution, signals
+from ohmskin.contacts.whitened import ErrorTerms, Quadratic, Reduced, Scan, scaled_rows
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import Pairs
 from ohmskin.scan.pattern import joined
 
 NO_DATA = "no finite measurement in the frame; check the device, or that the voltages do not clip"
-_SAID = 2.0  # squared size of data beyond their noise, from which on they say anything
-_RIDGE = 0.05  # of what a voltage says of a pair, so that drift is not learned where data say nothing
+_SIGNIFICANT = 2.0  # squared size of data over their noise, from which on a signal is significant
+_RIDGE = 0.05  # of a voltage's information on a pair, so that no drift is estimated without information
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,8 @@ class Errors:
             known: Of it (n_pairs,), what has been taken off the data.
         """
         assert self.contacts is not None
-        seen = data.white.seen(self.contacts.T)[:, :-1]
-        volts = self.contacts.T @ data.white_left.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
+        seen = data.white.normal_products(self.contacts.T)[:, :-1]
+        volts = self.contacts.T @ data.white_residual.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
         return np.asarray(self.contacts @ np.linalg.solve(seen @ self.contacts + np.eye(len(seen)), volts))
 
 
@@ -68,14 +68,14 @@ class Information:
         known: (n_pairs + 1,) changes that are known; None: nothing is.
     """
 
-    misfit: Misfit
-    white: Misfit
+    misfit: QuadraticMisfit
+    white: QuadraticMisfit
     count: int
     known: Floats | None = None
 
     @classmethod
     def of(cls, pairs: Pairs | int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
-        """Information of scans whose contacts are in the same state; and the same with the model's error as noise.
+        """Information of scans with the same contacts, with nominal noise, and inflated by the model's error.
 
         Channels that are not finite are left out. Data of driven electrodes count as much less as their larger changes
         are modelled worse.
@@ -85,103 +85,111 @@ class Information:
             PatternError: If a pattern names an electrode that is not there.
         """
         pairs = Pairs.all(pairs)
-        told, wary, white, count = measured.said(*arguments(pairs, errors, scans))
+        nominal, inflated, white, count = whitened.likelihood(*arguments(pairs, errors, scans))
         if not count:
             raise DataError(NO_DATA)
-        return cls.pair(told, wary, white, count)
+        return cls.pair(nominal, inflated, white, count)
 
     @classmethod
-    def pair(cls, told: Part, wary: Part, white: Part, count: int) -> tuple["Information", "Information"]:
-        """What `count` data say, and the same with the model's error as noise; as compiled steps have it."""
-        errors, alone = len(told[1]), Misfit(*white)
-        return cls(Misfit(*told, errors), alone, count), cls(Misfit(*wary, errors), alone, count)
+    def pair(
+        cls, nominal: Quadratic, inflated: Quadratic, white: Quadratic, count: int
+    ) -> tuple["Information", "Information"]:
+        """Information of `count` data with nominal noise, and inflated, from what compiled steps return."""
+        errors, alone = len(nominal[1]), QuadraticMisfit(*white)
+        return cls(QuadraticMisfit(*nominal, errors), alone, count), cls(
+            QuadraticMisfit(*inflated, errors), alone, count
+        )
 
     @classmethod
-    def together(cls, parts: Sequence["Information"]) -> "Information":
+    def combined(cls, parts: Sequence["Information"]) -> "Information":
         """Sum of the information of several whose errors are independent."""
-        white = _summed([part.white_left for part in parts])
+        white = _summed([part.white_residual for part in parts])
         return cls(_summed([part.misfit for part in parts]), white, sum(part.count for part in parts))
 
-    def likewise(self, parts: Sequence["Information"]) -> "Information":
+    def with_misfits(self, parts: Sequence["Information"]) -> "Information":
         """The same data as others see them that err otherwise: the sum of `parts`, white noise that of these."""
         return changed(self, misfit=_summed([part.misfit for part in parts]))
 
     @property
     def signal(self) -> float:
         """Root mean square of the data over their noise (1)."""
-        return sqrt(max(self.white_left.constant, 0.0) / self.count)
+        return sqrt(max(self.white_residual.constant, 0.0) / self.count)
 
     @property
-    def white_left(self) -> Misfit:
+    def white_residual(self) -> QuadraticMisfit:
         """What is left, if voltages erred by white noise alone."""
-        return self.white if self.known is None else self.white.less(self.known)
+        return self.white if self.known is None else self.white.minus(self.known)
 
-    def less(self, known: Floats) -> "Information":
+    def minus(self, known: Floats) -> "Information":
         """The information that remains once known changes (n_pairs or n,) are subtracted."""
         known = np.ascontiguousarray(known)
         together = np.zeros(len(self.misfit.vector)) if self.known is None else self.known.copy()
         together[: len(known)] += known
-        return Information(self.misfit.less(known), self.white, self.count, together)
+        return Information(self.misfit.minus(known), self.white, self.count, together)
 
-    def as_left(self, left: Left, known: Floats | None = None) -> "Information":
+    def reduced_to(self, left: Reduced, known: Floats | None = None) -> "Information":
         """What a compiled step has left of it, once changes (n_pairs + 1,) are known; None: nothing is."""
-        lost, vector, constant = left
-        return changed(self, misfit=changed(self.misfit, lost=lost, vector=vector, constant=constant), known=known)
+        downdates, vector, constant = left
+        return changed(
+            self, misfit=changed(self.misfit, downdates=downdates, vector=vector, constant=constant), known=known
+        )
 
-    def without(self, directions: Floats) -> "Information":
+    def marginalised(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""
-        return Information(self.misfit.without(directions), self.white, self.count, self.known)
+        return Information(self.misfit.marginalised(directions), self.white, self.count, self.known)
 
-    def beside_common(self, variance: float = COMMON**2) -> "Information":
+    def marginalised_common(self, variance: float = COMMON**2) -> "Information":
         """The information, with a common relative change of all resistances of known variance (1) as an error."""
         direction = np.zeros((len(self.misfit.vector), 1))
         direction[-1] = sqrt(variance)
-        return self.without(direction)
+        return self.marginalised(direction)
 
     def unexplained(self, caused: Floats) -> float:
         """Share of the signal beyond noise, if that is large, that contacts (their changes, n_pairs) do not explain."""
         return self.share_unexplained(*self.signals(caused))
 
-    def share_unexplained(self, said: float, left: float) -> float:
+    def share_unexplained(self, signal: float, left: float) -> float:
         """The same, given the signal beyond noise and what is left of it, see `signals`."""
-        return min(max(left / said, 0.0), 1.0) if said > _SAID * self.count else 0.0
+        return min(max(left / signal, 0.0), 1.0) if signal > _SIGNIFICANT * self.count else 0.0
 
     def signals(self, caused: Floats) -> tuple[float, float]:
         """The signal beyond noise, and what remains of it after changes of contacts (n_pairs,); squared sizes."""
-        said, left = signals(*self.misfit.part, np.ascontiguousarray(caused))
-        return said - self.count, left - self.count
+        signal, left = signals(*self.misfit.part, np.ascontiguousarray(caused))
+        return signal - self.count, left - self.count
 
     def drift(self) -> Floats:
         """Change (n_pairs,) of each two-terminal resistance that explains the data (ohm); 0 without information."""
         ridge = _RIDGE * self.white.trace / self.count
-        return likeliest(self.misfit.rows, self.misfit.lost, self.misfit.vector, ridge)[:-1]
+        return ridge_solution(self.misfit.rows, self.misfit.downdates, self.misfit.vector, ridge)[:-1]
 
-    def beside(self, directions: Floats) -> "Information":
+    def marginalised_flat(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) of unknown size as errors."""
-        return self.without(self._unknown(directions))
+        return self.marginalised(self._flat_prior(directions))
 
-    def leaving_out(self, directions: Floats) -> "Information":
+    def excluding(self, directions: Floats) -> "Information":
         """The information without changes (n_pairs or n, k), in the size of others neither."""
-        unknown = self._unknown(directions)
-        return Information(self.misfit.without(unknown), self.white.without(unknown), self.count, self.known)
+        unknown = self._flat_prior(directions)
+        return Information(self.misfit.marginalised(unknown), self.white.marginalised(unknown), self.count, self.known)
 
-    def _unknown(self, directions: Floats) -> Floats:
+    def _flat_prior(self, directions: Floats) -> Floats:
         """Changes (n_pairs or n, k) as large as they are where nothing is known of them."""
-        sizes = self.white.sizes(directions)
-        return np.asarray(directions[:, sizes > 0] / (UNSAID * sizes[sizes > 0]))
+        sizes = self.white.norms(directions)
+        return np.asarray(directions[:, sizes > 0] / (FLAT * sizes[sizes > 0]))
 
-    def times(self, share: float) -> "Information":
+    def scaled(self, share: float) -> "Information":
         """The same with all errors larger: `share` of what is known."""
-        told, rows = self.misfit, fainter(self.misfit.rows, share)
-        less = Misfit(rows, sqrt(share) * told.lost, share * told.vector, share * told.constant, told.errors)
-        return Information(less, self.white, self.count, self.known)
+        misfit, rows = self.misfit, scaled_rows(self.misfit.rows, share)
+        scaled = QuadraticMisfit(
+            rows, sqrt(share) * misfit.downdates, share * misfit.vector, share * misfit.constant, misfit.errors
+        )
+        return Information(scaled, self.white, self.count, self.known)
 
-    def size(self, changes: Floats) -> float:
+    def norm(self, changes: Floats) -> float:
         """How large changes (n_pairs or n,) are in the data, in standard deviations of white noise."""
-        return float(self.white.sizes(changes[:, None])[0])
+        return float(self.white.norms(changes[:, None])[0])
 
 
-def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tuple[Scan, Erring]:
+def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tuple[Scan, ErrorTerms]:
     """What compiled steps are given of scans whose contacts are in the same state, and of how these err.
 
     Raises:
@@ -201,11 +209,11 @@ def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tupl
     if contacts.size and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
         contacts = np.ascontiguousarray(contacts[:, np.unique(whole.injections)])
     four, which = whole.quadruples, whole.injection_numbers
-    told = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers, whole.n_inj, loaded
-    return told, (errors.noise, errors.gain, errors.model, contacts)
+    scan = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers, whole.n_inj, loaded
+    return scan, (errors.noise, errors.gain, errors.model, contacts)
 
 
-def _summed(parts: Sequence[Misfit]) -> Misfit:
+def _summed(parts: Sequence[QuadraticMisfit]) -> QuadraticMisfit:
     """The misfit of data whose errors are their own."""
     columns, sizes, loading, quiet, starts, weights = zip(*(part.rows for part in parts), strict=True)
     begins = np.cumsum([0, *(len(own) for own in sizes)])
@@ -221,5 +229,5 @@ def _summed(parts: Sequence[Misfit]) -> Misfit:
         np.concatenate(weights),
     )
     vector, constant = reduce(np.add, [part.vector for part in parts]), sum(part.constant for part in parts)
-    lost = np.concatenate([part.lost for part in parts])
-    return Misfit(rows, lost, vector, constant, len(lost))
+    downdates = np.concatenate([part.downdates for part in parts])
+    return QuadraticMisfit(rows, downdates, vector, constant, len(downdates))

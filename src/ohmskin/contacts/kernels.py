@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Singles
-from ohmskin.contacts.measured import Rows, copy, dot
 from ohmskin.contacts.misfit import products
+from ohmskin.contacts.whitened import Rows, copy, dot
 from ohmskin.forward.splines import Grid, Spline, respond, scatter
 
 SQUARE_STD = 0.75  # prior standard deviation of the squared radius, as a share of the usual one
@@ -124,15 +124,15 @@ def expected(effects: Floats, usual: float, low: Floats, high: Floats, period: f
 
 @njit(cache=True, nogil=True)
 def refined(
-    params: Floats, rows: Rows, lost: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats,
+    params: Floats, rows: Rows, downdates: Floats, vector: Floats, constant: float, mean: Floats, prior: Floats,
     rounds: SupportsIndex, radius: float, least: float, smallest: float, largest: float, sheet: Grid, spline: Spline,
     best: float,
 ) -> tuple[float, Floats, Floats, Floats]:  # fmt: skip
     """Levenberg and Marquardt, `params` (n, 4) in place: cost, curvature, what is caused, and its slopes.
 
     A fit ends, too, that cannot come up with the `best` cost known, by what its next step promises.
-    Rows, those lost, vector and constant are those of a `Misfit`. Compiled code gives `rounds` as an int64: for a
-    constant, numba would compile all of this again.
+    Rows, downdates, vector and constant are those of a `QuadraticMisfit`. Compiled code gives `rounds` as an int64:
+    for a constant, numba would compile all of this again.
     """
     damping, n = 1e-3, params.size
     floor, ceiling, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -143,7 +143,7 @@ def refined(
             ceiling[i + axis] = np.inf if free else sheet[1][axis]
         floor[i + 2], ceiling[i + 2], floor[i + 3], ceiling[i + 3] = least, np.inf, smallest, largest
     moved = np.empty_like(params)
-    cost, normal, gradient, caused, slopes = _linearised(params, rows, lost, vector, constant, mean, prior, spline)
+    cost, normal, gradient, caused, slopes = _linearised(params, rows, downdates, vector, constant, mean, prior, spline)
     for _ in range(rounds):
         for i in range(n):
             low[i], high[i] = floor[i] - params[i // 4, i % 4], ceiling[i] - params[i // 4, i % 4]
@@ -162,7 +162,7 @@ def refined(
             moved[k, 2] = max(params[k, 2] + step[4 * k + 2], least)
             moved[k, 3] = min(max(params[k, 3] + step[4 * k + 3], smallest), largest)
             onto(moved[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4], sheet[5])
-        trial = _linearised(moved, rows, lost, vector, constant, mean, prior, spline)
+        trial = _linearised(moved, rows, downdates, vector, constant, mean, prior, spline)
         gain = cost - trial[0]
         if gain > 0:
             for k in range(len(params)):
@@ -227,7 +227,7 @@ def damped_step(normal: Floats, damping: float, step: Floats) -> None:
 def _linearised(
     params: Floats,
     rows: Rows,
-    lost: Floats,
+    downdates: Floats,
     vector: Floats,
     constant: float,
     mean: Floats,
@@ -239,19 +239,19 @@ def _linearised(
         params, spline[0], spline[1], spline[2], spline[3], spline[4], spline[5], spline[6], spline[7], spline[8]
     )
     n = len(slopes)
-    changes, common, told = np.empty((n + 1, len(caused))), np.empty((n + 1, n + 1)), np.empty(n + 1)
+    changes, common, slope = np.empty((n + 1, len(caused))), np.empty((n + 1, n + 1)), np.empty(n + 1)
     for k in range(n + 1):  # the slopes, and last what is caused
         copy(slopes[k] if k < n else caused, changes[k])
-        told[k] = dot(vector, changes[k])
-    products(rows, lost, changes, common)
-    cost, normal, gradient = constant - 2 * told[n] + common[n, n], prior.copy(), np.zeros(n)
+        slope[k] = dot(vector, changes[k])
+    products(rows, downdates, changes, common)
+    cost, normal, gradient = constant - 2 * slope[n] + common[n, n], prior.copy(), np.zeros(n)
     off, period = np.empty(n), spline[4]
     for i in range(n):
         off[i] = mean[i] - params[i // 4, i % 4]
         if period > 0.0 and i % 4 == 0:
             off[i] -= period * np.rint(off[i] / period)
     for i in range(n):
-        gradient[i] = told[i] - common[i, n]
+        gradient[i] = slope[i] - common[i, n]
         for k in range(n):
             normal[i, k] += common[i, k]
             gradient[i] += prior[i, k] * off[k]

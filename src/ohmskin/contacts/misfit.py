@@ -1,4 +1,4 @@
-"""A squared misfit of two-terminal resistances, and what is left of it once some changes are known, or not at all."""
+"""A squared misfit of two-terminal resistances, conditioned on known changes, marginalised over unknown ones."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -7,19 +7,19 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Singles
-from ohmskin.contacts import measured
-from ohmskin.contacts.measured import Part, Rows
+from ohmskin.contacts import whitened
+from ohmskin.contacts.whitened import Quadratic, Rows
 
-_SOME, _ALL = 0.7, slice(None)  # share of the pairs below which it pays to leave out those that data say nothing of
+_SOME, _ALL = 0.7, slice(None)  # share of the pairs below which it pays to leave out those without information
 _SOLVED = 1e-8  # share of the gradient that is left once it is as good as nothing
 _ROUNDED = 1e-12  # share of a direction's power that rounding reaches once others are taken off
 SINGLE = 1e-5  # the same of powers in single precision
 COMMON = 0.03  # by which all resistances may have changed together since calibration, as with temperature
-UNSAID = 1e-4  # share of its size in the data by which a direction of which nothing is known may still be seen
+FLAT = 1e-4  # inverse of a flat prior's standard deviation, in deviations of the data's noise
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
+class NormalEquations:
     """A squared misfit constant - 2 vector.x + x.matrix.x written out, which takes no more room the more data it has.
 
     Args:
@@ -32,9 +32,9 @@ class Sums:
     vector: Floats
     constant: float
 
-    def plus(self, other: "Sums", share: float) -> "Sums":
+    def plus(self, other: "NormalEquations", share: float) -> "NormalEquations":
         """Its `share`, and all of another."""
-        return Sums(
+        return NormalEquations(
             share * self.matrix + other.matrix,
             share * self.vector + other.vector,
             share * self.constant + other.constant,
@@ -42,12 +42,12 @@ class Sums:
 
 
 @dataclass(frozen=True, eq=False)
-class Misfit:
+class QuadraticMisfit:
     """A squared misfit constant - 2 vector.x + x.matrix.x, of data in units of their noise.
 
     Args:
         rows: What changes do to the data.
-        lost: (k, n) rows whose products with themselves are to be taken off the curvature; n = n_pairs + 1.
+        downdates: (k, n) rows whose outer products are subtracted from the curvature; n = n_pairs + 1.
         vector: (n,) its downhill gradient at nothing, halved.
         constant: That of nothing.
         errors: How many of these are of errors, and lost from the start.
@@ -56,7 +56,7 @@ class Misfit:
     """
 
     rows: Rows
-    lost: Floats
+    downdates: Floats
     vector: Floats
     constant: float
     errors: int = 0
@@ -65,13 +65,13 @@ class Misfit:
     @cached_property
     def matrix(self) -> Floats:
         """(n, n) its curvature, halved."""
-        whole = measured.gram(self.rows, len(self.vector) - 1)
-        return np.asarray(whole - self.lost.T @ self.lost)
+        whole = whitened.gram(self.rows, len(self.vector) - 1)
+        return np.asarray(whole - self.downdates.T @ self.downdates)
 
     @property
-    def part(self) -> Part:
+    def part(self) -> Quadratic:
         """What compiled steps need of it."""
-        return self.rows, self.lost, self.vector, self.constant
+        return self.rows, self.downdates, self.vector, self.constant
 
     @property
     def trace(self) -> float:
@@ -81,30 +81,30 @@ class Misfit:
         return float(terms @ sizes**2 + loading @ loading)
 
     @property
-    def sums(self) -> Sums:
+    def sums(self) -> NormalEquations:
         """It written out, of two-terminal resistances alone."""
-        return Sums(self.matrix[:-1, :-1], self.vector[:-1], self.constant)
+        return NormalEquations(self.matrix[:-1, :-1], self.vector[:-1], self.constant)
 
-    def less(self, known: Floats) -> "Misfit":
-        """What is left once changes (n_pairs or n,) are known."""
-        vector, constant = less(self.rows, self.lost, self.vector, self.constant, known)
-        return Misfit(self.rows, self.lost, vector, constant, self.errors, self.powers)
+    def minus(self, known: Floats) -> "QuadraticMisfit":
+        """The misfit conditioned on known changes (n_pairs or n,), which are subtracted."""
+        vector, constant = subtract(self.rows, self.downdates, self.vector, self.constant, known)
+        return QuadraticMisfit(self.rows, self.downdates, vector, constant, self.errors, self.powers)
 
-    def without(self, directions: Floats) -> "Misfit":
-        """What is left beside changes (n_pairs or n, k), each with a standard deviation of one."""
-        vector, lost = self.vector.copy(), np.empty((len(self.lost) + directions.shape[1], len(self.vector)))
-        taken = taken_off(self.rows, self.lost, np.ascontiguousarray(directions.T), vector, lost)
-        return Misfit(self.rows, lost, vector, self.constant - taken, self.errors, self.powers)
+    def marginalised(self, directions: Floats) -> "QuadraticMisfit":
+        """The misfit marginalised over changes (n_pairs or n, k), each with a standard deviation of one."""
+        vector, downdates = self.vector.copy(), np.empty((len(self.downdates) + directions.shape[1], len(self.vector)))
+        taken = marginalise(self.rows, self.downdates, np.ascontiguousarray(directions.T), vector, downdates)
+        return QuadraticMisfit(self.rows, downdates, vector, self.constant - taken, self.errors, self.powers)
 
-    def seen(self, changes: Floats) -> Floats:
+    def normal_products(self, changes: Floats) -> Floats:
         """What changes (m, n_pairs or n) do to the gradient (m, n)."""
         out = np.empty((len(changes), len(self.vector)))
-        seen(self.rows, self.lost, np.ascontiguousarray(changes), out)
+        normal_products(self.rows, self.downdates, np.ascontiguousarray(changes), out)
         return out
 
-    def sizes(self, changes: Floats) -> Floats:
-        """How large each of changes (n_pairs or n, k) is in the data (k,) (1)."""
-        return sizes(self.rows, self.lost, np.ascontiguousarray(changes.T))
+    def norms(self, changes: Floats) -> Floats:
+        """Norms (k,) in the data, in units of their noise, of changes (n_pairs or n, k)."""
+        return norms(self.rows, self.downdates, np.ascontiguousarray(changes.T))
 
     def scores(self, changes: Singles) -> tuple[Floats, Floats]:
         """Products of changes (n, m) with the gradient, and the squares of their sizes (m,), to some 1e-6.
@@ -119,41 +119,41 @@ class Misfit:
             if np.count_nonzero(there) < _SOME * len(changes):
                 seen, own = np.flatnonzero(there), np.ascontiguousarray(changes[there])
                 rows = ((np.cumsum(there) - 1).astype(np.uint64)[rows[0]], *rows[1:])
-            whole = measured.powers(rows, own)
-            known = _less_lost(whole, self.lost[: self.errors, seen], own)
+            whole = whitened.powers(rows, own)
+            known = _downdated(whole, self.downdates[: self.errors, seen], own)
             self.powers[id(changes)] = seen, own, known, SINGLE * np.maximum(whole, whole.max() * SINGLE)
         seen, own, known, least = self.powers[id(changes)]
-        power = np.maximum(_less_lost(known, self.lost[self.errors :, seen], own), least)
+        power = np.maximum(_downdated(known, self.downdates[self.errors :, seen], own), least)
         return (self.vector[seen].astype(np.float32) @ own).astype(float), power.astype(float)
 
 
-def _less_lost(power: Singles, lost: Floats, changes: Singles) -> Singles:
+def _downdated(power: Singles, downdates: Floats, changes: Singles) -> Singles:
     """Powers of changes (n, m) beside rows (k, n) that are lost."""
-    if not len(lost):
+    if not len(downdates):
         return power
-    product = lost.astype(np.float32) @ changes
+    product = downdates.astype(np.float32) @ changes
     return np.asarray(power - np.einsum("km,km->m", product, product))
 
 
 @njit(cache=True, nogil=True)
-def seen(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
+def normal_products(rows: Rows, downdates: Floats, changes: Floats, out: Floats) -> None:
     """What changes (m, n_pairs or n) do to the gradient, into `out` (m, n)."""
     quiet, starts, weights = rows[3], rows[4], rows[5]
     pairs, data, inner = out.shape[1] - 1, np.empty(len(quiet)), np.empty(len(weights))
     for k in range(len(changes)):
-        measured.apply(rows, changes[k], pairs, data)
-        measured.along_quiet(rows, data, inner)
+        whitened.apply(rows, changes[k], pairs, data)
+        whitened.reference_products(rows, data, inner)
         for i in range(len(inner)):
             for m in range(starts[i], starts[i + 1]):
                 data[m] -= weights[i] * inner[i] * quiet[m]
         out[k] = 0.0
-        measured.apply_transposed(rows, data, pairs, out[k])
-        for one in lost:
-            measured.add(-measured.dot(one, changes[k]), one, out[k])
+        whitened.apply_transposed(rows, data, pairs, out[k])
+        for one in downdates:
+            whitened.add(-whitened.dot(one, changes[k]), one, out[k])
 
 
 @njit(cache=True, nogil=True)
-def likeliest(rows: Rows, lost: Floats, vector: Floats, ridge: float) -> Floats:
+def ridge_solution(rows: Rows, downdates: Floats, vector: Floats, ridge: float) -> Floats:
     """The x (n,) of least squared misfit with `ridge` times its square, nothing common (conjugate gradients).
 
     Data determine few combinations of resistances, so that it takes as many products with their rows, and no matrix.
@@ -162,103 +162,103 @@ def likeliest(rows: Rows, lost: Floats, vector: Floats, ridge: float) -> Floats:
     x, left, product = np.zeros(n), vector.copy(), np.empty((1, n))
     left[n - 1] = 0.0
     along = left.copy().reshape((1, n))
-    square = first = measured.dot(left, left)
+    square = first = whitened.dot(left, left)
     for _ in range(2 * n):
         if square <= _SOLVED**2 * first or square == 0.0:
             break
-        seen(rows, lost, along, product)
+        normal_products(rows, downdates, along, product)
         product[0, n - 1] = 0.0
-        measured.add(ridge, along[0], product[0])
-        step = square / measured.dot(along[0], product[0])
-        measured.add(step, along[0], x)
-        measured.add(-step, product[0], left)
-        before, square = square, measured.dot(left, left)
+        whitened.add(ridge, along[0], product[0])
+        step = square / whitened.dot(along[0], product[0])
+        whitened.add(step, along[0], x)
+        whitened.add(-step, product[0], left)
+        before, square = square, whitened.dot(left, left)
         for k in range(n):
             along[0, k] = left[k] + square / before * along[0, k]
     return x
 
 
 @njit(cache=True, nogil=True)
-def less(rows: Rows, lost: Floats, vector: Floats, constant: float, known: Floats) -> tuple[Floats, float]:
-    """Vector (n,) and constant of what is left once a change (n_pairs or n,) is known."""
+def subtract(rows: Rows, downdates: Floats, vector: Floats, constant: float, known: Floats) -> tuple[Floats, float]:
+    """Vector (n,) and constant conditioned on a known change (n_pairs or n,)."""
     left = np.empty((1, len(vector)))
-    seen(rows, lost, known.reshape((1, len(known))), left)
-    constant += measured.dot(left[0], known) - 2 * measured.dot(vector, known)
+    normal_products(rows, downdates, known.reshape((1, len(known))), left)
+    constant += whitened.dot(left[0], known) - 2 * whitened.dot(vector, known)
     for k in range(len(vector)):
         left[0, k] = vector[k] - left[0, k]
     return left[0], constant
 
 
 @njit(cache=True, nogil=True)
-def signals(rows: Rows, lost: Floats, vector: Floats, constant: float, caused: Floats) -> tuple[float, float]:
+def signals(rows: Rows, downdates: Floats, vector: Floats, constant: float, caused: Floats) -> tuple[float, float]:
     """Constants beside a common change of all resistances: that of nothing, and once a change (n_pairs,) is known."""
-    direction, beside = np.zeros((1, len(vector))), np.empty((len(lost) + 1, len(vector)))
+    direction, beside = np.zeros((1, len(vector))), np.empty((len(downdates) + 1, len(vector)))
     direction[0, -1] = COMMON
     vector = vector.copy()
-    constant -= taken_off(rows, lost, direction, vector, beside)
-    return constant, less(rows, beside, vector, constant, caused)[1]
+    constant -= marginalise(rows, downdates, direction, vector, beside)
+    return constant, subtract(rows, beside, vector, constant, caused)[1]
 
 
 @njit(cache=True, nogil=True)
-def products(rows: Rows, lost: Floats, changes: Floats, out: Floats) -> None:
+def products(rows: Rows, downdates: Floats, changes: Floats, out: Floats) -> None:
     """What changes (m, n_pairs or n) have in common in the data, into `out` (m, m)."""
-    pairs, many, injections = lost.shape[1] - 1, len(rows[3]), len(rows[5])
-    data, less = np.empty((len(changes), many)), np.empty((len(changes), injections + len(lost)))
+    pairs, many, injections = downdates.shape[1] - 1, len(rows[3]), len(rows[5])
+    data, less = np.empty((len(changes), many)), np.empty((len(changes), injections + len(downdates)))
     for k in range(len(changes)):
-        measured.apply(rows, changes[k], pairs, data[k])
-        measured.along_quiet(rows, data[k], less[k])
+        whitened.apply(rows, changes[k], pairs, data[k])
+        whitened.reference_products(rows, data[k], less[k])
         for i in range(injections):
             less[k, i] *= np.sqrt(rows[5][i])
-        for i in range(len(lost)):
-            less[k, injections + i] = measured.dot(lost[i], changes[k])
+        for i in range(len(downdates)):
+            less[k, injections + i] = whitened.dot(downdates[i], changes[k])
         for i in range(k + 1):
-            out[i, k] = out[k, i] = measured.dot(data[i], data[k]) - measured.dot(less[i], less[k])
+            out[i, k] = out[k, i] = whitened.dot(data[i], data[k]) - whitened.dot(less[i], less[k])
 
 
 @njit(cache=True, nogil=True)
-def paired(rows: Rows, lost: Floats, ones: Floats, others: Floats) -> Floats:
+def pair_products(rows: Rows, downdates: Floats, ones: Floats, others: Floats) -> Floats:
     """Squares and product (m, 3) in the data of changes (m, n_pairs or n) and another (m, n_pairs or n) for each."""
     out, both, common = np.empty((len(ones), 3)), np.empty((2, ones.shape[1])), np.empty((2, 2))
     for k in range(len(ones)):
-        measured.copy(ones[k], both[0])
-        measured.copy(others[k], both[1])
-        products(rows, lost, both, common)
+        whitened.copy(ones[k], both[0])
+        whitened.copy(others[k], both[1])
+        products(rows, downdates, both, common)
         out[k, 0], out[k, 1], out[k, 2] = common[0, 0], common[1, 1], common[0, 1]
     return out
 
 
 @njit(cache=True, nogil=True)
-def sizes(rows: Rows, lost: Floats, changes: Floats) -> Floats:
-    """How large each of changes (m, n_pairs or n) is in the data (m,)."""
+def norms(rows: Rows, downdates: Floats, changes: Floats) -> Floats:
+    """Norms (m,) in the data, in units of their noise, of changes (m, n_pairs or n)."""
     out, power = np.empty(len(changes)), np.empty((1, 1))
     for k in range(len(changes)):
-        products(rows, lost, changes[k : k + 1], power)
+        products(rows, downdates, changes[k : k + 1], power)
         out[k] = np.sqrt(max(power[0, 0], 0.0))
     return out
 
 
 @njit(cache=True, nogil=True)
-def taken_off(rows: Rows, lost: Floats, directions: Floats, vector: Floats, out: Floats) -> float:
-    """What is lost, into `out` (k + m, n), once directions (m, n_pairs or n) are taken off beside what was (k, n).
+def marginalise(rows: Rows, downdates: Floats, directions: Floats, vector: Floats, out: Floats) -> float:
+    """Downdates, into `out` (k + m, n), marginalised over directions (m, n_pairs or n) beside those before (k, n).
 
-    One is taken after the other, and off the `vector` (n,); so much is taken off the constant.
+    One is taken after the other, and off the `vector` (n,); returns what is subtracted from the constant.
     """
-    constant, before = 0.0, len(lost)
+    constant, before = 0.0, len(downdates)
     for i in range(before):
-        measured.copy(lost[i], out[i])
-    seen(rows, lost, directions, out[before:])
+        whitened.copy(downdates[i], out[i])
+    normal_products(rows, downdates, directions, out[before:])
     for i in range(before, len(out)):
         row, direction = out[i], directions[i - before]
-        whole = measured.dot(row, direction)
+        whole = whitened.dot(row, direction)
         for k in range(before, i):
-            measured.add(-measured.dot(out[k], direction), out[k], row)
-        power, told = measured.dot(row, direction), measured.dot(vector, direction)
+            whitened.add(-whitened.dot(out[k], direction), out[k], row)
+        power, slope = whitened.dot(row, direction), whitened.dot(vector, direction)
         if power < _ROUNDED * whole:  # those before are it already, and what rounding leaves would grow
             row[:] = 0.0
             continue
         root = np.sqrt(1 + max(power, 0.0))  # rounding may make it negative where it is not seen
         for k in range(len(row)):
             row[k] /= root
-        measured.add(-told / root, row, vector)
-        constant += (told / root) ** 2
+        whitened.add(-slope / root, row, vector)
+        constant += (slope / root) ** 2
     return constant

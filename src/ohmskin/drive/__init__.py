@@ -4,10 +4,10 @@ from ohmskin.drive.bound import ContactPrior, best_fixed, position_bound
 from ohmskin.drive.design import Candidates, Choice, Search, exchange, greedy, pair_currents
 from ohmskin.drive.drive import Drive, Exploration, Fixed, SecondScan, Target, TwoScans, WithDriven
 from ohmskin.drive.drives import DRIVES, DriveSettings
-from ohmskin.drive.informed import InformedPolicy, PositionDrive, Ranking
 from ohmskin.drive.layout import LayoutSearch, arranged
 from ohmskin.drive.optimal import LocalDrive, OptimalDrive, pair_weights, take_turns
 from ohmskin.drive.patterns import base_pattern, candidate_pairs, candidate_pattern, complete_pattern, part_of
+from ohmskin.drive.position import PositionDrive, Ranking, TrackingDrive
 
 __all__ = [
     "DRIVES",
@@ -18,7 +18,6 @@ __all__ = [
     "DriveSettings",
     "Exploration",
     "Fixed",
-    "InformedPolicy",
     "LayoutSearch",
     "LocalDrive",
     "OptimalDrive",
@@ -27,6 +26,7 @@ __all__ = [
     "Search",
     "SecondScan",
     "Target",
+    "TrackingDrive",
     "TwoScans",
     "WithDriven",
     "arranged",

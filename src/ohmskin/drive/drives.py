@@ -11,9 +11,9 @@ from functools import partial
 from ohmskin.drive.bound import best_fixed
 from ohmskin.drive.design import Candidates
 from ohmskin.drive.drive import Drive, Exploration, Fixed, SecondScan, TwoScans
-from ohmskin.drive.informed import InformedPolicy, PositionDrive
 from ohmskin.drive.optimal import LocalDrive, OptimalDrive
 from ohmskin.drive.patterns import base_pattern, is_local, part_of
+from ohmskin.drive.position import PositionDrive, TrackingDrive
 from ohmskin.errors import PatternError
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Electrodes
@@ -89,7 +89,7 @@ def position(s: DriveSettings, injections: int) -> Drive:
 def tracking(s: DriveSettings, injections: int) -> Drive:
     """A few injections a frame: some explore, the others are most informative about the contacts followed."""
     count = injections or _tracked(s)
-    return InformedPolicy(s.electrodes, s.design, count, explore=max(2, count // 2), period=s.period)
+    return TrackingDrive(s.electrodes, s.design, count, explore=max(2, count // 2), period=s.period)
 
 
 def rotating(s: DriveSettings, injections: int) -> Drive:

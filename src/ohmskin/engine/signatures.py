@@ -8,43 +8,40 @@ from typing import Any
 from numba import types
 
 _tuple: Any = types.Tuple
+_FLOAT64 = types.float64
+_FLOAT64_2 = types.Array(_FLOAT64, 2, "C")
+_FLOAT64_1 = types.Array(_FLOAT64, 1, "C")
+_FLOAT64_3 = types.Array(_FLOAT64, 3, "C")
+_T1 = _tuple((_FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_3, _FLOAT64, _FLOAT64))
+_FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
+_INT64 = types.int64
 _UINT64 = types.uint64
 _UINT64_2 = types.Array(_UINT64, 2, "C")
-_FLOAT64 = types.float64
-_FLOAT64_1 = types.Array(_FLOAT64, 1, "C")
-_INT64 = types.int64
 _INT64_1 = types.Array(_INT64, 1, "C")
-_T1 = _tuple((_UINT64_2, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64_1))
-_FLOAT64_2 = types.Array(_FLOAT64, 2, "C")
-_T2 = _tuple((_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64))
-_FLOAT64_3 = types.Array(_FLOAT64, 3, "C")
-_T3 = _tuple((_FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_3, _FLOAT64, _FLOAT64))
+_T2 = _tuple((_UINT64_2, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64_1))
 _FLOAT32 = types.float32
 _FLOAT32_4 = types.Array(_FLOAT32, 4, "C")
 _INT64_2_FIXED = types.Array(_INT64, 2, "C", readonly=True)
-_T4 = _tuple((_FLOAT32_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64, _FLOAT64_3, _INT64_2_FIXED))
+_T3 = _tuple((_FLOAT32_4, _FLOAT64_1, _FLOAT64_1, _INT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64, _FLOAT64_3, _INT64_2_FIXED))
+_T4 = _tuple((_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64))
 _FLOAT32_2 = types.Array(_FLOAT32, 2, "C")
 _BOOL = types.bool_
-_FLOAT64_2_FIXED = types.Array(_FLOAT64, 2, "C", readonly=True)
+_FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
+_INT32 = types.int32
+_INT32_2 = types.Array(_INT32, 2, "C")
+_INT32_1 = types.Array(_INT32, 1, "C")
 _INT64_2 = types.Array(_INT64, 2, "C")
 _BOOL_1 = types.Array(_BOOL, 1, "C")
 _T5 = _tuple(
     (_INT64_2, _INT64_1, _BOOL_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _FLOAT64_1, _INT64_2_FIXED, _INT64, _BOOL)
 )
 _T6 = _tuple((_FLOAT64, _FLOAT64, _FLOAT64, _FLOAT64_2))
-_FLOAT32_1 = types.Array(_FLOAT32, 1, "C")
-_INT32 = types.int32
-_INT32_2 = types.Array(_INT32, 2, "C")
-_INT32_1 = types.Array(_INT32, 1, "C")
 _FLOAT64_4 = types.Array(_FLOAT64, 4, "C")
 _FLOAT64_3_FIXED = types.Array(_FLOAT64, 3, "C", readonly=True)
 _FLOAT64_2_F = types.Array(_FLOAT64, 2, "F")
 
 SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
-    ("contacts.follow:bends", (_T2, _FLOAT64_1, _FLOAT64, _T3, _T4)),
-    ("contacts.follow:followed", (_T2, _T2, _T2, _FLOAT64_2, _FLOAT64_1, _T3, _T4, _FLOAT32_2, _BOOL, _FLOAT64_1)),
-    ("contacts.follow:shapes_of", (_FLOAT64_2, _FLOAT64, _FLOAT64, _T4)),
-    ("contacts.kernels:all_onto", (_FLOAT64_2, _T3)),
+    ("contacts.kernels:all_onto", (_FLOAT64_2, _T1)),
     ("contacts.kernels:covering", (_FLOAT64_2, _FLOAT64_2_FIXED, _FLOAT64)),
     ("contacts.kernels:expected", (_FLOAT64_1, _FLOAT64, _FLOAT64_1, _FLOAT64_1, _FLOAT64)),
     ("contacts.kernels:peaks", (_FLOAT64_1, _FLOAT64_2, _INT64, _FLOAT64, _FLOAT64, _FLOAT64)),
@@ -52,7 +49,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         "contacts.kernels:refined",
         (
             _FLOAT64_2,
-            _T1,
+            _T2,
             _FLOAT64_2,
             _FLOAT64_1,
             _FLOAT64,
@@ -63,21 +60,24 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
             _FLOAT64,
             _FLOAT64,
             _FLOAT64,
+            _T1,
             _T3,
-            _T4,
             _FLOAT64,
         ),
     ),
-    ("contacts.measured:powers", (_T1, _FLOAT32_2)),
-    ("contacts.measured:said", (_T5, _T6)),
-    ("contacts.misfit:less", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
-    ("contacts.misfit:likeliest", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
-    ("contacts.misfit:paired", (_T1, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
-    ("contacts.misfit:signals", (_T1, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
-    ("contacts.misfit:sizes", (_T1, _FLOAT64_2, _FLOAT64_2)),
-    ("contacts.misfit:taken_off", (_T1, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
+    ("contacts.misfit:marginalise", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_1, _FLOAT64_2)),
+    ("contacts.misfit:norms", (_T2, _FLOAT64_2, _FLOAT64_2)),
+    ("contacts.misfit:pair_products", (_T2, _FLOAT64_2, _FLOAT64_2, _FLOAT64_2)),
+    ("contacts.misfit:ridge_solution", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64)),
+    ("contacts.misfit:signals", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
+    ("contacts.misfit:subtract", (_T2, _FLOAT64_2, _FLOAT64_1, _FLOAT64, _FLOAT64_1)),
+    ("contacts.refit:refit", (_T4, _T4, _T4, _FLOAT64_2, _FLOAT64_1, _T1, _T3, _FLOAT32_2, _BOOL, _FLOAT64_1)),
+    ("contacts.refit:shapes_of", (_FLOAT64_2, _FLOAT64, _FLOAT64, _T3)),
+    ("contacts.refit:split_gains", (_T4, _FLOAT64_1, _FLOAT64, _T1, _T3)),
     ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),
     ("contacts.solution:inverse", (_FLOAT64_2,)),
+    ("contacts.whitened:likelihood", (_T5, _T6)),
+    ("contacts.whitened:powers", (_T2, _FLOAT32_2)),
     ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
     (
         "forward.sensitivity:fill_groups",
@@ -97,7 +97,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
         "forward.sensitivity:fill_pairs",
         (_INT64_2_FIXED, _FLOAT64_3_FIXED, _FLOAT64_1, _FLOAT64_2_FIXED, _INT64_2_FIXED, _FLOAT64_2),
     ),
-    ("forward.splines:respond_at", (_FLOAT64_2, _T4, _FLOAT64_3)),
+    ("forward.splines:respond_at", (_FLOAT64_2, _T3, _FLOAT64_3)),
     ("geometry.overlap:_areas", (_FLOAT64_2, _INT64_1, _FLOAT64_3, _FLOAT64_1, _FLOAT64, _FLOAT64)),
     ("inverse.modes:combined", (_INT64_2, _FLOAT64_2)),
     (

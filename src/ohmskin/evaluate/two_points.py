@@ -10,14 +10,14 @@ from ohmskin.scan import Difference
 def best_single(fitter: ContactFitter, *differences: Difference) -> Solution:
     """The one contact that explains scans best, whether it is significant or not."""
     told, _ = fitter.information(*differences)
-    return fitter.added(told.times(fitter.allowance(told)), *fitter.scores(told))
+    return fitter.added(told.scaled(fitter.allowance(told)), *fitter.scores(told))
 
 
 def best_pair(fitter: ContactFitter, one: Solution, *differences: Difference) -> Solution:
     """The two contacts that explain scans best, given the best single one: that one split, or another one beside it, as
     the fitter finds them, whether the second is significant or not."""
     told, _ = fitter.information(*differences)
-    added = fitter.added(told.times(fitter.allowance(told)), *fitter.scores(told.less(one.caused)), one.params)
+    added = fitter.added(told.scaled(fitter.allowance(told)), *fitter.scores(told.minus(one.caused)), one.params)
     split = fitter.split(told, told, one, 0, bar=-np.inf)
     return added if split is None or added.cost < split.cost else split
 
@@ -27,7 +27,7 @@ def one_or_two(fitter: ContactFitter, *differences: Difference) -> tuple[float, 
     see `ContactFitter.gained`), and both explanations."""
     one = best_single(fitter, *differences)
     two = best_pair(fitter, one, *differences)
-    return fitter.gained(fitter.information(*differences)[0], one, two), one, two
+    return fitter.gain_of(fitter.information(*differences)[0], one, two), one, two
 
 
 def told(found: ArrayLike, truth: ArrayLike) -> bool:

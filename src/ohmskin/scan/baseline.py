@@ -97,7 +97,7 @@ class Difference:
         own = 0.0 if self.source_loading is None else self.source_loading * ab
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
-    def less(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
+    def minus(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
         """The difference less what changes of two-terminal resistances cause; arguments as for `caused_by`."""
         return changed(self, volts=self.volts - self.caused_by(changes, pairs))
 

@@ -15,7 +15,7 @@ from ohmskin.inverse.estimators import Estimator
 from ohmskin.registry import Registry
 from ohmskin.scan import Frame
 from ohmskin.sensing.compiled import compiled
-from ohmskin.sensing.doubt import doubted, image_misfit, image_trust, trust
+from ohmskin.sensing.confidence import fit_confidence, image_confidence, image_misfit, scaled_confidence
 from ohmskin.sensing.forces import forces_of
 from ohmskin.sensing.learned import learned
 from ohmskin.sensing.locator import Locator
@@ -110,9 +110,9 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
     belief = percept.belief
     if not belief.detections or isinstance(sensor.reader, DetectionReader):  # whose image is judged by the sensor
         return percept
-    misfit, believed = image_misfit(known, [known.difference(frame)]), trust(belief.unexplained)
-    share = min(image_trust(misfit) / believed, 1.0) if believed > 0 else 0.0  # what contacts leave is counted already
-    detections, contacts = (doubted(some, share) for some in (belief.detections, belief.contacts))
+    misfit, believed = image_misfit(known, [known.difference(frame)]), fit_confidence(belief.unexplained)
+    share = min(image_confidence(misfit) / believed, 1.0) if believed > 0 else 0.0  # contacts' part is counted
+    detections, contacts = (scaled_confidence(some, share) for some in (belief.detections, belief.contacts))
     left = max(misfit, belief.unexplained)
     return replace(percept, belief=replace(belief, detections=detections, contacts=contacts, unexplained=left))
 

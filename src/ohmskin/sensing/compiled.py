@@ -25,7 +25,7 @@ from ohmskin.inverse import GaussNewton, Image
 from ohmskin.inverse.estimators import FrameWise, Made
 from ohmskin.scan import Baseline, DrivePattern, Frame
 from ohmskin.scan.baseline import terms_of
-from ohmskin.sensing.kernels import Tables, Workspace, look, see
+from ohmskin.sensing.kernels import Tables, Workspace, base_step, second_step
 from ohmskin.sensing.readers import DetectionReader
 from ohmskin.sensing.sensor import Measured, Scan, Sensor
 from ohmskin.skin import Mode
@@ -45,7 +45,7 @@ class CompiledCycle:
         thresholds: gamma_0 of eq. (6) for the base image and for the final one.
         currents: Current that each injection of the base scan usually has, one value or (n_inj,) (A). Base data are
             scaled from the currents measured to these, so that one factorisation serves all frames.
-        baseline: Reference that voltages are compared to; without it `look` and `see` take changes of voltage.
+        baseline: Reference that voltages are compared to; without it, steps take changes of voltage.
         fraction, dip: See `ohmskin.contacts.ContactFinder`.
         fuse: Whether the final image uses the base scan's data as well.
 
@@ -135,35 +135,37 @@ class CompiledCycle:
         prior = (estimator.noise, estimator.amplitude, estimator.model_error)
         self._settings = np.array([*prior, *thresholds, fraction, dip, float(fuse), float(squares[:rank].sum())])
         self.base_image, self.image = self._space.base_image, self._space.image
-        self._looked = False
+        self._has_base = False
         self._patterns: dict[bytes, DrivePattern] = {}
 
-    def look(self, volts: Floats, currents: Floats) -> Ints:
+    def base_step(self, volts: Floats, currents: Floats) -> Ints:
         """The pairs (n,) to drive next, by number, from the base scan: `volts` (n_meas,) (V), `currents` (n_inj,) (A).
 
         Raises:
             DataError: If a datum is not finite (leave the frame to `GaussNewton.reconstruct`, which leaves such
                 channels out), or there are not as many data as the pattern has.
         """
-        self._looked = False
+        self._has_base = False
         volts, currents = _checked(volts, len(self._space.base_volts), currents, len(self._tables.base_currents))
-        if look(self._tables, self._space, self._settings, volts, currents) < 0:
+        if base_step(self._tables, self._space, self._settings, volts, currents) < 0:
             raise DataError("a voltage or current of the base scan is not finite; use GaussNewton.reconstruct")
-        self._looked = True
+        self._has_base = True
         return self._space.chosen.copy()
 
-    def see(self, volts: Floats, currents: Floats, chosen: ArrayLike | None = None) -> list[Contact]:
+    def second_step(self, volts: Floats, currents: Floats, chosen: ArrayLike | None = None) -> list[Contact]:
         """The contacts, strongest peak first, from the second scan.
 
         Args:
-            volts, currents: As those of `look`.
-            chosen: The injections really driven (n,), numbers of pairs, if not those that `look` asked for.
+            volts, currents: As those of `base_step`.
+            chosen: The injections really driven (n,), numbers of pairs, if not those that `base_step` asked for.
 
         Raises:
-            DataError: As `look`, if that is needed and was not called, or if a number of `chosen` is out of range.
+            DataError: As `base_step`, if that is needed and was not called, or if a number of `chosen` is out of range.
         """
-        if not self._looked and (self.fuse or chosen is None):
-            raise DataError("see() completes a cycle that look() begins; call look() with the base scan first")
+        if not self._has_base and (self.fuse or chosen is None):
+            raise DataError(
+                "second_step() completes a cycle that base_step() begins; call base_step() with the base scan first"
+            )
         volts, currents = _checked(volts, self._n_meas, currents, len(self._space.chosen))
         if chosen is not None:
             pairs, count = np.asarray(chosen), len(self._tables.pairs)
@@ -171,8 +173,8 @@ class CompiledCycle:
             if not (fits and ((pairs >= 0) & (pairs < count)).all()):
                 raise DataError(f"chosen must be {len(self._space.chosen)} pairs, 0..{count - 1}; given {chosen!r}")
             self._space.chosen[:] = pairs
-        count = see(self._tables, self._space, self._settings, volts, currents)
-        self._looked = False
+        count = second_step(self._tables, self._space, self._settings, volts, currents)
+        self._has_base = False
         if count < 0:
             raise DataError("a voltage or current of the second scan is not finite; use GaussNewton.reconstruct")
         gamma = self.thresholds[1]
@@ -182,16 +184,16 @@ class CompiledCycle:
         ]
 
     def frame(self, base: Data, measure: Callable[[Ints], Data]) -> list[Contact]:
-        """A whole cycle: `look` at the base scan, measure what it asks for, `see`.
+        """A whole cycle: `base_step` at the base scan, measure what it asks for, `second_step`.
 
         Args:
             base: Voltages (n_meas,) (V) and currents (n_inj,) (A) of the base scan.
             measure: Called with the numbers (n,) of the pairs to drive; gives the same of the second scan.
 
         Raises:
-            DataError: As `look` and `see`.
+            DataError: As `base_step` and `second_step`.
         """
-        return self.see(*measure(self.look(*base)))
+        return self.second_step(*measure(self.base_step(*base)))
 
     def pattern(self, chosen: Ints) -> DrivePattern:
         """The drive pattern of chosen pairs (n,), to scan; the same object as before if they were chosen before."""
@@ -234,8 +236,8 @@ class Compiled:
             return frames[-1].voltages, frames[-1].currents
 
         try:
-            chosen = cycle.look(*checked(cycle.drive.base))
-            found = cycle.see(*checked(cycle.pattern(chosen)))
+            chosen = cycle.base_step(*checked(cycle.drive.base))
+            found = cycle.second_step(*checked(cycle.pattern(chosen)))
         except DataError:
             return tuple(frames)
 
@@ -246,10 +248,12 @@ class Compiled:
             kept = values.astype(float)  # the next cycle writes over them
             return Made(lambda: Image(kept, noise_std))
 
-        look = image(cycle.base_image, frames[0])
+        base_estimate = image(cycle.base_image, frames[0])
         estimate = image(cycle.image, *frames[0 if cycle.fuse else 1 :])
         scans = tuple(map(known.difference, frames))
-        return Measured(tuple(frames), scans, look, lambda before: self._reader.follow(before, estimate, found))
+        return Measured(
+            tuple(frames), scans, base_estimate, lambda before: self._reader.follow(before, estimate, found)
+        )
 
 
 def compiled(sensor: Sensor, mode: Mode) -> Compiled | None:
@@ -279,10 +283,15 @@ def _agrees(sensor: Sensor, implementation: Compiled) -> bool:
     """Whether both ways image a simulated contact in the middle of the sheet alike."""
     scan = sensor.known.pressed(sensor.known.model.mesh.centroids.mean(axis=0)[None])
     found, plain = implementation.measure(scan), sensor.measure(sensor.start(), scan)
-    if not isinstance(found, Measured) or found.read is None or found.look is None or plain.look is None:
+    if (
+        not isinstance(found, Measured)
+        or found.read is None
+        or found.base_estimate is None
+        or plain.base_estimate is None
+    ):
         return False
     start = sensor.start().belief
     scans = plain.scans if sensor.fuse else plain.scans[-1:]
     read = sensor.reader.update(start, scans, scans, 0.0)
-    images = [(found.look.image, plain.look.image), (found.read(start).image, read.image)]
+    images = [(found.base_estimate.image, plain.base_estimate.image), (found.read(start).image, read.image)]
     return all(np.abs(a.values - b.values).max() <= _AGREES * np.abs(b.values).max() for a, b in images)

@@ -23,13 +23,13 @@ from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_o
 _MODEL = 0.03  # share of a change by which an instrument may err
 _STANDS_OUT = 5.0  # times another electrode's changes, by which those of an open one are larger
 _NOT_ALIKE = 1.5  # times the noise that is left where an offset was taken off, which is not quite the same on all
-_UNLIKE = 0.4  # share of what data say that no contacts explain, above which it is told; real skins have up to a third
+_UNLIKE = 0.4  # share of the signal that no contacts explain, above which it is reported; real skins have up to a third
 _SLOWLY = 0.3  # s over which that share is a mean: fingers that come and go are explained within some frames
-_NOISY = 1.3  # times the quiet skin's noise, above which it is told
+_NOISY = 1.3  # times the quiet skin's noise, above which it is reported
 _MOST_BAD = 0.25  # share of the electrodes that may be left out
 _SOUND_FRAMES, _SOUND, _SURELY = 5, 0.2, 50  # frames and s for which an electrode must agree to be used again; enough
 _UNLUCKY = 0.999  # probability that a misfit is larger
-_MEMORY = 40  # frames from which an offset is told from hum
+_MEMORY = 40  # frames by which an offset is distinguished from hum
 _EAGER, _PATIENCE = 5, 8  # frames in which a cause is looked for, and between two searches after these
 
 
@@ -83,11 +83,11 @@ class FaultDetector:
         causes |= {Cause("nothing")} if empty else set()
         fits = [*(self._fit(scan, before.bad) for scan in scans), *before.fits][: len(looked)]
         squares, freedom = (sum(each) for each in zip(*fits, strict=True))
-        remedy, error, puzzled, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
+        remedy, error, unresolved, offsets, cleaned = None, noise, 0, before.offsets, tuple(scans)
         if freedom and squares > limit(freedom) * freedom:
             remedy, error = self._remedy(before, looked, len(scans))
             if remedy is None:
-                puzzled = before.puzzled + 1
+                unresolved = before.unresolved + 1
                 error = max(error, *(noise * _at_most(*fit) for fit in fits[: len(scans)]))
                 cleaned = tuple(scan.times(noise / error) for scan in scans)
                 causes |= {Cause("noise")} if error > _NOISY * noise else set()
@@ -109,17 +109,17 @@ class FaultDetector:
             findings=before.findings,
             bad=self._watched({**before.bad, **dict.fromkeys(blamed, (0, 0.0))}, scans, elapsed, blamed),
             time=now,
-            seen=before.seen,
+            occurrences=before.occurrences,
             silent=silent,
             offsets=offsets,
             error=max(error, before.error * exp(-elapsed / HELD)),
             fits=tuple(fits),
             scans=() if not self._window else looked if remedy is None or remedy.off is not None else repaired,
-            puzzled=puzzled,
+            unresolved=unresolved,
             unlike=float(unlike),
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
-        ).told(causes, noise, suspected)
+        ).with_causes(causes, noise, suspected)
         return after, self.without_bad(after, cleaned)
 
     def passed(self, before: Diagnosis, scans: Sequence[Difference], elapsed: float) -> Diagnosis:
@@ -156,7 +156,7 @@ class FaultDetector:
     def _remedy(self, before: Diagnosis, scans: Sequence[Difference], newest: int) -> tuple[Remedy | None, float]:
         """What makes scans agree, unless a search has just failed; and by how much they differ (V)."""
         data, kept, whole = self._data(scans, before.bad)
-        if before.puzzled >= _EAGER and before.puzzled % _PATIENCE:
+        if before.unresolved >= _EAGER and before.unresolved % _PATIENCE:
             return None, whole.noise
         times, hum = self._times(scans), Cause("offset") in before.lately
         remedy = without_offset(data, kept, times) if self._window or hum else None  # mostly it lasts

@@ -11,8 +11,8 @@ from ohmskin.scan import Difference
 from ohmskin.scan.quality import in_words
 
 MAINS = (50.0, 60.0)  # Hz
-HELD = 0.5  # s for which what was told or believed is held without new data
-_TOLD, _WITHIN = 3, 1.0  # times within s that something is seen before it is told
+HELD = 0.5  # s for which what was reported or believed is held without new data
+_CONFIRMED, _WITHIN = 3, 1.0  # times within s that something is detected before it is reported
 _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 
 
@@ -50,13 +50,13 @@ class Diagnosis:
         findings: What is wrong.
         bad: Electrodes that are left out; of each for how many frames and how long (s) it has agreed since.
         time: Since the start (s).
-        seen: When (s) each cause was seen lately, newest last.
+        occurrences: When (s) each cause was seen lately, newest last.
         silent: Since when (s) no current has flowed through electrodes that were driven.
         offsets: Times (s) of the newest frames with an offset, and how large it was (V).
         error: Standard deviation of a voltage in the worst frame of late (V).
         fits: Squared misfit and degrees of freedom of each of the newest scans that were examined, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
-        puzzled: Frames since a contradiction arose whose cause is not found.
+        unresolved: Frames since a contradiction arose whose cause is not found.
         unlike: Share of the data of recent frames that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
         without_data: Time since a frame with any good value (s).
@@ -65,13 +65,13 @@ class Diagnosis:
     findings: tuple[Finding, ...] = ()
     bad: Mapping[int, tuple[int, float]] = field(default_factory=dict)
     time: float = 0.0
-    seen: Mapping[Cause, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    occurrences: Mapping[Cause, tuple[float, ...]] = field(default_factory=dict, repr=False)
     silent: Mapping[int, float] = field(default_factory=dict, repr=False)
     offsets: tuple[tuple[float, float], ...] = field(default=(), repr=False)
     error: float = 0.0
     fits: tuple[tuple[float, int], ...] = field(default=(), repr=False)
     scans: tuple[Difference, ...] = field(default=(), repr=False)
-    puzzled: int = 0
+    unresolved: int = 0
     unlike: float = 0.0
     lost: Mapping[str, int] = field(default_factory=dict)
     without_data: float = 0.0
@@ -79,14 +79,14 @@ class Diagnosis:
     @property
     def lately(self) -> set[Cause]:
         """What was wrong within the last second."""
-        return {cause for cause, times in self.seen.items() if self.time - times[-1] < _WITHIN}
+        return {cause for cause, times in self.occurrences.items() if self.time - times[-1] < _WITHIN}
 
     @property
     def troubled(self) -> bool:
         """Whether anything was wrong lately."""
         return bool(self.findings or self.bad or self.lately)
 
-    def told(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
+    def with_causes(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
         """The same with the causes to report: seen several times lately, or reported before and not long gone.
 
         Args:
@@ -94,15 +94,17 @@ class Diagnosis:
             noise: Standard deviation of a voltage on the quiet skin (V).
             confirmed: Of the causes those that are reported at once.
         """
-        seen = {
-            one: at for one, times in self.seen.items() if (at := tuple(t for t in times if self.time - t < _WITHIN))
+        occurrences = {
+            one: at
+            for one, times in self.occurrences.items()
+            if (at := tuple(t for t in times if self.time - t < _WITHIN))
         }
-        seen |= {cause: (*seen.get(cause, ())[1 - _TOLD :], self.time) for cause in causes}
+        occurrences |= {cause: (*occurrences.get(cause, ())[1 - _CONFIRMED :], self.time) for cause in causes}
         before = {finding.cause for finding in self.findings} | confirmed
-        lately = {cause: times for cause, times in seen.items() if self.time - times[-1] < HELD}
-        causes = {cause for cause, times in lately.items() if len(times) >= _TOLD or cause in before}
+        lately = {cause: times for cause, times in occurrences.items() if self.time - times[-1] < HELD}
+        causes = {cause for cause, times in lately.items() if len(times) >= _CONFIRMED or cause in before}
         findings = tuple(Finding(cause, self._words(cause, noise)) for cause in sorted(causes))
-        return replace(self, seen=seen, findings=findings)
+        return replace(self, occurrences=occurrences, findings=findings)
 
     def _words(self, cause: Cause, noise: float) -> str:
         """A cause in plain words."""

@@ -1,10 +1,10 @@
 """Newtons: the presses behind contacts, followed from frame to frame, for few evaluations of the sheet's model.
 
 A fit of presses from nothing takes some twelve evaluations of 5 ms. From one frame to the next presses change little:
-what the last frames say is summed, and solved for small changes of the presses about where the model was evaluated
-last. It is evaluated anew when they have changed by more, or are not found yet. Since light and wide may look like hard
-and narrow, several fits are followed until all but one are far less likely, and then another size is tried beside it.
-The logarithm of a force is the mean of fits that are found, by likelihood; how all differ is a part of its error.
+the information of the last frames is summed, and solved for small changes of the presses about where the model was
+evaluated last. It is evaluated anew when they have changed by more, or are not found yet. Since light and wide may look
+like hard and narrow, several fits are followed until all but one are far less likely, and then another size is tried
+beside it. The logarithm of a force is the mean of fits that are found, by likelihood; how all differ is a part of its error.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
 from ohmskin.contacts.kernels import damped_step
-from ohmskin.contacts.misfit import Sums
+from ohmskin.contacts.misfit import NormalEquations
 from ohmskin.contacts.solution import inverse
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
@@ -29,7 +29,7 @@ _KEPT = 0.05  # s for which a press is taken to stay as it is
 _SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
 _LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
 _OTHER = 1.4  # factor of the radius to the next fit that is tried
-_DAMPED = 1e-2  # at the start; a step damped by more tells nothing of how far it is to the best
+_DAMPED = 1e-2  # at the start; a step damped by more is no measure of the distance to the best
 _JUMPED = 0.05  # share of the squared signal that changes at once where presses may be of another size since
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
 _LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
@@ -78,22 +78,22 @@ class Presses:
     Args:
         ids: Of the contacts, rising.
         fits: What they may be, the likeliest first; none: too many or too wide to determine.
-        data: What the last frames say; None: nothing yet.
-        exact: What the last ones say, as if no model erred: by how much presses have changed since.
+        data: Information of the last frames; None: nothing yet.
+        exact: That of the last ones with an exact model: by how much presses have changed since.
         scans: What has been measured since, and
         elapsed: in which time, or since a place was prepared while nothing touches (s).
-        told: The presses found last, by contact, by what of them acts on the sheet, and
+        estimates: The presses found last, by contact, by what of them acts on the sheet, and
         foam: what the foam under them was last, and how long ago (s).
         wider: Whether the next other size that is tried is a wider one.
     """
 
     ids: tuple[int, ...] = ()
     fits: tuple[Fit, ...] = ()
-    data: Sums | None = None
-    exact: Sums | None = None
+    data: NormalEquations | None = None
+    exact: NormalEquations | None = None
     scans: tuple[Difference, ...] = ()
     elapsed: float = 0.0
-    told: dict[int, FittedPress] = field(default_factory=dict)
+    estimates: dict[int, FittedPress] = field(default_factory=dict)
     foam: dict[int, tuple[Foam, float]] = field(default_factory=dict)
     wider: bool = False
 
@@ -145,8 +145,8 @@ class PressFollower:
             if sum(scan.pattern.n_inj for scan in state.scans) >= self._injections:
                 state = self._improved(self._informed(state, found))
         pressing, foam = self._pressing(state, before.foam, elapsed)
-        told = tuple(_with_force(contact, pressing.get(contact.id)) for contact in contacts)
-        return replace(state, foam=foam), told
+        estimates = tuple(_with_force(contact, pressing.get(contact.id)) for contact in contacts)
+        return replace(state, foam=foam), estimates
 
     def _pressing(
         self, state: Presses, before: dict[int, tuple[Foam, float]], elapsed: float
@@ -154,9 +154,9 @@ class PressFollower:
         """What presses, of which foam shows more than there is; and the foam as of the last change that counts."""
         layer = self.fitter.sheet.skin.contact_layer
         if not layer.remembers:
-            return state.told, {}
+            return state.estimates, {}
         pressing, foam = {}, {}
-        for number, one in state.told.items():
+        for number, one in state.estimates.items():
             last, since = before.get(number, (None, 0.0))
             now, acting = layer.pressing(last, one.press.pressure, since + elapsed), one.press.pressure
             share = now.pressure / acting
@@ -179,16 +179,16 @@ class PressFollower:
         spots = [Press(contact.position, contact.radius or 1e-3, 0.0) for contact in contacts]
         if self.fitter.most_contacts(spots) > _MOST:
             return Presses(ids)
-        told = {number: press for number, press in before.told.items() if number in ids}
-        return Presses(ids, self._started(contacts, told), told=told)
+        estimates = {number: press for number, press in before.estimates.items() if number in ids}
+        return Presses(ids, self._started(contacts, estimates), estimates=estimates)
 
-    def _started(self, contacts: Sequence[Contact], told: dict[int, FittedPress]) -> tuple[Fit, ...]:
-        """Fits of several sizes at contacts; presses that are told as they were."""
+    def _started(self, contacts: Sequence[Contact], estimates: dict[int, FittedPress]) -> tuple[Fit, ...]:
+        """Fits of several sizes at contacts; presses with an estimate as they were."""
         fits = list[Fit]()
-        for size in _SIZES if len(told) < len(contacts) else _SIZES[:1]:
+        for size in _SIZES if len(estimates) < len(contacts) else _SIZES[:1]:
             params = self.fitter.start(contacts, size).reshape(-1, len(_LINEAR))
             for own, contact in zip(params, contacts, strict=True):
-                if (known := told.get(contact.id)) is not None:
+                if (known := estimates.get(contact.id)) is not None:
                     own[2:] = np.log([known.press.radius, known.press.pressure])
             fits += self._evaluated(params.ravel())
         return tuple(fits)
@@ -224,10 +224,10 @@ class PressFollower:
             return Presses(state.ids)
         if fits[0].found is not None:
             fits = _distinct([fit for fit in fits if fit.found is None or fit.cost < fits[0].cost + _UNLIKELY])
-        told = self._told(state, fits)
+        estimates = self._estimates(state, fits)
         if len(fits) == 1 and fits[0].found is not None:
             fits += self._other(fits[0], state.wider)
-        return replace(state, fits=tuple(fits), told=told, wider=not state.wider)
+        return replace(state, fits=tuple(fits), estimates=estimates, wider=not state.wider)
 
     def _other(self, fit: Fit, wider: bool) -> list[Fit]:
         """Presses of another size than a fit's, and of the same force, about."""
@@ -235,7 +235,7 @@ class PressFollower:
         params[:, 2:] += np.log(_OTHER) * np.array([1.0, -2.0]) * (1 if wider else -1)
         return self._evaluated(self.fitter.moved(params.ravel(), np.zeros(params.size)))
 
-    def _stepped(self, fit: Fit, data: Sums) -> list[Fit]:
+    def _stepped(self, fit: Fit, data: NormalEquations) -> list[Fit]:
         """A fit closer to the data: solved for, if that is near to where it is linear, else evaluated there."""
         fitter = self.fitter
         cost, normal, gradient = fitter.weighed(data, fit.params, fit.caused, fit.slopes)
@@ -257,25 +257,25 @@ class PressFollower:
         found = None if fit.found is None and not near else fitter.moved(fit.params, step)
         return [replace(fit, found=found, covariance=covariance, cost=cost)]
 
-    def _told(self, state: Presses, fits: Sequence[Fit]) -> dict[int, FittedPress]:
+    def _estimates(self, state: Presses, fits: Sequence[Fit]) -> dict[int, FittedPress]:
         """The likeliest presses, if some are found; how much likely ones differ is a part of what is not known.
 
-        While all are sought afresh there is none: what was told before has changed.
+        While all are sought afresh there is none: the last estimates no longer hold.
         """
         if all(fit.found is None for fit in fits):
             return {}
         there, costs = np.array([fit.found is not None for fit in fits]), np.array([fit.cost for fit in fits])
         shares = np.exp(np.minimum(costs[there].min() - costs, 0.0) / 2)
-        likely = [self.fitter.told(fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
-        told = {}
+        likely = [self.fitter.fitted(fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
+        estimates = {}
         for number, presses in zip(state.ids, zip(*likely, strict=True), strict=True):
             logs = np.log([press.force for press in presses])
             mean = float(np.average(logs, weights=shares * there))
             squares = np.log1p([press.force_std / press.force for press in presses]) ** 2 + (logs - mean) ** 2
             best = presses[int(there.argmax())]
             std = sqrt(float(np.average(squares, weights=shares)))
-            told[number] = best.scaled(exp(mean) / best.force, expm1(std))
-        return told
+            estimates[number] = best.scaled(exp(mean) / best.force, expm1(std))
+        return estimates
 
 
 class ForceCurve:
@@ -314,7 +314,7 @@ def _step(normal: Floats, gradient: Floats, damping: float) -> Floats:
     return step
 
 
-def _changed(fit: Fit, before: Sums, now: Sums) -> tuple[float, bool]:
+def _changed(fit: Fit, before: NormalEquations, now: NormalEquations) -> tuple[float, bool]:
     """By how many standard deviations of chi-square presses differ between two looks, beyond one (1); whether they
     have jumped."""
     found, normals = [], []

@@ -105,7 +105,7 @@ class Workspace(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def look(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents: Floats) -> int:
+def base_step(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents: Floats) -> int:
     """The base image, its regions and the pairs to drive (`space.chosen`); -1 if a datum is not finite."""
     squares = 0.0
     for m in range(len(space.base_volts)):
@@ -142,7 +142,7 @@ def look(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents:
 
 
 @njit(cache=True, nogil=True)
-def see(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents: Floats) -> int:
+def second_step(t: Tables, space: Workspace, settings: Floats, volts: Floats, currents: Floats) -> int:
     """The final image and its contacts (`space.found`); how many, or -1 if a datum is not finite."""
     n_modes, rank = len(space.u_single), len(space.projected)
     per_pair = len(volts) // len(currents)

@@ -7,12 +7,12 @@ import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts import Contact, ContactFitter, Solution
-from ohmskin.contacts.follow import CLEAR
 from ohmskin.contacts.information import Information
+from ohmskin.contacts.refit import CLEAR
 from ohmskin.errors import ModelError
 from ohmskin.inverse.estimators import Estimator
 from ohmskin.scan import Difference
-from ohmskin.sensing.doubt import trust
+from ohmskin.sensing.confidence import fit_confidence
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import Placement, placement_of
 from ohmskin.sensing.readers import Belief, FitReader, fit, undriven
@@ -20,9 +20,9 @@ from ohmskin.tracking import Tracks
 
 
 def one_contact(fitter: ContactFitter, scans: Sequence[Difference]) -> tuple[Information, Information, Solution]:
-    """What scans say, the same wary of the model's error, and the one contact that explains most of it."""
-    told, wary = fitter.information(*scans)
-    return told, wary, fitter.added(wary, *fitter.scores(wary))
+    """Information of scans, nominal and inflated by the model's error, and the one contact that explains most of it."""
+    nominal, inflated = fitter.information(*scans)
+    return nominal, inflated, fitter.added(inflated, *fitter.scores(inflated))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class LearnedReader:
         """The belief after one more frame, as of `Reader.update`; data unlike those learned from are fitted."""
         pairs = self.physics.fitter.table.pairs
         cleaned = before.without_drift(recent, pairs)
-        found = self.told(cleaned)
+        found = self.contact_of(cleaned)
         if found is None:
             belief = self.physics.update(before, new, recent, elapsed)
             return changed(belief, novel=before.novel + elapsed if belief.detections else 0.0)
@@ -62,23 +62,23 @@ class LearnedReader:
         unlearned = before.unlearned + elapsed
         return Belief(estimate, (found,), contacts, tracks, before.drift, unlearned, explains=True)
 
-    def told(self, scans: Sequence[Difference]) -> Contact | None:
+    def contact_of(self, scans: Sequence[Difference]) -> Contact | None:
         """The contact read from scans, without drift; None if they are unlike what was learned from, or if another
         contact, apart from it, explains most of what it leaves."""
         fitter = self.physics.fitter
         changes = self.placement.changes(scans)
         if changes is None:
             return None
-        told, wary, one = one_contact(fitter, scans)
+        nominal, inflated, one = one_contact(fitter, scans)
         if one.cost > CLEAR * fitter.bar**2:  # or no second contact can explain most of it
-            left = told.less(one.caused).beside(one.slopes)
-            two = fitter.added(wary, *fitter.scores(left), one.params)
-            if fitter.clear(one, two, fitter.bar**2):
+            left = nominal.minus(one.caused).marginalised_flat(one.slopes)
+            two = fitter.added(inflated, *fitter.scores(left), one.params)
+            if fitter.are_apart(one, two, fitter.bar**2):
                 return None
         physics = fitter.contact(one.params[0], one.covariances[0])
         (contact,) = self.placement.moved([physics], changes)
         x, y = fitter.onto(np.array([contact.position]))[0].tolist()
-        sure = trust(told.unexplained(one.caused)) * contact.confidence
+        sure = fit_confidence(nominal.unexplained(one.caused)) * contact.confidence
         return changed(contact, position=(x, y), confidence=sure, radius=None)  # no radius: it is where it is
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution, find_regions
-from ohmskin.contacts.follow import CLEAR
+from ohmskin.contacts.refit import CLEAR
 from ohmskin.drive import Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
@@ -30,26 +30,28 @@ class Locator:
     finder: ContactFinder
     fitter: ContactFitter | None = None
 
-    def look(self, scans: Sequence[Difference]) -> Estimate:
+    def estimate(self, scans: Sequence[Difference]) -> Estimate:
         """The image of scans."""
         return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
 
-    def targets(self, scans: Sequence[Difference], look: Estimate, before: Belief) -> list[Target]:
+    def targets(self, scans: Sequence[Difference], base_estimate: Estimate, before: Belief) -> list[Target]:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
 
         Those that were fitted to the last frame are taken as they were while they still explain the scans; whether more
-        have come, all scans tell.
+        have come is estimated from all scans.
         """
         if self.fitter is None:
-            return self._regions(look.image)
+            return self._regions(base_estimate.image)
         if before.solution is not None and len(before.detections) and self._still(scans, before, before.solution):
             return targets_of(before.detections)
-        told, wary = self.fitter.information(*scans)
-        last = None if before.solution is None else self.fitter.followed(told, wary, before.solution, search=False)
-        found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.explained(told, wary)))
+        nominal, inflated = self.fitter.information(*scans)
+        last = (
+            None if before.solution is None else self.fitter.refitted(nominal, inflated, before.solution, search=False)
+        )
+        found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.fit_information(nominal, inflated)))
         if found:
             return found
-        height = self.fitter.heights(*self.fitter.scores(told))
+        height = self.fitter.heights(*self.fitter.scores(nominal))
         return [Target.possible(self.fitter.places[int(np.argmax(height))], self.fitter.table.radius)]
 
     def _still(self, scans: Sequence[Difference], before: Belief, known: Solution) -> bool:

@@ -13,7 +13,7 @@ from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.readers import Belief
 from ohmskin.skin.positions import PositionMap
 
-_ENOUGH = 0.6  # share of the channels learned from that must be measured for the changes to tell places
+_ENOUGH = 0.6  # share of the channels learned from that must be measured for the changes to determine places
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,8 @@ class Placement:
         """Contacts where the map puts them; of a single one by the changes, too, if they are known."""
         if not contacts or any(contact.radius is None for contact in contacts):
             return tuple(contacts)
-        told = changes[None] if changes is not None and len(contacts) == 1 else None
-        places, variances = self.map(np.array([contact.position for contact in contacts]), told)
+        features = changes[None] if changes is not None and len(contacts) == 1 else None
+        places, variances = self.map(np.array([contact.position for contact in contacts]), features)
         return tuple(
             replace(contact, position=(x, y), covariance=((variance, 0.0), (0.0, variance)))
             for contact, (x, y), variance in zip(contacts, places.tolist(), variances.tolist(), strict=True)
@@ -81,7 +81,7 @@ def placement_of(known: SkinModel) -> Placement | None:
 def placed(placement: Placement | None, belief: Belief, scans: Sequence[Difference], pairs: Pairs) -> Belief:
     """A belief with its contacts at the places of a position map; as it is if there is none.
 
-    A single contact is placed by all that scans say, if that is like what was learned from; several by their places.
+    A single contact is placed by all data of scans, if these are like what was learned from; several by their places.
     Contacts that are not fitted stay where they are.
     """
     if placement is None or not belief.detections or belief.detections[0].radius is None:

@@ -17,7 +17,7 @@ from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.kernels import damped_step
-from ohmskin.contacts.misfit import Sums
+from ohmskin.contacts.misfit import NormalEquations
 from ohmskin.contacts.solution import inverse
 from ohmskin.errors import DataError
 from ohmskin.scan import Difference
@@ -98,8 +98,10 @@ class FittedLayer:
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this layer."""
         stds = self.conductance_std, self.exponent_std
-        told = replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds)
-        return replace(told, layer_hysteresis=self.hysteresis)
+        changed = replace(
+            calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds
+        )
+        return replace(changed, layer_hysteresis=self.hysteresis)
 
 
 class PressFitter:
@@ -129,7 +131,7 @@ class PressFitter:
             return ()
         data = self.information(scans)
         found = min((self._fitted(data, self.start(contacts, size)) for size in _SIZES), key=lambda one: one[1])
-        return self.told(found[0], inverse(found[2]))
+        return self.fitted(found[0], inverse(found[2]))
 
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
         """The layer that explains presses of known force; some ten, at places and forces all over the range.
@@ -167,7 +169,7 @@ class PressFitter:
         return FittedLayer(float(np.exp(found[0])), float(found[1]), float(stds[0]), float(stds[1]), hysteresis, left)
 
     def _under_layer(
-        self, params: Floats, described: Floats, presses: Sequence[KnownPress], data: Sequence[Sums]
+        self, params: Floats, described: Floats, presses: Sequence[KnownPress], data: Sequence[NormalEquations]
     ) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of a layer, and of place and size of presses of known force under it.
 
@@ -184,7 +186,7 @@ class PressFitter:
         cost, normal, gradient = float(off @ off), np.zeros((len(params),) * 2), np.zeros(len(params))
         normal[:3, :3], gradient[:3] = np.diag(_LAYER_SPREAD**-2), off / _LAYER_SPREAD
         number = -1
-        for press, told in zip(presses, data, strict=True):
+        for press, measured in zip(presses, data, strict=True):
             number += not press.peak
             at = np.r_[0:3, 3 + 3 * number : 6 + 3 * number]
             turned = layer.turned(press.force / press.peak) if press.peak else 0.0
@@ -193,7 +195,7 @@ class PressFitter:
             caused, slopes = sheet.linearised([self._press(own)])
             slopes[:, 2] -= slopes[:, 3] * self._growth(own)  # a wider one of the same force presses less
             slopes[:, 3] *= turned
-            part = self._explained(told, caused, slopes[:, [4, 5, 3, 0, 1, 2]])
+            part = self._explained(measured, caused, slopes[:, [4, 5, 3, 0, 1, 2]])
             cost += part[0]
             normal[np.ix_(at, at)] += part[1]
             gradient[at] += part[2]
@@ -209,7 +211,7 @@ class PressFitter:
         spread, radius = self.known.skin.contact_layer.foam_spread, float(np.exp(params[2]))
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
-    def information(self, scans: Sequence[Difference], frames: float = 1.0) -> Sums:
+    def information(self, scans: Sequence[Difference], frames: float = 1.0) -> NormalEquations:
         """Information of scans, for as many `frames` like them; noise averages out, the model's error does not.
 
         With no frames, as if the model did not err.
@@ -241,7 +243,7 @@ class PressFitter:
         inside[:, 2:] = np.clip(inside[:, 2:], self._usual - reach, self._usual + reach)
         return inside.ravel()
 
-    def _fitted(self, data: Sums, start: Floats) -> tuple[Floats, float, Floats]:
+    def _fitted(self, data: NormalEquations, start: Floats) -> tuple[Floats, float, Floats]:
         """The parameters (4 n,) of presses near `start` that explain data best, their cost and its curvature."""
         return _minimised(start, lambda params: self.weighed(data, params, *self.caused(params)), self.moved)
 
@@ -279,14 +281,16 @@ class PressFitter:
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
-    def weighed(self, data: Sums, params: Floats, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
+    def weighed(
+        self, data: NormalEquations, params: Floats, caused: Floats, slopes: Floats
+    ) -> tuple[float, Floats, Floats]:
         """Cost, curvature, downhill gradient in `data`; `params` as for `caused`, `caused` and `slopes` as of it."""
         cost, normal, gradient = self._explained(data, caused, slopes)
         own, precision, pull = self._prior(params.reshape(-1, _PER_PRESS))
         return cost + own, normal + np.diag(precision), gradient + pull
 
     @staticmethod
-    def _explained(data: Sums, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
+    def _explained(data: NormalEquations, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
         """Cost, curvature and downhill gradient of what is caused, up to a common error of all of it."""
         matrix, vector = data.matrix, data.vector
         left, seen = vector - matrix @ caused, matrix @ slopes
@@ -304,10 +308,10 @@ class PressFitter:
         stds = np.tile([*[2 * self.known.fitter.table.radius] * 2, *_SPREAD], len(presses))
         return float((off**2).sum()), stds**-2.0, off.ravel() / stds
 
-    def told(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
+    def fitted(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
         """Presses, `params` (4 n,) of a `covariance` (4 n, 4 n), with forces; uncertainty of the layer included. Errors
         are of the logarithm, at most its prior's: a force's is how far the upper one is off."""
-        told, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
+        fitted, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))
             press = self._press(own)
@@ -315,8 +319,8 @@ class PressFitter:
             variance = min(slope @ covariance[at, at][2:, 2:] @ slope, ((slope * _SPREAD) ** 2).sum())
             off = np.array([1.0, np.log(press.pressure / layer.pressure_scale)]) / layer.exponent
             std = sqrt(variance + float(((off * np.array(stds)) ** 2).sum()))
-            told.append(FittedPress(press, force, force * expm1(std), covariance[at, at]))
-        return tuple(told)
+            fitted.append(FittedPress(press, force, force * expm1(std), covariance[at, at]))
+        return tuple(fitted)
 
 
 def _minimised(

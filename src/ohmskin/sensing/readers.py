@@ -19,14 +19,14 @@ from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate, Estimator
 from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
-from ohmskin.sensing.doubt import doubted, image_trust, trust
+from ohmskin.sensing.confidence import fit_confidence, image_confidence, scaled_confidence
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
-_LEARNED = 0.1  # s between frames that tell of the latter
+_LEARNED = 0.1  # s between frames from which the latter is estimated
 _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
-_DRIFT = 0.5  # share of what data say that contacts leave, from which on it is drift,
+_DRIFT = 0.5  # share of the signal that contacts leave, from which on it is drift,
 _SURE = 2.0  # if that is surely more than noise (deviations),
 _LITTLE = 10.0  # and all is little (squared size over noise)
 
@@ -50,7 +50,7 @@ class Belief:
         solution: What was fitted to the frame, if contacts are.
         searched: How long ago contacts were looked for afresh (s).
         explains: Whether contacts, if there are any, explain the data as well as they do usually.
-        sought: Where else a contact may be, for the drive to measure next.
+        search_targets: Where else a contact may be, for the drive to measure next.
     """
 
     estimate: Estimate
@@ -65,7 +65,7 @@ class Belief:
     solution: Solution | None = field(default=None, repr=False)
     searched: float = 0.0
     explains: bool = False
-    sought: tuple[Target, ...] = ()
+    search_targets: tuple[Target, ...] = ()
 
     @property
     def image(self) -> Image:
@@ -80,11 +80,13 @@ class Belief:
             pairs: Pairs of electrodes whose drift it is.
         """
         drift = self.tracks.drift if isinstance(self.tracks, TrackState) else self.drift
-        return [scan if drift is None else scan.less(drift, pairs) for scan in scans]
+        return [scan if drift is None else scan.minus(drift, pairs) for scan in scans]
 
-    def seen_in(self, misfit: float) -> "Belief":
+    def with_image_misfit(self, misfit: float) -> "Belief":
         """The same of contacts seen in an image that leaves a share `misfit` of the data unexplained (1)."""
-        detections, contacts = (doubted(some, image_trust(misfit)) for some in (self.detections, self.contacts))
+        detections, contacts = (
+            scaled_confidence(some, image_confidence(misfit)) for some in (self.detections, self.contacts)
+        )
         return changed(self, detections=detections, contacts=contacts, unexplained=misfit)
 
     def with_drift_of(self, before: "Belief") -> "Belief":
@@ -185,49 +187,51 @@ class FitReader:
         assert isinstance(before.tracks, Tracks)
         drift, errors, pairs = before.drift, self.fitter.errors, self.fitter.table.pairs
         if drift is not None:
-            less = {id(scan): scan.less(drift, pairs) for scan in {id(scan): scan for scan in (*new, *recent)}.values()}
+            less = {
+                id(scan): scan.minus(drift, pairs) for scan in {id(scan): scan for scan in (*new, *recent)}.values()
+            }
             new, recent = ([less[id(scan)] for scan in scans] for scans in (new, recent))
         estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
-        told, wary = self.fitter.information(*recent)
+        nominal, inflated = self.fitter.information(*recent)
         unlearned, searched = before.unlearned + elapsed, before.searched + elapsed
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
-        solution = self.fitter.explained(told, wary, before=known)
+        solution = self.fitter.fit_information(nominal, inflated, before=known)
         if solution.covered:
-            told = told.leaving_out(in_series(solution.covered, self.fitter.table.pairs))
+            nominal = nominal.excluding(in_series(solution.covered, self.fitter.table.pairs))
         if solution.shapes is not None and solution.shapes.size:
-            told = told.without(solution.shapes)
-        said, left = told.signals(solution.caused)
-        unexplained = told.share_unexplained(said, left)
-        if self._drifted(told, solution, said, left):
+            nominal = nominal.marginalised(solution.shapes)
+        signal, left = nominal.signals(solution.caused)
+        unexplained = nominal.share_unexplained(signal, left)
+        if self._is_drift(nominal, solution, signal, left):
             solution, unexplained = nothing(len(solution.caused)), 0.0
-        found = doubted(self.fitter.contacts(solution), trust(unexplained))
+        found = scaled_confidence(self.fitter.contacts(solution), fit_confidence(unexplained))
         if errors.contacts is not None and not found:
             last = 0.0 if drift is None else drift
-            drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(told, last) - last)
+            drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(nominal, last) - last)
         if unlearned >= _LEARNED:
-            learned = -np.expm1(-unlearned / _FOLLOWED) * self._drift(told, solution)
+            learned = -np.expm1(-unlearned / _FOLLOWED) * self._drift(nominal, solution)
             drift, unlearned = learned if drift is None else drift + learned, 0.0
         tracks, contacts = self.tracker.update(before.tracks, found)
         belief = Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
-        explains = not found or not self.fitter.poor(told, solution.cost)
+        explains = not found or not self.fitter.poor(nominal, solution.cost)
         return changed(belief, solution=solution, searched=searched, explains=explains)
 
     @staticmethod
-    def _drifted(told: Information, solution: Solution, said: float, left: float) -> bool:
+    def _is_drift(nominal: Information, solution: Solution, signal: float, left: float) -> bool:
         """Whether contacts explain the lesser part of a small change, so that it is rather drift.
 
-        Of the signal beyond noise, `said` is all, `left` what they leave.
+        Of the signal beyond noise, `signal` is all, `left` what they leave.
         """
-        sure = left > max(_DRIFT * said, _SURE * np.sqrt(2 * told.count))
-        return bool(len(solution.params)) and sure and said < _LITTLE * told.count
+        sure = left > max(_DRIFT * signal, _SURE * np.sqrt(2 * nominal.count))
+        return bool(len(solution.params)) and sure and signal < _LITTLE * nominal.count
 
-    def _drift(self, told: Information, solution: Solution) -> Floats:
+    def _drift(self, nominal: Information, solution: Solution) -> Floats:
         """Change (n_pairs,) of two-terminal resistances that contacts cannot cause, nor what is wrong with their
         model (ohm)."""
-        left = told.less(solution.caused).beside_common()
+        left = nominal.minus(solution.caused).marginalised_common()
         if len(solution.params):
-            left = left.beside(solution.slopes)
-        return left.drift() / (1 + (self.fitter.model_error * told.size(solution.caused)) ** 2 / told.count)
+            left = left.marginalised_flat(solution.slopes)
+        return left.drift() / (1 + (self.fitter.model_error * nominal.norm(solution.caused)) ** 2 / nominal.count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,13 +267,13 @@ class FilterReader:
         suspected = set(state.suspects)
         for number, scan in enumerate(new):
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
-        contacts = doubted(state.contacts, trust(state.unexplained))
+        contacts = scaled_confidence(state.contacts, fit_confidence(state.unexplained))
         suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
         corrected = undriven(state.recent(self.injections))
         estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
         belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
-        sought = () if state.possible is None else (Target.possible(state.possible, self.fitter.table.radius),)
-        return changed(belief, explains=self.filter.explains(state), sought=sought)
+        search_targets = () if state.possible is None else (Target.possible(state.possible, self.fitter.table.radius),)
+        return changed(belief, explains=self.filter.explains(state), search_targets=search_targets)
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

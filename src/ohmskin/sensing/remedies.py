@@ -14,10 +14,13 @@ _LIMIT, _SIGMAS = 1.3, 6.0  # excess of a misfit that is not doubted, and standa
 _CLOSE = 4.0  # the same where something was taken off: what is left of it would look like a contact
 _DEGREE = 4  # of what is common to all voltages, over the time of a scan: half a period of hum to a thousandth
 _SPIKES = 3  # values that may be left out of one frame
-_TESTED, _AS_WELL = 1e-3, 9.0  # least of a value that others do not tell; squared misfit by which two are told apart
+_TESTED, _AS_WELL = (
+    1e-3,
+    9.0,
+)  # least of a value that others do not determine; squared misfit by which two are distinguished
 _SUSPECTS = 4  # electrodes that are tried, of those with the largest residuals
 _GROSS = 15.0  # times by which a loose wire's data disagree more than others: a touch that moves within a scan less
-_LEFT = 0.3  # share of the degrees of freedom that must be left to tell that the rest agrees
+_LEFT = 0.3  # share of the degrees of freedom that must be left to show that the rest agrees
 _PRICE = 6.0  # squared misfit that a datum left out must save
 
 

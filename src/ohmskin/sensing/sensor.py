@@ -14,9 +14,9 @@ from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame, newest
+from ohmskin.sensing.confidence import as_measured, image_misfit
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
-from ohmskin.sensing.doubt import as_measured, image_misfit
 from ohmskin.sensing.forces import Forces, Presses
 from ohmskin.sensing.locator import Locator, targets_of
 from ohmskin.sensing.model import SkinModel
@@ -55,13 +55,13 @@ class Percept:
     Args:
         frames: The scans.
         belief: The belief after it.
-        look: The estimate after the base scan, with its image; None where a frame has one scan.
+        base_estimate: The estimate after the base scan, with its image; None where a frame has one scan.
         diagnosis: What is known of the instrument.
     """
 
     frames: tuple[Frame, ...]
     belief: Belief
-    look: Estimate | None = field(default=None, repr=False)
+    base_estimate: Estimate | None = field(default=None, repr=False)
     diagnosis: Diagnosis = field(default=Diagnosis(), repr=False)
 
     @property
@@ -72,7 +72,7 @@ class Percept:
     @property
     def base_image(self) -> Image:
         """Image of the base scan; of frames with one scan the image."""
-        return self.image if self.look is None else self.look.image
+        return self.image if self.base_estimate is None else self.base_estimate.image
 
     @property
     def detections(self) -> tuple[Contact, ...]:
@@ -118,13 +118,13 @@ class Measured:
     Args:
         frames: As measured.
         scans: Their changes against the quiet skin, the base scan at its usual currents.
-        look: The image of the base scan; None where there is one scan.
+        base_estimate: The image of the base scan; None where there is one scan.
         read: What is believed after them, given what was before, where they have been read already.
     """
 
     frames: tuple[Frame, ...]
     scans: tuple[Difference, ...]
-    look: Estimate | None = None
+    base_estimate: Estimate | None = None
     read: Callable[[Belief], Belief] | None = None
 
 
@@ -212,7 +212,7 @@ class Sensor:
         belief, recent = found
         if belief.detections and belief is not state.belief and isinstance(self.reader, DetectionReader):  # unjudged
             data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
-            belief = belief.seen_in(state.belief.unexplained if judged else image_misfit(self.known, data))
+            belief = belief.with_image_misfit(state.belief.unexplained if judged else image_misfit(self.known, data))
         if diagnosis.lately:
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)
@@ -226,7 +226,7 @@ class Sensor:
         if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
         reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
-        return after, Percept(measured.frames, reported, measured.look, diagnosis)
+        return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis)
 
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
@@ -264,7 +264,7 @@ class Sensor:
         found = self.implementation.measure(scan)
         if isinstance(found, Measured):
             return found
-        scanned = iter(found)  # whatever would be chosen now: frames tell their own patterns
+        scanned = iter(found)  # whatever would be chosen now: frames name their own patterns
         return self.measure(state, lambda pattern: next(scanned, None) or scan(pattern))
 
     def measure(self, state: SensorState, scan: Scan) -> Measured:
@@ -276,8 +276,8 @@ class Sensor:
         """
         frames: list[Frame] = []
         scans: list[Difference] = []
-        look: Estimate | None = None
-        targets = [*targets_of(state.belief.contacts), *state.belief.sought]
+        base_estimate: Estimate | None = None
+        targets = [*targets_of(state.belief.contacts), *state.belief.search_targets]
         for number in range(self.drive.scans):
             frames.append(scan(self.drive.next(targets, state.turn + number)))
             scans.append(self.known.difference(frames[-1]))
@@ -287,9 +287,9 @@ class Sensor:
                 if self._doubts(state):
                     _, sound = self.detector.examine(state.diagnosis, frames, scans, 0.0)
                 if _any_known(sound):
-                    look = self.locator.look(sound)
-                    targets = self.locator.targets(sound, look, state.belief)
-        return Measured(tuple(frames), tuple(scans), look)
+                    base_estimate = self.locator.estimate(sound)
+                    targets = self.locator.targets(sound, base_estimate, state.belief)
+        return Measured(tuple(frames), tuple(scans), base_estimate)
 
 
 def _any_known(scans: Sequence[Difference]) -> bool:

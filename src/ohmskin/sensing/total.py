@@ -11,7 +11,7 @@ from ohmskin.contacts import Contact
 from ohmskin.scan import Frame
 from ohmskin.sensing.model import SkinModel
 
-_SHARES = 0.5  # how surely strengths alone tell the shares of contacts in a force
+_SHARES = 0.5  # how surely strengths alone determine the shares of contacts in a force
 _APART = 5.0  # standard deviations by which a total may differ from that of the contacts
 
 
@@ -24,7 +24,7 @@ class TotalForce:
 
     def __init__(self, known: SkinModel) -> None:
         self._channel = known.skin.calibrated_auxiliary
-        self._there, self._rest = bool(self._channel.kind), known.quiet.rest
+        self._present, self._rest = bool(self._channel.kind), known.quiet.rest
         self._rest_variance = self._channel.noise**2 / max(len(known.quiet.auxiliary), 1)
 
     def total(self, frames: Sequence[Frame]) -> tuple[float, float]:
@@ -40,12 +40,12 @@ class TotalForce:
         Contacts of unknown force share what is left of the total by their strengths. A total that the contacts
         cannot have is of something that is no contact yet, or beside the skin: then they stay as they are.
         """
-        if not (self._there and contacts):
+        if not (self._present and contacts):
             return contacts
         total, variance = self.total(frames)
         if not isfinite(total):
             return contacts
-        forces, stds = _told(contacts, total, sqrt(variance))
+        forces, stds = _known_forces(contacts, total, sqrt(variance))
         gain = stds**2 / (variance + float(stds @ stds))
         if abs(total - forces.sum()) > _APART * sqrt(variance + float(stds @ stds)):
             return contacts
@@ -69,7 +69,7 @@ class TotalForce:
         return float(np.mean(finite)), self._channel.noise**2 / len(finite)
 
 
-def _told(contacts: Sequence[Contact], total: float, least: float) -> tuple[Floats, Floats]:
+def _known_forces(contacts: Sequence[Contact], total: float, least: float) -> tuple[Floats, Floats]:
     """Forces (n,) of contacts and their standard deviations (N), these at least so large where they are not known: then
     they share by their strengths what is left of the total."""
     forces = np.array([np.nan if contact.force is None else contact.force for contact in contacts])

@@ -9,14 +9,14 @@ from ohmskin.arrays import Floats, changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
-from ohmskin.tracking.kernels import energy_of, standing_out
+from ohmskin.tracking.kernels import energy_of, most_significant
 from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
 _POSSIBLE = 4.0  # standard deviations from which on one more contact may be there, and is looked for
 _ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without an electrode, and share that then lacks
-_BLAMED = 3  # of the newest frames in which one electrode alone tells of a contact, from which on its wire is loose
+_BLAMED = 3  # of the newest frames in which one electrode alone shows a contact, from which on its wire is loose
 _NOTHING = 1e-9  # share of the power that a frame keeps whose score counts for nothing
 _GROSS = 10.0  # times all other changes, by which those of a loose wire are larger
 LONGEST = int(_WINDOWS[-1])
@@ -27,10 +27,10 @@ def birth_threshold(fitter: ContactFitter) -> float:
     return float(-ndtri(ndtr(-fitter.bar) / len(_WINDOWS)))
 
 
-def scored(residuals: Residuals, fitter: ContactFitter) -> Residuals:
+def with_scores(residuals: Residuals, fitter: ContactFitter) -> Residuals:
     """The residuals with their scores; one electrode alone is no evidence of a contact."""
-    score, power = fitter.scores(residuals.unforeseen)
-    if residuals.told_by is not None:
+    score, power = fitter.scores(residuals.marginal_innovation)
+    if residuals.only_electrode is not None:
         score, power = np.zeros_like(score), _NOTHING * power
     return changed(residuals, score=score, power=power)
 
@@ -47,22 +47,24 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
     """
     state = changed(state, possible=None)
     while len(state.pressing) < fitter.most:
-        count, place, height = _standing_out(state.history, fitter, common)
+        count, place, height = _most_significant(state.history, fitter, common)
         if height < bar:
             return changed(state, possible=fitter.places[place] if height > _POSSIBLE else None)
         used = state.history[:count]
         found = _added(used, fitter)
-        if (told := _told_by_one(state, fitter, found, used)) is not None:
-            suspect, frame = told
+        if (alone := _from_one_electrode(state, fitter, found, used)) is not None:
+            suspect, frame = alone
             history = [*state.history]
-            history[frame] = scored(changed(history[frame], told_by=suspect), fitter)
-            blamed = [residuals.told_by for residuals in history].count(suspect) >= _BLAMED
+            history[frame] = with_scores(changed(history[frame], only_electrode=suspect), fitter)
+            blamed = [residuals.only_electrode for residuals in history].count(suspect) >= _BLAMED
             state = changed(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
             continue
         if not state.pressing:  # several may have come at once, and one alone would be led astray by the others
-            readings = [residuals.reading for residuals in used]
-            plain = Information.together([reading.beside for reading in readings])
-            several = fitter.explained(plain, Information.together([reading.wary for reading in readings]))
+            observations = [residuals.observation for residuals in used]
+            nominal = Information.combined([observation.nominal for observation in observations])
+            several = fitter.fit_information(
+                nominal, Information.combined([observation.inflated for observation in observations])
+            )
             found = several if len(several.params) > 1 else found
         moved = speed * (state.time - used[-1].time) / 2
         for params, covariance in zip(found.params, found.covariances, strict=True):
@@ -70,28 +72,28 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
             state = state.with_contact(params, covariance, speed)
         variance = state.common_drift[1]
         state = changed(
-            state, history=tuple(_reviewed(residuals, fitter, found.params, variance) for residuals in state.history)
+            state, history=tuple(_updated(residuals, fitter, found.params, variance) for residuals in state.history)
         )
     return state
 
 
-def _standing_out(history: Sequence[Residuals], fitter: ContactFitter, common: float) -> tuple[int, int, float]:
+def _most_significant(history: Sequence[Residuals], fitter: ContactFitter, common: float) -> tuple[int, int, float]:
     """Over how many of the newest frames a contact more stands out most, at which place, and by how many deviations."""
     windows = _WINDOWS[: np.searchsorted(_WINDOWS, len(history), side="right")]
     score, power = (np.array([getattr(one, name) for one in history], np.float32) for name in ("score", "power"))
     energy = np.array([one.energy for one in history])
-    window, place, height = standing_out(score, power, energy, windows, common, fitter.model_error, fitter.bipolar)
+    window, place, height = most_significant(score, power, energy, windows, common, fitter.model_error, fitter.bipolar)
     return int(windows[window]), place, height
 
 
 def _added(used: Sequence[Residuals], fitter: ContactFitter) -> Solution:
     """The contact that explains most of what is left of some frames."""
     score, power = (np.sum([getattr(one, name) for one in used], axis=0, dtype=float) for name in ("score", "power"))
-    data = Information.together([residuals.unforeseen for residuals in used])
-    return fitter.added(data.times(fitter.allowance(data)), score, power)
+    data = Information.combined([residuals.marginal_innovation for residuals in used])
+    return fitter.added(data.scaled(fitter.allowance(data)), score, power)
 
 
-def _told_by_one(
+def _from_one_electrode(
     state: TrackState, fitter: ContactFitter, found: Solution, used: Sequence[Residuals]
 ) -> tuple[int, int] | None:
     """The electrode whose voltages alone show a contact that others should see, too, and the frame in which they
@@ -100,7 +102,7 @@ def _told_by_one(
     Its voltages have changed by far more than all others, on which the contact's effect would be larger than it is.
     """
     others, response = fitter.responses(state.params)[0], fitter.responses(found.params)[0]
-    scans = [residuals.reading.difference.less(others, fitter.table.pairs).undriven for residuals in used]
+    scans = [residuals.observation.difference.minus(others, fitter.table.pairs).undriven for residuals in used]
     seen, caused = (
         np.concatenate(each)
         for each in ([s.volts for s in scans], [s.caused_by(response, fitter.table.pairs) for s in scans])
@@ -110,11 +112,11 @@ def _told_by_one(
     electrodes = np.concatenate([scan.pattern.quadruples for scan in scans])
     own = finite[:, None] & (electrodes[:, :, None] == np.arange(fitter.table.n_elec)).any(axis=1)
     rest = finite[:, None] & ~own
-    told, expected = (seen * caused) @ rest, caused**2 @ rest
+    measured, expected = (seen * caused) @ rest, caused**2 @ rest
     theirs, elsewhere = (seen**2 @ each / np.maximum(each.sum(axis=0), 1) for each in (own, rest))
     known = fitter.model_error**2 * sum(residuals.energy for residuals in used) / max(int(finite.sum()), 1)
     stands_out = theirs / np.maximum(elsewhere, 1 + known)
-    alone = (expected > _ENOUGH**2) & (told < (1 - _SHORT) * expected) & (stands_out > _GROSS**2)
+    alone = (expected > _ENOUGH**2) & (measured < (1 - _SHORT) * expected) & (stands_out > _GROSS**2)
     if not alone.any():
         return None
     suspect = int(np.argmax(np.where(alone, stands_out, 0.0)))
@@ -122,15 +124,15 @@ def _told_by_one(
     return suspect, int(np.argmax(np.add.reduceat(seen**2 * own[:, suspect], starts)))
 
 
-def _reviewed(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:
+def _updated(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:
     """The residuals after one contact more (1, 4) has been found in them, given the variance of the common change."""
     caused, slopes = fitter.responses(params)
-    data, innovation = residuals.reading.data, residuals.innovation.less(caused).beside(slopes)
+    data, innovation = residuals.observation.data, residuals.innovation.minus(caused).marginalised_flat(slopes)
     reviewed = changed(
         residuals,
         innovation=innovation,
-        residual=residuals.residual.less(caused),
+        residual=residuals.residual.minus(caused),
         energy=residuals.energy + energy_of(data.misfit.part, data.white.part, caused),
-        unforeseen=innovation.beside_common(variance).without(fitter.shapes(params)),
+        marginal_innovation=innovation.marginalised_common(variance).marginalised(fitter.shapes(params)),
     )
-    return scored(reviewed, fitter)
+    return with_scores(reviewed, fitter)

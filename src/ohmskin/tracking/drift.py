@@ -4,7 +4,7 @@ import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.tracking.kernels import warmed
+from ohmskin.tracking.kernels import updated_common
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.state import TrackState
 
@@ -13,23 +13,23 @@ def with_common_drift(state: TrackState, fitter: ContactFitter, before: tuple[fl
     """The state with the common change of all resistances that its newest frame shows beside all its contacts, given
     what was known `before` it, and its variance (1)."""
     newest = state.history[0]
-    common = warmed(newest.innovation.misfit.part, before, fitter.allowance(newest.innovation))[0]
+    common = updated_common(newest.innovation.misfit.part, before, fitter.allowance(newest.innovation))[0]
     change = np.zeros(len(newest.innovation.misfit.vector))
     change[-1] = common[0] - state.common_drift[0]
-    newest = changed(newest, residual=newest.residual.less(change))
+    newest = changed(newest, residual=newest.residual.minus(change))
     return changed(state, common_drift=common, history=(newest, *state.history[1:]))
 
 
-def learned(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
+def with_learned_drift(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
     """The state with part of its newest frame's residual, as much as belongs to a time (s), taken for drift."""
     newest = state.history[0]
     share, left = elapsed / (elapsed + _time(state, motion)), newest.residual
     if state.tracks:  # what might be a contact's is left to it; errors of the model of a strong one are not learned
-        left = left.beside(fitter.responses(state.params)[1])
+        left = left.marginalised_flat(fitter.responses(state.params)[1])
         share /= 1 + fitter.model_error**2 * newest.energy / left.count
     return changed(state, drift=state.drift + share * left.drift())
 
 
 def _time(state: TrackState, motion: Motion) -> float:
     """Over which what no contact explains becomes drift (s): sooner where there are only lifted ones."""
-    return motion.settling if state.tracks and not state.pressing else motion.drifting
+    return motion.settling_time if state.tracks and not state.pressing else motion.drift_time

@@ -19,14 +19,14 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 from ohmskin.tracking import kernels
 from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
-from ohmskin.tracking.drift import learned, with_common_drift
+from ohmskin.tracking.drift import with_common_drift, with_learned_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
-from ohmskin.tracking.residuals import Reading, Residuals
+from ohmskin.tracking.residuals import Observation, Residuals
 from ohmskin.tracking.revision import just_came, revision_threshold, with_revision
 from ohmskin.tracking.state import STATE, TrackState
 
-_WARM = 0.01  # by how much all resistances may have changed together before the first frame
+_COMMON_STD = 0.01  # by how much all resistances may have changed together before the first frame
 _LEARN_EVERY = 5  # frames between two lessons on drift; has no factor in common with a round of six exploring drives
 _REVISE_EVERY = 8  # frames between two looks at whether one contact is two, or two are one
 
@@ -51,13 +51,19 @@ class ContactFilter:
     def start(self) -> TrackState:
         """The state before anything touches the skin."""
         n_pairs = len(self.fitter.table.pairs)
-        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _WARM**2), np.zeros(n_pairs))
+        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _COMMON_STD**2), np.zeros(n_pairs))
 
     def lifted(self, state: TrackState) -> TrackState:
         """The state with nothing on the skin; what is known of its drift is kept."""
-        common_drift = state.common_drift[0], _WARM**2
+        common_drift = state.common_drift[0], _COMMON_STD**2
         start = self.start()
-        return changed(start, common_drift=common_drift, drift=state.drift, echo=state.echo, next_id=state.next_id)
+        return changed(
+            start,
+            common_drift=common_drift,
+            drift=state.drift,
+            recent_energy=state.recent_energy,
+            next_id=state.next_id,
+        )
 
     def update(self, state: TrackState, difference: Difference, elapsed: float) -> TrackState:
         """The track state after one more frame.
@@ -83,14 +89,14 @@ class ContactFilter:
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
         if state.history[0] is not newest:
             state = with_common_drift(state, fitter, before.common_drift)
-        state = with_lifts(state, fitter, self.bar, motion.settling, elapsed)
+        state = with_lifts(state, fitter, self.bar, motion.settling_time, elapsed)
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history:
-            state = learned(state, fitter, motion, _LEARN_EVERY * elapsed)
+            state = with_learned_drift(state, fitter, motion, _LEARN_EVERY * elapsed)
         unexplained = state.unexplained if state.pressing else 0.0
         if state.pressing and state.history[:1] != (newest,):  # there are other contacts than those held by the frame
-            unexplained = newest.reading.data.unexplained(fitter.responses(state.params)[0])
+            unexplained = newest.observation.data.unexplained(fitter.responses(state.params)[0])
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def explains(self, state: TrackState) -> bool:
@@ -98,7 +104,7 @@ class ContactFilter:
         if not state.pressing or not state.history:
             return not state.pressing
         newest = state.history[0]
-        data = newest.reading.data
+        data = newest.observation.data
         return not self.fitter.poor(data, newest.residual.misfit.constant * self.fitter.allowance(data))
 
     def _updated(self, before: TrackState, difference: Difference, elapsed: float) -> TrackState:
@@ -108,27 +114,30 @@ class ContactFilter:
         """
         pairs = self.fitter.table.pairs
         mean, covariance = before.mean.copy(), before.covariance.copy()
-        scan, erring = arguments(pairs, self.fitter.errors, [difference])
+        scan, errors = arguments(pairs, self.fitter.errors, [difference])
         covered = np.ascontiguousarray(in_series(before.covered, pairs).T)
         found = kernels.updated(
-            scan, erring, covered, before.drift, before.common_drift, mean, covariance, *self.fitter.compiled
+            scan, errors, covered, before.drift, before.common_drift, mean, covariance, *self.fitter.compiled
         )
-        if not found.said[-1]:
+        if not found.likelihood[-1]:
             raise DataError(NO_DATA)
-        data, wary = Information.pair(*found.said)
-        known = found.foreseen if before.tracks else None
+        data, inflated = Information.pair(*found.likelihood)
+        known = found.predicted if before.tracks else None
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
-        energy = max(found.energy, before.echo * exp(-2 * elapsed / self.motion.creeping))
+        energy = max(found.energy, before.recent_energy * exp(-2 * elapsed / self.motion.creep_time))
         newest = Residuals(
-            Reading(
-                changed(difference, volts=found.volts), data, data.as_left(found.plain), wary.as_left(found.careful)
+            Observation(
+                changed(difference, volts=found.volts),
+                data,
+                data.reduced_to(found.nominal),
+                inflated.reduced_to(found.inflated),
             ),
-            data.as_left(found.innovation, known),
-            data.as_left(found.residual, found.caused),
+            data.reduced_to(found.innovation, known),
+            data.reduced_to(found.residual, found.caused),
             energy,
             {track.id: effect for track, effect in zip(before.tracks, mean[:, 2].tolist(), strict=True)},
             before.time,
-            data.as_left(found.unforeseen, known),
+            data.reduced_to(found.marginal_innovation, known),
             found.score,
             found.power,
         )
@@ -138,14 +147,14 @@ class ContactFilter:
             covariance=covariance,
             common_drift=found.common,
             history=(newest, *before.history[: LONGEST - 1]),
-            echo=energy,
+            recent_energy=energy,
             turn=before.turn + 1,
             unexplained=data.share_unexplained(*found.signals),
         )
 
     def _common(self, elapsed: float) -> float:
         """Share of the noise's variance that all frames share: of the reference and its learned drift."""
-        return 1 / self.repeats + min(_LEARN_EVERY * elapsed / self.motion.drifting, 1) / 2
+        return 1 / self.repeats + min(_LEARN_EVERY * elapsed / self.motion.drift_time, 1) / 2
 
     def _contacts(self, state: TrackState) -> tuple[Contact, ...]:
         """The pressing contacts, strongest first."""

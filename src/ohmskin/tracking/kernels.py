@@ -6,45 +6,45 @@ import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Bools, Floats, Ints, Singles
-from ohmskin.contacts.follow import beside, scored, shapes_of, unknown_of
 from ohmskin.contacts.kernels import SQUARE_STD, all_onto, refined
-from ohmskin.contacts.measured import Erring, Left, Part, Scan, add, dot, said, without_drift
-from ohmskin.contacts.misfit import COMMON, less, sizes
+from ohmskin.contacts.misfit import COMMON, norms, subtract
+from ohmskin.contacts.refit import flat_prior, marginalised, scores, shapes_of
 from ohmskin.contacts.solution import inverse
+from ohmskin.contacts.whitened import ErrorTerms, Quadratic, Reduced, Scan, add, dot, likelihood, without_drift
 from ohmskin.forward.splines import Grid, Spline
 
 _ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
 _BALANCE = 1e-12  # share of a variance added to it, so that rounding cannot make a covariance indefinite
-_OTHERWISE = 2.0  # times what the data tell beside all errors by which a contact's model errs at most
+_OTHERWISE = 2.0  # times the signal marginalised over all errors by which a contact's model errs at most
 
 
 class Update(NamedTuple):
-    """What a frame says beside the contacts that it updated.
+    """Information of a frame beside the contacts that it updated.
 
     Args:
         volts: (n_meas,) the frame's, without drift.
-        said: What they say, see `said`.
-        plain, careful: The same, and wary of the model's error, beside the common change of all resistances.
-        innovation: What they say that was not foreseen.
-        unforeseen: The same beside the common change and shapes of contacts.
+        likelihood: Their squared misfits, see `likelihood`.
+        nominal, inflated: With nominal noise, and inflated by the model's error, marginalised over the common change.
+        innovation: The frame less its prediction.
+        marginal_innovation: The same marginalised over the common change and shapes of contacts.
         residual: What contacts and the common change leave.
         caused: (n_pairs + 1,) what these cause.
-        foreseen: (n_pairs + 1,) what was foreseen.
+        predicted: (n_pairs + 1,) what was predicted.
         common: The common change after the frame, and its variance (1).
         energy: Of the contacts, see `energy_of`.
-        signals: What the data say beyond noise, and what contacts leave of it; squared sizes.
+        signals: The signal beyond noise, and what contacts leave of it; squared sizes.
         score, power: (n_places,) of a contact more.
     """
 
     volts: Floats
-    said: tuple[Part, Part, Part, int]
-    plain: Left
-    careful: Left
-    innovation: Left
-    unforeseen: Left
-    residual: Left
+    likelihood: tuple[Quadratic, Quadratic, Quadratic, int]
+    nominal: Reduced
+    inflated: Reduced
+    innovation: Reduced
+    marginal_innovation: Reduced
+    residual: Reduced
     caused: Floats
-    foreseen: Floats
+    predicted: Floats
     common: tuple[float, float]
     energy: float
     signals: tuple[float, float]
@@ -101,18 +101,18 @@ def advanced(
 
 @njit(cache=True, nogil=True)
 def updated(
-    scan: Scan, erring: Erring, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
+    scan: Scan, errors: ErrorTerms, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
     covariance: Floats, settings: Floats, sheet: Grid, spline: Spline, candidates: Singles,
 ) -> Update:  # fmt: skip
-    """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and what it says of others.
+    """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and scores for others.
 
     Args:
         scan: The frame.
-        erring: How it errs.
+        errors: How it errs.
         covered: (k, n_pairs) changes of which nothing is taken to be known.
         drift: (n_pairs,) of two-terminal resistances (ohm), known.
         common: Common relative change of all resistances, as far as it is known, and its variance (1).
-        mean: Contacts as they were foreseen.
+        mean: Contacts as predicted.
         covariance: Of all of them together.
         settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1).
         sheet: Where contacts may be.
@@ -122,80 +122,87 @@ def updated(
     radius, least, smallest, largest, error = settings[:5]
     four, which, driven, amperes, _, quiet, loading, numbers, injections, loaded = scan
     volts = without_drift(scan, drift, common[0])
-    told, wary, white, count = said(
-        (four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded), erring
+    nominal, inflated, white, count = likelihood(
+        (four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded), errors
     )  # fmt: skip
     if len(covered):
-        unknown = unknown_of(white, covered)
-        told, wary, white = beside(told, unknown), beside(wary, unknown), beside(white, unknown)
-    n, pairs = len(mean), len(told[2]) - 1
+        unknown = flat_prior(white, covered)
+        nominal, inflated, white = (
+            marginalised(nominal, unknown),
+            marginalised(inflated, unknown),
+            marginalised(white, unknown),
+        )
+    n, pairs = len(mean), len(nominal[2]) - 1
     direction = np.zeros((1, pairs + 1))
     direction[0, pairs] = np.sqrt(common[1])
-    plain, careful = beside(told, direction), beside(wary, direction)
-    caused, foreseen, innovation, left = np.zeros(pairs + 1), np.zeros(pairs + 1), told, white[3]
+    own, wide = marginalised(nominal, direction), marginalised(inflated, direction)
+    caused, predicted, innovation, left = np.zeros(pairs + 1), np.zeros(pairs + 1), nominal, white[3]
     params = mean[:, :4].copy()
     if n:
         before = _parameters(covariance)
         known, start = inverse(before), params.copy().ravel()
         _, normal, caused[:pairs], slopes = refined(
-            params, careful[0], careful[1], careful[2], careful[3], start, known, np.int64(_ROUNDS), radius, least,
+            params, wide[0], wide[1], wide[2], wide[3], start, known, np.int64(_ROUNDS), radius, least,
             smallest, largest, sheet, spline, np.inf,
         )  # fmt: skip
         change = params.ravel() - start
         _condition(mean, covariance, before, known, normal, params, change)
         for p in range(pairs):
-            foreseen[p] = caused[p]
+            predicted[p] = caused[p]
             for i in range(4 * n):
-                foreseen[p] -= slopes[i, p] * change[i]
-        vector, constant = less(told[0], told[1], told[2], told[3], foreseen)
-        innovation = beside((told[0], told[1], vector, constant), _spread(before, slopes))
-        left = less(white[0], white[1], white[2], white[3], foreseen)[1]
-    unforeseen = beside(beside(innovation, direction), shapes_of(params, radius, error, spline))
-    score, power = scored(unforeseen, candidates)
-    energy, signals = energy_of(told, white, caused[:pairs]), (0.0, 0.0)
+                predicted[p] -= slopes[i, p] * change[i]
+        vector, constant = subtract(nominal[0], nominal[1], nominal[2], nominal[3], predicted)
+        innovation = marginalised((nominal[0], nominal[1], vector, constant), _spread(before, slopes))
+        left = subtract(white[0], white[1], white[2], white[3], predicted)[1]
+    marginal_innovation = marginalised(marginalised(innovation, direction), shapes_of(params, radius, error, spline))
+    score, power = scores(marginal_innovation, candidates)
+    energy, signals = energy_of(nominal, white, caused[:pairs]), (0.0, 0.0)
     if n:
         direction[0, pairs] = COMMON
-        alone = beside(told, direction)
-        signals = alone[3] - count, less(alone[0], alone[1], alone[2], alone[3], caused[:pairs])[1] - count
-    common, caused[pairs] = warmed(innovation, common, 1 / (1 + error**2 * max(left, 0.0) / max(count, 1)))
-    vector, constant = less(told[0], told[1], told[2], told[3], caused)
+        alone = marginalised(nominal, direction)
+        signals = alone[3] - count, subtract(alone[0], alone[1], alone[2], alone[3], caused[:pairs])[1] - count
+    common, caused[pairs] = updated_common(innovation, common, 1 / (1 + error**2 * max(left, 0.0) / max(count, 1)))
+    vector, constant = subtract(nominal[0], nominal[1], nominal[2], nominal[3], caused)
     return Update(
-        volts, (told, wary, white, count), _left(plain), _left(careful), _left(innovation), _left(unforeseen),
-        (told[1], vector, constant), caused, foreseen, common, energy, signals, score, power,
+        volts, (nominal, inflated, white, count), _reduced(own), _reduced(wide), _reduced(innovation),
+        _reduced(marginal_innovation),
+        (nominal[1], vector, constant), caused, predicted, common, energy, signals, score, power,
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _left(part: Part) -> Left:
-    """Without the rows, which are those of all that is said: each array that is given back takes time."""
+def _reduced(part: Quadratic) -> Reduced:
+    """Without the rows, which all parts have in common: each array that is returned takes time."""
     return part[1], part[2], part[3]
 
 
 @njit(cache=True, nogil=True)
-def warmed(innovation: Part, common: tuple[float, float], share: float) -> tuple[tuple[float, float], float]:
+def updated_common(
+    innovation: Quadratic, common: tuple[float, float], share: float
+) -> tuple[tuple[float, float], float]:
     """The common change of all resistances and its variance, once a `share` of an innovation is known; and its rise."""
     change = np.zeros((1, len(innovation[2])))
     change[0, -1] = 1.0
-    curvature = sizes(innovation[0], innovation[1], change)[0] ** 2
+    curvature = norms(innovation[0], innovation[1], change)[0] ** 2
     variance = 1 / (1 / common[1] + share * curvature)
     rise = variance * share * innovation[2][-1] if curvature > 0.0 else 0.0
     return (common[0] + rise, variance), rise
 
 
 @njit(cache=True, nogil=True)
-def energy_of(told: Part, white: Part, caused: Floats) -> float:
+def energy_of(nominal: Quadratic, white: Quadratic, caused: Floats) -> float:
     """What contacts cause (n_pairs,) of a frame, where their model may err: squared size over the noise's variance.
 
     What errors of currents and contact impedances leave of it bounds it: near an electrode nearly all is in that
     electrode's own resistance, with a flat prior.
     """
     one = caused.reshape((1, len(caused)))
-    whole, left = sizes(white[0], white[1], one)[0], sizes(told[0], told[1], one)[0]
+    whole, left = norms(white[0], white[1], one)[0], norms(nominal[0], nominal[1], one)[0]
     return float(min(whole**2, _OTHERWISE * left**2))
 
 
 @njit(cache=True, nogil=True)
-def standing_out(
+def most_significant(
     scores: Singles, powers: Singles, energies: Floats, windows: Ints, common: float, error: float, bipolar: bool
 ) -> tuple[int, int, float]:
     """The number of the window and the place where a contact more stands out most, and by how many deviations.
@@ -248,7 +255,7 @@ def _condition(
     Before, theirs was `known`, the inverse of `before`; they have made a `change` (4 n,).
     """
     states, n = len(covariance), len(before)
-    gain, lost, taken = np.zeros((states, n)), before - inverse(normal), np.zeros((states, n))
+    gain, reduction, taken = np.zeros((states, n)), before - inverse(normal), np.zeros((states, n))
     for i in range(states):
         for k in range(n):
             for j in range(n):
@@ -256,7 +263,7 @@ def _condition(
     for i in range(states):
         for k in range(n):
             for j in range(n):
-                taken[i, k] += gain[i, j] * lost[j, k]
+                taken[i, k] += gain[i, j] * reduction[j, k]
     for i in range(states):
         mean[i // 6, i % 6] += dot(gain[i], change)
         for k in range(i + 1):

@@ -68,7 +68,7 @@ def _without_double(state: TrackState, fitter: ContactFitter) -> TrackState:
 
 
 def known_gone(state: TrackState, fitter: ContactFitter, k: int) -> TrackState:
-    """The state without a contact, its effect known to be zero; what that says of the others is used."""
+    """The state without a contact, its effect known to be zero; the others are conditioned on that."""
     at = STATE * k + 2
     gain = state.covariance[:, at] / state.covariance[at, at]
     mean = fitter.within(state.mean - (gain * state.mean[k, 2]).reshape(state.mean.shape))

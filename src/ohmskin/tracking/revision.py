@@ -1,4 +1,4 @@
-"""Revisions: a contact is moved elsewhere, two are taken for one, one for two or none, where the last frames say so."""
+"""Revisions: a contact is moved elsewhere, two are taken for one, one for two or none, if that fits better."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -47,41 +47,41 @@ def with_revision(state: TrackState, fitter: ContactFitter, bar: float, speed: f
     pressing = state.pressing
     if not pressing:
         return state
-    rested = _Rested.of(state, fitter)
-    told, _, _, here = rested.less_all_but(pressing)
-    doubt = fitter.doubt(told, here.cost) if rested.count >= _RESTED else 0.0
+    stationary = _Stationary.of(state, fitter)
+    nominal, _, _, here = stationary.minus_all_but(pressing)
+    doubt = fitter.relative_cost(nominal, here.cost) if stationary.count >= _RESTED else 0.0
     young = {k for k in pressing if state.tracks[k].since >= state.history[-1].time}  # their first frames may mislead
     again = bool(state.refuted) and (doubt > _MORE * state.refuted or turn % _ANYWAY == 0)
-    if doubt > 1 and (young or again) and (seen := _afresh(rested, bar, speed)) is not None:
+    if doubt > 1 and (young or again) and (seen := _afresh(stationary, bar, speed)) is not None:
         return seen
     refuted = 0.0 if doubt <= 1 else doubt if young or again else state.refuted or 1 / _MORE
     if refuted != state.refuted:
         state = changed(state, refuted=refuted)
-        rested = changed(rested, state=state)
+        stationary = changed(stationary, state=state)
     for k in sorted(young):
-        if (placed := _placed(rested, speed, k)) is not None:
+        if (placed := _placed(stationary, speed, k)) is not None:
             return placed
     for place, k in enumerate(pressing):
         for other in pressing[place + 1 :]:
             apart = float(np.linalg.norm(fitter.table.offsets(state.mean[k, :2], state.mean[other, :2])))
             near = apart < NEAR * fitter.table.radius
-            if near and (merged := _merged(rested, bar, speed, (k, other))) is not None:
+            if near and (merged := _merged(stationary, bar, speed, (k, other))) is not None:
                 return merged
-    if (rest := _without_needless(rested, bar)) is not None:
+    if (rest := _without_needless(stationary, bar)) is not None:
         return rest
     if len(pressing) < fitter.most:
         turn, place = divmod(turn, len(pressing))
-        return _split(rested, bar, speed, pressing[place], turn % _ANYWAY == 0)
+        return _split(stationary, bar, speed, pressing[place], turn % _ANYWAY == 0)
     return state
 
 
-def _afresh(rested: "_Rested", bar: float, speed: float) -> TrackState | None:
+def _afresh(stationary: "_Stationary", bar: float, speed: float) -> TrackState | None:
     """The state with other contacts, if these explain the last frames significantly better than its own do."""
-    state, fitter, pressing = rested.state, rested.fitter, rested.state.pressing
-    told, data, _, here = rested.less_all_but(pressing)
-    there = fitter.explained(told, data, bar)
+    state, fitter, pressing = stationary.state, stationary.fitter, stationary.state.pressing
+    nominal, inflated, _, here = stationary.minus_all_but(pressing)
+    there = fitter.fit_information(nominal, inflated, bar)
     more = max(len(there.params) - len(here.params), 0)
-    if fitter.poor(told, there.cost) or here.cost - there.cost < _ELSEWHERE + more * fitter.bar**2:
+    if fitter.poor(nominal, there.cost) or here.cost - there.cost < _ELSEWHERE + more * fitter.bar**2:
         return None  # nothing gained, or something else than contacts disturbs
     away = np.linalg.norm(fitter.table.offsets(there.params[:, None, :2], state.mean[pressing, :2]), axis=2)
     named = dict(zip(*linear_sum_assignment(away), strict=True))
@@ -92,25 +92,25 @@ def _afresh(rested: "_Rested", bar: float, speed: float) -> TrackState | None:
     return changed(after, history=(), covered=tuple(sorted({*state.covered, *there.covered})), refuted=0.0)
 
 
-def _without_needless(rested: "_Rested", bar: float) -> TrackState | None:
+def _without_needless(stationary: "_Stationary", bar: float) -> TrackState | None:
     """The state without its faintest contact, if the others explain the last frames as usual, and nearly as well."""
-    state, fitter, pressing = rested.state, rested.fitter, rested.state.pressing
+    state, fitter, pressing = stationary.state, stationary.fitter, stationary.state.pressing
     if len(pressing) < 2:
         return None
     faintest = min(pressing, key=lambda k: abs(float(state.mean[k, 2])))
     others = [k for k in pressing if k != faintest]
-    told, data, _, many = rested.less_all_but(pressing)
-    few = fitter.refine(data, state.params[others])
-    if few.cost - many.cost > _HYSTERESIS * bar or fitter.poor(told, few.cost):
+    nominal, inflated, _, many = stationary.minus_all_but(pressing)
+    few = fitter.refine(inflated, state.params[others])
+    if few.cost - many.cost > _HYSTERESIS * bar or fitter.poor(nominal, few.cost):
         return None
     return changed(known_gone(state, fitter, faintest), history=())
 
 
-def _placed(rested: "_Rested", speed: float, k: int) -> TrackState | None:
+def _placed(stationary: "_Stationary", speed: float, k: int) -> TrackState | None:
     """The state with one contact where the frames since it came want it, if that is elsewhere."""
-    state, fitter = rested.state, rested.fitter
-    told, data, _, here = rested.less_all_but([k])
-    there = fitter.added(data, *fitter.scores(told))
+    state, fitter = stationary.state, stationary.fitter
+    nominal, inflated, _, here = stationary.minus_all_but([k])
+    there = fitter.added(inflated, *fitter.scores(nominal))
     if here.cost - there.cost < _ELSEWHERE:
         return None
     mean, covariance = state.mean.copy(), state.covariance.copy()
@@ -121,18 +121,18 @@ def _placed(rested: "_Rested", speed: float, k: int) -> TrackState | None:
     return changed(state, mean=mean, covariance=covariance, history=())
 
 
-def _split(rested: "_Rested", bar: float, speed: float, k: int, anyway: bool) -> TrackState:
+def _split(stationary: "_Stationary", bar: float, speed: float, k: int, anyway: bool) -> TrackState:
     """The state with one contact as two, if these explain the last frames better; the closer one keeps the name.
 
     Two that were fitted without success are fitted again once a larger gain is expected, or `anyway`.
     """
-    state, fitter = rested.state, rested.fitter
-    told, data, error, one = rested.less_all_but([k])
-    left = told.less(one.caused).beside(one.slopes)
+    state, fitter = stationary.state, stationary.fitter
+    nominal, inflated, error, one = stationary.minus_all_but([k])
+    left = nominal.minus(one.caused).marginalised_flat(one.slopes)
     promise = float(fitter.pairs(left, one.params[0])[1].max()) ** 2
     if promise < _MORE * state.tracks[k].refuted and not anyway:
         return state
-    two = fitter.split(told, data, one, 0, bar + error, left)
+    two = fitter.split(nominal, inflated, one, 0, bar + error, left)
     if two is None:
         tracks = [*state.tracks]
         tracks[k] = changed(tracks[k], refuted=promise)
@@ -143,43 +143,43 @@ def _split(rested: "_Rested", bar: float, speed: float, k: int, anyway: bool) ->
     return changed(kept.with_contact(two.params[farther], covariances[farther], speed), history=())
 
 
-def _merged(rested: "_Rested", bar: float, speed: float, both: tuple[int, int]) -> TrackState | None:
+def _merged(stationary: "_Stationary", bar: float, speed: float, both: tuple[int, int]) -> TrackState | None:
     """The state with two contacts as one, if one explains the last frames nearly as well; it keeps the older name."""
-    state, fitter = rested.state, rested.fitter
-    told, data, error, two = rested.less_all_but(both)
+    state, fitter = stationary.state, stationary.fitter
+    nominal, inflated, error, two = stationary.minus_all_but(both)
     pair = state.params[list(both)].copy()
     pair[1, :2] = pair[0, :2] + fitter.table.offsets(pair[1, :2], pair[0, :2])
     weight = np.abs(pair[:, 2]) / np.abs(pair[:, 2]).sum()
     start = weight @ pair
     start[2] = pair[:, 2].sum()
-    one = fitter.refine(data, start[None])
-    if fitter.several(told, one, two, bar + error, _HYSTERESIS):
+    one = fitter.refine(inflated, start[None])
+    if fitter.are_two(nominal, one, two, bar + error, _HYSTERESIS):
         return None
     kept = min(state.tracks[k].id for k in both)
     return changed(state.without(both).with_contact(one.params[0], one.covariance, speed, kept), history=())
 
 
 @dataclass(frozen=True, eq=False)
-class _Rested:
-    """What the newest frames say in which all contacts rested.
+class _Stationary:
+    """Information of the newest frames in which all contacts rested.
 
     Args:
         state: The state after them.
         fitter: What explains data by contacts.
         count: How many they are.
-        told: What they say, together.
-        data: The same, wary of the model's error.
+        nominal: Their information, combined.
+        inflated: The same with noise inflated by the model's error.
     """
 
     state: TrackState
     fitter: ContactFitter
     count: int
-    told: Information
-    data: Information
+    nominal: Information
+    inflated: Information
     _fitted: dict[tuple[int, ...], tuple[Information, Information, float, Solution]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, state: TrackState, fitter: ContactFitter) -> "_Rested":
+    def of(cls, state: TrackState, fitter: ContactFitter) -> "_Stationary":
         pressing = state.pressing
         speed = float(np.linalg.norm(state.mean[pressing, PER_CONTACT:], axis=1).max())
         came = max(state.tracks[k].since for k in pressing)
@@ -191,24 +191,27 @@ class _Rested:
             changed = (np.abs(effects - state.mean[pressing, 2]) > play).any()
             if absent or changed or (state.time - residuals.time) * speed > fitter.table.radius / 4:
                 break
-            used.append(residuals.reading)
-        used = used or [state.history[0].reading]
-        told = Information.together([reading.beside for reading in used])
-        return cls(state, fitter, len(used), told, told.likewise([reading.wary for reading in used]))
+            used.append(residuals.observation)
+        used = used or [state.history[0].observation]
+        nominal = Information.combined([observation.nominal for observation in used])
+        return cls(
+            state, fitter, len(used), nominal, nominal.with_misfits([observation.inflated for observation in used])
+        )
 
-    def less_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float, Solution]:
-        """What they say, and wary of the model's error, less all contacts but the chosen ones, beside shapes that small
-        ones may have; how much of it may be errors of the others' model (noise's variance); the chosen ones fitted."""
+    def minus_all_but(self, chosen: Sequence[int]) -> tuple[Information, Information, float, Solution]:
+        """Their information, nominal and inflated, less all contacts but the chosen ones, marginalised over shapes
+        that small ones may have; how much of it may be errors of the others' model (noise's variance); the chosen
+        ones fitted."""
         if (known := self._fitted.get(tuple(chosen))) is not None:
             return known
         params, fitter = self.state.params, self.fitter
-        told, data, error = self.told, self.data, 0.0
+        nominal, inflated, error = self.nominal, self.inflated, 0.0
         if len(chosen) < len(params):
             others = fitter.responses(np.delete(params, chosen, axis=0))[0]
-            error = (fitter.model_error * told.size(others)) ** 2
-            told, data = told.less(others), data.less(others)
+            error = (fitter.model_error * nominal.norm(others)) ** 2
+            nominal, inflated = nominal.minus(others), inflated.minus(others)
         if (shapes := fitter.shapes(params[list(chosen)])).size:
-            told, data = told.without(shapes), data.without(shapes)
-        found = told, data, error, fitter.refine(data, params[list(chosen)])
+            nominal, inflated = nominal.marginalised(shapes), inflated.marginalised(shapes)
+        found = nominal, inflated, error, fitter.refine(inflated, params[list(chosen)])
         self._fitted[tuple(chosen)] = found
         return found

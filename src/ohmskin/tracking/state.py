@@ -47,7 +47,8 @@ class TrackState:
         next_id: The name of the next contact.
         turn: Frames so far.
         time: Since the start (s).
-        echo: Squared size of what contacts cause, or did before the foam forgot it, over the noise's variance (1).
+        recent_energy: Squared size of what contacts cause, or did until the foam recovered, over the noise's
+            variance (1).
         history: The last frames, newest first.
         unexplained: Share of the newest frame's data that the contacts do not explain.
         suspects: Electrodes that alone showed a contact in the newest frame.
@@ -66,7 +67,7 @@ class TrackState:
     next_id: int = 1
     turn: int = 0
     time: float = 0.0
-    echo: float = 0.0
+    recent_energy: float = 0.0
     history: tuple[Residuals, ...] = field(default=(), repr=False)
     unexplained: float = 0.0
     suspects: tuple[int, ...] = ()
@@ -76,7 +77,7 @@ class TrackState:
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least so many injections together, less drift and temperature, newest first."""
-        return newest((), (residuals.reading.difference for residuals in self.history), injections)
+        return newest((), (residuals.observation.difference for residuals in self.history), injections)
 
     @property
     def params(self) -> Floats:

@@ -1,13 +1,13 @@
-"""Contacts that were there a moment ago as they are now, if data say nothing else; in one compiled pass."""
+"""Contacts of the last frame fitted to the next one, and whether these are all; in one compiled pass."""
 
 import numpy as np
 from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Singles
 from ohmskin.contacts.kernels import STRONG, all_onto, expected, refined
-from ohmskin.contacts.measured import Part, dot, powers
-from ohmskin.contacts.misfit import COMMON, SINGLE, UNSAID, less, sizes, taken_off
+from ohmskin.contacts.misfit import COMMON, FLAT, SINGLE, marginalise, norms, subtract
 from ohmskin.contacts.solution import inverse
+from ohmskin.contacts.whitened import Quadratic, dot, powers
 from ohmskin.forward.splines import Grid, Spline, lopsided, respond_at
 
 USUAL = 0.2  # share of the variance allowed to the model's errors that they usually take
@@ -19,22 +19,22 @@ LOPSIDED = 4.0  # times the model's error by which a small contact conducts more
 SMALL = 1.5  # squares of the usual radius: an effect from which on it does not
 _ANGLES = np.arange(4) * np.pi / 4
 AXES = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])  # along which a pair may lie
-GONE, UNSURE, STILL = 0, 1, 2  # a contact is not as it was; all are, but there may be more; there are no others
-MISFIT, FAINT, WIDER, ANOTHER, PAIR = range(5)  # what makes a search worth it, see `followed`
+INVALID, UNCERTAIN, VALID = 0, 1, 2  # a contact is not as it was; all are, but there may be more; there are no others
+MISFIT, FAINT, WIDER, ANOTHER, PAIR = range(5)  # what makes a search worth it, see `refit`
 DOUBTS = 5
 
 
 @njit(cache=True, nogil=True)
-def followed(
-    told: Part, wary: Part, white: Part, params: Floats, settings: Floats, sheet: Grid, spline: Spline,
-    candidates: Singles, search: bool, allowed: Floats,
+def refit(
+    nominal: Quadratic, inflated: Quadratic, white: Quadratic, params: Floats, settings: Floats, sheet: Grid,
+    spline: Spline, candidates: Singles, search: bool, allowed: Floats,
 ) -> tuple[int, float, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Contacts `params` (n, 4), in place, fitted where they were, and whether these are all.
 
     Args:
-        told: What is measured.
-        wary: The same with the model's error as noise.
-        white: If voltages err by white noise alone.
+        nominal: What is measured, with nominal noise.
+        inflated: The same with noise inflated by the model's error.
+        white: The same if voltages err by white noise alone.
         params: What was there.
         settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1),
             the bar of a contact more (deviations), that of a split (squared misfit), and whether contacts may lower
@@ -46,9 +46,9 @@ def followed(
         allowed: (5,) what is accepted of each of the doubts.
 
     Returns:
-        `GONE`, `UNSURE` or `STILL`; cost, normal, caused and slopes (4 n, n_pairs) of a solution; shapes (2 k, n_pairs)
-        that it was fitted beside; and doubts (5,), each as a share of where it begins, of what was looked at: residual,
-        faintest contact, strongest one, another one, and one that is two.
+        `INVALID`, `UNCERTAIN` or `VALID`; cost, normal, caused and slopes (4 n, n_pairs) of a solution; shapes
+        (2 k, n_pairs) that it was fitted beside; and doubts (5,), each as a share of its limit, of what was examined:
+        residual, faintest contact, strongest one, another one, and one that is two.
     """
     radius, least, smallest, largest, error, bar, split_bar = settings[:7]
     count, n = len(white[0][1]), len(params)
@@ -56,11 +56,11 @@ def followed(
     all_onto(places, sheet)
     for k in range(n):
         params[k, :2], params[k, 3] = places[k], min(max(params[k, 3], smallest), largest)
-    common, doubts = np.zeros((1, len(told[2]))), np.zeros(DOUBTS)
+    common, doubts = np.zeros((1, len(nominal[2]))), np.zeros(DOUBTS)
     common[0, -1] = COMMON
     shapes = shapes_of(params, radius, error, spline)
     mean, prior = expected(params[:, 2].copy(), radius, sheet[0], sheet[1], sheet[5])
-    fit = beside(beside(wary, common), shapes)
+    fit = marginalised(marginalised(inflated, common), shapes)
     cost, normal, caused, slopes = refined(
         params, fit[0], fit[1], fit[2], fit[3], mean, prior, np.int64(40), radius, least, smallest, largest, sheet,
         spline, np.inf,
@@ -74,29 +74,29 @@ def followed(
         height = abs(params[k, 2]) * np.sqrt(own[2, 2])
         for p in range(len(caused)):
             others[0, p] = caused[p] - params[k, 2] * slopes[4 * k + 2, p]
-        asked = (bar + error * sizes(white[0], white[1], others)[0]) / max(height, 1e-300)
+        asked = (bar + error * norms(white[0], white[1], others)[0]) / max(height, 1e-300)
         clear = np.sqrt(CLEAR * max(cost, bar**2) / (cost + height**2))
         doubts[FAINT] = max(doubts[FAINT], min(asked, clear))
     if not (doubts <= allowed).all():
-        return GONE, cost, normal, caused, slopes, shapes, doubts
+        return INVALID, cost, normal, caused, slopes, shapes, doubts
     doubts[WIDER] = np.abs(params[:, 2]).max() / (STRONG * np.pi * radius**2)
     if not search or doubts[WIDER] > allowed[WIDER]:
-        return UNSURE, cost, normal, caused, slopes, shapes, doubts
-    left = beside(beside(told, common), shapes)
-    vector, constant = less(left[0], left[1], left[2], left[3], caused)
-    left = beside((left[0], left[1], vector, constant), unknown_of(white, slopes))
-    everything = error * sizes(white[0], white[1], caused.reshape((1, -1)))[0]
+        return UNCERTAIN, cost, normal, caused, slopes, shapes, doubts
+    left = marginalised(marginalised(nominal, common), shapes)
+    vector, constant = subtract(left[0], left[1], left[2], left[3], caused)
+    left = marginalised((left[0], left[1], vector, constant), flat_prior(white, slopes))
+    everything = error * norms(white[0], white[1], caused.reshape((1, -1)))[0]
     most = _highest(left, candidates, settings[7] > 0.0)
     doubts[ANOTHER] = most / min(bar + everything, max(bar, np.sqrt(HALF * constant)))
     if doubts[ANOTHER] > allowed[ANOTHER]:
-        return UNSURE, cost, normal, caused, slopes, shapes, doubts
+        return UNCERTAIN, cost, normal, caused, slopes, shapes, doubts
     for k in range(n):
-        _, height = bends(left, params[k], radius, sheet, spline)
+        _, height = split_gains(left, params[k], radius, sheet, spline)
         gain = max(height.max(), 0.0)
         doubts[PAIR] = max(doubts[PAIR], gain / np.sqrt(PROMISED * (split_bar + everything**2)))
     if doubts[PAIR] > allowed[PAIR]:
-        return UNSURE, cost, normal, caused, slopes, shapes, doubts
-    return STILL, cost, normal, caused, slopes, shapes_of(params, radius, error, spline), doubts
+        return UNCERTAIN, cost, normal, caused, slopes, shapes, doubts
+    return VALID, cost, normal, caused, slopes, shapes_of(params, radius, error, spline), doubts
 
 
 @njit(cache=True, nogil=True)
@@ -120,7 +120,7 @@ def shapes_of(params: Floats, radius: float, error: float, spline: Spline) -> Fl
 
 
 @njit(cache=True, nogil=True)
-def bends(left: Part, one: Floats, radius: float, sheet: Grid, spline: Spline) -> tuple[Floats, Floats]:
+def split_gains(left: Quadratic, one: Floats, radius: float, sheet: Grid, spline: Spline) -> tuple[Floats, Floats]:
     """How a contact (4,) may be two: axes (n, 2) (m), and the gain (n,) that a small pair along each promises.
 
     An equal pair differs from one contact by the second derivative along its axis.
@@ -146,35 +146,35 @@ def bends(left: Part, one: Floats, radius: float, sheet: Grid, spline: Spline) -
     discs[:, :2], discs[:, 2] = places, min(one[3], spline[5][-1])
     respond_at(discs, spline, found)
     bend = found[: len(axes), 2] + found[len(axes) : -1, 2] - 2 * found[-1, 2]
-    power, height = sizes(left[0], left[1], bend), np.empty(len(axes))
+    power, height = norms(left[0], left[1], bend), np.empty(len(axes))
     for k in range(len(axes)):
         height[k] = dot(left[2], bend[k]) / max(power[k], 1e-6 * power.max())
     return axes, height
 
 
 @njit(cache=True, nogil=True)
-def beside(part: Part, directions: Floats) -> Part:
+def marginalised(part: Quadratic, directions: Floats) -> Quadratic:
     """The part with changes (m, n_pairs or n_pairs + 1) as errors, each with a standard deviation of one."""
-    vector, lost = part[2].copy(), np.empty((len(part[1]) + len(directions), len(part[2])))
-    taken = taken_off(part[0], part[1], directions, vector, lost)
-    return part[0], lost, vector, part[3] - taken
+    vector, downdates = part[2].copy(), np.empty((len(part[1]) + len(directions), len(part[2])))
+    taken = marginalise(part[0], part[1], directions, vector, downdates)
+    return part[0], downdates, vector, part[3] - taken
 
 
 @njit(cache=True, nogil=True)
-def unknown_of(white: Part, directions: Floats) -> Floats:
+def flat_prior(white: Quadratic, directions: Floats) -> Floats:
     """Changes (m, n_pairs) that data show, as large as they are where nothing is known of them."""
-    size = sizes(white[0], white[1], directions)
+    size = norms(white[0], white[1], directions)
     seen = np.flatnonzero(size > 0)
     out = directions[seen]
     for k in range(len(seen)):
-        out[k] /= UNSAID * size[seen[k]]
+        out[k] /= FLAT * size[seen[k]]
     return out
 
 
 @njit(cache=True, nogil=True)
-def _highest(left: Part, candidates: Singles, bipolar: bool) -> float:
+def _highest(left: Quadratic, candidates: Singles, bipolar: bool) -> float:
     """Standard deviations by which the score of the likeliest of more contacts stands out."""
-    (score, power), best = scored(left, candidates), 0.0
+    (score, power), best = scores(left, candidates), 0.0
     for k in range(len(power)):
         height = score[k] / np.sqrt(power[k])
         best = max(best, abs(height) if bipolar else height)
@@ -182,14 +182,14 @@ def _highest(left: Part, candidates: Singles, bipolar: bool) -> float:
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def scored(left: Part, candidates: Singles) -> tuple[Singles, Singles]:
-    """Score and power (n_places,) of a contact more at each place, as `Misfit.scores`."""
+def scores(left: Quadratic, candidates: Singles) -> tuple[Singles, Singles]:
+    """Score and power (n_places,) of a contact more at each place, as `QuadraticMisfit.scores`."""
     whole, score = powers(left[0], candidates), np.zeros(candidates.shape[1], np.float32)
-    power, product, told = whole.copy(), np.empty(len(whole), np.float32), _told(left)
-    _combined(left[2], told, candidates, score)
+    power, product, observed = whole.copy(), np.empty(len(whole), np.float32), _observed(left)
+    _combined(left[2], observed, candidates, score)
     for one in left[1]:
         product[:] = 0.0
-        _combined(one, told, candidates, product)
+        _combined(one, observed, candidates, product)
         for k in range(len(power)):
             power[k] -= product[k] * product[k]
     most = whole.max() * np.float32(SINGLE)
@@ -199,14 +199,14 @@ def scored(left: Part, candidates: Singles) -> tuple[Singles, Singles]:
 
 
 @njit(cache=True, nogil=True)
-def _told(left: Part) -> Ints:
-    """The numbers of the pairs that data say anything of."""
+def _observed(left: Quadratic) -> Ints:
+    """The numbers of the pairs of which data have information."""
     out, count = np.empty(len(left[2]), np.int64), 0
     for p in range(len(left[2])):
-        said = left[2][p] != 0.0
+        informed = left[2][p] != 0.0
         for k in range(len(left[1])):
-            said = said or left[1][k, p] != 0.0
-        if said:
+            informed = informed or left[1][k, p] != 0.0
+        if informed:
             out[count] = p
             count += 1
     return out[:count]

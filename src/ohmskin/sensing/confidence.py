@@ -10,25 +10,25 @@ from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
 
 _USUAL = 0.1  # share of a frame's change that contacts, or an image, of real skins leave unexplained at most
-_STRANGE, _STRANGE_IMAGE = 0.5, 0.3  # what they leave of data that are not of the skin, and what an image does
+_UNLIKE, _UNLIKE_IMAGE = 0.5, 0.3  # what they leave of data that are not of the skin, and what an image does
 
 
-def trust(unexplained: float) -> float:
+def fit_confidence(unexplained: float) -> float:
     """How far contacts are believed that leave a share of the data unexplained (1): of other data, such as another
     skin's, half or more."""
-    return _falling(unexplained, _STRANGE)
+    return _decreasing(unexplained, _UNLIKE)
 
 
-def image_trust(misfit: float) -> float:
+def image_confidence(misfit: float) -> float:
     """How far contacts are believed that are seen in an image of that `image_misfit` (1)."""
-    return _falling(misfit, _STRANGE_IMAGE)
+    return _decreasing(misfit, _UNLIKE_IMAGE)
 
 
-def _falling(left: float, strange: float) -> float:
-    return min(max((strange - left) / (strange - _USUAL), 0.0), 1.0)
+def _decreasing(left: float, unlike: float) -> float:
+    return min(max((unlike - left) / (unlike - _USUAL), 0.0), 1.0)
 
 
-def doubted(contacts: Sequence[Contact], share: float) -> tuple[Contact, ...]:
+def scaled_confidence(contacts: Sequence[Contact], share: float) -> tuple[Contact, ...]:
     """Contacts whose confidence is that share of what it was (1)."""
     if share == 1.0:
         return tuple(contacts)
@@ -36,7 +36,7 @@ def doubted(contacts: Sequence[Contact], share: float) -> tuple[Contact, ...]:
 
 
 def image_misfit(known: SkinModel, scans: Sequence[Difference]) -> float:
-    """Share of what scans say beyond noise that no change of the sheet's conductivity explains (1).
+    """Share of the signal of scans that no change of the sheet's conductivity explains (1).
 
     Judged by the one-step image, which follows real tanks to 1 %; of values that have nothing to do with the skin it
     leaves 40 to 80 %, of a press on a skin whose electrodes are in another order a quarter to two thirds.

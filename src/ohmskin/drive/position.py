@@ -128,7 +128,7 @@ def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple
     return np.append(search.chosen, kept[rest.chosen]), np.append(values, rest.values[1:])
 
 
-class InformedPolicy(Exploration):
+class TrackingDrive(Exploration):
     """A `Drive` of the injections that are most informative about the contacts, and some to explore.
 
     Args:

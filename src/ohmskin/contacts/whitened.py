@@ -9,7 +9,7 @@ costs a tenth of one with the matrix of 120 by 120 numbers that sums up the same
     loading (n_rows,): minus that of the last (1/ohm); or (0,) if there is none
     quiet (n_rows,): what a common relative change of all resistances does (1)
     starts (n_inj + 1,): the first row of each injection, and the number of rows
-    weights (n_inj,): how much less data say for an error of each current, which looks like the quiet data
+    weights (n_inj,): information lost for an error of each current, which looks like the quiet data
 """
 
 from typing import Any
@@ -20,15 +20,15 @@ from numba import njit
 from ohmskin.arrays import Bools, Floats, Ints, Singles
 
 Rows = tuple[Any, Floats, Floats, Floats, Ints, Floats]
-Part = tuple[Rows, Floats, Floats, float]  # rows, those lost, vector and constant of a `Misfit`
-Left = tuple[Floats, Floats, float]  # the same without the rows
-Scan = tuple[Ints, Ints, Bools, Floats, Floats, Floats, Floats, Ints, int, bool]  # see `measured`
-Erring = tuple[float, float, float, Floats]  # noise, gain, model and contacts of `Errors`, the last (n_pairs, k)
+Quadratic = tuple[Rows, Floats, Floats, float]  # rows, downdates, vector and constant of a `QuadraticMisfit`
+Reduced = tuple[Floats, Floats, float]  # the same without the rows
+Scan = tuple[Ints, Ints, Bools, Floats, Floats, Floats, Floats, Ints, int, bool]  # see `whiten`
+ErrorTerms = tuple[float, float, float, Floats]  # noise, gain, model and contacts of `Errors`, the last (n_pairs, k)
 
 _ENDS = np.array([[0, 3], [1, 2], [0, 2], [1, 3], [0, 1]])  # F_ad, F_bc, F_ac, F_bd; F_ab as far as it takes current
 
 
-def fainter(rows: Rows, share: float) -> Rows:
+def scaled_rows(rows: Rows, share: float) -> Rows:
     """The same with all errors larger: this share of the information remains."""
     columns, sizes, loading, quiet, starts, weights = rows
     root = np.sqrt(share)
@@ -59,7 +59,7 @@ def copy(one: Floats, out: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def measured(
+def whiten(
     four: Ints, which: Ints, driven: Bools, amperes: Floats, volts: Floats, quiet: Floats, loading: Floats,
     numbers: Ints, injections: int, loaded: bool, noise: float, model: float,
 ) -> tuple[Rows, Floats]:  # fmt: skip
@@ -133,7 +133,7 @@ def apply_transposed(rows: Rows, data: Floats, pairs: int, out: Floats) -> None:
 
 
 @njit(cache=True, nogil=True)
-def along_quiet(rows: Rows, data: Floats, out: Floats) -> None:
+def reference_products(rows: Rows, data: Floats, out: Floats) -> None:
     """The products (n_inj,) of the data (n_rows,) of each injection with its quiet data."""
     quiet, starts = rows[3], rows[4]
     for k in range(len(starts) - 1):
@@ -216,20 +216,22 @@ def without_drift(scan: Scan, drift: Floats, common: float) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def said(scan: Scan, erring: Erring) -> tuple[Part, Part, Part, int]:
-    """What scans say, as for `beside_errors`, and how many of their data are finite."""
-    noise, gain, model, contacts = erring
+def likelihood(scan: Scan, errors: ErrorTerms) -> tuple[Quadratic, Quadratic, Quadratic, int]:
+    """Squared misfits of scans, as `marginalise_errors` returns them, and how many of their data are finite."""
+    noise, gain, model, contacts = errors
     four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded = scan
-    rows, data = measured(
+    rows, data = whiten(
         four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded, noise, model
     )  # fmt: skip
-    told, wary, white = beside_errors(rows, data, contacts, gain, model)
-    return told, wary, white, len(data)
+    nominal, inflated, white = marginalise_errors(rows, data, contacts, gain, model)
+    return nominal, inflated, white, len(data)
 
 
 @njit(cache=True, nogil=True)
-def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model: float) -> tuple[Part, Part, Part]:
-    """What data (n_rows,) say if they err, beside white noise, by currents and contacts; each part as `Misfit` has it.
+def marginalise_errors(
+    rows: Rows, data: Floats, contacts: Floats, gain: float, model: float
+) -> tuple[Quadratic, Quadratic, Quadratic]:
+    """Squared misfits of data (n_rows,) marginalised over errors of currents and contact impedances.
 
     Args:
         rows: Theirs, for noise of variance 1.
@@ -239,7 +241,7 @@ def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model
         model: How far the model errs, as a share of the root mean square of the data (1).
 
     Returns:
-        What they say; the same with the model's error as noise; and if noise is all that there is.
+        With nominal noise; with noise inflated by the model's error; and with white noise alone.
     """
     columns, sizes, loading, quiet, starts, _ = rows
     pairs, k, injections = len(contacts), contacts.shape[1], len(starts) - 1
@@ -285,17 +287,18 @@ def beside_errors(rows: Rows, data: Floats, contacts: Floats, gain: float, model
     white = rows, np.zeros((0, pairs + 1)), gradients[k].copy(), float(own[k, k])
     larger = 1 + model**2 * float(own[k, k]) / max(len(data), 1)
     return (
-        _beside(rows, gradients, inner, own, at_rests, squares, gain, 1.0),
-        _beside(rows, gradients, inner, own, at_rests, squares, gain, larger),
+        _marginalised(rows, gradients, inner, own, at_rests, squares, gain, 1.0),
+        _marginalised(rows, gradients, inner, own, at_rests, squares, gain, larger),
         white,
     )
 
 
 @njit(cache=True, nogil=True)
-def _beside(
+def _marginalised(
     rows: Rows, seen: Floats, inner: Floats, own: Floats, quiet: Floats, squares: Floats, gain: float, variance: float
-) -> Part:
-    """What the last of errors, the data, say beside the others and errors of currents, and noise of that variance."""
+) -> Quadratic:
+    """The squared misfit of the data, the last of errors, marginalised over the others and errors of currents, with
+    noise of that variance."""
     k, share, weights = len(seen) - 1, 1 / variance, np.zeros(len(squares))
     seen, own = share * seen, share * own
     for j in range(len(squares) if gain > 0 else 0):
