@@ -22,7 +22,7 @@ from functools import cache
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts import in_frame
 from ohmskin.device import connect
 from ohmskin.engine import Engine

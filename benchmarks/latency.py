@@ -46,10 +46,10 @@ with Client(sys.argv[1]) as client:
         pass
     end = time.monotonic() + float(sys.argv[2])
     while time.monotonic() < end:
-        felt = client.wait(0.5)
-        if felt is not None:
-            ages.append(felt.age)
-            numbers.append(felt.sequence)
+        newest = client.wait(0.5)
+        if newest is not None:
+            ages.append(newest.age)
+            numbers.append(newest.sequence)
 print(json.dumps([ages, numbers]))
 """
 
@@ -61,7 +61,7 @@ int main(int, char** arguments) {
     while (!client.wait(1.0)) {}
     std::vector<std::pair<double, unsigned long long>> heard;
     for (const double end = ohmskin::now() + std::atof(arguments[2]); ohmskin::now() < end;)
-        if (const ohmskin::Felt* felt = client.wait(0.5)) heard.emplace_back(felt->age(), felt->sequence);
+        if (const ohmskin::Contacts* newest = client.wait(0.5)) heard.emplace_back(newest->age(), newest->sequence);
     std::printf("[[");
     for (std::size_t i = 0; i < heard.size(); ++i) std::printf("%s%.9g", i ? "," : "", heard[i].first);
     std::printf("],[");

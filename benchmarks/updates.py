@@ -22,8 +22,8 @@ from playwright.sync_api import sync_playwright
 from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
 from ohmskin.body.patches import Merger
-from ohmskin.client import Board, Sighting
-from ohmskin.client.felt import LARGEST, felt, pack
+from ohmskin.client import Board, PatchState
+from ohmskin.client.contacts import LARGEST, felt, pack
 from ohmskin.geometry import Raster
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.publisher import describe_domain
@@ -61,7 +61,7 @@ class Written:
     def write(self, now: float) -> None:
         """An image, and that nothing touches."""
         self.sequence += 1
-        seen = Sighting(self.patch.name, self.patch.frame, self.sequence, time.monotonic(), time.time_ns(), "16P")
+        seen = PatchState(self.patch.name, self.patch.frame, self.sequence, time.monotonic(), time.time_ns(), "16P")
         place = self.centres.mean(axis=(0, 1)) + 0.03 * np.array([np.cos(now), np.sin(now)])
         image = 0.8 * np.exp(-(((self.centres - place) / 0.012) ** 2).sum(axis=-1))
         self.felt.write(pack(felt(self.sequence, [seen], []), [self.patch]))
@@ -95,7 +95,7 @@ def main() -> None:
         writer.start()
         stack.callback(writer.join)
         stack.callback(ended.set)
-        overview = stack.enter_context(Overview("bench", names, port=0, robot=body.robot.told()))
+        overview = stack.enter_context(Overview("bench", names, port=0, robot=body.robot.as_json()))
         playwright = stack.enter_context(sync_playwright())
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium-headless-shell") or shutil.which("chromium"), args=FLAGS

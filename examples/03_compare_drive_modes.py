@@ -22,7 +22,7 @@ def main(folder: Path) -> Path:
     touch = evaluate.contact("discs", 0.05, 0.15)  # the paper's simulation: 10 mm, +50 %
     bench = evaluate.bench("discs", decibels=45, amplitude=0.1)
     target = evaluate.Target(touch.position, touch.strength * touch.area)
-    views = {key: bench.see(key, (touch,), seed=0) for key in evaluate.METHODS}
+    views = {key: bench.simulate(key, (touch,), seed=0) for key in evaluate.METHODS}
     limit = max(float(view.image.values.max()) for view in views.values())
 
     figure = Figure(figsize=(12, 7), layout="constrained")

@@ -26,7 +26,7 @@ from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
 from ohmskin.importers import read_recording
 from ohmskin.importers.model import read_model
-from ohmskin.mcap import Tape, recover
+from ohmskin.mcap import RecordingReader, recover
 from ohmskin.recording import export
 from ohmskin.scan import assess
 from ohmskin.sensing import drive_of, modes
@@ -178,16 +178,18 @@ class Recordings:
                 own.unlink()
         with suppress(OhmskinError):
             recover(path)
-        with Tape(path) as tape:
-            for each in (tape.frames, tape.touches, tape.images, tape.log):
+        with RecordingReader(path) as reader:
+            for each in (reader.frames, reader.touches, reader.images, reader.log):
                 for k in range(len(each)):
                     with suppress(OhmskinError):
                         each[k]
-                tape.times_of(each)
+                reader.times_of(each)
             for write in (
-                lambda: export.write_csv(Path("case.csv"), export.FRAME_COLUMNS, export.frame_rows(tape)),
-                lambda: export.write_csv(Path("case.contacts.csv"), export.CONTACT_COLUMNS, export.contact_rows(tape)),
-                lambda: export.write_npz(Path("case.npz"), tape),
+                lambda: export.write_csv(Path("case.csv"), export.FRAME_COLUMNS, export.frame_rows(reader)),
+                lambda: export.write_csv(
+                    Path("case.contacts.csv"), export.CONTACT_COLUMNS, export.contact_rows(reader)
+                ),
+                lambda: export.write_npz(Path("case.npz"), reader),
             ):
                 if rng.random() < 0.2:
                     with suppress(OhmskinError):

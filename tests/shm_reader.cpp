@@ -23,19 +23,19 @@ static void put(const ohmskin::Vector& vector) {
 static void put(const std::optional<double>& value) { put(value.value_or(NAN)); }
 static void put(std::string_view text) { std::printf("\t%.*s", int(text.size()), text.data()); }
 
-static void tell(const ohmskin::Client& client, const ohmskin::Felt& felt, long taken) {
-    std::printf("felt\t%llu\t%llu\t%lld\t%ld", (unsigned long long)felt.sequence, (unsigned long long)felt.boot,
-                (long long)felt.stamp, taken);
-    put(felt.time), put(felt.age());
+static void print(const ohmskin::Client& client, const ohmskin::Contacts& newest, long taken) {
+    std::printf("felt\t%llu\t%llu\t%lld\t%ld", (unsigned long long)newest.sequence, (unsigned long long)newest.boot,
+                (long long)newest.stamp, taken);
+    put(newest.time), put(newest.age());
     for (const ohmskin::Patch& patch : *client.patches()) {
         std::printf("\npatch"), put(patch.name), put(patch.frame), put(double(patch.newtons)), put(patch.position);
         for (const ohmskin::Vector& axis : patch.axes) put(axis);
     }
-    for (const ohmskin::Sighting& seen : felt.patches) {
+    for (const ohmskin::PatchState& seen : newest.patches) {
         std::printf("\nseen"), put(seen.patch), put(seen.frame), put(seen.mode.data()), put(seen.time);
         std::printf("\t%llu\t%lld", (unsigned long long)seen.sequence, (long long)seen.stamp);
     }
-    for (const ohmskin::Contact& c : felt.contacts) {
+    for (const ohmskin::Contact& c : newest.contacts) {
         std::printf("\ncontact"), put(c.patch), put(c.frame), put(c.id), put(c.position), put(c.normal);
         put(c.extent), put(c.strength), put(c.confidence), put(c.peak), put(c.radius);
         put(c.velocity.value_or(ohmskin::Vector{NAN, NAN, NAN}));
@@ -69,9 +69,9 @@ int main(int, char** arguments) try {
         double seconds = 0;
         if (command == "wait") std::cin >> seconds;
         const long before = allocations;
-        const ohmskin::Felt* felt = seconds > 0 ? client.wait(seconds) : client.newest();
+        const ohmskin::Contacts* newest = seconds > 0 ? client.wait(seconds) : client.newest();
         const long taken = allocations - before;
-        if (felt) tell(client, *felt, taken);
+        if (newest) print(client, *newest, taken);
     } catch (const ohmskin::Error& error) {
         std::printf("error\t%s", error.what());
     }

@@ -21,8 +21,8 @@ from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
 from ohmskin.body.patches import Merger
 from ohmskin.body.robot import Robot
-from ohmskin.client import Board, Client, Contact, Sighting
-from ohmskin.client.felt import LARGEST, felt, pack
+from ohmskin.client import Board, Client, Contact, PatchState
+from ohmskin.client.contacts import LARGEST, felt, pack
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import twin_capabilities
 from ohmskin.geometry import Raster
@@ -42,7 +42,7 @@ def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # --- what the page is told --------------------------------------------------------------------------------------------
 
 
-class Felt:
+class Contacts:
     """One patch that is not really there: its boards, which a test writes, and a virtual skin that notes presses."""
 
     def __init__(self, placed: PlacedSkin, board: str, stack: ExitStack) -> None:
@@ -74,7 +74,7 @@ class Felt:
     def speak(self, *places: tuple[float, float], ago: float = 0.0, confidence: float = 0.9, **known: Any) -> None:
         """Tell of contacts at places of the map, of which this is known, with an image that has a bump at each."""
         self._sequence += 1
-        seen = Sighting(
+        seen = PatchState(
             self.patch.name, self.patch.frame, self._sequence, time.monotonic() - ago, time.time_ns(), "16P"
         )
         contacts = [
@@ -94,13 +94,13 @@ class Felt:
 
 
 @pytest.fixture
-def half() -> Iterator[tuple[Body, dict[str, Felt], Merger]]:
+def half() -> Iterator[tuple[Body, dict[str, Contacts], Merger]]:
     """The example: two sleeves and a dome, of which tests say what they feel."""
     body = Body.load(EXAMPLE)
     with ExitStack() as stack:
         names = [f"half.{placed.patch.name}" for placed in body.patches]
         patches = {
-            placed.patch.name: Felt(placed, name, stack) for placed, name in zip(body.patches, names, strict=True)
+            placed.patch.name: Contacts(placed, name, stack) for placed, name in zip(body.patches, names, strict=True)
         }
         merger = stack.enter_context(Merger("half", [placed.patch for placed in body.patches], names))
         yield body, patches, merger
@@ -108,7 +108,7 @@ def half() -> Iterator[tuple[Body, dict[str, Felt], Merger]]:
 
 def page_of(body: Body) -> BoardsPage:
     assert body.robot is not None
-    return BoardsPage(body.name, [f"half.{placed.patch.name}" for placed in body.patches], body.robot.told())
+    return BoardsPage(body.name, [f"half.{placed.patch.name}" for placed in body.patches], body.robot.as_json())
 
 
 def header(frame: bytes) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def test_a_browser_that_talks_nonsense_is_refused(half: Any, answer: str) -> Non
 # --- in a browser -----------------------------------------------------------------------------------------------------
 
 
-def pixel(page: Any, robot: Robot, felt: Felt, inner: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def pixel(page: Any, robot: Robot, felt: Contacts, inner: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """The place on a patch's map that faces the camera most, and where that is on the page (px)."""
     camera = np.array(page.evaluate("ohmskin.body.camera.position.toArray()"))
     x0, y0, x1, y1 = felt.chart.domain.bounds
@@ -183,7 +183,7 @@ def pixel(page: Any, robot: Robot, felt: Felt, inner: float) -> tuple[tuple[floa
 def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(half: Any, chromium: Any) -> None:
     body, patches, merger = half
     forearm, head, boards = patches["forearm"], patches["head"], [f"half.{p.patch.name}" for p in body.patches]
-    with Overview("half", boards, port=0, robot=body.robot.told()) as overview:
+    with Overview("half", boards, port=0, robot=body.robot.as_json()) as overview:
         page = chromium.new_page(viewport={"width": 900, "height": 600})
         page.goto(overview.url)
         felt: dict[str, Any] = {}
@@ -297,7 +297,7 @@ def test_everyone_can_use_the_page_of_a_body(half: Any, chromium: Any, theme: st
     """axe-core finds no violation: before anything is heard, with contacts of all kinds, of one patch alone."""
     body, patches, merger = half
     boards = [f"half.{placed.patch.name}" for placed in body.patches]
-    with Overview("half", boards, port=0, robot=body.robot.told()) as overview:
+    with Overview("half", boards, port=0, robot=body.robot.as_json()) as overview:
         context = chromium.new_context(color_scheme=theme, **SCREENS[screen])
         page, said = context.new_page(), list[str]()
         page.on("pageerror", lambda error: said.append(str(error)))
@@ -345,7 +345,7 @@ def test_clicking_the_skin_of_a_robot_is_felt_there(tmp_path: Path, chromium: An
         page.goto(url)
         with Client("shm:half") as robot, ExitStack() as stack:
             until(lambda: page.evaluate("ohmskin.frame?.patches.every((p) => p.virtual && p.age < 0.5)"), 300)
-            told = Felt(PlacedSkin(sleeve.patch, sleeve.skin, "", ""), "beside", stack)  # where its places are
+            told = Contacts(PlacedSkin(sleeve.patch, sleeve.skin, "", ""), "beside", stack)  # where its places are
             place, at = pixel(page, body.robot, told, 0.5)
             page.mouse.move(*at)
             page.mouse.down()

@@ -18,7 +18,7 @@ from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
 from ohmskin.body.patches import Merger, Patches
 from ohmskin.body.posture import Posture
-from ohmskin.client import Client, Contact, Sighting
+from ohmskin.client import Client, Contact, PatchState
 from ohmskin.client.board import BoardReader
 from ohmskin.client.joints import JointStates, LinkPoses
 from ohmskin.errors import DataError, PublishError
@@ -87,7 +87,7 @@ def recorded(body: Body, file: Path, cycles: int = 12) -> None:
         for k in range(1, cycles + 1):
             joints.push({"elbow": 0.1 * k})
             for publisher, placed in zip(publishers, body.patches, strict=True):
-                now = Sighting(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
+                now = PatchState(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
                 touched = [contact(placed, 1, 0.01 * k)] if placed.patch.name == "arm" else []
                 shape = publisher.raster.inside.shape
                 publisher.show(np.full(shape, float(k)), k, time.time_ns())
@@ -150,7 +150,7 @@ def test_points_markers_and_wrenches_of_a_curved_skin_are_on_its_surface_in_the_
         for k in range(1, 13):
             joints.push({"elbow": 0.1})
             for publisher, placed in zip(publishers, curved.patches, strict=True):
-                now = Sighting(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
+                now = PatchState(placed.patch.name, placed.patch.frame, k, time.monotonic(), time.time_ns(), "16P")
                 publisher.show(np.where(publisher.raster.inside, 0.25, np.nan), k, time.time_ns())
                 publisher.repeat(now, [touched] if placed is arm else [])
             assert merger.step() is not None

@@ -141,15 +141,15 @@ def test_a_plan_stays_on_the_sheet_and_loads_and_unloads() -> None:
 def test_the_guide_waits_for_nobody_and_takes_the_median_near_the_place() -> None:
     plan = press_plan(PAPER, [1.0, 2.0], places=1)
     guide = PressGuide(plan, settle=2, cycles=3)
-    assert not any(guide.see([contact((0.1, 0.1), 9.0)]) for _ in range(20))  # nobody has begun
+    assert not any(guide.add([contact((0.1, 0.1), 9.0)]) for _ in range(20))  # nobody has begun
     guide.begin()
     seen = [(0.1, 9.0), (0.1, 9.0), (0.1, 1.0), (0.18, 7.0), (0.105, 3.0)]  # two to settle; one far away
-    done = [guide.see([contact((x, 0.1), strength)]) for x, strength in seen]
+    done = [guide.add([contact((x, 0.1), strength)]) for x, strength in seen]
     assert done == [False] * 4 + [True]
     assert guide.samples[0].strength == 1.0
     for _ in plan[1:]:
         guide.begin()
-        while not guide.see([]):
+        while not guide.add([]):
             pass
     assert guide.step is None
     assert [sample.strength for sample in guide.samples[1:]] == [0.0, 0.0]

@@ -19,7 +19,7 @@ from live_process import all_gone, children, live, serving
 from waiting import until
 
 from ohmskin.cli import app, main
-from ohmskin.cli.life import LIFE
+from ohmskin.cli.heartbeat import HEARTBEAT
 
 
 def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "subprocess.CompletedProcess[str]":
@@ -120,7 +120,7 @@ def test_a_mistyped_command_imports_none() -> None:
     script = "from command_line import ohmskin, sys; ohmskin('lve'); print(*(m for m in sys.modules if 'cli.' in m))"
     folder = str(Path(__file__).parent)
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, timeout=300)
-    assert (result.stdout.strip(), result.stderr) == ("ohmskin.cli.life", "")
+    assert (result.stdout.strip(), result.stderr) == ("ohmskin.cli.heartbeat", "")
 
 
 @pytest.mark.parametrize("command", [name for name in app if not name.startswith("-")])
@@ -197,14 +197,14 @@ def test_a_command_that_takes_long_to_import_shows_signs_of_life_in_a_pipe_too()
 def test_signs_of_life_come_in_silence_alone_and_on_a_line_of_their_own(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("ohmskin.cli.life._EVERY", 0.2)
+    monkeypatch.setattr("ohmskin.cli.heartbeat._EVERY", 0.2)
     said: list[str] = []
 
     def silence(seconds: float) -> None:
         time.sleep(seconds)
         said.append(capsys.readouterr().err)
 
-    with LIFE:
+    with HEARTBEAT:
         times = [time.monotonic()]
         while times[-1] < times[0] + 1.0:
             print("busy", file=sys.stderr)
@@ -214,7 +214,7 @@ def test_signs_of_life_come_in_silence_alone_and_on_a_line_of_their_own(
         silence(1.0)
         print("phase")
         silence(0.0)
-        LIFE.end()
+        HEARTBEAT.end()
         silence(0.6)
     busy, silent, between, after = said
     assert "." not in busy or max(np.diff(times)) > 0.15  # on a machine that is busier still

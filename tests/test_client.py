@@ -21,9 +21,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from waiting import until
 
-from ohmskin.client import Board, BoardReader, Client, Contact, Felt, Patch, Sighting
+from ohmskin.client import Board, BoardReader, Client, Contact, Contacts, Patch, PatchState
 from ohmskin.client.board import board_path
-from ohmskin.client.felt import LARGEST, MOST_CONTACTS, felt, pack, patches_from, unpack
+from ohmskin.client.contacts import LARGEST, MOST_CONTACTS, felt, pack, patches_from, unpack
 from ohmskin.errors import PublishError
 from ohmskin.outlets.messages import encode_contacts
 from ohmskin.outlets.topics import contacts_topic
@@ -42,9 +42,9 @@ def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def touched(sequence: int = 1, count: int = 1, ago: float = 0.0) -> Felt:
+def touched(sequence: int = 1, count: int = 1, ago: float = 0.0) -> Contacts:
     at = time.monotonic() - ago
-    seen = Sighting("arm", "forearm_link", sequence, at, time.time_ns() - round(ago * 1e9), "16O")
+    seen = PatchState("arm", "forearm_link", sequence, at, time.time_ns() - round(ago * 1e9), "16O")
     contacts = [
         Contact(
             k + 1, "arm", "forearm_link", (0.1, 0.2, 0.05), (0.0, 0.0, 1.0), 1e-4, 2e-4, 0.9, 0.3, 8e-3, (0.0, 0.1, 0.0)
@@ -72,7 +72,7 @@ def board(name: str = "skin") -> Board:
     )
 
 
-def show(writer: Board, what: Felt) -> None:
+def show(writer: Board, what: Contacts) -> None:
     writer.write(pack(what, PATCHES[:1]))
 
 
@@ -253,7 +253,7 @@ CONTACT = st.builds(
 SIGHTINGS = st.tuples(
     *(
         st.builds(
-            Sighting,
+            PatchState,
             st.just(p.name),
             st.just(p.frame),
             st.integers(0, 2**64 - 1),
@@ -268,7 +268,7 @@ SIGHTINGS = st.tuples(
 
 @given(
     st.builds(
-        Felt,
+        Contacts,
         st.integers(0, 2**64 - 1),
         FLOATS,
         st.integers(0, 2**62),
@@ -276,7 +276,7 @@ SIGHTINGS = st.tuples(
         st.lists(CONTACT, max_size=5).map(tuple),
     )
 )
-def test_a_record_says_what_was_felt(what: Felt) -> None:
+def test_a_record_says_what_was_felt(what: Contacts) -> None:
     assert unpack(pack(what, PATCHES), PATCHES) == what
 
 
@@ -290,7 +290,7 @@ def test_the_strongest_contacts_are_kept_when_there_are_too_many() -> None:
     contacts = tuple(
         Contact(k, "arm", "x", (0, 0, 0), (0, 0, 1), 1, 1, 1, peak=-float(k)) for k in range(MOST_CONTACTS + 10)
     )
-    what = Felt(1, 0.0, 0, (Sighting("arm", "x"), Sighting("hand", "y")), contacts)
+    what = Contacts(1, 0.0, 0, (PatchState("arm", "x"), PatchState("hand", "y")), contacts)
     kept = unpack(pack(what, PATCHES), PATCHES).contacts
     assert {c.id for c in kept} == set(range(10, MOST_CONTACTS + 10))
     assert len(pack(what, PATCHES)) <= LARGEST
@@ -307,7 +307,7 @@ def test_a_place_on_a_patch_is_as_far_from_its_origin_as_on_the_sheet(x: float, 
 
 def test_what_was_felt_is_as_old_as_its_oldest_patch() -> None:
     now = time.monotonic()
-    fresh, old, never = Sighting("a", "x", 5, now, 9), Sighting("b", "x", 5, now - 2.0, 7), Sighting("c", "x")
+    fresh, old, never = PatchState("a", "x", 5, now, 9), PatchState("b", "x", 5, now - 2.0, 7), PatchState("c", "x")
     assert felt(1, [fresh, old], []).stamp == 7
     assert 2.0 <= felt(1, [fresh, old], []).age < 3.0
     assert felt(1, [fresh, old, never], []).age == math.inf
@@ -393,10 +393,10 @@ def place() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
-def hear(outlet: Any, client: Client, sequence: int) -> Felt:
+def subscribe(outlet: Any, client: Client, sequence: int) -> Contacts:
     """What a client hears of an outlet that keeps saying the same."""
 
-    def say() -> Felt | None:
+    def say() -> Contacts | None:
         what = touched(sequence)
         outlet.send(contacts_topic("skin"), what.stamp, encode_contacts(what))
         heard = client.wait(0.02)  # on a busy machine perhaps still what was sent before
@@ -412,7 +412,7 @@ def test_a_client_far_away_hears_the_same_and_again_after_a_restart(place: str) 
         assert client.newest() is None
         for sequence in (5, 6):
             with closing(ZenohOutlet(f"listen/{place}", [contacts_topic("skin")], "test", None)) as outlet:
-                heard = hear(outlet, client, sequence)
+                heard = subscribe(outlet, client, sequence)
                 assert heard.sequence == sequence
                 assert heard.contacts == touched().contacts
                 assert heard.patches[0].mode == "16O"
@@ -429,8 +429,8 @@ def test_only_who_has_the_token_hears(place: str) -> None:
         Client(f"zenoh:skin@{place}", "open-sesamE") as stranger,
         Client(f"zenoh:skin@{place}") as nobody,
     ):
-        assert hear(outlet, friend, 1).sequence == 1
-        assert hear(outlet, friend, 2).sequence == 2
+        assert subscribe(outlet, friend, 1).sequence == 1
+        assert subscribe(outlet, friend, 2).sequence == 2
         assert stranger.wait(0.3) is None
         assert nobody.wait(0.3) is None
 

@@ -27,7 +27,7 @@ def looking(server: CommandServer) -> Iterator[None]:
 
     def look() -> None:
         while not over.wait(0.001):
-            server.look()
+            server.poll()
 
     thread = threading.Thread(target=look)
     thread.start()
@@ -64,7 +64,7 @@ def test_a_skin_that_is_not_there_is_told_and_obeys_nothing_later() -> None:
         commands.set_mode("16T")
     with CommandServer("arm", {"set_mode": done.append}) as server, Board("arm.asked", {}, 512) as board:
         board.write(b'{"until": %r, "command": ["set_mode", "16T"]}' % (time.monotonic() - 1))
-        server.look()
+        server.poll()
     assert not done
 
 
@@ -72,7 +72,7 @@ def test_a_skin_that_is_not_there_is_told_and_obeys_nothing_later() -> None:
 def test_what_is_no_command_does_not_end_the_loop(record: bytes) -> None:
     with CommandServer("arm", {"tare": refuse}) as server, Board("arm.asked", {}, 512) as board:
         board.write(record)
-        server.look()
+        server.poll()
 
 
 def test_a_press_that_stays_counts_for_nothing_after_a_tare() -> None:
@@ -86,5 +86,5 @@ def test_a_press_that_stays_counts_for_nothing_after_a_tare() -> None:
             asker = threading.Thread(target=Commands("skin").tare)
             asker.start()
             while asker.is_alive():
-                server.look()
+                server.poll()
         assert not any(next(touches).contacts for _ in range(10))

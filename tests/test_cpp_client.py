@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from test_client import FLOOD, PATCHES, half_written, until
 
-from ohmskin.client import Board, Contact, Felt, Patch, Sighting
+from ohmskin.client import Board, Contact, Contacts, Patch, PatchState
 from ohmskin.client.board import board_path
-from ohmskin.client.felt import LARGEST, felt, pack
+from ohmskin.client.contacts import LARGEST, felt, pack
 from ohmskin.client.fields import numbers
 
 ROOT = Path(__file__).parents[1]
@@ -89,10 +89,10 @@ def board(patches: tuple[Patch, ...] = SKIN) -> Board:
     )
 
 
-def touch(sequence: int, *contacts: Contact, ago: float = 0.0) -> Felt:
+def touch(sequence: int, *contacts: Contact, ago: float = 0.0) -> Contacts:
     now, stamp = time.monotonic() - ago, time.time_ns()
     seen = [
-        Sighting(p.name, p.frame, sequence, now, stamp, mode) for p, mode in zip(SKIN, ("16O", "a" * 16), strict=True)
+        PatchState(p.name, p.frame, sequence, now, stamp, mode) for p, mode in zip(SKIN, ("16O", "a" * 16), strict=True)
     ]
     return felt(sequence, seen, contacts)
 

@@ -10,7 +10,7 @@ from direct import DirectDevice
 import ohmskin as ohm
 from ohmskin.arrays import Floats
 from ohmskin.calibrate import fit_sheet
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts import Contact, in_frame
 from ohmskin.drive import complete_pattern, pair_weights
 from ohmskin.engine import Engine

@@ -11,7 +11,7 @@ from waiting import until
 from ohmskin.skin import Skin
 from ohmskin.skin.layout import ElectrodeLayout
 from ohmskin.skin.sheet import Sheet
-from ohmskin.view.placing import Placing, PlacingPage
+from ohmskin.view.placing import ElectrodePlacement, PlacementPage
 
 HOLED = Skin(
     "holed",
@@ -20,14 +20,14 @@ HOLED = Skin(
 )
 
 
-def placed(page: Placing, *words: str) -> dict[str, Any]:
+def placed(page: ElectrodePlacement, *words: str) -> dict[str, Any]:
     for one in words:
-        page.hear(one)
+        page.command(one)
     return page.state()
 
 
 def test_places_near_a_rim_go_onto_it_and_the_skin_file_is_written(tmp_path: Path) -> None:
-    page = Placing(HOLED, tmp_path / "skin.toml")
+    page = ElectrodePlacement(HOLED, tmp_path / "skin.toml")
     assert len(page.state()["electrodes"]) == 8
     told = placed(page, "clear")
     assert told["electrodes"] == []
@@ -52,23 +52,23 @@ def test_places_near_a_rim_go_onto_it_and_the_skin_file_is_written(tmp_path: Pat
 
 
 def test_a_place_that_cannot_be_is_refused_in_words(tmp_path: Path) -> None:
-    page = Placing(HOLED, tmp_path / "skin.toml")
+    page = ElectrodePlacement(HOLED, tmp_path / "skin.toml")
     assert "off the sheet or in a hole" in placed(page, "place 0.08 0.075")["note"]
     assert "off the sheet" in placed(page, "place 0.5 0.07")["note"]
     x, y = HOLED.electrodes.positions[0] + [0.0, 0.0045]
     assert "would overlap electrode 0" in placed(page, f"place {x} {y}")["note"]
     assert len(page.state()["electrodes"]) == 8
-    page = Placing(HOLED, tmp_path)
+    page = ElectrodePlacement(HOLED, tmp_path)
     assert "cannot write" in placed(page, "save")["note"]
     for words in ("", "place 1", "place a b", "click 1 2", "remove 99", "place nan 0", "place 1e9 0", "bite"):
         with pytest.raises((ValueError, IndexError)):
-            page.hear(words)
+            page.command(words)
 
 
 def test_clicks_on_the_page_place_electrodes_by_surface_coordinates(tmp_path: Path, chromium: Any) -> None:
     """The camera looks at the middle of the skin; on its rims and beside the hole it is clicked, and once dragged."""
     target = tmp_path / "clicked.toml"
-    with PlacingPage(HOLED, target, port=0) as placing:
+    with PlacementPage(HOLED, target, port=0) as placing:
         page = chromium.new_page(viewport={"width": 1000, "height": 700})
         page.goto(placing.url)
         until(lambda: page.evaluate("ohmskin.state?.electrodes.length === 8 && ohmskin.body?._fitted > 0"))
@@ -112,7 +112,7 @@ def test_clicks_on_the_page_place_electrodes_by_surface_coordinates(tmp_path: Pa
 @pytest.mark.parametrize("screen", SCREENS)
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_everyone_can_place_electrodes(chromium: Any, theme: str, screen: str, tmp_path: Path) -> None:
-    with PlacingPage(HOLED, tmp_path / "skin.toml", port=0) as placing:
+    with PlacementPage(HOLED, tmp_path / "skin.toml", port=0) as placing:
         context = chromium.new_context(color_scheme=theme, **SCREENS[screen])
         page, said = context.new_page(), list[str]()
         page.on("pageerror", lambda error: said.append(str(error)))

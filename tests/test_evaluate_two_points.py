@@ -14,7 +14,7 @@ from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.resolution import limits, smallest
 from ohmskin.evaluate.setup import setup
 from ohmskin.evaluate.shapes import disc
-from ohmskin.evaluate.two_points import best_pair, best_single, one_or_two, told
+from ohmskin.evaluate.two_points import best_pair, best_single, one_or_two, resolved
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.forward.response import effective_change
 from ohmskin.geometry import mesh_domain
@@ -64,8 +64,8 @@ def test_two_discs_at_opposite_ends_are_found_too(table: ContactTable) -> None:
     gain, _, pair = one_or_two(trusting(table, 1e-7), data(table, truth, 1e-7))
     assert pair.params[np.argsort(pair.params[:, 0]), :2] == pytest.approx(np.array(truth)[:, :2], abs=1e-3)
     assert gain > chi2.isf(0.01, 3)
-    assert told(pair.params[:, :2], np.array(truth)[:, :2])
-    assert not told(pair.params[:1, :2], np.array(truth)[:, :2])
+    assert resolved(pair.params[:, :2], np.array(truth)[:, :2])
+    assert not resolved(pair.params[:1, :2], np.array(truth)[:, :2])
 
 
 def test_chi_square_of_a_fit_has_its_degrees_of_freedom(table: ContactTable) -> None:
@@ -164,9 +164,9 @@ def test_a_strong_pair_is_two_although_one_disc_that_looks_like_it_is_far_wider(
     for spot in pair_places(12, 12e-3, where.electrodes.positions):
         truth = apart(spot, 12e-3)
         pair = tuple(disc(x, y, RADIUS_OF_PAIRS, 1.4) for x, y in truth)
-        seen = where.see(scheme("16P", "fit, driven"), pair, 1).contacts
+        seen = where.simulate(scheme("16P", "fit, driven"), pair, 1).contacts
         assert len(seen) == 2
-        assert told([one.position for one in seen], truth)
+        assert resolved([one.position for one in seen], truth)
 
 
 def across(resistance: np.ndarray) -> np.ndarray:
@@ -180,7 +180,7 @@ def test_a_large_contact_is_one_and_as_large_as_it_is(radius: float) -> None:
     where, random = setup("discs", 50), np.random.default_rng(4)
     counts, sizes, misses = [], [], []
     for seed, at in enumerate(random.uniform(0.03, 0.17, (20, 2))):
-        contacts = where.see(scheme("16P", "fit, driven"), (disc(*at, radius, 0.5),), seed).contacts
+        contacts = where.simulate(scheme("16P", "fit, driven"), (disc(*at, radius, 0.5),), seed).contacts
         counts.append(len(contacts))
         sizes.append(contacts[0].radius / radius)
         misses.append(np.hypot(*np.subtract(contacts[0].position, at)))

@@ -94,7 +94,7 @@ def test_noise_is_one_absolute_level_for_all_methods() -> None:
     assert noise == pytest.approx(0.01 * largest, rel=1e-12)
     contacts = (worlds.contact("discs", 0.05, 0.15),)
     for key in METHODS:
-        differences = table.see(key, contacts, 3).differences
+        differences = table.simulate(key, contacts, 3).differences
         exact = [_exact(key, contacts, d.pattern) for d in differences]
         left = np.concatenate([d.volts - e for d, e in zip(differences, exact, strict=True)])
         assert np.std(left) == pytest.approx(noise, rel=4 / np.sqrt(2 * len(left)))
@@ -108,15 +108,15 @@ def _exact(key, contacts, pattern):
 
 def test_seeds_repeat_and_methods_share_the_noise_of_a_shared_scan() -> None:
     table, contacts = bench("discs", 40, 0.1), (worlds.contact("discs", 0.05, 0.15),)
-    first = table.see("12B", contacts, 0).differences[0].volts
-    assert np.array_equal(table.see("12B", contacts, 0).differences[0].volts, first)
-    assert np.array_equal(table.see("16O fused", contacts, 0).differences[0].volts, first)
-    assert not np.array_equal(table.see("12B", contacts, 1).differences[0].volts, first)
+    first = table.simulate("12B", contacts, 0).differences[0].volts
+    assert np.array_equal(table.simulate("12B", contacts, 0).differences[0].volts, first)
+    assert np.array_equal(table.simulate("16O fused", contacts, 0).differences[0].volts, first)
+    assert not np.array_equal(table.simulate("12B", contacts, 1).differences[0].volts, first)
 
 
 def test_literal_and_fused_adaptive_images_use_one_and_two_scans() -> None:
     table, contacts = bench("discs", 50, 0.1), (worlds.contact("discs", 0.05, 0.15),)
-    literal, fused = (table.see(key, contacts, 0).differences for key in ("16O", "16O fused"))
+    literal, fused = (table.simulate(key, contacts, 0).differences for key in ("16O", "16O fused"))
     assert (len(literal), len(fused)) == (1, 2)
     assert literal[0].pattern == fused[1].pattern
     assert [all_methods()[key].injections for key in METHODS] == [12, 16, 16, 28, 28, 28]
@@ -137,7 +137,7 @@ def test_local_drive_takes_short_pairs_near_the_contact() -> None:
 
 def test_a_quiet_touch_is_seen_where_it_is() -> None:
     for world in worlds.WORLDS:
-        view = bench(world, 70, 0.1).see("16O fused", (worlds.contact(world, 0.07, 0.12),), 0)
+        view = bench(world, 70, 0.1).simulate("16O fused", (worlds.contact(world, 0.07, 0.12),), 0)
         assert np.linalg.norm(view.place - [0.07, 0.12]) < 3e-3
         assert len(view.contacts) == 1
 
@@ -192,7 +192,7 @@ def test_contacts_and_modes_are_as_an_assumption_says() -> None:
 
 def test_driven_electrodes_add_what_they_measured_to_the_image() -> None:
     found = {
-        name: bench("pressed", 45.0, 0.1, assumption=name).see("16I", TOUCH, 0).differences[0].pattern.n_meas
+        name: bench("pressed", 45.0, 0.1, assumption=name).simulate("16I", TOUCH, 0).differences[0].pattern.n_meas
         for name in ("stated", "driven")
     }
     assert found["driven"] > found["stated"]

@@ -20,7 +20,7 @@ from ohmskin.client.remote import decode_contacts
 from ohmskin.contacts import Contact
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
-from ohmskin.mcap import Tape
+from ohmskin.mcap import RecordingReader
 from ohmskin.outlets.messages import encode_contacts, encode_wrench
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.recording import Recorder
@@ -292,8 +292,8 @@ def test_the_same_force_is_told_everywhere(
         recorder.tee(engine.device)
         recorder.frame(touch.percept.frames[0])
         recorder.publish(touch)
-    with Tape(tmp_path / "a.mcap") as tape:
-        heard["recording"] = tape.touches[-1].contacts[0]
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        heard["recording"] = reader.touches[-1].contacts[0]
     for name, found in heard.items():
         assert (found.force, found.force_std, found.pressure, found.area) == told, name
     wrench = Decoder(encode_wrench(felt.contacts, "skin", felt.stamp))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from direct import DirectDevice
 
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts import in_frame
 from ohmskin.contacts.kernels import all_onto
 from ohmskin.device.demo import demo_finger

@@ -15,7 +15,7 @@ from command_line import ohmskin
 
 from ohmskin.device import connect
 from ohmskin.device.conformance import Check
-from ohmskin.device.hostile import TRICKS, HostileDevice, Trick
+from ohmskin.device.hostile import PROTOCOL_FAULTS, HostileDevice, ProtocolFault
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.engine import Engine, State
 from ohmskin.errors import OhmskinError
@@ -43,12 +43,12 @@ MOST = 2**20  # KiB that a host may take
 
 @contextmanager
 def hostile(
-    tricks: Mapping[str, Trick], calm: int = 200, times: int = 3, patience: float = 60.0
+    faults: Mapping[str, ProtocolFault], calm: int = 200, times: int = 3, patience: float = 60.0
 ) -> Iterator[tuple[str, list[Check], threading.Thread]]:
     """The address of a hostile device, the checks it has made, and the thread it works in."""
     stop, checks = threading.Event(), list[Check]()
     with HostileDevice(VirtualInstrument(PAPER, 1), port=0, calm=calm, times=times) as device:
-        work = threading.Thread(target=device.check_host, args=(tricks, patience, checks.append, stop.is_set))
+        work = threading.Thread(target=device.check_host, args=(faults, patience, checks.append, stop.is_set))
         work.start()
         try:
             yield device.url, checks, work
@@ -57,8 +57,8 @@ def hostile(
             work.join(60)
 
 
-def chosen(names: tuple[str, ...]) -> dict[str, Trick]:
-    return {name: TRICKS[name] for name in names}
+def chosen(names: tuple[str, ...]) -> dict[str, ProtocolFault]:
+    return {name: PROTOCOL_FAULTS[name] for name in names}
 
 
 def test_the_loop_stands_what_a_device_does_to_it() -> None:
@@ -81,7 +81,7 @@ def test_the_loop_stands_what_a_device_does_to_it() -> None:
     assert engine.state in (State.RUNNING, State.LOST)
 
 
-@pytest.mark.parametrize("name", TRICKS)
+@pytest.mark.parametrize("name", PROTOCOL_FAULTS)
 def test_a_device_that_misbehaves_from_the_start_is_used_or_refused_in_one_line(name: str) -> None:
     with (
         hostile(chosen((name,)), calm=0, times=10**9) as (url, *_),
@@ -96,7 +96,7 @@ def test_live_stands_everything_in_bounded_memory(tmp_path: Path) -> None:
     skin = tmp_path / "coarse.toml"
     skin.write_text(PAPER.dump())
     command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "12B", "--skin", str(skin), "--device"]
-    with hostile(TRICKS) as (url, checks, work):
+    with hostile(PROTOCOL_FAULTS) as (url, checks, work):
         host = subprocess.Popen([*command, url], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             assert host.stdout is not None
@@ -113,7 +113,7 @@ def test_live_stands_everything_in_bounded_memory(tmp_path: Path) -> None:
             host.terminate()
             complaints = host.communicate(timeout=300)[1]
         assert {check.name: check.words for check in checks if check.outcome != "passed"} == {}
-        assert len(checks) == len(TRICKS)
+        assert len(checks) == len(PROTOCOL_FAULTS)
     assert host.returncode == 0
     assert "Traceback" not in complaints
     assert {"running", "lost"} <= states

@@ -51,7 +51,7 @@ def line() -> Iterator[tuple[int, str]]:
 def test_a_line_tells_the_last_number_of_each_line_and_grows_old(line: tuple[int, str]) -> None:
     cell = LoadCell()
     assert np.isnan(cell.force)
-    end = open_load_cell(f"serial://{line[1]}?baud=9600", "", cell.tell)
+    end = open_load_cell(f"serial://{line[1]}?baud=9600", "", cell.update)
     os.write(line[0], b"rubbish\r\nST,GS, -  12.5\n+3.25 N\r\n")
     until(lambda: cell.force == 3.25)
     os.write(line[0], b"t=17 F=-4.5e0 N")  # not ended yet
@@ -70,7 +70,7 @@ def test_a_force_sensor_of_ros_is_heard(place: str, monkeypatch: pytest.MonkeyPa
         ("zenoh:listen/tcp/127.0.0.1:7459", "zenoh:tcp/127.0.0.1:7459") if place == "zenoh" else ("dds",) * 2,
     )
     sender = open_outlet(where[0], [topic], "sensor", None)
-    end = open_load_cell(where[1], "ft/wrench", cell.tell)
+    end = open_load_cell(where[1], "ft/wrench", cell.update)
     wrench = Encoder().stamp(time.time_ns()).text("tool").put("dddddd", 0.0, 3.0, -4.0, 9.0, 9.0, 9.0).done()
     try:
 
@@ -99,14 +99,14 @@ def contact(number: int, x: float, strength: float = 1e-4) -> Any:
 def test_samples_are_of_steady_presses_and_know_whether_they_rise() -> None:
     sampler = ForceSampler(3, settle=2, cycles=3)
     for force in (1.0, 2.0, 3.0, 4.0, 5.0, *[6.0] * 20):  # held longer than a sample needs
-        sampler.see([contact(1, 0.05)], [], force)
+        sampler.add([contact(1, 0.05)], [], force)
     for force in (5.0, 4.0, *[3.0] * 6):
-        sampler.see([contact(1, 0.05)], [], force)
+        sampler.add([contact(1, 0.05)], [], force)
     for _ in range(6):
-        assert not sampler.see([contact(2, 0.05), contact(3, 0.15)], [], 3.0)  # whose force is it?
-        assert not sampler.see([contact(2, 0.05)], [], float("nan"))
+        assert not sampler.add([contact(2, 0.05), contact(3, 0.15)], [], 3.0)  # whose force is it?
+        assert not sampler.add([contact(2, 0.05)], [], float("nan"))
     for _ in range(6):
-        sampler.see([contact(4, 0.15)], [], 3.0)
+        sampler.add([contact(4, 0.15)], [], 3.0)
     assert sampler.done
     assert [(one.force, one.loading, peak) for one, peak in zip(sampler.samples, sampler.peaks, strict=True)] == [
         (6.0, True, 0.0),

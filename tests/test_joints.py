@@ -18,7 +18,7 @@ from ohmskin.client.board import BoardReader
 from ohmskin.client.joints import JointStates
 from ohmskin.client.remote import data_key, domain, open_session
 from ohmskin.errors import PublishError
-from ohmskin.outlets.joints import Follower, JointsProcess
+from ohmskin.outlets.joints import JointMerger, JointsProcess
 from ohmskin.outlets.topics import dds_name
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -45,37 +45,37 @@ def message(names: list[str], positions: list[float], stamp: float | None = None
     return bytes(STORE.serialize_cdr(state, KIND))
 
 
-def told(reader: BoardReader) -> dict[str, Any] | None:
+def received(reader: BoardReader) -> dict[str, Any] | None:
     record = reader.newest()
     return None if record is None else json.loads(record)
 
 
 @pytest.fixture
-def follower() -> Iterator[Follower]:
+def merger() -> Iterator[JointMerger]:
     with JointStates("torso") as states:
-        yield Follower(states, JOINTS)
+        yield JointMerger(states, JOINTS)
 
 
 def test_positions_of_the_bodys_joints_are_passed_on_whoever_tells_them(
-    follower: Follower, boards: BoardReader
+    merger: JointMerger, boards: BoardReader
 ) -> None:
-    follower.take(message(["wheel", "elbow"], [7.0, -1.25], time.time() - 0.05))
-    first = told(boards)
+    merger.take(message(["wheel", "elbow"], [7.0, -1.25], time.time() - 0.05))
+    first = received(boards)
     assert first is not None
     assert first["positions"] == {"elbow": -1.25}
     assert 0.05 <= time.monotonic() - first["time"] < 5.0
-    follower.take(message(["wrist"], [0.5]))  # another publisher's
-    second = told(boards)
+    merger.take(message(["wrist"], [0.5]))  # another publisher's
+    second = received(boards)
     assert second is not None
     assert second["positions"] == {"elbow": -1.25, "wrist": 0.5}
     assert second["time"] == pytest.approx(first["time"], abs=1e-3)  # all are as old as the oldest
 
 
 @pytest.mark.parametrize("ahead", [-1e9, -1e3, 1.0, 1e5])
-def test_a_stamp_of_another_clock_is_not_believed(follower: Follower, boards: BoardReader, ahead: float) -> None:
+def test_a_stamp_of_another_clock_is_not_believed(merger: JointMerger, boards: BoardReader, ahead: float) -> None:
     """Such as the time of a simulation: what has just come is new."""
-    follower.take(message(["elbow"], [0.1], max(time.time() + ahead, 0.0)))
-    found = told(boards)
+    merger.take(message(["elbow"], [0.1], max(time.time() + ahead, 0.0)))
+    found = received(boards)
     assert found is not None
     assert time.monotonic() - found["time"] < 5.0
 
@@ -92,16 +92,16 @@ def test_a_stamp_of_another_clock_is_not_believed(follower: Follower, boards: Bo
     ids=["nothing", "cut", "lengths", "no number", "count"],
 )
 def test_what_makes_no_sense_is_told_once_and_not_used(
-    content: bytes, words: str, follower: Follower, boards: BoardReader, caplog: pytest.LogCaptureFixture
+    content: bytes, words: str, merger: JointMerger, boards: BoardReader, caplog: pytest.LogCaptureFixture
 ) -> None:
-    follower.take(content)
-    follower.take(content)
-    assert told(boards) is None
+    merger.take(content)
+    merger.take(content)
+    assert received(boards) is None
     assert caplog.text.count(words) == 1
-    follower.take(message(["elbow"], []))  # velocities alone, say
-    assert told(boards) is None
-    follower.take(message(["elbow"], [0.5]))
-    assert told(boards) is not None
+    merger.take(message(["elbow"], []))  # velocities alone, say
+    assert received(boards) is None
+    merger.take(message(["elbow"], [0.5]))
+    assert received(boards) is not None
 
 
 def test_nodes_are_heard_over_zenoh(boards: BoardReader) -> None:
@@ -117,7 +117,7 @@ def test_nodes_are_heard_over_zenoh(boards: BoardReader) -> None:
 
             def heard() -> dict[str, Any] | None:
                 put.put(message(["elbow", "wrist"], [-1.5, 0.25]))
-                return told(boards)
+                return received(boards)
 
             assert until(heard)["positions"] == {"elbow": -1.5, "wrist": 0.25}
         finally:
@@ -157,7 +157,7 @@ def test_nodes_are_heard_over_dds(boards: BoardReader, reliable: bool, monkeypat
             now = time.time()
             head = header(stamp=stamp(sec=int(now), nanosec=0), frame_id="")
             writer.write(state(header=head, name=["wrist"], position=[0.75], velocity=[], effort=[]))
-            return told(boards)
+            return received(boards)
 
         assert until(heard)["positions"] == {"wrist": 0.75}
 

@@ -17,7 +17,7 @@ import pytest
 from test_client import PATCHES, touched, until
 
 from ohmskin.client import Board
-from ohmskin.client.felt import LARGEST, pack
+from ohmskin.client.contacts import LARGEST, pack
 from ohmskin.client.points import point_names
 from ohmskin.geometry import Raster
 from ohmskin.outlets.picture import Picture

@@ -28,7 +28,7 @@ from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, OhmskinError
 from ohmskin.geometry import Raster
 from ohmskin.importers import read_recording
-from ohmskin.mcap import Role, Tape, is_tape, recover
+from ohmskin.mcap import RecordingReader, Role, is_recording, recover
 from ohmskin.mcap.container import LARGEST_RECORD, Container
 from ohmskin.mcap.messages import (
     decode_frame,
@@ -235,15 +235,15 @@ def test_a_sequence_that_cannot_fit_is_refused_before_it_is_read() -> None:
 def test_a_recording_reads_as_any_other(recorded: tuple[Path, list[ohm.Touch]]) -> None:
     path, touches = recorded
     recording = read_recording(path)
-    assert is_tape(path)
+    assert is_recording(path)
     assert recording.notes == ()
     flown = [frame for touch in touches for frame in touch.percept.frames]
     assert len(recording.frames) == len(flown)
     assert all(same(a, b) for a, b in zip(recording.frames, flown, strict=True))
     assert len(recording.quiet) == 120  # 40 of each of three patterns that the others are a part of
-    assert recording.tape is not None
-    assert recording.tape.times[0] < 0 == recording.tape.times[len(recording.quiet)]
-    recording.tape.close()
+    assert recording.reader is not None
+    assert recording.reader.times[0] < 0 == recording.reader.times[len(recording.quiet)]
+    recording.reader.close()
     with pytest.raises(DataError, match="holds its own patterns"):
         read_recording(path, reference=path)
 
@@ -260,8 +260,8 @@ def test_patterns_with_the_same_digest_are_told_apart(tmp_path: Path) -> None:
         writer.add(PATTERN, 0, number, encode_pattern(frame.pattern))
         writer.add(FRAME, number, number, encode_frame(frame, 0, 0.0, Role.BASE, ""))
     writer.close()
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert [tape.pattern(k) == one for k in range(4)] == [True, False, True, False]
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert [reader.pattern(k) == one for k in range(4)] == [True, False, True, False]
 
 
 @pytest.mark.parametrize("share", [0.15, 0.4, 0.7, 0.95, 0.999])
@@ -270,10 +270,10 @@ def test_a_cut_file_is_read_as_far_as_it_goes_and_mended(tmp_path: Path, share: 
     write_frames(whole, frames)
     content = whole.read_bytes()
     cut.write_bytes(content[: int(share * len(content))])
-    with Tape(cut) as tape:
-        count = len(tape.frames)
-        assert all(same(tape.frame(k), frames[k]) for k in range(count))
-        (note,) = tape.notes
+    with RecordingReader(cut) as reader:
+        count = len(reader.frames)
+        assert all(same(reader.frame(k), frames[k]) for k in range(count))
+        (note,) = reader.notes
         assert f"ohmskin recover {cut}" in note
     with Container(cut) as container:  # all whole chunks are there: at most the frames of one are missing
         list(container.messages())
@@ -282,10 +282,10 @@ def test_a_cut_file_is_read_as_far_as_it_goes_and_mended(tmp_path: Path, share: 
     assert done.path == tmp_path / "cut.recovered.mcap"
     assert (done.frames, done.whole) == (count, False)
     assert cut.read_bytes() == content[: int(share * len(content))]
-    with Tape(done.path) as tape:
-        assert tape.notes == ()
-        assert tape.skin == SKIN.dump()
-        assert all(same(tape.frame(k), frames[k]) for k in range(count))
+    with RecordingReader(done.path) as reader:
+        assert reader.notes == ()
+        assert reader.skin == SKIN.dump()
+        assert all(same(reader.frame(k), frames[k]) for k in range(count))
     with done.path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)  # by its index
         assert len(list(reader.iter_messages(topics=["/ohmskin/frame"]))) == count
@@ -300,11 +300,11 @@ def test_a_damaged_chunk_costs_its_frames_and_no_more(tmp_path: Path) -> None:
     for at in (len(content) // 2, len(content) // 2 + 9):
         content[at] ^= 0xFF
     path.write_bytes(content)
-    with Tape(path) as tape:
-        assert 90 <= len(tape.frames) < 100
+    with RecordingReader(path) as reader:
+        assert 90 <= len(reader.frames) < 100
         known = {frame.sequence: frame for frame in frames}
-        assert all(same(frame, known[frame.sequence]) for frame in tape.select(Role.BASE))
-        assert "damaged" in tape.notes[0]
+        assert all(same(frame, known[frame.sequence]) for frame in reader.select(Role.BASE))
+        assert "damaged" in reader.notes[0]
     assert recover(path).damaged >= 1
 
 
@@ -316,7 +316,7 @@ def test_files_of_others_are_refused_kindly(tmp_path: Path) -> None:
     writer.add_message(channel, 1, b"\0\1\0\0\7", 2, 3)
     writer.finish()
     with pytest.raises(DataError, match="holds no frames of ohmskin; its topics are /camera"):
-        Tape(path)
+        RecordingReader(path)
     done = recover(path)
     assert done.messages == 1  # but mended it can be, zstd and all
     with Container(done.path) as container:
@@ -326,7 +326,7 @@ def test_files_of_others_are_refused_kindly(tmp_path: Path) -> None:
     content = (tmp_path / "new.mcap").read_bytes()
     (tmp_path / "new.mcap").write_bytes(content.replace(b"format\1\0\0\0001", b"format\1\0\0\0009"))
     with pytest.raises(DataError, match="layout '9'; this version of ohmskin reads layout '1'"):
-        Tape(tmp_path / "new.mcap")
+        RecordingReader(tmp_path / "new.mcap")
 
 
 def chunk(compression: str, packed: bytes, size: int) -> bytes:
@@ -349,7 +349,7 @@ def test_a_bomb_does_not_go_off(tmp_path: Path, compression: str, claim: int) ->
     tracemalloc.start()
     try:
         with pytest.raises(DataError, match="no frames"):
-            Tape(path)
+            RecordingReader(path)
         assert tracemalloc.get_traced_memory()[1] < 3 * LARGEST_RECORD
     finally:
         tracemalloc.stop()
@@ -370,7 +370,7 @@ def test_a_file_of_ever_the_same_frames_is_refused_before_they_are_all_read(tmp_
             pass
     assert container.end < path.stat().st_size / 5
     with pytest.raises(DataError, match="damaged, or malicious"):
-        Tape(path)
+        RecordingReader(path)
 
 
 @pytest.fixture(scope="module")
@@ -400,10 +400,10 @@ def test_a_hostile_file_gives_frames_or_one_clear_error(tmp_path: Path, small: b
     path = tmp_path / "hostile.mcap"
     path.write_bytes(content)
     try:
-        with Tape(path) as tape:
-            for frame in tape.select(*Role):
+        with RecordingReader(path) as reader:
+            for frame in reader.select(*Role):
                 assert frame.voltages.shape == (frame.pattern.n_meas,)
-            assert np.isfinite(tape.times).all()
+            assert np.isfinite(reader.times).all()
         outcome = None
     except OhmskinError as error:
         outcome = error
@@ -480,26 +480,26 @@ def test_infinite_pixels_are_exported_without_a_warning(tmp_path: Path) -> None:
     writer.add(FRAME, 0, 0, encode_frame(frame, 0, 0.0, Role.BASE, ""))
     writer.add(IMAGE, 0, 0, encode_image(np.zeros((2, 3)), 0))
     writer.close()
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert write_npz(tmp_path / "a.npz", tape)["images"] == (1, 2, 3)
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert write_npz(tmp_path / "a.npz", reader)["images"] == (1, 2, 3)
 
 
 def test_recordings_of_the_first_version_are_read() -> None:
     """Their contacts have seven numbers; the file was written by 0.1.0."""
-    with Tape(Path(__file__).with_name("data") / "contacts-of-0.1.0.mcap") as tape:
-        assert (len(tape.frames), len(tape.touches), dict(tape.recorded_modes)) == (4, 3, {})
+    with RecordingReader(Path(__file__).with_name("data") / "contacts-of-0.1.0.mcap") as reader:
+        assert (len(reader.frames), len(reader.touches), dict(reader.recorded_modes)) == (4, 3, {})
         first = Contact((0.01, 0.02), 1e-4, -2e-4, 0.5, -0.25, 3)
         second = Contact((0.1, 0.11), 3e-4, 4e-4, 0.75, 0.5, 4)
         moved = [replace(first, position=(0.01 * k, 0.02)) for k in (1, 2, 3)]
-        assert [touch.contacts for touch in tape.touches] == [(moved[0],), (moved[1], second), (moved[2], second)]
+        assert [touch.contacts for touch in reader.touches] == [(moved[0],), (moved[1], second), (moved[2], second)]
 
 
 def test_modes_are_kept(tmp_path: Path) -> None:
     mode = ohm.Mode("quick", "tracking", "fit", prior="matern", injections=6, title="Quick")
     with Recorder(tmp_path / "a.mcap", SKIN, 0, modes=[mode]) as recorder, Bench() as bench:
         recorder.tee(bench).scan(adjacent([SKIN.electrodes.rings[0]]))
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert tape.recorded_modes == {"quick": {**mode.entries, "adjustable": True}}
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert reader.recorded_modes == {"quick": {**mode.entries, "adjustable": True}}
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"16T": 1}', "[" * 100_000, '{"a": {}}' + " " * 2**20])
@@ -507,5 +507,5 @@ def test_modes_that_cannot_be_read_are_as_if_not_told(tmp_path: Path, text: str)
     with pytest.raises(DataError, match="object of objects"):
         decode_modes(text)
     write_frames(tmp_path / "a.mcap", some_frames(2), modes=text)
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert (len(tape.frames), dict(tape.recorded_modes)) == (2, {})
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert (len(reader.frames), dict(reader.recorded_modes)) == (2, {})

@@ -10,7 +10,7 @@ import pytest
 from direct import DirectDevice
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts import in_frame
 from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine

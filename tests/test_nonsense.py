@@ -31,7 +31,7 @@ from ohmskin.errors import (
 from ohmskin.forward import drive_currents, drive_voltages
 from ohmskin.importers.pattern import from_list
 from ohmskin.inverse import Pixels
-from ohmskin.mcap import Tape, recover
+from ohmskin.mcap import RecordingReader, recover
 from ohmskin.plot import save_picture
 from ohmskin.recording import Recorder
 from ohmskin.scan import measure_others
@@ -305,7 +305,7 @@ def test_names_that_no_file_has_and_pipes_are_refused(
         ohm.read_recording,
         ohm.read_mesh,
         ohm.read_model,
-        Tape,
+        RecordingReader,
         recover,
         lambda path: Recorder(path, ohm.Skin()).tee(Bench()),
     ):

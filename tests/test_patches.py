@@ -31,8 +31,8 @@ from ohmskin.body import Body
 from ohmskin.body.body import axes
 from ohmskin.body.patches import Merger
 from ohmskin.body.robot import Robot
-from ohmskin.client import Board, Client, Contact, Patch, Sighting
-from ohmskin.client.felt import LARGEST, felt, pack
+from ohmskin.client import Board, Client, Contact, Patch, PatchState
+from ohmskin.client.contacts import LARGEST, felt, pack
 from ohmskin.device import connect as connect_device
 from ohmskin.errors import SkinError, ViewError
 from ohmskin.view.overview import BoardsPage, Overview
@@ -176,7 +176,9 @@ LEFT, RIGHT = Patch("left", "l_link", (0.0, 1.0, 0.0)), Patch("right", "r_link",
 
 
 def speak(board: Board, patch: Patch, sequence: int, count: int, ago: float = 0.0) -> None:
-    seen = Sighting(patch.name, patch.frame, sequence, time.monotonic() - ago, time.time_ns() - round(1e9 * ago), "16O")
+    seen = PatchState(
+        patch.name, patch.frame, sequence, time.monotonic() - ago, time.time_ns() - round(1e9 * ago), "16O"
+    )
     contacts = [
         Contact(k + 1, patch.name, patch.frame, patch.place(0.05, 0.1), patch.normal, 1e-4, 2e-4, 0.9, 0.3)
         for k in range(count)

@@ -38,7 +38,7 @@ from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.setup import Setup, View, repeated, setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.evaluate.statistics import Estimate, mean, share
-from ohmskin.evaluate.two_points import best_single, one_or_two, told
+from ohmskin.evaluate.two_points import best_single, one_or_two, resolved
 from ohmskin.evaluate.verdict import MET, MISSED, OPEN, Goal
 from ohmskin.evaluate.worlds import CONTACT_ERROR, CONTACT_RADIUS, CURRENT, contact
 from ohmskin.forward.response import effective_change
@@ -167,7 +167,7 @@ def test_flaws_of_the_plan_cost_accuracy_but_not_the_contact() -> None:
         where = setup("pressed", 60, flaw=FLAWS[name])
         found = []
         for k, place in enumerate(places):
-            seen = where.see(scheme("16I"), (contact("pressed", *place),), k)
+            seen = where.simulate(scheme("16I"), (contact("pressed", *place),), k)
             found.append(np.linalg.norm(one_disc(where, seen) - place))
         away[name] = np.mean(found)
     assert away["none"] < away["all three, x 3 throughout"] < 8e-3
@@ -194,7 +194,7 @@ def test_fixed_patterns_are_driven_over_and_over() -> None:
 def test_schemes_drive_as_many_injections_as_they_say(key: str, count: int) -> None:
     where = setup("discs", 60)
     each = scheme(key)
-    seen = where.see(each, (contact("discs", 0.06, 0.13),), 0)
+    seen = where.simulate(each, (contact("discs", 0.06, 0.13),), 0)
     assert sum(d.pattern.n_inj for d in seen.differences) == each.injections == count
 
 
@@ -209,7 +209,7 @@ def test_in_equal_time_no_scheme_takes_longer_than_the_papers_nor_could_take_one
     assert one == pytest.approx(converter.settle + (1 if instrument == "parallel" else 13) * converter.conversion)
     contacts, taken = (contact("discs", 0.06, 0.13),), {}
     for name in ("12B", "16I", "best", "16O fused", "16P"):
-        seen = where.see(within(name, instrument, where), contacts, 0)
+        seen = where.simulate(within(name, instrument, where), contacts, 0)
         taken[name] = sum(cost.time(d.pattern) for d in seen.differences)
     for name in ("12B", "16I", "best", "16P"):
         assert taken["16O fused"] - one < taken[name] <= taken["16O fused"] * (1 + 1e-9)
@@ -235,7 +235,7 @@ def test_mistakes_in_schemes_instruments_and_counts_are_told_with_the_choices() 
 
 def test_the_position_bound_is_that_of_drive_design() -> None:
     where, place = setup("discs", 50), np.array([0.07, 0.12])
-    seen = where.see(scheme("16I"), (contact("discs", *place),), 0)
+    seen = where.simulate(scheme("16I"), (contact("discs", *place),), 0)
     mine = bound_of(where, seen.differences, place)
     effect = float(effective_change(np.log1p(0.5))[0]) * np.pi * 0.01**2
     loose = ContactPrior(effect, 0.01, position=1e3, effect_spread=1e6, radius_spread=float(np.log(RADIUS_FACTOR)))
@@ -248,7 +248,7 @@ def test_no_unbiased_fit_beats_the_position_bound_and_a_good_one_comes_close() -
     contacts = (contact("discs", *place),)
     seen = []
     for seed in range(60):
-        view = where.see(scheme("16I"), contacts, seed)
+        view = where.simulate(scheme("16I"), contacts, seed)
         seen.append(one_disc(where, view))
     spread = float(np.sqrt(np.var(seen, axis=0).sum()))
     bound = bound_of(where, view.differences, place)
@@ -290,13 +290,13 @@ def test_two_contacts_well_apart_are_told_from_one() -> None:
     where, spot = setup("discs", 60), np.array([0.09, 0.1, 0.5])
     pair = tuple(disc(*place, RADIUS, 0.5) for place in apart(spot, 0.03))
     single = (disc(*spot[:2], np.sqrt(2) * RADIUS, 0.5),)
-    seen = [where.see(scheme("16I"), contacts, 0).differences for contacts in (pair, single)]
+    seen = [where.simulate(scheme("16I"), contacts, 0).differences for contacts in (pair, single)]
     (far, _, two), (near, _, _) = (one_or_two(where.trusting_fitter, *data) for data in seen)
     places = two.params[:, :2]
     assert near < 25 < far
-    assert told(places, apart(spot, 0.03))
-    assert not told(places[:1], apart(spot, 0.03))
-    assert not told(np.full((2, 2), 0.1), apart(spot, 0.03))
+    assert resolved(places, apart(spot, 0.03))
+    assert not resolved(places[:1], apart(spot, 0.03))
+    assert not resolved(np.full((2, 2), 0.1), apart(spot, 0.03))
 
 
 def test_places_and_paths_keep_off_the_rim() -> None:
@@ -389,9 +389,9 @@ def test_pairs_are_judged_by_what_the_fit_counts_and_false_twos_by_single_contac
         counted[:, 0] = 2
         results[name] = {"right": right, "counted": counted}
     found = {g.text: g for g in policies.assess(comparison("pairs", results, settings))}
-    told = [g for text, g in found.items() if "20 mm apart" in text]
-    assert [g.measured.value for g in told] == [0.5, 0.5]
-    assert {g.verdict for g in told} == {OPEN}  # half of twenty may be three quarters
+    resolved = [g for text, g in found.items() if "20 mm apart" in text]
+    assert [g.measured.value for g in resolved] == [0.5, 0.5]
+    assert {g.verdict for g in resolved} == {OPEN}  # half of twenty may be three quarters
     assert {g.measured.value for text, g in found.items() if "counted as two" in text} == {0.01}
 
 
@@ -415,10 +415,10 @@ def test_discs_are_modelled_as_well_as_their_skin_says() -> None:
     for number, (x, y) in enumerate(single_places(12, 3, where.electrodes.positions)):
         for radius in (RADIUS, np.sqrt(2) * RADIUS, CONTACT_RADIUS["discs"]):
             _, seen = sensor.step(sensor.start(), quiet.scan((disc(x, y, radius, 0.5),), number))
-            told = exact.information(*map(quiet.known.difference, seen.frames))[0].marginalised_common()
+            resolved = exact.information(*map(quiet.known.difference, seen.frames))[0].marginalised_common()
             start, unknown = np.array([[x, y, 0.4 * np.pi * radius**2, radius**2]]), np.zeros(4)
-            one = exact.refine(told, start, unknown, np.diag(unknown))
-            errors.append(np.sqrt(max(one.cost, 0.0)) / told.norm(one.caused))
+            one = exact.refine(resolved, start, unknown, np.diag(unknown))
+            errors.append(np.sqrt(max(one.cost, 0.0)) / resolved.norm(one.caused))
     assert CONTACT_ERROR["discs"] / 4 < max(errors) < CONTACT_ERROR["discs"]
 
 

@@ -30,8 +30,8 @@ from waiting import until
 
 import ohmskin
 from ohmskin.body.body import axes
-from ohmskin.client import Patch, Sighting
-from ohmskin.client.felt import felt
+from ohmskin.client import Patch, PatchState
+from ohmskin.client.contacts import felt
 from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts, domain
 from ohmskin.contacts import Contact as SheetContact
 from ohmskin.errors import DataError, OhmskinError, PublishError
@@ -55,7 +55,7 @@ ON_SHEET = SheetContact(
     (0.05, 0.12), 2e-4, 3e-4, 0.97, 0.4, 7, ((2.25e-6, 1e-7), (1e-7, 1e-6)), (0.03, -0.02), 8e-3, 5.0, 0.4, 2e4, 2.5e-4
 )
 CONTACT = PATCH.contact(ON_SHEET)
-SIGHTING = Sighting("arm", "forearm_link", 41, 12.5, STAMP, "16O")
+SIGHTING = PatchState("arm", "forearm_link", 41, 12.5, STAMP, "16O")
 
 
 @pytest.fixture(autouse=True)
@@ -191,7 +191,7 @@ def test_a_dds_endpoint_tells_the_hash_of_its_type() -> None:
 
 
 def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:
-    frames = [Sighting("a", "x"), Sighting("b", "x"), Sighting("c", "y")]
+    frames = [PatchState("a", "x"), PatchState("b", "x"), PatchState("c", "y")]
     heads = [
         store.deserialize_cdr(encode_contacts(felt(1, seen, [])), "ohmskin_msgs/msg/Contacts").header.frame_id
         for seen in (frames[:1], frames[:2], frames)
@@ -225,7 +225,7 @@ def test_the_client_listens_where_contacts_are_sent() -> None:
 
 
 def test_contacts_come_back_as_they_went() -> None:
-    silent = Sighting("hand", "palm_link")
+    silent = PatchState("hand", "palm_link")
     what = replace(
         felt(3, [SIGHTING, silent], [CONTACT, replace(CONTACT, patch="hand", frame="palm_link", id=8)]), boot=77
     )
@@ -399,9 +399,9 @@ def relay() -> Iterator[RelayProcess]:
 def test_a_wrench_is_told_of_each_link_whose_skins_all_tell_forces_and_have_been_heard_of() -> None:
     patches = [Patch(name, link, newtons=name != "d") for name, link in zip("abcde", "xxyzw", strict=True)]
     links = ["x", "y", "w"]  # d, on z, is not calibrated for force
-    seen = [Sighting(name, link, 1, 0.0, STAMP) for name, link in zip("abce", "xxyw", strict=True)]
+    seen = [PatchState(name, link, 1, 0.0, STAMP) for name, link in zip("abce", "xxyw", strict=True)]
     contacts = [replace(CONTACT, patch="a", frame="x"), replace(CONTACT, patch="c", frame="y", force=None)]
-    first = felt(1, [*seen[:3], Sighting("d", "z", 1, 0.0, STAMP), Sighting("e", "w")], contacts)
+    first = felt(1, [*seen[:3], PatchState("d", "z", 1, 0.0, STAMP), PatchState("e", "w")], contacts)
     known = ("x", STAMP, contacts[:1])  # of y the force is not known yet, and e was never heard of
     assert list(wrenches(first, patches, links)) == [known]
     later = felt(2, seen, contacts[:1])

@@ -18,7 +18,7 @@ from waiting import until
 
 import ohmskin as ohm
 from ohmskin.errors import DataError, PatternError
-from ohmskin.mcap import Role, Tape, WriterPipe, recover
+from ohmskin.mcap import RecordingReader, Role, WriterPipe, recover
 from ohmskin.mcap.container import Container
 from ohmskin.mcap.messages import encode_frame, encode_pattern
 from ohmskin.mcap.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOPICS, TOUCH
@@ -71,9 +71,9 @@ def found_when_killed_at_500_frames_a_second(path: Path, count: int) -> int:
     ended = subprocess.run(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[1], timeout=300)
     assert ended.returncode == -signal.SIGKILL
     done = recover(path)
-    with Tape(done.path) as tape:
-        numbers = [tape.frames[k].sequence for k in range(len(tape.frames))]
-        assert tape.skin == SKIN.dump()
+    with RecordingReader(done.path) as reader:
+        numbers = [reader.frames[k].sequence for k in range(len(reader.frames))]
+        assert reader.skin == SKIN.dump()
     assert numbers == list(range(1, len(numbers) + 1))
     return len(numbers)
 
@@ -101,9 +101,9 @@ def test_when_only_the_loop_is_killed_the_file_is_finished(tmp_path: Path) -> No
         process.wait()
         rest = [int(line) for line in lines if line.endswith("\n")]
     until(lambda: not _alive(writer))
-    with Tape(path) as tape:
-        assert tape.notes == ()
-        assert len(tape.frames) >= max([sent, *rest])
+    with RecordingReader(path) as reader:
+        assert reader.notes == ()
+        assert len(reader.frames) >= max([sent, *rest])
 
 
 def test_no_recording_is_ever_overwritten(tmp_path: Path) -> None:
@@ -148,8 +148,8 @@ def test_the_loop_never_waits_for_a_writer_that_hangs_and_images_go_first(tmp_pa
     os.kill(pipe.pid, signal.SIGCONT)
     progress = pipe.close()
     assert progress.frames == frames
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert (len(tape.frames), tape.notes) == (frames, ())
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert (len(reader.frames), reader.notes) == (frames, ())
     assert slowest < 1.0  # a wait would be for ever
 
 
@@ -165,17 +165,17 @@ def test_a_full_disk_stops_the_recording_and_not_the_loop(tmp_path: Path) -> Non
     assert "large" in pipe.progress.trouble.lower()  # EFBIG; ENOSPC takes the same way
     size = path.stat().st_size
     assert 0 < size <= 300_000
-    with Tape(path) as tape:
-        seen = len(tape.frames)
+    with RecordingReader(path) as reader:
+        seen = len(reader.frames)
         assert seen > 20
-        assert "truncated" in tape.notes[0]
-        assert "damaged" not in "".join(tape.notes)  # what is there is whole
+        assert "truncated" in reader.notes[0]
+        assert "damaged" not in "".join(reader.notes)  # what is there is whole
     resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     until(lambda: not pipe.progress.trouble)  # room was made: it goes on, with what was kept meanwhile
     pipe.close()
-    with Tape(path) as tape:
-        assert tape.notes == ()
-        assert [tape.frames[k].sequence for k in range(len(tape.frames))] == [frame.sequence for frame in frames]
+    with RecordingReader(path) as reader:
+        assert reader.notes == ()
+        assert [reader.frames[k].sequence for k in range(len(reader.frames))] == [frame.sequence for frame in frames]
 
 
 def test_room_that_comes_back_is_used_bit_by_bit_and_the_frames_told_are_those_in_the_file(tmp_path: Path) -> None:
@@ -191,12 +191,12 @@ def test_room_that_comes_back_is_used_bit_by_bit_and_the_frames_told_are_those_i
         resource.prlimit(pipe.pid, resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
         until(lambda most=room: pipe.progress.trouble and pipe.progress.written > most - 50_000)
         sizes.append(path.stat().st_size)
-        with Tape(path) as tape:
-            assert "damaged" not in "".join(tape.notes)
+        with RecordingReader(path) as reader:
+            assert "damaged" not in "".join(reader.notes)
     assert sizes == sorted(set(sizes))
     progress = pipe.close()
-    with Tape(path) as tape:
-        assert 20 < len(tape.frames) == progress.frames < 1000
+    with RecordingReader(path) as reader:
+        assert 20 < len(reader.frames) == progress.frames < 1000
     assert progress.trouble
     assert 1000 <= progress.frames + progress.dropped["all topics, by the writer"] <= 1000 + len(patterns)
 
@@ -223,12 +223,12 @@ def test_what_is_lost_on_a_full_disk_is_counted_and_later_frames_know_their_patt
     sent += 1
     _send(pipe, patterns, Frame(second.pattern, second.voltages, second.currents, 0.0, sent), sent)
     progress = pipe.close()
-    with Tape(path) as tape:
-        assert tape.notes == ()
-        assert len(tape.frames) == sent - progress.dropped["all topics, by the writer"]
-        last = len(tape.frames) - 1
-        assert tape.frames[last].sequence == sent
-        assert tape.pattern(last) == second.pattern
+    with RecordingReader(path) as reader:
+        assert reader.notes == ()
+        assert len(reader.frames) == sent - progress.dropped["all topics, by the writer"]
+        last = len(reader.frames) - 1
+        assert reader.frames[last].sequence == sent
+        assert reader.pattern(last) == second.pattern
 
 
 def test_the_writer_goes_on_though_nobody_asks_how_it_goes(tmp_path: Path) -> None:
@@ -261,8 +261,8 @@ def test_a_recording_of_nothing_leaves_no_file(tmp_path: Path) -> None:
 
 def test_without_images_there_are_no_markers(tmp_path: Path) -> None:
     record_press(tmp_path / "a.mcap", "12B", cycles=2, images=0)
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert write_npz(tmp_path / "a.npz", tape)["images"] == (0, 0, 0)
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert write_npz(tmp_path / "a.npz", reader)["images"] == (0, 0, 0)
     with Container(tmp_path / "a.mcap") as container:
         topics = {topic for topic, *_ in container.messages()}
     assert "/ohmskin/touch" in topics
@@ -308,10 +308,10 @@ def test_record_says_what_it_does_and_ends_cleanly(tmp_path: Path) -> None:
     progress = r"([.]+|compiling, once.*|loading|starting the virtual skin|calibrating)\n"
     assert (process.returncode, re.sub(progress, "", complaints)) == (0, "")
     assert "a.mcap:" in rest.splitlines()[-1]
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert tape.notes == ()
-        assert set(tape.modes) == {"16P"}
-        assert f"a.mcap: {len(tape.frames)} frames" in rest
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert reader.notes == ()
+        assert set(reader.modes) == {"16P"}
+        assert f"a.mcap: {len(reader.frames)} frames" in rest
 
 
 def test_live_records_too(tmp_path: Path) -> None:
@@ -319,9 +319,9 @@ def test_live_records_too(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=240)  # it may compile first
     assert done.returncode == 0, done.stderr
     cycles = [json.loads(line)["sequence"] for line in done.stdout.splitlines()]
-    with Tape(tmp_path / "a.mcap") as tape:
-        assert [touch.sequence for touch in tape.touches] == cycles
-        assert np.count_nonzero(tape.roles == Role.BASE) == len(cycles)
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert [touch.sequence for touch in reader.touches] == cycles
+        assert np.count_nonzero(reader.roles == Role.BASE) == len(cycles)
     again = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert (again.returncode, again.stdout) == (2, "")
     words = "ohmskin: a.mcap exists, and a recording is never overwritten; choose another name\n"

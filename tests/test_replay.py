@@ -24,7 +24,7 @@ from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import State
 from ohmskin.errors import DataError, DeviceError, DeviceRefused, OhmskinError, PatternError
 from ohmskin.geometry import Raster
-from ohmskin.mcap import Role, Tape
+from ohmskin.mcap import RecordingReader, Role
 from ohmskin.recording import Player, Recorder, recorded_skin, reimage
 from ohmskin.recording.export import (
     CONTACT_COLUMNS,
@@ -86,8 +86,8 @@ def test_a_replay_sees_what_the_live_loop_saw(recorded: tuple[Path, list[ohm.Tou
     seen = list(reimage(path))
     assert [cycle.touch.sequence for cycle in seen] == [touch.sequence for touch in touches]
     raster = Raster(seen[0].known.model.mesh, 64)
-    with Tape(path) as tape:
-        for cycle, touch, image, stored in zip(seen, touches, tape.images, tape.touches, strict=True):
+    with RecordingReader(path) as reader:
+        for cycle, touch, image, stored in zip(seen, touches, reader.images, reader.touches, strict=True):
             again = raster(cycle.touch.percept.image.values)
             np.testing.assert_allclose(again, image, rtol=1e-6, atol=1e-7)  # stored as float32
             np.testing.assert_allclose(
@@ -189,8 +189,8 @@ def test_a_place_can_be_sought_and_stepped_to(recorded: tuple[Path, list[ohm.Tou
                 k for k, t in enumerate(touches) if t.percept.frames[0].sequence == touch.percept.frames[0].sequence
             )
 
-        with Tape(path) as tape:
-            times = tape.times[tape.roles == Role.BASE]
+        with RecordingReader(path) as reader:
+            times = reader.times[reader.roles == Role.BASE]
         assert device.duration == pytest.approx(times[-1], abs=1.0)
         device.seek(float(times[17]))
         assert device.position == times[17]
@@ -293,8 +293,8 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
     import pyarrow.parquet as pq
 
     path, touches = recorded
-    with Tape(path) as tape:
-        count = write_csv(tmp_path / "contacts.csv", CONTACT_COLUMNS, contact_rows(tape))
+    with RecordingReader(path) as reader:
+        count = write_csv(tmp_path / "contacts.csv", CONTACT_COLUMNS, contact_rows(reader))
         with (tmp_path / "contacts.csv").open() as file:
             rows = list(csv.DictReader(file))
         felt = [(touch, contact) for touch in touches for contact in touch.contacts]
@@ -305,15 +305,15 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
             assert float(row["extent_m2"]) == contact.extent
             assert math.isnan(float(row["radius_m"])) == (contact.radius is None)
         assert sorted(float(row["time_s"]) for row in rows) == [float(row["time_s"]) for row in rows]
-        some = list(frame_rows(tape, 0.0))
+        some = list(frame_rows(reader, 0.0))
         assert len(some) == sum(frame.pattern.n_meas for touch in touches for frame in touch.percept.frames)
-        count = write_parquet(tmp_path / "frames.parquet", FRAME_COLUMNS, frame_rows(tape, 0.0))
+        count = write_parquet(tmp_path / "frames.parquet", FRAME_COLUMNS, frame_rows(reader, 0.0))
         table = pq.read_table(tmp_path / "frames.parquet").to_pydict()
         assert count == len(some)
         assert [tuple(table[name][k] for name in FRAME_COLUMNS) for k in (0, 500, len(some) - 1)] == [
             some[k] for k in (0, 500, len(some) - 1)
         ]
-        write_npz(tmp_path / "all.npz", tape)
+        write_npz(tmp_path / "all.npz", reader)
         with np.load(tmp_path / "all.npz", allow_pickle=False) as arrays:
             first = int(np.argmax(arrays["frame_role"] == Role.BASE))
             frame = touches[0].percept.frames[1]
@@ -328,14 +328,14 @@ def test_tables_hold_what_was_felt_and_measured(recorded: tuple[Path, list[ohm.T
             assert arrays["images"].shape == (CYCLES, 64, 64)
             assert arrays["frame_time_s"][0] < 0 == arrays["frame_time_s"][first]
         with pytest.raises(DataError, match="never overwritten"):
-            write_npz(tmp_path / "all.npz", tape)
+            write_npz(tmp_path / "all.npz", reader)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["all.npz", "contacts.csv", "frames.parquet"]
 
 
 def test_a_recording_without_images_is_exported_without_images(tmp_path: Path) -> None:
     record_press(tmp_path / "a.mcap", "16O", 3, images=0)
-    with Tape(tmp_path / "a.mcap") as tape:
-        shapes = write_npz(tmp_path / "a.npz", tape)
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        shapes = write_npz(tmp_path / "a.npz", reader)
     assert shapes["images"] == (0, 0, 0)
     assert shapes["image_time_s"] == (0,)
     assert "image_x_m" not in shapes
@@ -457,13 +457,13 @@ def test_contacts_and_images_have_the_times_of_their_frames_whatever_the_calenda
     clock = types.SimpleNamespace(**vars(time) | {"time_ns": lambda: next(stamps)})
     monkeypatch.setattr("ohmskin.recording.recorder.time", clock)
     touches = record_press(tmp_path / "a.mcap")
-    with Tape(tmp_path / "a.mcap") as tape:
+    with RecordingReader(tmp_path / "a.mcap") as reader:
         last = {touch.percept.frames[-1].sequence: touch.sequence for touch in touches}
-        times = {last[s]: t for k, t in enumerate(tape.times) if (s := tape.frames[k].sequence) in last}
-        rows = list(contact_rows(tape))
+        times = {last[s]: t for k, t in enumerate(reader.times) if (s := reader.frames[k].sequence) in last}
+        rows = list(contact_rows(reader))
         assert rows
         assert [row[0] for row in rows] == [times[row[1]] for row in rows]
-        np.testing.assert_array_equal(tape.times_of(tape.images), list(times.values()))
+        np.testing.assert_array_equal(reader.times_of(reader.images), list(times.values()))
 
 
 def test_exports_obey_the_umask_and_need_no_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -514,8 +514,8 @@ def test_a_recording_can_be_recorded_and_ends_where_it_ends(
 
     monkeypatch.setattr("signal.signal", lambda *_: None)
     record(tmp_path / "b.mcap", device=f"replay:{recorded[0]}?speed=inf&loop=0")
-    with Tape(tmp_path / "b.mcap") as tape:
-        assert len(tape.touches) == CYCLES
+    with RecordingReader(tmp_path / "b.mcap") as reader:
+        assert len(reader.touches) == CYCLES
 
 
 def test_every_contact_that_comes_is_told_once_though_ids_begin_anew(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,21 +20,21 @@ from matplotlib.image import imread
 
 from ohmskin.body import Body
 from ohmskin.errors import ModelError
-from ohmskin.robot import Demonstration, Encounter, OwnTouch, Wearer, arm, engines, summary
+from ohmskin.robot import Demonstration, Encounter, RobotSimulation, SelfTouchTrial, arm, engines, summary
 from ohmskin.robot.demonstration import Sensed
-from ohmskin.robot.film import snapshot
 from ohmskin.robot.scene import FINGER
-from ohmskin.robot.wearer import above
+from ohmskin.robot.simulation import above
+from ohmskin.robot.video import snapshot
 from ohmskin.skin import Calibration, Skin
 
 SKIN = Skin.load("paper")
 HUMANOID = Path(__file__).parents[1] / "examples" / "humanoid" / "body.toml"
 
 
-def poke_arm(manner: str = "yield", pokes: int = 3, skin: Skin = SKIN) -> list[Encounter]:
+def poke_arm(strategy: str = "yield", pokes: int = 3, skin: Skin = SKIN) -> list[Encounter]:
     body = arm(skin)
     with engines(body, seed=2, mode="16O") as loops:
-        return list(Demonstration(body, loops, seed=4, manner=manner).pokes(pokes))
+        return list(Demonstration(body, loops, seed=4, strategy=strategy).pokes(pokes))
 
 
 @pytest.fixture(scope="module")
@@ -76,18 +76,18 @@ def test_same_seed_same_run(yielded: list[Encounter]) -> None:
 def test_place_and_force_are_mujocos(aim: tuple[float, float]) -> None:
     """Held against the force that keeps the arm in its pose: the joints' torques are the Jacobian's transpose times
     it."""
-    wearer = Wearer(arm(SKIN))
-    wearer.bring(above(wearer, 0, np.array(aim), 1e-3), wearer.surface(0, np.array(aim))[1])
-    wearer.advance(2.0, above(wearer, 0, np.array(aim), -3e-3))
-    (push,) = wearer.pushes()
+    simulation = RobotSimulation(arm(SKIN))
+    simulation.place_hand(above(simulation, 0, np.array(aim), 1e-3), simulation.surface(0, np.array(aim))[1])
+    simulation.advance(2.0, above(simulation, 0, np.array(aim), -3e-3))
+    (push,) = simulation.pushes()
     assert push.place == pytest.approx(aim, abs=2e-3)
     assert (push.by, push.patch) == ("", 0)
     assert push.force > 1.0
     jacobian = np.zeros((3, 3))
-    mujoco.mj_jac(wearer.model, wearer.data, jacobian, None, push.point, wearer.model.body("forearm").id)
-    torques = wearer.data.qfrc_constraint + wearer.data.qfrc_applied
+    mujoco.mj_jac(simulation.model, simulation.data, jacobian, None, push.point, simulation.model.body("forearm").id)
+    torques = simulation.data.qfrc_constraint + simulation.data.qfrc_applied
     held = np.linalg.solve(jacobian.T, torques)  # the force (N) on the skin
-    assert push.force == pytest.approx(-held @ wearer.surface(0, push.place)[1], rel=0.05)
+    assert push.force == pytest.approx(-held @ simulation.surface(0, push.place)[1], rel=0.05)
     assert push.radius < FINGER
 
 
@@ -95,40 +95,40 @@ def test_place_and_force_are_mujocos(aim: tuple[float, float]) -> None:
 def test_foam_bears_the_same_force_wherever_it_is(deep: float) -> None:
     """MuJoCo's own contacts bear a finger ten times better at the waist, where the torso gives way least."""
     body = Body.load(HUMANOID)
-    wearer, forces = Wearer(body), list[float]()
+    simulation, forces = RobotSimulation(body), list[float]()
     for patch in range(len(body.patches)):
         place = np.mean(np.reshape(body.patches[patch].skin.domain.bounds, (2, 2)), axis=0)
-        wearer.data.qpos[:], wearer.data.qvel[:] = wearer.target, 0.0
-        mujoco.mj_forward(wearer.model, wearer.data)
-        wearer.bring(above(wearer, patch, place, 1e-3), wearer.surface(patch, place)[1])
+        simulation.data.qpos[:], simulation.data.qvel[:] = simulation.target, 0.0
+        mujoco.mj_forward(simulation.model, simulation.data)
+        simulation.place_hand(above(simulation, patch, place, 1e-3), simulation.surface(patch, place)[1])
         for height in np.arange(1e-3, -deep, -0.08e-3):  # 80 mm/s
-            wearer.advance(1e-3, above(wearer, patch, place, height))
-        (push,) = wearer.pushes()
+            simulation.advance(1e-3, above(simulation, patch, place, height))
+        (push,) = simulation.pushes()
         forces.append(push.force / push.radius**4)
     assert max(forces) < 1.3 * min(forces), forces
 
 
 def test_yielding_moves_the_touched_place_inwards() -> None:
-    wearer, place = Wearer(arm(SKIN)), np.array([0.15, 0.05])
-    before, normal = wearer.surface(0, place)
-    wearer.data.qpos[:] += 2e-3 * wearer.yielding(0, place)
-    mujoco.mj_forward(wearer.model, wearer.data)
-    moved = wearer.surface(0, place)[0] - before
+    simulation, place = RobotSimulation(arm(SKIN)), np.array([0.15, 0.05])
+    before, normal = simulation.surface(0, place)
+    simulation.data.qpos[:] += 2e-3 * simulation.inward_step(0, place)
+    mujoco.mj_forward(simulation.model, simulation.data)
+    moved = simulation.surface(0, place)[0] - before
     assert moved @ normal == pytest.approx(-2e-3, rel=0.05)
 
 
 def test_places_go_to_the_world_and_back_and_kinematics_agree() -> None:
     """On curved skins, too, while the robot moves: MuJoCo puts links where our kinematics do."""
     body = Body.load(HUMANOID)
-    wearer = Wearer(body)
-    wearer.target = wearer.rest(2.0)
-    wearer.advance(0.5, np.array([0.0, 0.0, 9.0]))
-    assert wearer.pushes() == ()
-    robot = wearer.posed()
+    simulation = RobotSimulation(body)
+    simulation.target = simulation.rest(2.0)
+    simulation.advance(0.5, np.array([0.0, 0.0, 9.0]))
+    assert simulation.pushes() == ()
+    robot = simulation.posed()
     for number, placed in enumerate(body.patches):
         place = np.mean(np.reshape(placed.skin.domain.bounds, (2, 2)), axis=0) + np.array([0.01, 0.02])
-        point, normal = wearer.surface(number, place)
-        again, away = wearer.place(number, point)
+        point, normal = simulation.surface(number, place)
+        again, away = simulation.place(number, point)
         assert again == pytest.approx(place, abs=1e-6)
         assert away == pytest.approx(0, abs=1e-9)
         local = placed.patch.place(*placed.skin.chart.points([place])[0])
@@ -187,7 +187,9 @@ def test_summary_counts_what_was_not_felt() -> None:
     felt = Encounter("skin", "forearm", (0.1, 0.1), "forearm", 0.02, 5.0, (1e-3, 3e-3), ((2.0, 3.0),), 1, 2)
     missed = Encounter("skin", "forearm", (0.1, 0.1), "", np.nan, 50.0, ())
     wrong = replace(felt, felt_on="upper")
-    figures = summary([felt, missed, wrong], [OwnTouch(("skin",), 5.0, 4, 3), OwnTouch(("skin",), 5.0, 4, 1)])
+    figures = summary(
+        [felt, missed, wrong], [SelfTouchTrial(("skin",), 5.0, 4, 3), SelfTouchTrial(("skin",), 5.0, 4, 1)]
+    )
     told = {name: figures[name] for name in ("felt", "on_the_right_link", "invented", "taken_for_self_touch")}
     assert told == {"felt": 2, "on_the_right_link": 1, "invented": 2, "taken_for_self_touch": 4}
     assert [figures[f"own_touch{name}"] for name in ("es", "es_felt", "es_told", "_frames")] == [2, 2, 1, 8]
@@ -222,7 +224,7 @@ def test_what_cannot_be_worn_is_refused() -> None:
     with pytest.raises(ModelError, match="rectangular skin, not a disc"):
         arm(Skin.load("tank"))
     with pytest.raises(ModelError, match="names no URDF file"):
-        Wearer(replace(arm(SKIN), robot=None))
+        RobotSimulation(replace(arm(SKIN), robot=None))
 
 
 def test_skin_of_another_shape() -> None:
@@ -279,7 +281,7 @@ def without_graphics(code: str, *arguments: str) -> "subprocess.CompletedProcess
 
 
 def test_physics_needs_no_graphics_library_and_a_picture_names_the_package(tmp_path: Path) -> None:
-    code = "import numpy as np, ohmskin; from ohmskin.robot import *; from ohmskin.robot.wearer import above\n"
+    code = "import numpy as np, ohmskin; from ohmskin.robot import *; from ohmskin.robot.simulation import above\n"
     code += "worn = Wearer(arm(ohmskin.Skin.load('paper'))); at = np.array([0.1, 0.1])\n"
     code += (
         "worn.bring(above(worn, 0, at, 1e-3), worn.surface(0, at)[1]); worn.advance(0.2, above(worn, 0, at, -3e-3))\n"
@@ -327,7 +329,7 @@ def test_command_line_mistakes(tmp_path: Path) -> None:
         assert "Traceback" not in done.stderr
 
 
-def test_each_manner_answers_as_it_says() -> None:
+def test_each_strategy_reacts_as_described() -> None:
     """One cycle's command, of a touch of 6 N: where the joints go, and whether the robot's own movement goes on."""
     skin, layer = Skin.load("paper"), Skin.load("paper").contact_layer
     known = Calibration(layer_conductance=layer.conductance, layer_exponent=layer.exponent)
@@ -335,18 +337,18 @@ def test_each_manner_answers_as_it_says() -> None:
     device: Any = SimpleNamespace(device=SimpleNamespace(capabilities=SimpleNamespace(virtual=True)))
     place = (0.1, 0.1)
 
-    def commanded(manner: str, force: float | None, cycles: int = 20) -> tuple[float, float]:
+    def commanded(strategy: str, force: float | None, cycles: int = 20) -> tuple[float, float]:
         """How far (m) the touched place is to go inwards, and for how long (s) all else stood still."""
-        demonstration = Demonstration(body, [device], manner=manner)
+        demonstration = Demonstration(body, [device], strategy=strategy)
         demonstration._elapsed = 5e-3
         contact: Any = SimpleNamespace(self_touch=False, force=force)
         for _ in range(cycles):
             demonstration._command([Sensed(0, place, contact, None)])
-        inwards = demonstration._offset @ demonstration.wearer.yielding(0, np.array(place))
-        unit = demonstration.wearer.yielding(0, np.array(place))
+        inwards = demonstration._offset @ demonstration.simulation.inward_step(0, np.array(place))
+        unit = demonstration.simulation.inward_step(0, np.array(place))
         return float(inwards / (unit @ unit)), demonstration._halted
 
-    for manner, force, metres, halted in (
+    for strategy, force, metres, halted in (
         ("stiff", 6.0, 0.0, 0.0),
         ("stop", 6.0, 0.0, 0.1),
         ("guide", 6.0, 0.012, 0.1),
@@ -357,15 +359,15 @@ def test_each_manner_answers_as_it_says() -> None:
         ("follow", 0.5, -0.003, 0.1),
         ("follow", None, 0.0, 0.1),
     ):
-        assert commanded(manner, force) == pytest.approx((metres, halted), abs=1e-6)
-    for manner, force, metres, halted in (("yield", 6.0, 0.012, 0.0), ("retract", 1.0, 0.025, 0.1)):
-        far, stood = commanded(manner, force)
+        assert commanded(strategy, force) == pytest.approx((metres, halted), abs=1e-6)
+    for strategy, force, metres, halted in (("yield", 6.0, 0.012, 0.0), ("retract", 1.0, 0.025, 0.1)):
+        far, stood = commanded(strategy, force)
         assert 0.9 * metres < far < metres  # on its way back already
         assert stood == pytest.approx(halted)
     with pytest.raises(ModelError, match="choose from yield, stiff, stop"):
-        Demonstration(body, [device], manner="bite")
+        Demonstration(body, [device], strategy="bite")
     with pytest.raises(ModelError, match="calibrate skin 'skin'"):
-        Demonstration(arm(skin), [device], manner="follow")
+        Demonstration(arm(skin), [device], strategy="follow")
 
 
 def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -374,7 +376,7 @@ def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
     none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
     still = SimpleNamespace(time=0.0)
-    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], free=lambda *_: 0, wearer=still, **none)
+    demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], free=lambda *_: 0, simulation=still, **none)
     monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
     told = ohmskin("robot", "--most-force", "20", "--most-reaction", "0.05")
     assert told.returncode == 1
@@ -398,7 +400,7 @@ def test_pokes_and_free_motion_say_how_far_they_are_in_a_pipe_too(monkeypatch: p
         return 0
 
     none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
-    demonstration = SimpleNamespace(pokes=pokes, free=free, wearer=SimpleNamespace(time=10.0), **none)
+    demonstration = SimpleNamespace(pokes=pokes, free=free, simulation=SimpleNamespace(time=10.0), **none)
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
     monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
     told = ohmskin("robot", "--pokes", "2", "--free", "600")

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.client.points import point_names, points
 from ohmskin.errors import ModelError
 from ohmskin.robot.batch import QuickSkin

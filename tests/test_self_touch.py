@@ -17,8 +17,8 @@ from ohmskin.body.patches import Merger
 from ohmskin.body.posture import Posture
 from ohmskin.body.robot import Robot
 from ohmskin.body.self_touch import distance_to
-from ohmskin.client import Board, Client, Contact, JointStates, Sighting
-from ohmskin.client.felt import LARGEST, felt, pack, wrench
+from ohmskin.client import Board, Client, Contact, JointStates, PatchState
+from ohmskin.client.contacts import LARGEST, felt, pack, wrench
 from ohmskin.contacts import Contact as ContactOnMap
 from ohmskin.contacts import in_frame
 from ohmskin.errors import PublishError, SkinError
@@ -178,36 +178,36 @@ def live(tmp_path: Path) -> Iterator[Any]:
         Client("shm:r") as client,
     ):
 
-        def hear(own: bool | None) -> bool:
+        def subscribe(own: bool | None) -> bool:
             nonlocal sequence
             end = time.monotonic() + 60
             while time.monotonic() < end:
                 sequence += 1
-                seen = Sighting("arm", "arm", sequence, time.monotonic(), time.time_ns(), "16P")
+                seen = PatchState("arm", "arm", sequence, time.monotonic(), time.time_ns(), "16P")
                 board.write(pack(felt(sequence, [seen], [on_arm(np.pi)]), patches[:1]))
                 merger.step()
                 if (heard := client.newest()) is not None and heard.contacts[0].self_touch is own:
                     return True
             return False
 
-        yield hear, said
+        yield subscribe, said
 
 
 def test_clients_hear_of_self_touch_while_joint_states_come(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    hear, said = live
+    subscribe, said = live
     monkeypatch.setattr("ohmskin.body.posture._STALE", 50.0)
-    assert hear(None)  # nobody tells how the joints stand
+    assert subscribe(None)  # nobody tells how the joints stand
     with JointStates("r") as joints:
         for slide, own in ((FAR, False), (NEAR, True), (FAR, False)):
             joints.push({"slide": slide})
-            assert hear(own)
+            assert subscribe(own)
         joints.push({"slide": NEAR}, age=100.0)
-        assert hear(None)  # it may stand otherwise by now
+        assert subscribe(None)  # it may stand otherwise by now
         joints.push({"slide": NEAR})
-        assert hear(True)
+        assert subscribe(True)
         for _ in range(2):
             joints.push({"knee": 1.0})
-            assert hear(None)
+            assert subscribe(None)
         assert len(said) == 1
         assert "no joint 'knee'; the joints are glue, slide" in said[0]
         with pytest.raises(PublishError, match="joint 'slide' is at nan"):
@@ -215,7 +215,7 @@ def test_clients_hear_of_self_touch_while_joint_states_come(live: Any, monkeypat
 
 
 def test_the_page_is_told_where_links_are_now(live: Any) -> None:
-    hear, _ = live
+    subscribe, _ = live
     page = BoardsPage("r", ["r.arm", "r.front"], {"links": {}, "visuals": []})
 
     def links() -> Any:
@@ -225,7 +225,7 @@ def test_the_page_is_told_where_links_are_now(live: Any) -> None:
     assert links() == {}
     with JointStates("r") as joints:
         joints.push({"slide": 0.25})
-        assert hear(False)
+        assert subscribe(False)
         end = time.monotonic() + 60
         while not (told := links()) and time.monotonic() < end:
             time.sleep(0.01)

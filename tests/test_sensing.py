@@ -555,7 +555,7 @@ def test_a_hard_press_is_one_contact_over_an_electrode_too(place: tuple[float, f
     Of the 24 places of docs/policies.md, three that had failed and one that had not; one at the rim may still be two.
     """
     where = setup("pressed", 50.0)
-    (contact,) = where.see(modes(where.skin)["16P"], (disc(*place, 25e-3, 20e3),), 0).contacts
+    (contact,) = where.simulate(modes(where.skin)["16P"], (disc(*place, 25e-3, 20e3),), 0).contacts
     np.testing.assert_allclose(contact.position, place, atol=2.5e-3)
     assert contact.radius > 20e-3
 

@@ -48,7 +48,7 @@ def told_apart(twin: Setup, mode: str, reading: str, places: Places) -> bool:
     """Whether two presses are told apart when they have come at once."""
     contacts = tuple(contact("pressed", *place) for place in places)
     if reading.startswith("fit"):
-        return placed(positions(twin.see(scheme(mode, reading), contacts, 1).percept), places)
+        return placed(positions(twin.simulate(scheme(mode, reading), contacts, 1).percept), places)
     *_, last = twin.follow(scheme(mode, reading), [()] * 8 + [contacts] * 20, 1)
     return placed([found.position for found in last.contacts], places)
 
@@ -70,7 +70,7 @@ def test_a_light_press_is_found_beside_two_strong_ones(twin: Setup) -> None:
         contact("pressed", *place, strength=kpa * 1e3) for place, kpa in zip(places, (30, 30, 4), strict=True)
     )
     for seed in range(3):
-        assert placed(positions(twin.see(scheme("16P", "fit, driven"), contacts, seed).percept), places)
+        assert placed(positions(twin.simulate(scheme("16P", "fit, driven"), contacts, seed).percept), places)
 
 
 def test_one_press_of_any_size_is_one(twin: Setup) -> None:
@@ -78,7 +78,7 @@ def test_one_press_of_any_size_is_one(twin: Setup) -> None:
     for radius in (5e-3, 8e-3, 12e-3, 18e-3):
         for seed in range(6):
             place = random.uniform(0.02, 0.18, 2)
-            seen = twin.see(scheme("16P", "fit, driven"), (contact("pressed", *place, radius=radius),), seed)
+            seen = twin.simulate(scheme("16P", "fit, driven"), (contact("pressed", *place, radius=radius),), seed)
             assert len(positions(seen.percept)) == 1, (radius, place)
 
 

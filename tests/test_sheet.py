@@ -87,7 +87,7 @@ def test_contacts_are_placed_as_on_a_sound_skin(draw: int) -> None:
     def error(flaw: Flaw) -> float:
         where = setup("pressed", 50.0, flaw=flaw)
         mode = scheme("16P", "fit, driven")
-        seen = [where.see(mode, (contact("pressed", *at),), k).strongest - at for at in places for k in (0, 1)]
+        seen = [where.simulate(mode, (contact("pressed", *at),), k).strongest - at for at in places for k in (0, 1)]
         return float(np.linalg.norm(seen, axis=1).mean())
 
     sound, off, told = (error(f) for f in (Flaw(), replace(FLAW, draw=draw), replace(FLAW, draw=draw, calibrated=True)))

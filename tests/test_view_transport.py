@@ -14,7 +14,7 @@ import ohmskin as ohm
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import State
 from ohmskin.errors import ViewError
-from ohmskin.mcap import Role, Tape
+from ohmskin.mcap import RecordingReader, Role
 from ohmskin.recording import Player, Recorder
 from ohmskin.view.session import Session
 from ohmskin.view.wire import CommandError, check_setup, read_command
@@ -63,8 +63,8 @@ class Viewer:
     """Somebody who leads a recording from the page."""
 
     def __init__(self, path: Path, engine: ohm.Engine, device: ReplayDevice, session: Session) -> None:
-        with Tape(path) as tape:
-            self.times = tape.times[tape.roles == Role.BASE]
+        with RecordingReader(path) as reader:
+            self.times = reader.times[reader.roles == Role.BASE]
         self.engine, self.device, self.page = engine, device, session.view
         self.step: Callable[[], ohm.Touch | None] = Player(engine).lead(session.step)
         session.calibrate()
@@ -195,7 +195,7 @@ def test_speed_and_loop_are_told_to_all(viewer: Viewer) -> None:
 
 
 def test_play_begins_anew_at_the_end_and_goes_on_where_somebody_went(viewer: Viewer) -> None:
-    def play() -> list[int]:
+    def inject() -> list[int]:
         viewer.page.send("pause", paused=False)  # type: ignore[attr-defined]
         rows = []
         for _ in range(CYCLES + 14):
@@ -204,18 +204,18 @@ def test_play_begins_anew_at_the_end_and_goes_on_where_somebody_went(viewer: Vie
         assert viewer.engine.state is State.PAUSED
         return rows
 
-    assert play() == [*range(CYCLES)]
-    assert play() == [*range(CYCLES)]
+    assert inject() == [*range(CYCLES)]
+    assert inject() == [*range(CYCLES)]
     assert viewer.send("seek", position=viewer.times[25]) == 25
-    assert play() == [*range(26, CYCLES)]  # and not once more from the beginning
-    assert play() == [*range(CYCLES)]
+    assert inject() == [*range(26, CYCLES)]  # and not once more from the beginning
+    assert inject() == [*range(CYCLES)]
 
 
 def test_every_frame_of_a_tracking_mode_can_be_sought(tmp_path: Path) -> None:
     record_press(tmp_path / "a.mcap", "16T", cycles=CYCLES, images=0)
     device = ReplayDevice(f"replay:{tmp_path / 'a.mcap'}", speed=np.inf, loop=False)
-    with Tape(tmp_path / "a.mcap") as tape:
-        times = tape.times[tape.roles != Role.QUIET]
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        times = reader.times[reader.roles != Role.QUIET]
     with ohm.Engine(lambda: device, SKIN) as engine:
         player = Player(engine)
         engine.calibrate()

@@ -7,7 +7,7 @@ import pytest
 from direct import DirectDevice
 
 from ohmskin.arrays import Floats
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts import in_frame
 from ohmskin.engine import Engine
 from ohmskin.geometry.wrap import Wrap

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ohmskin as ohm
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts import in_frame
 from ohmskin.plot import draw_mesh
 

@@ -41,7 +41,7 @@ def unsignalled(values: NDArray[Any]) -> Floats:
         return np.asarray(values.astype(float) * 1.0)
 
 
-class Remembered(WeakKeyDictionary[K, V]):
+class WeakCache(WeakKeyDictionary[K, V]):
     """What was worked out of something, as long as that is in use; a pickle leaves it out."""
 
     def __reduce__(self) -> tuple[type[Self], tuple[()]]:
@@ -74,13 +74,13 @@ def changed(value: V, **fields: object) -> V:
     other = object.__new__(type(value))
     own = vars(other)
     own.update(vars(value), **fields)
-    for name in _worked_out(type(value)):  # type: ignore[arg-type]
+    for name in _cached_names(type(value)):  # type: ignore[arg-type]
         own.pop(name, None)
     return other
 
 
 @cache
-def _worked_out(kind: type[Any]) -> tuple[str, ...]:
+def _cached_names(kind: type[Any]) -> tuple[str, ...]:
     """The names of what objects of a class have worked out of their fields and keep."""
     return tuple(name for each in kind.mro() for name, one in vars(each).items() if isinstance(one, cached_property))
 

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from ohmskin.bench.clock import Effort
 from ohmskin.bench.figure import Figure
-from ohmskin.client import Client, Felt
+from ohmskin.client import Client, Contacts
 
 _PATIENCE, _SETTLING, _MEASURED = 600.0, 3.0, 15.0  # s
 _LEAST = 200.0  # frames per second of each
@@ -63,7 +63,7 @@ def _measured(process: "subprocess.Popen[bytes]", client: Client, count: int) ->
     return [number / elapsed for number in frames], (_spent(process.pid) - spent) * _MEASURED / elapsed
 
 
-def _sequences(felt: Felt) -> list[int]:
+def _sequences(felt: Contacts) -> list[int]:
     return [seen.sequence for seen in felt.patches]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ohmskin.body.robot import Robot
-from ohmskin.client.felt import MOST_PATCHES, Patch
+from ohmskin.client.contacts import MOST_PATCHES, Patch
 from ohmskin.errors import OhmskinError, SkinError
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin, shipped_skins

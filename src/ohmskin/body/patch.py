@@ -11,7 +11,7 @@ from typing import Any
 
 from ohmskin.child import begin, when_input_ends
 from ohmskin.client.board import Board
-from ohmskin.client.felt import patches_from
+from ohmskin.client.contacts import patches_from
 from ohmskin.device import connect
 from ohmskin.device.demo import demo_finger
 from ohmskin.engine import Engine, State
@@ -81,7 +81,7 @@ def _run(
         touch = engine.step()
         if touch is not None:
             publisher.publish(touch)
-            server.look()
+            server.poll()
         if (now := time.monotonic()) >= due:
             due = now + _REPORT_EVERY
             address.write(getattr(engine.device, "address", "").encode())  # where a page presses a virtual skin

@@ -14,7 +14,7 @@ from ohmskin.body.posture import Posture
 from ohmskin.body.replay import BodyReplay
 from ohmskin.child import Child
 from ohmskin.client.board import Board, BoardReader
-from ohmskin.client.felt import LARGEST, Contact, Felt, Patch, Sighting, felt, pack, patches_from, unpack
+from ohmskin.client.contacts import LARGEST, Contact, Contacts, Patch, PatchState, merged, pack, patches_from, unpack
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.joints import JointsProcess
@@ -56,7 +56,7 @@ class PatchProcess:
         self._again = 0.0  # when to start anew; 0 while it runs
         self._start()
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Start it anew if it has ended."""
         if (status := self._child.process.poll()) is None:
             return
@@ -174,12 +174,12 @@ class Patches(Closing):
         """Whether a recording has been shown to its end."""
         return self._replay is not None and self._replay.ended
 
-    def step(self) -> Felt | None:
+    def step(self) -> Contacts | None:
         """Forward new contacts; None, after a sleep of half a millisecond, if there are none."""
         if (now := time.monotonic()) >= self._look_at:
             self._look_at = now + _LOOK_EVERY
             for process in self._processes:
-                process.look()
+                process.poll()
         if self._replay is not None:
             self._replay.step()
         if (merged := self._merger.step()) is None:
@@ -219,12 +219,12 @@ class Merger(Closing):
         self._posture = posture
         self._patches = tuple(patches)
         self._readers = [BoardReader(board) for board in boards]
-        self._seen = [Sighting(patch.name, patch.frame) for patch in patches]
+        self._seen = [PatchState(patch.name, patch.frame) for patch in patches]
         self._contacts: list[tuple[Contact, ...]] = [()] * len(patches)
         self._sequence = 0
         self._board = Board(name, {"patches": [asdict(patch) for patch in patches], "boards": list(boards)}, LARGEST)
 
-    def step(self) -> Felt | None:
+    def step(self) -> Contacts | None:
         """Publish the contacts of all patches, if one of them has new ones.
 
         The contacts of a patch that has fallen silent stay as they were, with the time since its last frame.
@@ -244,10 +244,10 @@ class Merger(Closing):
         self._sequence += 1
         contacts: Sequence[Contact] = [contact for own in self._contacts for contact in own]
         if self._posture is not None:
-            contacts = self._posture.told(contacts)
-        merged = felt(self._sequence, self._seen, contacts, self._board.boot)
-        self._board.write(pack(merged, self._patches))
-        return merged
+            contacts = self._posture.with_self_touch(contacts)
+        newest = merged(self._sequence, self._seen, contacts, self._board.boot)
+        self._board.write(pack(newest, self._patches))
+        return newest
 
     def close(self) -> None:
         """Let go of all boards. Safe to call twice."""

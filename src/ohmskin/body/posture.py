@@ -10,7 +10,7 @@ import numpy as np
 from ohmskin.body.body import Body
 from ohmskin.body.self_touch import SelfTouch
 from ohmskin.client.board import Board, BoardReader
-from ohmskin.client.felt import Contact
+from ohmskin.client.contacts import Contact
 from ohmskin.closing import Closing
 from ohmskin.errors import SkinError
 
@@ -33,7 +33,7 @@ class Posture(Closing):
         self._self_touch = SelfTouch(body)
         assert body.robot is not None
         self.robot, self._still, self._report = body.robot, dict(body.robot.positions), report
-        self._reader, self._time, self._said = BoardReader(f"{body.name}.joints"), -np.inf, ""
+        self._reader, self._time, self._reported = BoardReader(f"{body.name}.joints"), -np.inf, ""
         links = list(body.robot.links)
         self._board = Board(f"{body.name}.links", {"links": links}, 128 * len(links))
 
@@ -42,21 +42,21 @@ class Posture(Closing):
         if (record := self._reader.newest()) is None:
             return
         try:
-            told = json.loads(record)
-            self.robot = self.robot.posed(self._still | told["positions"])
-            self._time = float(told["time"])
+            with_self_touch = json.loads(record)
+            self.robot = self.robot.posed(self._still | with_self_touch["positions"])
+            self._time = float(with_self_touch["time"])
             self._board.write(np.stack(list(self.robot.links.values())).astype("<f8").tobytes())
         except (SkinError, ValueError, KeyError, TypeError) as error:
             self._time = -np.inf
-            if str(error) != self._said:
-                self._said = str(error)
+            if str(error) != self._reported:
+                self._reported = str(error)
                 self._report(f"joint states are ignored: {error}")
 
-    def told(self, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
+    def with_self_touch(self, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
         """Contacts with their `self_touch`; None while the joint states are not known."""
         if time.monotonic() - self._time > _STALE:
             return tuple(replace(contact, self_touch=None) for contact in contacts)
-        return self._self_touch.told(self.robot, contacts)
+        return self._self_touch.with_self_touch(self.robot, contacts)
 
     def close(self) -> None:
         """Let go of the boards. Safe to call twice."""

@@ -14,7 +14,7 @@ from ohmskin.closing import Closing
 from ohmskin.errors import DataError
 from ohmskin.mcap.container import Container
 from ohmskin.mcap.standard import decode_image
-from ohmskin.outlets.joints import Follower
+from ohmskin.outlets.joints import JointMerger
 from ohmskin.outlets.publisher import Publisher
 
 log = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class BodyReplay(Closing):
             joints = [] if body.robot is None else [name for name, joint in body.robot.joints.items() if joint.moves]
             self._follower = None
             if joints:
-                self._follower = Follower(stack.enter_context(JointStates(body.name)), joints)
+                self._follower = JointMerger(stack.enter_context(JointStates(body.name)), joints)
             self._stack = stack.pop_all()
 
     def step(self) -> None:
@@ -90,13 +90,13 @@ class BodyReplay(Closing):
 
     def _show_contacts(self, at: int, data: bytes) -> None:
         """Publish the contacts of each patch that had new ones; times as long ago as they were then."""
-        felt = decode_contacts(data, time.monotonic() - at * 1e-9)
-        for number, seen in enumerate(felt.patches):
+        merged = decode_contacts(data, time.monotonic() - at * 1e-9)
+        for number, seen in enumerate(merged.patches):
             if (publisher := self._publishers.get(seen.patch)) is None or publisher.patch.frame != seen.frame:
                 raise DataError(f"patch {seen.patch!r} on {seen.frame!r} does not belong to body {self._body.name!r}")
             if seen.sequence in (0, self._seen[seen.patch]):
                 continue
             self._seen[seen.patch] = seen.sequence
             now = replace(seen, stamp=time.time_ns() - round((time.monotonic() - seen.time) * 1e9))
-            own = tuple(contact for contact in felt.contacts if contact.patch == felt.patches[number].patch)
+            own = tuple(contact for contact in merged.contacts if contact.patch == merged.patches[number].patch)
             publisher.repeat(now, own)

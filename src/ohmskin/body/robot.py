@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
-from ohmskin.client.felt import Contact
+from ohmskin.client.contacts import Contact
 from ohmskin.errors import SkinError
 from ohmskin.skin.checks import is_number
 from ohmskin.skin.urdf import numbers_of, pose_of, read_urdf
@@ -129,7 +129,7 @@ class Robot:
             for contact in contacts
         )
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Its description for a page, as JSON has it; poses row by row."""
         visuals = [visual | {"pose": visual["pose"].ravel().tolist()} for visual in self.visuals]
         return {"links": {name: pose.ravel().tolist() for name, pose in self.links.items()}, "visuals": visuals}

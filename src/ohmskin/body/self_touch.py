@@ -10,7 +10,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.body.body import Body
 from ohmskin.body.robot import Robot
-from ohmskin.client.felt import Contact
+from ohmskin.client.contacts import Contact
 from ohmskin.errors import SkinError
 
 _GAP = 6e-3  # m between a skin and what touches it: a skin's thickness, and what the shapes of links leave out
@@ -38,7 +38,7 @@ class SelfTouch:
         self._body, self._rigid = body, _rigid(body.robot)
         self._sure = not body.robot.unseen
 
-    def told(self, robot: Robot, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
+    def with_self_touch(self, robot: Robot, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
         """The same contacts, with their `self_touch` determined.
 
         It is None where nothing is near, but a link has a mesh, whose shape is not known here.
@@ -47,12 +47,12 @@ class SelfTouch:
             robot: In the posture of that moment.
             contacts: In the frames of its links.
         """
-        told = []
+        with_self_touch = []
         for contact, placed in zip(contacts, robot.place(contacts), strict=True):
             spread = _UNKNOWN if isnan(contact.spread) else contact.spread
             own = self.nearest(robot, np.array(placed.position), contact.frame)[1] <= _GAP + _SURE * spread
-            told.append(replace(contact, self_touch=own if own or self._sure else None))
-        return tuple(told)
+            with_self_touch.append(replace(contact, self_touch=own if own or self._sure else None))
+        return tuple(with_self_touch)
 
     def nearest(self, robot: Robot, point: Floats, link: str) -> tuple[str, float]:
         """The surface closest to a point, of all links that can move against its link.

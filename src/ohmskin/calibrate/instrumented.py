@@ -29,7 +29,7 @@ class LoadCell:
     def __init__(self) -> None:
         self._lock, self._newest = threading.Lock(), (np.nan, -np.inf)
 
-    def tell(self, force: float) -> None:
+    def update(self, force: float) -> None:
         """Store a reading, `force` (N); its sign is ignored."""
         with self._lock:
             self._newest = abs(force), time.monotonic()
@@ -75,7 +75,7 @@ class ForceSampler:
         """Whether there are enough samples."""
         return len(self.samples) >= self.count
 
-    def see(
+    def add(
         self, contacts: Sequence[Contact], scans: Sequence[Difference], force: float, auxiliary: float = np.nan
     ) -> bool:
         """Take in one cycle.
@@ -105,9 +105,9 @@ class ForceSampler:
         mean = float(np.mean([cycle.force for cycle in counted]))
         strength = float(np.median([abs(cycle.contact.strength) for cycle in counted]))
         measured = tuple(scan for cycle in counted for scan in cycle.scans)
-        beside = float(np.median([cycle.auxiliary for cycle in counted]))
+        auxiliary_median = float(np.median([cycle.auxiliary for cycle in counted]))
         rising = mean > _EASED * self._greatest
-        self.samples.append(PressSample(self._began, mean, strength, rising, contact, measured, beside))
+        self.samples.append(PressSample(self._began, mean, strength, rising, contact, measured, auxiliary_median))
         self.peaks.append(0.0 if rising else self._greatest)
         return True
 

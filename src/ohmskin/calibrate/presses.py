@@ -77,7 +77,7 @@ def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[Pr
 
 
 class PressGuide:
-    """Walks through a plan: make `step`, call `begin`, then `see` the contacts of each cycle until the step changes.
+    """Walks through a plan: make `step`, call `begin`, then `add` the contacts of each cycle until the step changes.
 
     Args:
         plan: What to press.
@@ -111,7 +111,7 @@ class PressGuide:
         """The press is there: measure it."""
         self._seen = []
 
-    def see(self, contacts: Sequence[Contact], scans: Sequence[Difference] = (), auxiliary: float = np.nan) -> bool:
+    def add(self, contacts: Sequence[Contact], scans: Sequence[Difference] = (), auxiliary: float = np.nan) -> bool:
         """Take in one cycle.
 
         Args:
@@ -126,15 +126,17 @@ class PressGuide:
         if step is None or self._seen is None:
             return False
         near = [contact for contact in contacts if np.hypot(*np.subtract(contact.position, step.at)) < _REACH]
-        felt = max(near, key=lambda contact: abs(contact.strength), default=None)
-        self._seen.append((felt, tuple(scans), auxiliary))
+        nearest = max(near, key=lambda contact: abs(contact.strength), default=None)
+        self._seen.append((nearest, tuple(scans), auxiliary))
         if len(self._seen) < self._settle + self._cycles:
             return False
         counted = self._seen[self._settle :]
         strength = float(np.median([abs(contact.strength) if contact else 0.0 for contact, _, _ in counted]))
         contact = next((contact for contact, _, _ in reversed(counted) if contact), None) if strength else None
         measured = tuple(scan for _, scans, _ in counted for scan in scans)
-        beside = float(np.median([reading for _, _, reading in counted]))
-        self.samples.append(PressSample(step.at, step.force, strength, step.loading, contact, measured, beside))
+        auxiliary_median = float(np.median([reading for _, _, reading in counted]))
+        self.samples.append(
+            PressSample(step.at, step.force, strength, step.loading, contact, measured, auxiliary_median)
+        )
         self._seen = None
         return True

@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
-from ohmskin.cli.life import LIFE, interrupt
+from ohmskin.cli.heartbeat import HEARTBEAT, interrupt
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
@@ -105,7 +105,7 @@ def main() -> None:
     """Run the command line. A mistake of the user gets one line on stderr and exit status 2."""
     arguments = [re.sub(r"^--out(?=$|=)", "--output", argument) for argument in sys.argv[1:]]  # its name until 0.1
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    with LIFE:
+    with HEARTBEAT:
         try:
             _run(arguments)
         except (OhmskinError, CycloptsError) as error:

@@ -20,7 +20,7 @@ from ohmskin.calibrate import (
     press_plan,
     read_table,
 )
-from ohmskin.cli.life import LIFE
+from ohmskin.cli.heartbeat import HEARTBEAT
 from ohmskin.cli.options import Numbers, SkinName, check_picture, check_writable, open_skin, say, watched, write
 from ohmskin.device import Device
 from ohmskin.engine import Engine
@@ -95,7 +95,7 @@ def calibrate(
                     console.print(f"calibrating mode {engine.mode.name}")
                     engine.calibrate()
                     if not engine.device.capabilities.virtual:
-                        LIFE.end()  # it waits for presses
+                        HEARTBEAT.end()  # it waits for presses
                     if force_from:
                         _listen(engine, sampler, force_from, force_topic)
                     else:
@@ -151,7 +151,7 @@ def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin
         scans = tuple(map(known.difference, cycle.touch.percept.frames))
         beside = cycle.touch.percept.frames[-1].auxiliary
         force = abs(float(np.interp(cycle.time, times, forces, left=np.nan, right=np.nan)))
-        sampler.see(cycle.touch.contacts, scans, force, np.nan if beside is None else beside)
+        sampler.add(cycle.touch.contacts, scans, force, np.nan if beside is None else beside)
     if known is None:
         raise OhmskinError(f"{file} has no frame after its calibration")
     return known
@@ -160,7 +160,7 @@ def _replayed(file: str, force_from: str, sampler: ForceSampler, mode: str, skin
 def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> None:
     """Take samples while somebody presses, until there are enough."""
     cell = LoadCell()
-    end = open_load_cell(source, topic, cell.tell)
+    end = open_load_cell(source, topic, cell.update)
     say(f"press anywhere with the load cell, one finger at a time, {sampler.count} times; hold each for a moment")
     idle = 0
     try:
@@ -171,7 +171,7 @@ def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> N
                 continue
             scans = tuple(map(known.difference, touch.percept.frames))
             beside = touch.percept.frames[-1].auxiliary
-            if sampler.see(touch.contacts, scans, cell.force, np.nan if beside is None else beside):
+            if sampler.add(touch.contacts, scans, cell.force, np.nan if beside is None else beside):
                 one, idle = sampler.samples[-1], 0
                 x, y = one.at
                 place = f"{one.force:.2f} N at x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
@@ -200,7 +200,7 @@ def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
             if touch is not None and (known := engine.known) is not None:
                 scans = tuple(map(known.difference, touch.percept.frames))
                 beside = touch.percept.frames[-1].auxiliary
-                if guide.see(touch.contacts, scans, np.nan if beside is None else beside):
+                if guide.add(touch.contacts, scans, np.nan if beside is None else beside):
                     break
         else:
             raise DeviceError(f"no result in {_PATIENCE} cycles: {engine.message or 'the loop is paused'}")

@@ -14,7 +14,7 @@ from ohmskin.cli.options import DeviceUrl, Flag, ModeName, Names, Seed, SkinName
 from ohmskin.device import connect
 from ohmskin.device.conformance import Check
 from ohmskin.device.conformance import check_device as run_checks
-from ohmskin.device.hostile import TRICKS, HostileDevice
+from ohmskin.device.hostile import PROTOCOL_FAULTS, HostileDevice
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.errors import OhmskinError
 from ohmskin.sensing import drive_of, mode_named
@@ -78,13 +78,15 @@ def check_host(
         only: Names of the faults to inject; all unless given.
         json: Print JSON instead of lines.
     """
-    if unknown := sorted(set(only) - set(TRICKS)):
-        raise OhmskinError(f"no fault {unknown[0]!r}; choose from {', '.join(TRICKS)}")
+    if unknown := sorted(set(only) - set(PROTOCOL_FAULTS)):
+        raise OhmskinError(f"no fault {unknown[0]!r}; choose from {', '.join(PROTOCOL_FAULTS)}")
     stop, instrument = Stop(), VirtualInstrument(Skin.load(skin), seed)
     with HostileDevice(instrument, host, port, seed or 0, calm) as device, _Report(json) as report:
         print(f"device that injects faults at {device.url}: connect the host to check", file=sys.stderr, flush=True)
         stop.listen()
-        device.check_host({name: TRICKS[name] for name in only or TRICKS}, patience, report, lambda: bool(stop))
+        device.check_host(
+            {name: PROTOCOL_FAULTS[name] for name in only or PROTOCOL_FAULTS}, patience, report, lambda: bool(stop)
+        )
 
 
 class _Report(list[Check]):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ohmskin.cli.options import HERE, Page, Seconds, SkinName, Stop, check_writable
 from ohmskin.skin import Skin
-from ohmskin.view.placing import PlacingPage
+from ohmskin.view.placing import PlacementPage
 
 _EVERY = 0.1  # s
 
@@ -24,7 +24,7 @@ def electrodes(
     check_writable(target)
     page.check()
     stop = Stop()
-    with PlacingPage(described, target, *page.address) as placing:
+    with PlacementPage(described, target, *page.address) as placing:
         page.open(placing.url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
         stop.listen()

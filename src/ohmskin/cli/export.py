@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.cli.options import check_plot, check_recording, watched
 from ohmskin.errors import DataError, OhmskinError
-from ohmskin.mcap import Tape, is_tape
+from ohmskin.mcap import RecordingReader, is_recording
 from ohmskin.recording import export as exporting
 from ohmskin.recording.player import reimage
 
@@ -54,23 +54,23 @@ def export(
         check_plot()
         cycles = watched(reimage(file, mode=mode, skin=skin, start=start or 0.0, stop=stop))
         if to == "mp4":
-            print(f"video of {exporting.write_film(target, cycles, rate)} pictures: {target}")
+            print(f"video of {exporting.write_video(target, cycles, rate)} pictures: {target}")
             return
         cycle = exporting.strongest(cycles) if at is None else exporting.cycle_at(file, at, mode=mode, skin=skin)
         exporting.save_comparison(target, {f"{cycle.time:.2f} s": cycle})
         print(f"picture of {cycle.time:.2f} s: {target}")
         return
-    if not is_tape(file):
+    if not is_recording(file):
         raise DataError(f"{file} is not a recording of ohmskin (.mcap); others can be exported as png and mp4")
     begin = -np.inf if start is None else start
-    with Tape(file) as tape:
-        for note in tape.notes:
+    with RecordingReader(file) as reader:
+        for note in reader.notes:
             print(f"# {note}", file=sys.stderr)
         if to == "npz":
-            shapes = exporting.write_npz(target, tape, begin, stop)
+            shapes = exporting.write_npz(target, reader, begin, stop)
             print(f"{target}: {', '.join(f'{name} {shape}' for name, shape in shapes.items() if len(shape))}")
             return
         columns = exporting.CONTACT_COLUMNS if what == "contacts" else exporting.FRAME_COLUMNS
-        rows = (exporting.contact_rows if what == "contacts" else exporting.frame_rows)(tape, begin, stop)
+        rows = (exporting.contact_rows if what == "contacts" else exporting.frame_rows)(reader, begin, stop)
         write = exporting.write_csv if to == "csv" else exporting.write_parquet
         print(f"{target}: {write(target, columns, rows)} rows of {', '.join(columns)}")

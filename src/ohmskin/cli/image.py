@@ -12,7 +12,7 @@ from ohmskin.contacts import CLASSES, Segments, evidence, segments
 from ohmskin.errors import DataError
 from ohmskin.importers import read_recording, resolved
 from ohmskin.inverse import match_model
-from ohmskin.mcap import is_tape
+from ohmskin.mcap import is_recording
 from ohmskin.plot import save_picture
 from ohmskin.plot.picture import full_scale, noise_of
 from ohmskin.recording.export import save_comparison, strongest
@@ -55,7 +55,7 @@ def image(
     target = output or Path(file.stem + ".png")
     check_picture(target)
     check_recording(file)
-    if is_tape(file):
+    if is_recording(file):
         cycles = reimage(file, estimator, prior, rule, skin=skin)
         if frame is None:
             cycle = strongest(watched(cycles))
@@ -65,7 +65,7 @@ def image(
         else:
             cycle = found
         save_comparison(target, {f"{cycle.time:.2f} s": cycle})
-        _tell(cycle.touch.percept, target, None, {}, json)
+        _print_report(cycle.touch.percept, target, None, {}, json)
         return
     frame = frame or 0
     recording = read_recording(file, reference=reference, pattern=pattern)
@@ -101,7 +101,7 @@ def image(
     classes = segments(percept.image, cells, needed, **how)
     labels = classes.labels if len(classes.labels) == mesh.n_elem else None  # pixels are not the mesh's
     save_picture(target, mesh, percept.image.values, electrodes, percept.detections, title, limit, labels)
-    _tell(percept, target, classes, classes.areas(cells), json)
+    _print_report(percept, target, classes, classes.areas(cells), json)
 
 
 def noise_freedom(quiet: Sequence[Frame]) -> int:
@@ -109,7 +109,9 @@ def noise_freedom(quiet: Sequence[Frame]) -> int:
     return max(len(quiet) - 1, 1) * quiet[0].pattern.n_meas // (1 if len(quiet) > 1 else 2)
 
 
-def _tell(percept: Percept, target: Path, found: Segments | None, areas: dict[str, float], as_lines: bool) -> None:
+def _print_report(
+    percept: Percept, target: Path, found: Segments | None, areas: dict[str, float], as_lines: bool
+) -> None:
     if as_lines:
         contacts = [as_json(contact) for contact in percept.detections]
         classes = {

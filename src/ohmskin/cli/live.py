@@ -74,7 +74,7 @@ def live(
     check_source(device, skin, mode)
     stop = Stop()
     lines = _Lines()
-    tell = lines.tell if json else say
+    notify = lines.notify if json else say
     out = sys.stderr if json else sys.stdout
     with ExitStack() as stack:
         view, starting = None, lambda *_: None
@@ -85,7 +85,7 @@ def live(
                 say(f"port {page.port} is in use; taking the next free one")
             page.open(view.url)
         loop = stack.enter_context(
-            open_loop(device, skin, mode, imaging, tell, record, quiet=True, out=out, starting=starting)
+            open_loop(device, skin, mode, imaging, notify, record, quiet=True, out=out, starting=starting)
         )
         engine = lines.engine = loop.engine
         commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)
@@ -94,10 +94,10 @@ def live(
             stack.enter_context(publisher)
             loop.sinks.insert(0, publisher.publish)  # first, because robots wait for it
             server = stack.enter_context(CommandServer(name, commands))
-            loop.sinks.append(lambda touch: server.look())
-            tell(f"publishing at {', '.join(publisher.addresses)}")
+            loop.sinks.append(lambda touch: server.poll())
+            notify(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
-            tell(f"{engine.mode.label}; calibrating: keep the skin untouched")
+            notify(f"{engine.mode.label}; calibrating: keep the skin untouched")
             engine.calibrate()
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
@@ -159,7 +159,7 @@ class _Lines:
         self.engine: Engine | None = None
         self._said: deque[str] = deque(maxlen=100)
 
-    def tell(self, sentence: str) -> None:
+    def notify(self, sentence: str) -> None:
         """Say a sentence in the next line; at once if the device is lost."""
         self._said.append(sentence)
         if self.engine is not None and self.engine.state is State.LOST:

@@ -59,7 +59,7 @@ class Loop:
     engine: Engine
     player: Player | None
     sinks: list[Callable[[Touch], None]]
-    tell: Callable[[str], None]
+    notify: Callable[[str], None]
 
     def run(
         self, stop: Stop, seconds: float | None, step: Callable[[], Touch | None] | None = None, demo: bool = False
@@ -74,7 +74,7 @@ class Loop:
         if self.player:
             step, over = (self.player.lead(step), over) if step else (self.player.step, self.player.until(over))
         elif step is None and demo and self.engine.device.url.startswith("virtual:"):
-            self.tell("a demonstration finger presses the virtual skin (--no-demo: without it)")
+            self.notify("a demonstration finger presses the virtual skin (--no-demo: without it)")
             step = self._pressed()
         step = step or self.engine.step
         gc.collect()
@@ -102,7 +102,7 @@ def open_loop(
     skin: str,
     mode: str,
     imaging: Imaging,
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
     record: Path | None = None,
     images: float = 30.0,
     quiet: bool = False,
@@ -111,8 +111,8 @@ def open_loop(
 ) -> Iterator[Loop]:
     """A loop on a device, recorded if there is a file to `record` to; the options are those of `ohmskin record`.
 
-    What the engine says goes to `tell`, what became of the recording to `out` at the end, standard output unless given.
-    While all goes well, a `quiet` one says nothing of the recording. `starting` gets what is done before there is a
+    Messages of the engine go to `notify`, a summary of the recording to `out` at the end, standard output unless given.
+    While all goes well, a `quiet` one reports nothing of the recording. `starting` gets what is done before there is a
     loop, and which share of it.
     """
 
@@ -137,17 +137,17 @@ def open_loop(
     def report(sentence: str) -> None:
         if recorder:
             recorder.note(sentence)
-        tell(sentence)
+        notify(sentence)
 
     try:
         with Engine(open_device, description, mode, report, **asdict(imaging)) as engine:
             if recorder:
                 recorder.watch(engine)
-            player = Player(engine, mode, tell) if isinstance(opened, ReplayDevice) else None
+            player = Player(engine, mode, notify) if isinstance(opened, ReplayDevice) else None
             sinks: list[Callable[[Touch], None]] = (
                 [recorder.publish, ProgressReport(recorder, quiet)] if recorder else []
             )
-            yield Loop(engine, player, sinks, tell)
+            yield Loop(engine, player, sinks, notify)
     finally:
         if recorder:
             print(_summary(recorder.path, recorder.close()), file=out, flush=True)

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from ohmskin.child import when_input_ends
-from ohmskin.cli.life import LIFE, interrupt
+from ohmskin.cli.heartbeat import HEARTBEAT, interrupt
 from ohmskin.device import Device, connect
 from ohmskin.device.registry import scheme_of
 from ohmskin.errors import DataError, ModelError, OhmskinError, SkinError, ViewError
@@ -155,7 +155,7 @@ class Stop(threading.Event):
     def listen(self, silent: bool = True) -> None:
         """Take effect from here on, where the command runs until it is stopped; `silent`, without signs of life."""
         if silent:
-            LIFE.end()
+            HEARTBEAT.end()
         self._listening = True
 
     def _ask(self, number: int, _: object) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 from ohmskin.body.body import Body
 from ohmskin.body.patches import Patches
 from ohmskin.cli.arrivals import Arrivals
-from ohmskin.cli.life import LIFE
+from ohmskin.cli.heartbeat import HEARTBEAT
 from ohmskin.cli.options import HERE, Flag, Page, Repeated, Seconds, Stop, check_publishing, say
-from ohmskin.client.felt import Felt
+from ohmskin.client.contacts import Contacts
 from ohmskin.view.overview import Overview
 
 _TABLE_EVERY = 2.0
@@ -66,7 +66,7 @@ def patches(
         )
         say(f"publishing at {', '.join(all_patches.addresses)}")
         if not headless:
-            robot = loaded.robot.told() if loaded.robot else None
+            robot = loaded.robot.as_json() if loaded.robot else None
             page.open(stack.enter_context(Overview(loaded.name, all_patches.boards, *page.address, robot)).url)
         end = float("inf") if seconds is None else time.monotonic() + seconds
         table = sys.stdout.isatty()
@@ -82,13 +82,13 @@ class _Table:
     def __init__(self, patches: Patches) -> None:
         self._patches = patches
         self._due, self._count = time.monotonic() + _TABLE_EVERY, 0
-        self._newest: Felt | None = None
+        self._newest: Contacts | None = None
 
-    def __call__(self, felt: Felt | None) -> None:
+    def __call__(self, felt: Contacts | None) -> None:
         self._newest, self._count = felt or self._newest, self._count + (felt is not None)
         if (now := time.monotonic()) < self._due or (felt := self._newest) is None:
             return
-        LIFE.end()  # the table is one from here on
+        HEARTBEAT.end()  # the table is one from here on
         print(f"{'patch':<16}  {'link':<16}  frames/s  latency p50/p99  contacts  age")
         for seen in felt.patches:
             status = self._patches.status[seen.patch]
@@ -109,7 +109,7 @@ class _Changes:
         self._patches, self._arrivals = patches, Arrivals()
         self._states = dict[str, str]()
 
-    def __call__(self, felt: Felt | None) -> None:
+    def __call__(self, felt: Contacts | None) -> None:
         for name, status in self._patches.status.items():
             if (state := _state(status)) != self._states.get(name):
                 self._states[name] = state

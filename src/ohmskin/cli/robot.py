@@ -33,7 +33,7 @@ def robot(
     skin: str = "",
     mode: str = "",
     seed: int = 0,
-    manner: str = "yield",
+    strategy: str = "yield",
     most_force: float = math.inf,
     most_reaction: float = math.inf,
     video: Path | None = None,
@@ -54,7 +54,7 @@ def robot(
         skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
         mode: Drive mode, such as 16I or 16O; the default mode unless given.
         seed: Seed of the random places.
-        manner: Reaction of the robot to a touch: yield, stop, retract, follow, guide, or stiff (none).
+        strategy: Reaction of the robot to a touch: yield, stop, retract, follow, guide, or stiff (none).
         most_force: Limit of the largest force of a poke (N); none unless given.
         most_reaction: Limit of the time from touch to reaction (s), which an undetected poke exceeds; none unless
             given.
@@ -80,18 +80,18 @@ def robot(
         from ohmskin.robot.display import check_display
 
         check_display()
-        from ohmskin.robot.film import Film
-        from ohmskin.robot.film import snapshot as to_picture
-        from ohmskin.robot.film import video as to_video
+        from ohmskin.robot.video import SceneRenderer
+        from ohmskin.robot.video import snapshot as to_picture
+        from ohmskin.robot.video import video as to_video
     console = Console(stderr=True)
     with ExitStack() as stack:
-        tell = stack.enter_context(_progress(console))
+        notify = stack.enter_context(_progress(console))
         poked = loaded if isinstance(loaded, Body) else arm(loaded)
-        tell("calibrating" + (f" {len(poked.patches)} skins" if len(poked.patches) > 1 else ""))
-        demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, manner)
+        notify("calibrating" + (f" {len(poked.patches)} skins" if len(poked.patches) > 1 else ""))
+        demonstration = Demonstration(poked, stack.enter_context(engines(poked, seed, mode)), seed, strategy)
         shows = []
         if video or picture:
-            film = Film(demonstration.wearer)
+            film = SceneRenderer(demonstration.simulation)
             stack.callback(film.close)
             for file, taken in ((picture, to_picture), (video, to_video)):
                 if file:
@@ -103,19 +103,19 @@ def robot(
 
         def listed(what: str, made: Iterable[T], total: int) -> list[T]:
             done = list[T]()
-            tell(f"{what}: 0 of {total} done")
+            notify(f"{what}: 0 of {total} done")
             for one in made:
                 done.append(one)
-                tell(f"{what}: {len(done)} of {total} done")
+                notify(f"{what}: {len(done)} of {total} done")
             return done
 
         encounters = listed("pokes", demonstration.pokes(pokes, show), pokes)
         hugged = listed("hugs", demonstration.hugs(hugs, show), hugs)
         touches = listed("self-touches", demonstration.own_touches(own_touches, show), own_touches)
-        start = demonstration.wearer.time
+        start = demonstration.simulation.time
 
         def watch(moment: Moment) -> None:
-            tell(f"free motion: {moment.time - start:.0f} of {free:g} s")
+            notify(f"free motion: {moment.time - start:.0f} of {free:g} s")
             show(moment)
 
         invented = demonstration.free(free, watch)
@@ -128,7 +128,7 @@ def robot(
     if json:
         print(json_module.dumps(figures))
     else:
-        _tell(figures)
+        _print_report(figures)
     if over:
         sys.exit(1)
 
@@ -138,7 +138,7 @@ def _progress(console: Console) -> Iterator[Callable[[str], None]]:
     """Yields what is told what is being done: shown at once on a terminal, elsewhere in a line every two seconds."""
     doing = ""
 
-    def tell(what: str) -> None:
+    def notify(what: str) -> None:
         nonlocal doing
         doing = what
         if status:
@@ -148,10 +148,10 @@ def _progress(console: Console) -> Iterator[Callable[[str], None]]:
         status = stack.enter_context(console.status("")) if console.is_terminal else None
         if not status:
             stack.enter_context(every(2.0, lambda: console.print(doing, highlight=False)))
-        yield tell
+        yield notify
 
 
-def _tell(figures: dict[str, Any]) -> None:
+def _print_report(figures: dict[str, Any]) -> None:
     """The figures, line by line."""
     print(f"{figures['felt']} of {figures['pokes']} pokes detected, {figures['on_the_right_link']} on the right link")
     if figures["hugs"]:

@@ -36,8 +36,8 @@ def self_test(
     console = Console(highlight=False, soft_wrap=True)
     opened, description = open_skin(device, skin, [Fault.parse(text) for text in fault])
     with opened:
-        tell = (lambda _: None) if json else (lambda text: print(f"{text} ...", file=sys.stderr))
-        result = run_self_test(opened, description, tell)
+        notify = (lambda _: None) if json else (lambda text: print(f"{text} ...", file=sys.stderr))
+        result = run_self_test(opened, description, notify)
     if json:
         print(result.to_json())
     else:

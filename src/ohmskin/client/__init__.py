@@ -14,7 +14,7 @@ Imports the standard library only.
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.client import Client
 from ohmskin.client.commands import Commands
-from ohmskin.client.felt import Contact, Felt, Patch, Sighting
+from ohmskin.client.contacts import Contact, Contacts, Patch, PatchState
 from ohmskin.client.joints import JointStates
 
-__all__ = ["Board", "BoardReader", "Client", "Commands", "Contact", "Felt", "JointStates", "Patch", "Sighting"]
+__all__ = ["Board", "BoardReader", "Client", "Commands", "Contact", "Contacts", "JointStates", "Patch", "PatchState"]

@@ -3,7 +3,7 @@
 import re
 from typing import Protocol
 
-from ohmskin.client.felt import Felt, SharedMemory
+from ohmskin.client.contacts import Contacts, SharedMemory
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 
@@ -11,9 +11,9 @@ _ADDRESS = re.compile(r"(shm|zenoh):([A-Za-z0-9_.]*)(?:@(.+))?")
 
 
 class _Source(Protocol):
-    def newest(self) -> Felt | None: ...
+    def newest(self) -> Contacts | None: ...
 
-    def wait(self, timeout: float) -> Felt | None: ...
+    def wait(self, timeout: float) -> Contacts | None: ...
 
     def close(self) -> None: ...
 
@@ -35,7 +35,7 @@ class Client(Closing):
         if not found or (found[1] == "shm" and found[3]):
             raise PublishError(f"{address!r} is not the address of a skin; use shm:NAME or zenoh:NAME@tcp/HOST:PORT")
         kind, name, where = found[1], found[2] or "skin", found[3]
-        self._last: Felt | None = None
+        self._last: Contacts | None = None
         self._source: _Source
         if kind == "shm":
             self._source = SharedMemory(name)
@@ -44,7 +44,7 @@ class Client(Closing):
 
             self._source = Subscriber(name, where or "tcp/127.0.0.1:7447", token)
 
-    def newest(self) -> Felt | None:
+    def newest(self) -> Contacts | None:
         """The newest contacts, given before or not; None before there are any.
 
         Never waits: look at their `age`.
@@ -52,7 +52,7 @@ class Client(Closing):
         self._last = self._source.newest() or self._last
         return self._last
 
-    def wait(self, timeout: float) -> Felt | None:
+    def wait(self, timeout: float) -> Contacts | None:
         """The next contacts that were not given before; None if nothing comes within `timeout` seconds."""
         if (fresh := self._source.newest() or self._source.wait(timeout)) is not None:
             self._last = fresh

@@ -76,7 +76,7 @@ struct Contact {
 };
 
 // How fresh a patch's part is.
-struct Sighting {
+struct PatchState {
     std::string_view patch, frame;
     std::uint64_t sequence;     // of its newest cycle; 0 if it has not been heard of
     double time;                // its last sample (s, as now()); minus infinity likewise
@@ -85,13 +85,13 @@ struct Sighting {
     double age() const { return now() - time; }
 };
 
-// What the skin, or all skins of a robot, felt last.
-struct Felt {
+// The newest contacts of a skin, or of all skins of a robot.
+struct Contacts {
     std::uint64_t sequence = 0;      // counts up by one with each; begins anew with `boot`
     std::uint64_t boot = 0;          // changes whenever the skin starts anew
     double time = 0;                 // the last sample of the patch heard of longest ago (s, as now())
     std::int64_t stamp = 0;          // the same by the calendar (ns since 1970)
-    std::vector<Sighting> patches;   // how fresh each patch is
+    std::vector<PatchState> patches; // how fresh each patch is
     std::vector<Contact> contacts;   // those of a patch strongest first
     // Seconds since then, now: a silent patch makes all of it old.
     double age() const { return now() - time; }
@@ -225,10 +225,10 @@ class Board {
         const int file = ::open(path_.c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC);
         if (file < 0 && errno == ENOENT) return;
         if (file < 0) throw Error("cannot read " + path_ + ": " + std::strerror(errno) + "; check its owner");
-        const bool told = fstat(file, &found) == 0;
+        const bool stated = fstat(file, &found) == 0;
         const std::pair identity(found.st_dev, found.st_ino);
         const auto size = std::size_t(found.st_size);
-        const bool same = memory_ && identity == identity_, fits = told && size > detail::kHead && size <= 64u << 20;
+        const bool same = memory_ && identity == identity_, fits = stated && size > detail::kHead && size <= 64u << 20;
         void* memory = fits && !same ? mmap(nullptr, size, PROT_READ, MAP_SHARED, file, 0) : MAP_FAILED;
         ::close(file);
         if (same) return;
@@ -264,56 +264,56 @@ class Board {
 class Client {
   public:
     explicit Client(const std::string& name = "skin") : board_(name) {
-        felt_.patches.reserve(64);
-        felt_.contacts.reserve(256);
+        newest_.patches.reserve(64);
+        newest_.contacts.reserve(256);
     }
-    // The newest that was felt, new or seen before; null before there is anything. Never waits.
-    const Felt* newest() {
+    // The newest contacts, returned before or not; null before there is anything. Never waits.
+    const Contacts* newest() {
         look();
-        return felt_.boot ? &felt_ : nullptr;
+        return newest_.boot ? &newest_ : nullptr;
     }
     // The next that was not given before; null if nothing comes within so many seconds.
-    const Felt* wait(double timeout) {
+    const Contacts* wait(double timeout) {
         const timespec nap{0, 100'000};  // a look takes some 30 ns
         for (const double end = now() + timeout; !look(); nanosleep(&nap, nullptr))
             if (now() >= end) return nullptr;
-        return &felt_;
+        return &newest_;
     }
     // The patches that the board tells of; null before there is one.
-    const std::vector<Patch>* patches() const { return told_.empty() ? nullptr : &told_.back(); }
+    const std::vector<Patch>* patches() const { return patch_lists_.empty() ? nullptr : &patch_lists_.back(); }
 
   private:
     bool look() {
         const std::string_view record = board_.newest();
         if (record.empty()) return false;
-        if (board_.boot() != told_boot_) learn();
+        if (board_.boot() != returned_boot_) learn();
         const char* at = record.data();
         std::uint32_t n[2] = {}, which = 0;  // patches and contacts; the patch of a contact
         if (record.size() >= 32) std::memcpy(n, at + 24, sizeof n);
         const std::size_t contacts_at = 32 + 40 * std::size_t{n[0]}, contact_bytes = 208;
-        bool right = n[0] == told_.back().size() && record.size() == contacts_at + n[1] * contact_bytes;
+        bool right = n[0] == patch_lists_.back().size() && record.size() == contacts_at + n[1] * contact_bytes;
         for (std::size_t i = 0; right && i < n[1]; ++i, right = which < n[0])
             std::memcpy(&which, at + contacts_at + i * contact_bytes, sizeof which);
         if (!right) throw Error("a record on " + board_.path() + " cannot be read; is its writer of another version?");
-        felt_.boot = told_boot_;
-        felt_.sequence = detail::read<std::uint64_t>(at);
-        felt_.time = detail::read<double>(at);
-        felt_.stamp = detail::read<std::int64_t>(at);
+        newest_.boot = returned_boot_;
+        newest_.sequence = detail::read<std::uint64_t>(at);
+        newest_.time = detail::read<double>(at);
+        newest_.stamp = detail::read<std::int64_t>(at);
         at += sizeof n;
-        felt_.patches.clear();
-        for (const Patch& patch : told_.back()) {
-            Sighting& seen = felt_.patches.emplace_back(Sighting{patch.name, patch.frame, 0, 0, 0, {}});
+        newest_.patches.clear();
+        for (const Patch& patch : patch_lists_.back()) {
+            PatchState& seen = newest_.patches.emplace_back(PatchState{patch.name, patch.frame, 0, 0, 0, {}});
             seen.sequence = detail::read<std::uint64_t>(at);
             seen.time = detail::read<double>(at);
             seen.stamp = detail::read<std::int64_t>(at);
             std::memcpy(seen.mode.data(), at, 16), at += 16;
         }
-        felt_.contacts.clear();
-        for (std::uint32_t i = 0; i < n[1]; ++i) felt_.contacts.push_back(contact(at));
+        newest_.contacts.clear();
+        for (std::uint32_t i = 0; i < n[1]; ++i) newest_.contacts.push_back(contact(at));
         return true;
     }
     Contact contact(const char*& at) {
-        const Patch& patch = told_.back()[detail::read<std::uint32_t>(at)];
+        const Patch& patch = patch_lists_.back()[detail::read<std::uint32_t>(at)];
         const auto id = detail::read<std::int32_t>(at);
         const auto v = detail::read<std::array<double, 25>>(at);  // in the order of `ohmskin.client.fields`
         const auto maybe = [&v](int i) { return std::isnan(v[i]) ? std::nullopt : std::optional(v[i]); };
@@ -329,22 +329,22 @@ class Client {
     }
     void learn() try {  // what a board of a new boot tells of its patches
         const detail::Json setup(board_.setup());
-        std::vector<Patch> told;
-        for (std::string at; setup.texts.count((at = "/patches/" + std::to_string(told.size())) + "/name");) {
+        std::vector<Patch> patches;
+        for (std::string at; setup.texts.count((at = "/patches/" + std::to_string(patches.size())) + "/name");) {
             const Matrix axes{setup.vector(at + "/axes/0"), setup.vector(at + "/axes/1"), setup.vector(at + "/axes/2")};
             const bool newtons = setup.texts.count(at + "/newtons") && setup.texts.at(at + "/newtons") == "true";
             const std::string &name = setup.texts.at(at + "/name"), &frame = setup.texts.at(at + "/frame");
-            told.push_back({name, frame, setup.vector(at + "/position"), axes, newtons});
+            patches.push_back({name, frame, setup.vector(at + "/position"), axes, newtons});
         }
-        told_.push_back(std::move(told));
-        told_boot_ = board_.boot();
+        patch_lists_.push_back(std::move(patches));
+        returned_boot_ = board_.boot();
     } catch (const std::out_of_range&) {
         throw Error("the setup of " + board_.path() + " lacks its patches; is its writer of another version?");
     }
     Board board_;
-    Felt felt_;
-    std::uint64_t told_boot_ = 0;
-    std::list<std::vector<Patch>> told_;  // of every boot, as contacts name them
+    Contacts newest_;
+    std::uint64_t returned_boot_ = 0;
+    std::list<std::vector<Patch>> patch_lists_;  // of every boot, as contacts name them
 };
 
 }  // namespace ohmskin

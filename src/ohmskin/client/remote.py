@@ -14,7 +14,7 @@ from typing import Any
 
 from ohmskin.client.board import check_name
 from ohmskin.client.cdr import Decoder
-from ohmskin.client.felt import Felt, Patch, Sighting, contact_from
+from ohmskin.client.contacts import Contacts, Patch, PatchState, contact_from
 from ohmskin.client.fields import components
 from ohmskin.errors import DataError, PublishError
 
@@ -34,7 +34,7 @@ class Subscriber:
 
     def __init__(self, name: str, where: str, token: str | None) -> None:
         check_name(name)
-        self._fresh: Felt | None = None
+        self._fresh: Contacts | None = None
         self._here = threading.Condition()
         self._session = open_session(where, False, token)
         try:
@@ -44,10 +44,10 @@ class Subscriber:
             self.close()
             raise
 
-    def newest(self) -> Felt | None:
+    def newest(self) -> Contacts | None:
         return self.wait(0.0)
 
-    def wait(self, timeout: float) -> Felt | None:
+    def wait(self, timeout: float) -> Contacts | None:
         with self._here:
             self._here.wait_for(lambda: self._fresh is not None, timeout)
             fresh, self._fresh = self._fresh, None
@@ -58,11 +58,11 @@ class Subscriber:
 
     def _take(self, sample: Any) -> None:
         try:
-            felt = decode_contacts(sample.payload.to_bytes(), time.monotonic() - time.time())
+            merged = decode_contacts(sample.payload.to_bytes(), time.monotonic() - time.time())
         except DataError:
             return  # not of ours, or damaged: the one before grows old, which is what its reader looks at
         with self._here:
-            self._fresh = felt
+            self._fresh = merged
             self._here.notify_all()
 
 
@@ -139,7 +139,7 @@ def open_session(where: str, listen: bool, token: str | None, gossip: bool = Tru
             raise PublishError(f"zenoh cannot {'listen at' if listen else 'join'} {where}: {error}") from error
 
 
-def decode_contacts(data: bytes, offset: float) -> Felt:
+def decode_contacts(data: bytes, offset: float) -> Contacts:
     """What an `ohmskin_msgs/msg/Contacts` says.
 
     Args:
@@ -157,7 +157,7 @@ def decode_contacts(data: bytes, offset: float) -> Felt:
     for _ in range(decoder.count(28)):
         name, frame, seen = decoder.text(), decoder.text(), decoder.stamp()
         number, mode = int(decoder.take("Q")[0]), decoder.text()
-        patches.append(Sighting(name, frame, number, seen * 1e-9 + offset if seen else float("-inf"), seen, mode))
+        patches.append(PatchState(name, frame, number, seen * 1e-9 + offset if seen else float("-inf"), seen, mode))
     contacts = []
     for _ in range(decoder.count(8 * len(_CONTACT) - 8)):
         place, *own = decoder.take(_CONTACT)
@@ -166,4 +166,4 @@ def decode_contacts(data: bytes, offset: float) -> Felt:
         patch = patches[int(place)]
         contacts.append(contact_from(Patch(patch.patch, patch.frame), own))
     at = stamp * 1e-9 + offset if stamp else float("-inf")
-    return Felt(sequence, at, stamp, tuple(patches), tuple(contacts), boot)
+    return Contacts(sequence, at, stamp, tuple(patches), tuple(contacts), boot)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ohmskin.client.felt import Contact as ContactInFrame
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Contact as ContactInFrame
+from ohmskin.client.contacts import Patch
 from ohmskin.contacts.finder import Contact
 from ohmskin.geometry import Chart
 

@@ -99,13 +99,13 @@ class Capabilities:
         return {name: str(kind(getattr(self, name))) for name, kind in _RECORDED.items()}
 
     @classmethod
-    def from_texts(cls, told: Mapping[str, str]) -> Self:
-        """Capabilities from their texts, `told` as `as_texts` gives them; those of a replay, which cannot be pressed.
+    def from_texts(cls, texts: Mapping[str, str]) -> Self:
+        """Capabilities from their texts, `texts` as `as_texts` gives them; those of a replay, which cannot be pressed.
 
         Raises:
             KeyError, ValueError, OverflowError, ProtocolError: If something is missing or makes no sense.
         """
-        values = {name: kind(told[name]) for name, kind in _RECORDED.items()}
+        values = {name: kind(texts[name]) for name, kind in _RECORDED.items()}
         return cls(**values | {"features": Feature(values["features"] & 31) & ~Feature.VIRTUAL})
 
     @property

@@ -63,14 +63,14 @@ class Device(Closing):
             self._check_open()
             self.capabilities.check(pattern)
             frame = self._scan(pattern, limit)
-            for hand in self._listeners:
-                hand(frame)
+            for listener in self._listeners:
+                listener(frame)
             return frame
 
     @final
-    def listen(self, hand: Callable[[Frame], None]) -> None:
-        """Call `hand` with every frame as soon as it arrives, in the thread that scanned; it must not block."""
-        self._listeners.append(hand)
+    def listen(self, listener: Callable[[Frame], None]) -> None:
+        """Call `listener` with every frame as soon as it arrives, in the thread that scanned; it must not block."""
+        self._listeners.append(listener)
 
     @final
     def press(self, number: int, at: tuple[float, float], radius: float, pressure: float) -> None:

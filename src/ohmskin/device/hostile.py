@@ -71,48 +71,48 @@ class Reply:
         return sealed(version, kind_of(self.message) if kind is None else kind, number, payload)
 
 
-Play = Callable[[Reply], Iterator[bytes]]
-Trick = tuple[type, Play]
+Inject = Callable[[Reply], Iterator[bytes]]
+ProtocolFault = tuple[type, Inject]
 
 
-def _fields(change: Callable[[Any, int], dict[str, Any]]) -> Play:
+def _fields(change: Callable[[Any, int], dict[str, Any]]) -> Inject:
     """A reply with other values in some fields, which `change` makes of the message and the count."""
 
-    def play(reply: Reply) -> Iterator[bytes]:
+    def inject(reply: Reply) -> Iterator[bytes]:
         yield reply.sealed(reply.payload(**change(reply.message, reply.count)))
 
-    return play
+    return inject
 
 
-def _error(code: int, text: bytes) -> Play:
-    def play(reply: Reply) -> Iterator[bytes]:
+def _error(code: int, text: bytes) -> Inject:
+    def inject(reply: Reply) -> Iterator[bytes]:
         yield reply.sealed(struct.pack("<H", code) + text, Kind.ERROR)
 
-    return play
+    return inject
 
 
-def _bytes(make: Callable[[Reply], bytes]) -> Play:
-    def play(reply: Reply) -> Iterator[bytes]:
+def _bytes(make: Callable[[Reply], bytes]) -> Inject:
+    def inject(reply: Reply) -> Iterator[bytes]:
         yield make(reply)
 
-    return play
+    return inject
 
 
-def _closing(make: Callable[[Reply], bytes], reset: bool = False) -> Play:
-    def play(reply: Reply) -> Iterator[bytes]:
+def _closing(make: Callable[[Reply], bytes], reset: bool = False) -> Inject:
+    def inject(reply: Reply) -> Iterator[bytes]:
         yield make(reply)
         raise _HangUp(reset)
 
-    return play
+    return inject
 
 
-def _slowly(pause: float) -> Play:
-    def play(reply: Reply) -> Iterator[bytes]:
+def _slowly(pause: float) -> Inject:
+    def inject(reply: Reply) -> Iterator[bytes]:
         for byte in reply.packet:
             yield bytes([byte])
             time.sleep(pause)
 
-    return play
+    return inject
 
 
 def _flood(reply: Reply) -> Iterator[bytes]:
@@ -141,7 +141,7 @@ def _whole(array: Any, value: float) -> Any:
     return np.full(len(array), value, np.float32)
 
 
-TRICKS: dict[str, Trick] = {
+PROTOCOL_FAULTS: dict[str, ProtocolFault] = {
     "frames of another pattern": (FrameData, _fields(lambda f, _: {"digest": f.digest ^ 1})),
     "frames with a voltage missing": (FrameData, _fields(lambda f, _: {"voltages": f.voltages[:-1]})),
     "frames of nothing": (FrameData, _fields(lambda f, _: {"voltages": f.voltages[:0], "currents": f.currents[:0]})),
@@ -241,14 +241,14 @@ class HostileDevice(Closing):
         self._line: SocketTransport
         self._session: Session
         self._rest = b""
-        self._trick: Trick | None = None
-        self._played = self._frames = self._unsound = 0
+        self._fault: ProtocolFault | None = None
+        self._injected = self._frames = self._unsound = 0
         self._end = float("inf")
         self._over: Callable[[], bool] = lambda: False
 
     def check_host(
         self,
-        tricks: Mapping[str, Trick] = TRICKS,
+        faults: Mapping[str, ProtocolFault] = PROTOCOL_FAULTS,
         patience: float = 10.0,
         report: Callable[[Check], None] = lambda _: None,
         over: Callable[[], bool] = lambda: False,
@@ -256,7 +256,7 @@ class HostileDevice(Closing):
         """Play all tricks on the host that connects, however long it takes to come; what it made of each.
 
         Args:
-            tricks: Those to play, in this order.
+            faults: Those to play, in this order.
             patience: How long after a trick a host may take to ask for frames again (s).
             report: Called with each outcome as soon as it is there.
             over: Asked whether to end now.
@@ -264,14 +264,14 @@ class HostileDevice(Closing):
         self._over = over
         checks: list[Check] = []
         self._serve(float("inf"), lambda: self._frames >= self._calm)
-        for name, trick in tricks.items():
+        for name, fault in faults.items():
             if self._over():
                 break
-            if not issubclass(trick[0], FrameData):
+            if not issubclass(fault[0], FrameData):
                 self._hang_up()  # patterns and greetings come with a connection
-            self._trick, self._played, self._frames, unsound = trick, 0, 0, self._unsound
-            self._serve(_LONGEST, lambda: self._played >= self._times or self._frames > 10 * _AFTER)
-            self._trick, self._frames = None, 0
+            self._fault, self._injected, self._frames, unsound = fault, 0, 0, self._unsound
+            self._serve(_LONGEST, lambda: self._injected >= self._times or self._frames > 10 * _AFTER)
+            self._fault, self._frames = None, 0
             self._serve(patience, lambda: self._frames >= _AFTER)
             words = "" if self._frames >= _AFTER else f"no frame was asked for within {patience:g} s after it"
             if self._unsound > unsound:
@@ -300,9 +300,9 @@ class HostileDevice(Closing):
                     self._line = SocketTransport(self._socket, "the host")
                     self._session, self._rest = Session(self._instrument), b""
                 elif ready is self._socket:
-                    self._hear()
+                    self._receive()
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         try:
             *packets, self._rest = (self._rest + self._line.read(_POLL)).split(DELIMITER)
             for stuffed in filter(None, packets):
@@ -319,10 +319,10 @@ class HostileDevice(Closing):
             return
         (reply,) = replies
         assert not isinstance(reply.message, Unreadable)
-        if self._trick and isinstance(reply.message, self._trick[0]):
-            play, count = self._trick[1], self._played
-            self._played += 1
-            for piece in play(Reply(reply.message, reply.sequence, count, self._rng)):
+        if self._fault and isinstance(reply.message, self._fault[0]):
+            inject, count = self._fault[1], self._injected
+            self._injected += 1
+            for piece in inject(Reply(reply.message, reply.sequence, count, self._rng)):
                 if time.monotonic() > self._end:
                     raise _HangUp
                 self._line.write(piece)

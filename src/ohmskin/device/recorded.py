@@ -11,7 +11,7 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.errors import DataError, PatternError, ProtocolError
 from ohmskin.importers import Recording
-from ohmskin.mcap import Role, Tape
+from ohmskin.mcap import RecordingReader, Role
 from ohmskin.scan import DrivePattern, Frame
 
 
@@ -32,7 +32,7 @@ class SteadyFrames:
         return self._frames[index].pattern
 
 
-RecordedFrames = Tape | SteadyFrames  # frames in order, with what is known of each
+RecordedFrames = RecordingReader | SteadyFrames  # frames in order, with what is known of each
 
 
 class QuietFrames:
@@ -97,9 +97,9 @@ def whole_cycles(frames: RecordedFrames, run: Ints) -> Ints:
     return whole
 
 
-def tracking_modes(frames: RecordedFrames, tape: Tape | None) -> NDArray[np.bool_]:
+def tracking_modes(frames: RecordedFrames, reader: RecordingReader | None) -> NDArray[np.bool_]:
     """Which modes have frames of one scan that depends on what is touched (n_modes,)."""
-    told = tape.recorded_modes if tape else {}
+    told = reader.recorded_modes if reader else {}
     # recordings made before they kept their modes have one such mode, and its name ends with a T
     return np.array([told.get(name, {}).get("adjustable", name.endswith("T")) for name in frames.modes], bool)
 
@@ -110,11 +110,11 @@ def recorded_capabilities(recording: Recording) -> Capabilities:
     Raises:
         DataError: If a recording of ours does not have them.
     """
-    if (tape := recording.tape) is None:
+    if (reader := recording.reader) is None:
         pattern = recording.frames[0].pattern
         n_elec = int(pattern.quadruples.max()) + 1
         return Capabilities("replay", n_elec, pattern.n_inj, pattern.n_meas, features=Feature.CURRENT_MEASURED)
     with suppress(KeyError, ValueError, ProtocolError, OverflowError):
-        return Capabilities.from_texts(tape.metadata.get("device", {}))
+        return Capabilities.from_texts(reader.metadata.get("device", {}))
     missing = "the device's capabilities (metadata record 'device')"
-    raise DataError(f"{tape.path} lacks {missing}; it was not made by ohmskin")
+    raise DataError(f"{reader.path} lacks {missing}; it was not made by ohmskin")

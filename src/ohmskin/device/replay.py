@@ -57,18 +57,18 @@ class ReplayDevice(Device):
         if not 0 < rate <= 1e5:
             raise PatternError(f"replay rate is {rate} frames/s; it must be above 0 and at most 100000")
         self.path, self.recording = Path(path), read_recording(path)
-        tape = self.recording.tape
-        self._reel: RecordedFrames = tape or SteadyFrames(self.recording.frames, rate)
+        reader = self.recording.reader
+        self._reel: RecordedFrames = reader or SteadyFrames(self.recording.frames, rate)
         try:
             super().__init__(url, parts.recorded_capabilities(self.recording))
-            if tape is None or tape.metadata.get("device", {}).get("reference", "0") != "0":
+            if reader is None or reader.metadata.get("device", {}).get("reference", "0") != "0":
                 self.reference = tuple(self.recording.quiet)
                 self.default_skin = self.recording.skin
             self._quiet = QuietFrames(self._reel)
             self._run = parts.whole_cycles(self._reel, np.flatnonzero(self._reel.roles != Role.QUIET))
             if not len(self._run):
                 raise DataError(f"{path} holds a calibration only; it has no frames to replay")
-            self._tracking = parts.tracking_modes(self._reel, tape)
+            self._tracking = parts.tracking_modes(self._reel, reader)
             tracked = self._tracking[self._reel.mode_of[self._run]]
             begins = (self._reel.roles[self._run] != Role.CHOSEN) | tracked
             self._firsts = np.flatnonzero(begins)  # cycles: not at second scans, but at every frame of tracking modes
@@ -93,7 +93,7 @@ class ReplayDevice(Device):
     @property
     def description(self) -> str:
         """The recorded skin's description (TOML); empty if the file has none."""
-        return self.recording.tape.skin if self.recording.tape else ""
+        return self.recording.reader.skin if self.recording.reader else ""
 
     @property
     def speed(self) -> float:
@@ -195,8 +195,8 @@ class ReplayDevice(Device):
             self._wait(float(self._reel.times[index]), timeout)
         frame = self._reel.frame(index)
         self._served += 1
-        sequence = frame.sequence if self.recording.tape else self._served
-        recorded = frame.time if self.recording.tape else float(self._reel.times[index])
+        sequence = frame.sequence if self.recording.reader else self._served
+        recorded = frame.time if self.recording.reader else float(self._reel.times[index])
         return replace(frame, time=time.monotonic(), sequence=sequence, recorded=recorded)
 
     def _find(self, pattern: DrivePattern) -> int:
@@ -240,8 +240,8 @@ class ReplayDevice(Device):
         time.sleep(max(0.0, due - now))
 
     def _close(self) -> None:
-        if self.recording.tape:
-            self.recording.tape.close()
+        if self.recording.reader:
+            self.recording.reader.close()
 
 
 def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
@@ -257,7 +257,7 @@ def recorded_skin(device: ReplayDevice, skin: str = "") -> Skin:
     recorded = device.description and not skin
     named = f"the skin in {device.url}"
     found = Skin.parse(device.description, named) if recorded else Skin.load(skin or device.default_skin)
-    told = device.recording.tape.recorded_modes if device.recording.tape else {}
+    told = device.recording.reader.recorded_modes if device.recording.reader else {}
     known, own = modes(found), {mode.name: mode for mode in found.modes}
     for name, entries in told.items():
         mode = Mode.of(name, {key: value for key, value in entries.items() if key != "adjustable"})

@@ -1,7 +1,7 @@
 """What to drive next: fixed sets, the paper's choice (eq. 7), choices by remaining uncertainty; position bounds."""
 
 from ohmskin.drive.bound import ContactPrior, best_fixed, position_bound
-from ohmskin.drive.design import Candidates, Choice, Search, exchange, greedy, pair_currents
+from ohmskin.drive.design import Candidates, Search, Selection, exchange, greedy, pair_currents
 from ohmskin.drive.drive import Drive, Exploration, Fixed, SecondScan, Target, TwoScans, WithDriven
 from ohmskin.drive.drives import DRIVES, DriveSettings
 from ohmskin.drive.layout import LayoutSearch, arranged
@@ -12,7 +12,6 @@ from ohmskin.drive.position import PositionDrive, Ranking, TrackingDrive
 __all__ = [
     "DRIVES",
     "Candidates",
-    "Choice",
     "ContactPrior",
     "Drive",
     "DriveSettings",
@@ -25,6 +24,7 @@ __all__ = [
     "Ranking",
     "Search",
     "SecondScan",
+    "Selection",
     "Target",
     "TrackingDrive",
     "TwoScans",

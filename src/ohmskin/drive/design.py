@@ -151,7 +151,7 @@ def whitened(
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class Selection:
     """Injections in the order of the choice.
 
     Args:
@@ -277,7 +277,9 @@ def _gains(rows: Floats, seen: Floats, wanted: Floats) -> tuple[Floats, Floats]:
     return information, less
 
 
-def greedy(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, repeats: bool = False) -> Choice:
+def greedy(
+    rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, repeats: bool = False
+) -> Selection:
     """Choose injections one by one, each the best after those before it.
 
     Args:
@@ -292,7 +294,7 @@ def greedy(rows: Floats, covariance: Floats, count: int, goal: Floats | None = N
     for _ in range(count):
         search.take(search.best())
         values.append(search.sums.mean())
-    return Choice(np.array(search.chosen, np.int64), np.array(values))
+    return Selection(np.array(search.chosen, np.int64), np.array(values))
 
 
 def exchange(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None) -> Ints:

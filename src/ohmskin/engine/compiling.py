@@ -15,13 +15,13 @@ from ohmskin.engine.signatures import SIGNATURES
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
-_TELL_EVERY = 1.5  # s, sooner than signs of life on the command line
+_REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
 _FUNCTIONS = 2 * len(SIGNATURES)  # as each has some that only it calls
 
 
 class _Listener(event.Listener):
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell, self._began, self._due, self._under_way = tell, 0.0, 0.0, 0
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._report, self._began, self._due, self._under_way = report, 0.0, 0.0, 0
         self.count = 0
 
     def on_start(self, event: event.Event) -> None:
@@ -29,18 +29,18 @@ class _Listener(event.Listener):
             self._began = self._began or time.monotonic()
             self.count += 1
             self._under_way += 1
-            self.tell()
+            self.report()
 
     def on_end(self, event: event.Event) -> None:
         self._under_way -= _own(event)
 
-    def tell(self) -> None:
+    def report(self) -> None:
         """Say how far it is, if anything is being compiled and nothing was said for a while."""
         now = time.monotonic()
         if self._under_way and now >= self._due:
-            self._due = now + _TELL_EVERY
+            self._due = now + _REPORT_EVERY
             spent = f"; {self.count} functions in {now - self._began:.0f} s" if now > self._began + 1 else ""
-            self._tell(f"compiling, once on this machine{spent}")
+            self._report(f"compiling, once on this machine{spent}")
 
 
 def _own(event: event.Event) -> bool:
@@ -49,25 +49,25 @@ def _own(event: event.Event) -> bool:
 
 
 @contextmanager
-def compiling(tell: Callable[[str], None], threaded: bool = True) -> Iterator[None]:
+def compiling(report: Callable[[str], None], threaded: bool = True) -> Iterator[None]:
     """Say that functions are being compiled when that begins, and every second or two while it goes on.
 
     Not `threaded`, it is said by the thread that compiles alone, at the next function after that.
     """
-    listener = _Listener(tell)
-    ticking = every(_TELL_EVERY / 4, listener.tell) if threaded else nullcontext()
+    listener = _Listener(report)
+    ticking = every(_REPORT_EVERY / 4, listener.report) if threaded else nullcontext()
     with event.install_listener("numba:compile", listener), ticking:
         yield
 
 
-def compile_ahead(tell: Callable[[str, float], None]) -> None:
+def compile_ahead(report: Callable[[str, float], None]) -> None:
     """Compile what a loop that fits contacts will call, such as while a device starts.
 
     Args:
-        tell: Gets what is done and which share of it, 0 to 1, if anything is to be compiled.
+        report: Gets what is done and which share of it, 0 to 1, if anything is to be compiled.
     """
-    listener = _Listener(lambda words: tell(words, min(1.0, listener.count / _FUNCTIONS)))
-    with event.install_listener("numba:compile", listener), every(_TELL_EVERY / 4, listener.tell):
+    listener = _Listener(lambda words: report(words, min(1.0, listener.count / _FUNCTIONS)))
+    with event.install_listener("numba:compile", listener), every(_REPORT_EVERY / 4, listener.report):
         for name, arguments in SIGNATURES:
             module, _, function = name.partition(":")
             try:

@@ -47,7 +47,7 @@ class HealthMonitor:
         self._waited = 0.0
         self._offset = np.inf
         self._cycles = 0
-        self._told = Health()
+        self._reported = Health()
         self._next = 0.0
 
     def waited(self, seconds: float) -> None:
@@ -70,11 +70,11 @@ class HealthMonitor:
         self._marks.append((now, self._waited))
         while self._marks[0][0] < now - _SPAN and len(self._marks) > 2:
             self._marks.popleft()
-        if now >= self._next or noise != self._told.noise:
+        if now >= self._next or noise != self._reported.noise:
             self._next = now + 0.2
             (first, waited_first), count = self._marks[0], len(self._marks)
             span = max(now - first, 1e-9)
             p50, p99 = np.percentile(self._latencies, [50, 99])
             waiting = min(1.0, (self._waited - waited_first) / span)
-            self._told = Health((count - 1) / span, float(p50), float(p99), dropped, noise, waiting, self._cycles)
-        return self._told
+            self._reported = Health((count - 1) / span, float(p50), float(p99), dropped, noise, waiting, self._cycles)
+        return self._reported

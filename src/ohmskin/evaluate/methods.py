@@ -123,7 +123,7 @@ class Bench:
         strength = CONTACT_STRENGTH[self.world] if strength is None else strength
         return disc(x, y, taken.radius * radius, taken.strength * times * strength)
 
-    def see(self, key: str, contacts: Contacts, seed: int) -> View:
+    def simulate(self, key: str, contacts: Contacts, seed: int) -> View:
         """What a method sees of contacts.
 
         Args:
@@ -135,7 +135,7 @@ class Bench:
             OhmskinError: If there is no such method.
         """
         chosen = method(key)
-        return self.setup(chosen.layout).see(chosen.assuming(self.assumption), contacts, seed, 0)
+        return self.setup(chosen.layout).simulate(chosen.assuming(self.assumption), contacts, seed, 0)
 
     def read(
         self,
@@ -155,7 +155,7 @@ class Bench:
         Returns:
             By the same names, arrays (n_methods, n_cases, n_seeds, ...).
         """
-        found = [what(self.see(key, case, seed), case) for key in keys for case in cases for seed in range(seeds)]
+        found = [what(self.simulate(key, case, seed), case) for key in keys for case in cases for seed in range(seeds)]
         shape = (len(keys), len(cases), seeds)
         return {name: np.reshape([row[name] for row in found], shape + np.shape(found[0][name])) for name in found[0]}
 

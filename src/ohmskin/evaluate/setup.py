@@ -191,7 +191,7 @@ class Setup:
             self._sensors[mode] = build(mode, self.known, drive)
         return self._sensors[mode]
 
-    def see(self, mode: Mode, contacts: Contacts, *seed: int) -> View:
+    def simulate(self, mode: Mode, contacts: Contacts, *seed: int) -> View:
         """What a `mode` makes of one frame under `contacts`, noise drawn by `seed`, with nothing known before."""
         sensor = self.sensor(mode)
         _, percept = sensor.step(sensor.start(), self.scan(contacts, *seed))

@@ -22,8 +22,8 @@ from ohmskin.arrays import Bools, Floats, Ints
 from ohmskin.errors import ModelError
 from ohmskin.forward.assembly import local_stiffness
 from ohmskin.forward.logarithm import add_flux, log_means
+from ohmskin.forward.patch_kernel import pressed
 from ohmskin.forward.quadrature import Surface
-from ohmskin.forward.scenes import pressed
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 from ohmskin.geometry import Mesh
@@ -133,18 +133,18 @@ class FloatingPatches:
         after = np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
         return after, currents / joint[touching, None]
 
-    def many(self, scenes: Sequence[tuple[Ints, Floats]]) -> Floats:
+    def many(self, cases: Sequence[tuple[Ints, Floats]]) -> Floats:
         """(n, n_elec, n_elec) transfer resistances in ohms of n scenes, several times as quick as one by one.
 
         Args:
-            scenes: Of each the distinct numbers of the `points` that touch (m,), and their conductances (m,) (siemens).
+            cases: Of each the distinct numbers of the `points` that touch (m,), and their conductances (m,) (siemens).
 
         Raises:
             ModelError: If a conductance is not positive and finite.
         """
-        first = np.cumsum([0, *(len(points) for points, _ in scenes)])
-        touching = np.concatenate([np.empty(0, np.int64), *(points for points, _ in scenes)])
-        joint = np.concatenate([np.empty(0), *(conductance for _, conductance in scenes)])
+        first = np.cumsum([0, *(len(points) for points, _ in cases)])
+        touching = np.concatenate([np.empty(0, np.int64), *(points for points, _ in cases)])
+        joint = np.concatenate([np.empty(0), *(conductance for _, conductance in cases)])
         if not ((joint > 0) & (joint < np.inf)).all():
             raise ModelError(
                 "a patch conductance is not positive or not finite; leave out where a patch does not touch"
@@ -152,7 +152,7 @@ class FloatingPatches:
         count = int(self._slots.max()) + 1
         none = np.full((count, 0), -1), np.full((count, 0), -1), np.empty((count, 0, 0))
         own, near, missed = none if self._near is None else self._near.table(np.unique(self._slots[touching]))
-        out = np.empty((len(scenes), *self.model.transfer_resistance.shape))
+        out = np.empty((len(cases), *self.model.transfer_resistance.shape))
         green = self.update.green_of(np.unique(self._corners[touching]))
         untouched = self.model.transfer_resistance
         try:

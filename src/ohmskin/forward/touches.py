@@ -58,7 +58,7 @@ class TouchTable:
             member[k, elements] = 1
         self._overlap = member @ member.T > 0
         self._all: Ints = np.array([len(spread) for spread, *_ in modes])
-        self._felt: Ints = np.array([felt for *_, felt in modes])
+        self._measured: Ints = np.array([measured for *_, measured in modes])
         self.spread, self.coupling, self._basis, self._nodes = map(stacked, list(zip(*modes, strict=True))[:4])
 
     @staticmethod
@@ -75,9 +75,9 @@ class TouchTable:
         basis = turn.T @ factor
         coupling = basis @ update.caused[rows]
         size = np.linalg.norm(coupling, axis=1)
-        felt = size > 1e-12 * size.max()
-        order = np.argsort(~felt, kind="stable")  # those that are felt from outside come first
-        return spread[order], coupling[order], basis[order], rows, int(felt.sum())
+        measured = size > 1e-12 * size.max()
+        order = np.argsort(~measured, kind="stable")  # those that are felt from outside come first
+        return spread[order], coupling[order], basis[order], rows, int(measured.sum())
 
     def __len__(self) -> int:
         return len(self.spread)
@@ -118,7 +118,7 @@ class TouchTable:
         untouched = self.model.transfer_resistance
 
         def part(share: slice) -> None:
-            known = (self._basis, self._nodes, self._felt, self._all, self._overlap, self._green)
+            known = (self._basis, self._nodes, self._measured, self._all, self._overlap, self._green)
             touched(untouched, self.coupling, self.spread, *known, where[share], change[share], out[share])
 
         cuts = np.linspace(0, len(where), threads + 1).astype(int)
@@ -137,7 +137,7 @@ def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def touched(
-    untouched: Floats, coupling: Floats, spread: Floats, basis: Floats, nodes: Ints, felt: Ints, every: Ints,
+    untouched: Floats, coupling: Floats, spread: Floats, basis: Floats, nodes: Ints, measured: Ints, every: Ints,
     overlap: Bools, green: Floats, places: Ints, changes: Floats, out: Floats,
 ) -> None:  # fmt: skip
     """`TouchTable.many`, scene by scene."""
@@ -152,14 +152,14 @@ def touched(
         if n_touches == 1:  # one touch is a sum over its modes
             place, f = places[scene, newest], changes[scene, newest]
             here[:] = untouched
-            for m in range(felt[place]):
+            for m in range(measured[place]):
                 weight, row = f / (1.0 + f * spread[place, m]), coupling[place, m]
                 for i in range(n_elec):
                     own = weight * row[i]
                     for j in range(n_elec):
                         here[i, j] -= own * row[j]
             continue
-        counts = felt
+        counts = measured
         for k in range(places.shape[1]):
             for other in range(k):
                 one, two = places[scene, k], places[scene, other]

@@ -15,7 +15,7 @@ _LEAST = 1e-3  # s
 Place = tuple[float, ...]
 
 
-class Felt(Protocol):
+class ContactLike(Protocol):
     """What counts of a contact: where it is (m) and how strong (m2)."""
 
     @property
@@ -56,7 +56,7 @@ class Episode:
     peaked: float = 0.0
     ended: bool = False
 
-    def after(self, time: float, contacts: Sequence[Felt]) -> "Episode":
+    def after(self, time: float, contacts: Sequence[ContactLike]) -> "Episode":
         """The episode after one more frame, taken at a `time` (s), with `contacts`, at least one."""
         places = [contact.position for contact in contacts]
         middle = tuple(sum(axis) / len(places) for axis in zip(*places, strict=True))

@@ -51,7 +51,7 @@ class GestureModel:
         """(n,) squared distances of `features` (n, n_features) from the closest gesture that it was trained on."""
         return self._away(self._standard(features))
 
-    def tell(self, features: ArrayLike) -> tuple[str, float]:
+    def classify(self, features: ArrayLike) -> tuple[str, float]:
         """The gesture of features (n_features,) and its probability (1): `UNKNOWN` if they are outliers, or none is
         probable."""
         one = self._standard(features)[None]

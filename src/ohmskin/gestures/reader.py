@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from ohmskin.gestures.episode import Episode, Felt
+from ohmskin.gestures.episode import ContactLike, Episode
 from ohmskin.gestures.model import UNKNOWN, GestureModel
 
 _APART = 0.2  # s without a contact, after which an episode has ended
@@ -59,7 +59,7 @@ class GestureReader:
         """The state before anything touches."""
         return GestureState()
 
-    def update(self, state: GestureState, time: float, contacts: Sequence[Felt]) -> GestureState:
+    def update(self, state: GestureState, time: float, contacts: Sequence[ContactLike]) -> GestureState:
         """The state after one more frame; its gesture is None where nothing has touched for half a second.
 
         Args:
@@ -74,17 +74,17 @@ class GestureReader:
             if episode is None or episode.ended or time - episode.last > _APART:
                 episode = Episode(began=time, last=time)
             episode = episode.after(time, contacts)
-            return GestureState(episode, self._told(episode))
+            return GestureState(episode, self._classified(episode))
         if episode is None:
             return state
         if not episode.ended and time - episode.last > _APART:
             episode = replace(episode, ended=True)
-            gesture = self._told(episode)
+            gesture = self._classified(episode)
         shown = gesture if not episode.ended or time - episode.last <= _APART + _SHOWN else None
         return GestureState(episode, shown)
 
-    def _told(self, episode: Episode) -> Gesture:
-        name, confidence = self.model.tell(episode.features)
+    def _classified(self, episode: Episode) -> Gesture:
+        name, confidence = self.model.classify(episode.features)
         return Gesture(name, confidence, episode.began, episode.duration, episode.ended)
 
 
@@ -99,7 +99,7 @@ class GestureFollower:
         self._reader = GestureReader(model)
         self._state = self._reader.start()
 
-    def __call__(self, time: float, contacts: Sequence[Felt]) -> Gesture | None:
+    def __call__(self, time: float, contacts: Sequence[ContactLike]) -> Gesture | None:
         """What the contacts do after one more frame; None where nothing has touched for half a second.
 
         Args:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ohmskin.arrays import Floats
-from ohmskin.mcap.tape import Tape
+from ohmskin.mcap.reader import RecordingReader
 from ohmskin.scan import Frame
 
 
@@ -17,7 +17,7 @@ class Recording:
         frames: Frames to look at, in order.
         skin: The shipped skin description that fits the format; empty if none fits.
         notes: What was left out or assumed on reading, in plain words.
-        tape: All that a recording of ours holds beside; None for others.
+        reader: All that a recording of ours holds beside; None for others.
         positions: (n_frames, 2) where each frame was pressed (m), in any frame; None: not known.
         forces: (n_frames,) with which force (N); None likewise.
         values: What the voltages are: ``voltages``; or ``magnitudes`` or ``differences``, of which `resolved` makes
@@ -28,7 +28,7 @@ class Recording:
     frames: Sequence[Frame]
     skin: str
     notes: tuple[str, ...] = ()
-    tape: Tape | None = None
+    reader: RecordingReader | None = None
     positions: Floats | None = None
     forces: Floats | None = None
     values: str = "voltages"

@@ -9,7 +9,7 @@ from ohmskin.importers import eidors, kuopio, presses, table
 from ohmskin.importers.matfile import is_mat, load_variables
 from ohmskin.importers.parts import Recording
 from ohmskin.mcap.messages import Role
-from ohmskin.mcap.tape import Tape, is_tape
+from ohmskin.mcap.reader import RecordingReader, is_recording
 
 _LARGEST_FILE = 64 * 2**20
 
@@ -19,7 +19,7 @@ def read_recording(
 ) -> Recording:
     """Read a recording. Its contents decide on its format:
 
-    - our own, in MCAP (`ohmskin.mcap.tape`), whose frames are read from the file when they are asked for;
+    - our own, in MCAP (`ohmskin.mcap.reader`), whose frames are read from the file when they are asked for;
     - MATLAB files of the University of Eastern Finland (UEF 2017; variables CurrentPattern, MeasPattern, Uel) and of
       the Kuopio Tomography Challenge 2023 (Inj, Mpat, Uel, Uelref), each a file per state of the tank
       (`ohmskin.importers.kuopio`);
@@ -39,11 +39,11 @@ def read_recording(
         DataError: If a file cannot be read, is damaged, or has content that cannot be represented here.
     """
     path = Path(path)
-    if is_tape(path):
+    if is_recording(path):
         if reference is not None or pattern is not None:
             raise DataError(f"{path} holds its own patterns and quiet frames; leave reference and pattern out")
-        tape = Tape(path)
-        return Recording(tape.select(Role.QUIET), tape.select(*set(Role) - {Role.QUIET}), "", tape.notes, tape)
+        reader = RecordingReader(path)
+        return Recording(reader.select(Role.QUIET), reader.select(*set(Role) - {Role.QUIET}), "", reader.notes, reader)
     content = content_of(path)
     if is_mat(content[:8]):
         if pattern is not None:

@@ -17,7 +17,7 @@ from ohmskin.inverse.estimators import ESTIMATORS, Estimate, Estimator, FrameWis
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
 from ohmskin.inverse.image import Image
-from ohmskin.inverse.kalman import Belief, Kalman
+from ohmskin.inverse.kalman import Kalman, KalmanState
 from ohmskin.inverse.modes import ImageModes
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.priors import PRIORS, Penalty, Prior, graph_laplacian, matern, noser, paper_laplacian, tikhonov
@@ -31,7 +31,6 @@ __all__ = [
     "PRIORS",
     "RULES",
     "AbsoluteGaussNewton",
-    "Belief",
     "Choice",
     "Estimate",
     "Estimator",
@@ -42,6 +41,7 @@ __all__ = [
     "ImageModes",
     "Iterations",
     "Kalman",
+    "KalmanState",
     "ModelMatch",
     "Penalty",
     "Pixels",

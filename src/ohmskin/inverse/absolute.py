@@ -11,7 +11,7 @@ from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.inverse.image import Image
 from ohmskin.inverse.modes import System, check_positive, check_share, pair_system
-from ohmskin.inverse.positivity import penalised, sway
+from ohmskin.inverse.positivity import noise_gain, penalised
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of, triangle_means
 from ohmskin.inverse.variation import Variation
 from ohmskin.scan import Baseline, Difference, Frame
@@ -170,6 +170,6 @@ class AbsoluteGaussNewton:
             """By the last linearisation."""
             some = np.atleast_1d(elements)
             penalty, jacobian = self._matrix(point.w), self._jacobian(point, data)
-            return np.asarray(self.noise * sway(penalty, jacobian, noise, self._to_image[some]) * ratio[some])
+            return np.asarray(self.noise * noise_gain(penalty, jacobian, noise, self._to_image[some]) * ratio[some])
 
         return Image(ratio - 1, noise_std, logarithmic=True)

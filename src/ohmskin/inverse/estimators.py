@@ -18,8 +18,8 @@ from ohmskin.inverse.absolute import AbsoluteGaussNewton
 from ohmskin.inverse.choice import RULES, choose
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
-from ohmskin.inverse.image import Image, Reconstructs, Tabulated
-from ohmskin.inverse.kalman import Belief, Kalman
+from ohmskin.inverse.image import Image, Reconstructor, TabulatedStd
+from ohmskin.inverse.kalman import Kalman, KalmanState
 from ohmskin.inverse.pixels import Pixels
 from ohmskin.inverse.priors import PRIORS
 from ohmskin.inverse.sparse import SparseBayes
@@ -40,7 +40,7 @@ class Estimate(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class LazyEstimate:
     """An image that is made when it is first asked for, or goes into a pickle."""
 
     make: Callable[[], Image]
@@ -50,12 +50,12 @@ class Made:
         """The image."""
         return self.make()
 
-    def __reduce__(self) -> tuple[Callable[[Image], "Made"], tuple[Image]]:
-        return _made, (self.image,)
+    def __reduce__(self) -> tuple[Callable[[Image], "LazyEstimate"], tuple[Image]]:
+        return _estimated, (self.image,)
 
 
-def _made(image: Image) -> Made:
-    return Made(lambda: image)
+def _estimated(image: Image) -> LazyEstimate:
+    return LazyEstimate(lambda: image)
 
 
 class Estimator(Protocol):
@@ -80,7 +80,7 @@ class Estimator(Protocol):
 
 
 @dataclass(frozen=True)
-class Unchanged:
+class ZeroEstimate:
     """The image of nothing.
 
     Args:
@@ -92,7 +92,7 @@ class Unchanged:
     @property
     def image(self) -> Image:
         """Zeros."""
-        return Image(np.zeros(self.count), Tabulated(np.zeros(self.count)))
+        return Image(np.zeros(self.count), TabulatedStd(np.zeros(self.count)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +104,16 @@ class FrameWise:
         cells: What its images are made of.
     """
 
-    estimator: Reconstructs
+    estimator: Reconstructor
     cells: Cells
 
     def start(self) -> Estimate:
         """The initial state: an image of no change."""
-        return Unchanged(len(self.cells.measures))
+        return ZeroEstimate(len(self.cells.measures))
 
     def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Estimate:
         """The image of the recent scans; without any, the one before."""
-        return Made(partial(self.estimator.reconstruct, *recent)) if recent else before
+        return LazyEstimate(partial(self.estimator.reconstruct, *recent)) if recent else before
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +128,13 @@ class Recursive:
     filter: Kalman
     cells: Cells
 
-    def start(self) -> Belief:
+    def start(self) -> KalmanState:
         """The prior."""
         return self.filter.start()
 
-    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> Belief:
+    def update(self, before: Estimate, new: Scans, recent: Scans, elapsed: float) -> KalmanState:
         """The belief after the new scans."""
-        assert isinstance(before, Belief)
+        assert isinstance(before, KalmanState)
         return self.filter.update(before, *new, elapsed=elapsed)
 
 
@@ -150,7 +150,7 @@ class ByRule:
 
     one_step: GaussNewton
     rule: str
-    made_with: Callable[[float], Reconstructs]
+    made_with: Callable[[float], Reconstructor]
 
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one scan, or of several fused.
@@ -201,7 +201,7 @@ def gauss_newton(s: Settings) -> Estimator:
     return FrameWise(_by_rule(s, one_step, one_step.with_amplitude), one_step.cells)
 
 
-def _by_rule(s: Settings, own: Reconstructs, made_with: Callable[[float], Reconstructs]) -> Reconstructs:
+def _by_rule(s: Settings, own: Reconstructor, made_with: Callable[[float], Reconstructor]) -> Reconstructor:
     """The estimator, its amplitude chosen by the rule where that is not the usual one."""
     if s.rule == "physical":
         return own

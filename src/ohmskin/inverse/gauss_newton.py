@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Cells
-from ohmskin.inverse.image import Image, NoiseStd, Reconstructs
+from ohmskin.inverse.image import Image, NoiseStd, Reconstructor
 from ohmskin.inverse.modes import (
     ImageModes,
     System,
@@ -41,7 +41,7 @@ ILL = 1e-4  # weight over the norm of the rows below which what squares the cond
 
 
 @dataclass(eq=False)
-class GaussNewton(Reconstructs):
+class GaussNewton(Reconstructor):
     """One-step Gauss-Newton reconstruction with a fixed linearisation (paper, section III-A).
 
     The regularisation follows one physical rule for all patterns: noise in volts and prior amplitude, the relative

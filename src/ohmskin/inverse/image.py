@@ -36,7 +36,7 @@ class Image:
         return np.log1p(self.values) if self.logarithmic else self.values
 
     def __reduce__(self) -> tuple[object, ...]:
-        table = Tabulated(
+        table = TabulatedStd(
             self.noise_std(np.arange(len(self.values)))
         )  # what it is computed from is large, and stays here
         return Image, (self.values, table, self.logarithmic)
@@ -48,7 +48,7 @@ class Image:
 
 
 @dataclass(frozen=True)
-class Tabulated:
+class TabulatedStd:
     """Standard deviations (n_elem,) that are known already, as a function of element numbers."""
 
     std: Floats
@@ -58,7 +58,7 @@ class Tabulated:
         return np.asarray(self.std[np.atleast_1d(elements)])
 
 
-class Reconstructs(Protocol):
+class Reconstructor(Protocol):
     """Makes an image of some scans, whatever came before."""
 
     def reconstruct(self, *differences: Difference) -> Image:

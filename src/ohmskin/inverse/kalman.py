@@ -20,7 +20,7 @@ from ohmskin.scan import Difference
 
 
 @dataclass(frozen=True)
-class Belief:
+class KalmanState:
     """Mean and covariance of the image. Start with `Kalman.start`.
 
     Args:
@@ -84,12 +84,12 @@ class Kalman:
         relative = self.model.pair_sensitivity * self.model.conductivity
         self.modes = ImageModes.of_relative(relative, penalty_of(self.model, self.prior), self.model.pairs)
 
-    def start(self) -> Belief:
+    def start(self) -> KalmanState:
         """The belief before anything is measured: the prior."""
         n = self.modes.n_modes
-        return Belief(np.zeros(n), self.amplitude**2 * np.eye(n), np.zeros((n, n)), self.modes)
+        return KalmanState(np.zeros(n), self.amplitude**2 * np.eye(n), np.zeros((n, n)), self.modes)
 
-    def predict(self, belief: Belief, elapsed: float) -> Belief:
+    def predict(self, belief: KalmanState, elapsed: float) -> KalmanState:
         """The belief with nothing measured since.
 
         Args:
@@ -104,9 +104,9 @@ class Kalman:
         added = (1 - kept**2) * self.amplitude**2 + self.walk**2 * elapsed
         covariance = kept**2 * belief.covariance
         covariance[np.diag_indices_from(covariance)] += added
-        return Belief(kept * belief.mean, covariance, kept**2 * belief.noise, self.modes)
+        return KalmanState(kept * belief.mean, covariance, kept**2 * belief.noise, self.modes)
 
-    def update(self, belief: Belief, *differences: Difference, elapsed: float | None = None) -> Belief:
+    def update(self, belief: KalmanState, *differences: Difference, elapsed: float | None = None) -> KalmanState:
         """The belief after one more scan, or several taken at once. Channels that are not finite are left out.
 
         Args:
@@ -130,7 +130,7 @@ class Kalman:
         rest = np.eye(len(before.mean)) - gain @ rows
         covariance = before.covariance - root.T @ root
         mean, noise = before.mean + gain @ (volts - rows @ before.mean), rest @ before.noise @ rest.T
-        return Belief(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
+        return KalmanState(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
 
     def reconstruct(self, *differences: Difference) -> Image:
         """The image of one frame without earlier ones; as for `GaussNewton.reconstruct`, whose image it is."""

@@ -26,7 +26,7 @@ def penalised(matrix: sp.csc_array, rows: Floats, volts: Floats, noise: float, f
     return w
 
 
-def sway(matrix: sp.csc_array, rows: Floats, noise: float, image: sp.csr_array) -> Floats:
+def noise_gain(matrix: sp.csc_array, rows: Floats, noise: float, image: sp.csr_array) -> Floats:
     """How far noise of one volt moves some values (n,) of the image, `image` (n, n_unknowns) times `penalised`."""
     smoothed, normal = _data_space(matrix, rows, noise)
     return np.asarray(np.linalg.norm(np.linalg.solve(normal, (image @ smoothed).T), axis=0))

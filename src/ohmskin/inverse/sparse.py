@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Mesh
-from ohmskin.inverse.image import Image, Reconstructs
+from ohmskin.inverse.image import Image, Reconstructor
 from ohmskin.inverse.modes import check_positive, check_share, pair_system, regularised
 from ohmskin.scan import Difference
 
 
 @dataclass(eq=False)
-class SparseBayes(Reconstructs):
+class SparseBayes(Reconstructor):
     """Sparse Bayesian learning (relevance determination, Tipping 2001; made to converge as in Wipf and Nagarajan 2008).
 
     An image is a sum of round blobs, one about each triangle, each with a prior variance of its own. The variances are

@@ -11,9 +11,9 @@ from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import stiffness
 from ohmskin.geometry import Mesh
-from ohmskin.inverse.image import Image, Reconstructs
+from ohmskin.inverse.image import Image, Reconstructor
 from ohmskin.inverse.modes import System, check_positive, check_share, pair_system
-from ohmskin.inverse.positivity import penalised, sway
+from ohmskin.inverse.positivity import noise_gain, penalised
 from ohmskin.inverse.priors import triangle_means
 from ohmskin.scan import Difference
 
@@ -65,7 +65,7 @@ class Variation:
 
 
 @dataclass(eq=False)
-class TotalVariation(Reconstructs):
+class TotalVariation(Reconstructor):
     """Total-variation images: the x that minimises
 
         |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
@@ -118,7 +118,9 @@ class TotalVariation(Reconstructs):
 
         def noise_std(elements: ArrayLike) -> Floats:
             """With the edges of the image held as they are."""
-            return self.noise * sway(variation.matrix(w), system.rows, noise, self._means[np.atleast_1d(elements)])
+            return self.noise * noise_gain(
+                variation.matrix(w), system.rows, noise, self._means[np.atleast_1d(elements)]
+            )
 
         return Image(self._means @ w, noise_std)
 

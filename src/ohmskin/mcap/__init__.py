@@ -9,16 +9,26 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # for editors
     from ohmskin.mcap.messages import FrameRecord, Role, TouchRecord
     from ohmskin.mcap.pipe import Progress, WriterPipe
+    from ohmskin.mcap.reader import RecordingReader, is_recording
     from ohmskin.mcap.repair import Recovery, recover
-    from ohmskin.mcap.tape import Tape, is_tape
 
-__all__ = ["FrameRecord", "Progress", "Recovery", "Role", "Tape", "TouchRecord", "WriterPipe", "is_tape", "recover"]
+__all__ = [
+    "FrameRecord",
+    "Progress",
+    "RecordingReader",
+    "Recovery",
+    "Role",
+    "TouchRecord",
+    "WriterPipe",
+    "is_recording",
+    "recover",
+]
 
 _HOMES = {
     **dict.fromkeys(("FrameRecord", "Role", "TouchRecord"), "messages"),
     **dict.fromkeys(("Progress", "WriterPipe"), "pipe"),
     **dict.fromkeys(("Recovery", "recover"), "repair"),
-    **dict.fromkeys(("Tape", "is_tape"), "tape"),
+    **dict.fromkeys(("RecordingReader", "is_recording"), "reader"),
 }
 
 

@@ -30,7 +30,7 @@ _CONTACT = "i" + "d" * (len(components(2)) - 1)
 class Role(IntEnum):
     """Purpose of a frame."""
 
-    UNTOLD = 0  #: not known
+    UNKNOWN = 0  #: not known
     BASE = 1  #: the first scan of a cycle
     CHOSEN = 2  #: a later one, whose pattern depends on what the first one showed
     QUIET = 3  #: the untouched skin, to calibrate
@@ -155,7 +155,7 @@ def decode_frame(data: bytes) -> FrameRecord:
     text = data[start + _LENGTH.size : start + _LENGTH.size + length]
     if data[:2] != b"\0\1" or len(text) != length or not abs(arrived) < 1e15:
         raise DataError("a recorded frame is malformed")
-    known = Role(role) if role in Role._value2member_map_ else Role.UNTOLD
+    known = Role(role) if role in Role._value2member_map_ else Role.UNKNOWN
     stamp, mode = seconds * 10**9 + nanoseconds, text.rstrip(b"\0").decode(errors="replace")
     told = at, sequence, FrameFlag(flags), arrived, stamp, pattern, known, mode
     start += _LENGTH.size + length

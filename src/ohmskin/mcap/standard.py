@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats, unsignalled
 from ohmskin.client.cdr import Decoder, Encoder
-from ohmskin.client.felt import Contact, Patch
+from ohmskin.client.contacts import Contact, Patch
 from ohmskin.errors import DataError
 
 FRAME_ID = "skin"

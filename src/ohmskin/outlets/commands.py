@@ -27,7 +27,7 @@ class CommandServer(Closing):
         self._asked, self._commands = BoardReader(f"{name}.asked"), commands
         self._answers = Board(f"{name}.answered", {}, 2 * LARGEST_COMMAND)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Do what was asked since the last look; without that it takes a microsecond, and now and then some ten."""
         if (record := self._asked.newest()) is None:
             return

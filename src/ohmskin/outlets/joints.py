@@ -26,7 +26,7 @@ _START_TIMEOUT = 60.0
 _OTHER_CLOCK = 10.0  # s from now, beyond which a stamp is by another clock, such as a simulation's
 
 
-class Follower:
+class JointMerger:
     """Keeps the newest position of each joint of a body, whoever sends it, and passes them on together.
 
     Args:
@@ -37,7 +37,7 @@ class Follower:
     def __init__(self, states: JointStates, joints: Collection[str]) -> None:
         self._states, self._joints = states, joints
         self._known: dict[str, tuple[float, float]] = {}  # position, and when it was so (s, monotonic clock)
-        self._said = ""
+        self._reported = ""
 
     def take(self, message: bytes, since: float = 0.0) -> None:
         """Pass on a message (CDR) that came `since` seconds ago. One without sense is reported once, and not used.
@@ -45,16 +45,16 @@ class Follower:
         All positions are as old as the oldest: of a joint that no message has, nothing is known.
         """
         try:
-            self._known |= self._told(message, since)
+            self._known |= self._decoded(message, since)
             if self._known:
                 positions = {name: position for name, (position, _) in self._known.items()}
                 self._states.push(positions, time.monotonic() - min(at for _, at in self._known.values()))
         except OhmskinError as error:
-            if str(error) != self._said:
-                self._said = str(error)
+            if str(error) != self._reported:
+                self._reported = str(error)
                 log.warning("joint states are ignored: %s", error)
 
-    def _told(self, message: bytes, since: float) -> dict[str, tuple[float, float]]:
+    def _decoded(self, message: bytes, since: float) -> dict[str, tuple[float, float]]:
         decoder = Decoder(message)
         age = time.time() - since - decoder.stamp() * 1e-9
         at = time.monotonic() - (age if 0 < age < _OTHER_CLOCK else 0.0)
@@ -64,10 +64,10 @@ class Follower:
         positions = struct.unpack(f"<{len(block) // 8}d", block)
         if positions and len(positions) != len(names):
             raise PublishError(f"a message has {len(names)} joints and {len(positions)} positions")
-        told = {name: (p, at) for name, p in zip(names, positions, strict=bool(positions)) if name in self._joints}
-        if wrong := next((name for name, (position, _) in told.items() if not isfinite(position)), None):
-            raise PublishError(f"joint {wrong!r} is at {told[wrong][0]}; it must be a finite number (rad or m)")
-        return told
+        found = {name: (p, at) for name, p in zip(names, positions, strict=bool(positions)) if name in self._joints}
+        if wrong := next((name for name, (position, _) in found.items() if not isfinite(position)), None):
+            raise PublishError(f"joint {wrong!r} is at {found[wrong][0]}; it must be a finite number (rad or m)")
+        return found
 
 
 class JointsProcess(Closing):
@@ -100,7 +100,7 @@ class JointsProcess(Closing):
         self._child.close()
 
 
-def hear(
+def subscribe(
     place: str, topic: str, kind: str, token: str | None, take: Callable[[bytes], None]
 ) -> tuple[str, Callable[[], None]]:
     """Call `take` with every message of a topic, in a thread of the library's; where that is, and what ends it.
@@ -120,8 +120,8 @@ def main() -> None:
     with ExitStack() as stack:
         try:
             states = stack.enter_context(JointStates(settings["name"]))
-            follower = Follower(states, settings["joints"])
-            address, end = hear(settings["place"], settings["topic"], _TYPE, settings["token"], follower.take)
+            merger = JointMerger(states, settings["joints"])
+            address, end = subscribe(settings["place"], settings["topic"], _TYPE, settings["token"], merger.take)
         except OhmskinError as error:
             answer(failed=str(error))
             return

@@ -9,7 +9,7 @@ import serial
 
 from ohmskin.client.cdr import Decoder
 from ohmskin.errors import DataError, DeviceLost, PublishError
-from ohmskin.outlets.joints import hear
+from ohmskin.outlets.joints import subscribe
 from ohmskin.outlets.outlet import check_outlet
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
@@ -17,21 +17,21 @@ _LONGEST = 200  # bytes of a line
 _BAUD = re.compile(r"serial://([^?]+)(?:\?baud=(\d+))?")
 
 
-def open_load_cell(source: str, topic: str, tell: Callable[[float], None]) -> Callable[[], None]:
+def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> Callable[[], None]:
     """Tell every force (N) of a source from now on; gives what ends that.
 
     Args:
         source: ``serial://PORT``, with ``?baud=`` unless it is 115200, whose lines end with a number of newtons; or
             ``zenoh[:PLACE]`` or ``dds[:INTERFACE]``, where ROS 2 publishes a `geometry_msgs/msg/WrenchStamped`.
         topic: Its topic.
-        tell: Called in a thread.
+        report: Called in a thread.
 
     Raises:
         DeviceLost: If the port cannot be opened.
         PublishError: If there is no such source, its extra is missing, or the place cannot be used.
     """
     if source.startswith("serial://"):
-        return _listen_to_line(source, tell)
+        return _listen_to_line(source, report)
     if source.partition(":")[0] not in ("zenoh", "dds"):
         raise PublishError(f"forces cannot be read from {source!r}; choose serial://PORT, zenoh, dds or a .csv file")
     check_outlet(source)
@@ -41,14 +41,14 @@ def open_load_cell(source: str, topic: str, tell: Callable[[float], None]) -> Ca
             decoder = Decoder(message)
             decoder.stamp()
             decoder.text()
-            tell(math.hypot(*decoder.take("ddd")))
+            report(math.hypot(*decoder.take("ddd")))
         except DataError:
             return  # it grows old, which is what its reader looks at
 
-    return hear(source, topic, "geometry_msgs/WrenchStamped", None, take)[1]
+    return subscribe(source, topic, "geometry_msgs/WrenchStamped", None, take)[1]
 
 
-def _listen_to_line(source: str, tell: Callable[[float], None]) -> Callable[[], None]:
+def _listen_to_line(source: str, report: Callable[[float], None]) -> Callable[[], None]:
     found = _BAUD.fullmatch(source)
     if found is None:
         raise PublishError(f"{source!r} names no serial port; use serial://PORT or serial://PORT?baud=9600")
@@ -67,7 +67,7 @@ def _listen_to_line(source: str, tell: Callable[[float], None]) -> Callable[[], 
                 return
             if text.endswith(b"\n") or len(text) >= _LONGEST:
                 if numbers := _NUMBER.findall(text.decode("ascii", "replace")):
-                    tell(float(numbers[-1]))
+                    report(float(numbers[-1]))
                 text = b""
 
     thread = threading.Thread(target=listen, daemon=True)

@@ -7,23 +7,25 @@ from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
 from ohmskin.client.cdr import Encoder
-from ohmskin.client.felt import Contact, Felt, wrench
+from ohmskin.client.contacts import Contact, Contacts, wrench
 from ohmskin.client.fields import components, numbers
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
 _CONTACT = "Ii" + "d" * (len(components(3)) - 1)
 
 
-def encode_contacts(felt: Felt) -> bytes:
+def encode_contacts(merged: Contacts) -> bytes:
     """`ohmskin_msgs/msg/Contacts`."""
-    frames = {patch.frame for patch in felt.patches}
+    frames = {patch.frame for patch in merged.patches}
     frame = frames.pop() if len(frames) == 1 else ""
-    encoder = Encoder().stamp(felt.stamp).text(frame).put("QQ", felt.boot, felt.sequence).put("I", len(felt.patches))
-    for patch in felt.patches:
+    encoder = (
+        Encoder().stamp(merged.stamp).text(frame).put("QQ", merged.boot, merged.sequence).put("I", len(merged.patches))
+    )
+    for patch in merged.patches:
         encoder.text(patch.patch).text(patch.frame).stamp(patch.stamp).put("Q", patch.sequence).text(patch.mode)
-    places = {patch.patch: number for number, patch in enumerate(felt.patches)}
-    encoder.put("I", len(felt.contacts))
-    for c in felt.contacts:
+    places = {patch.patch: number for number, patch in enumerate(merged.patches)}
+    encoder.put("I", len(merged.contacts))
+    for c in merged.contacts:
         encoder.put(_CONTACT, places[c.patch], *numbers(c, 3))
     return encoder.done()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.errors import PublishError
 
 if TYPE_CHECKING:  # the publishing process needs no meshes

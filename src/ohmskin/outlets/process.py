@@ -14,7 +14,7 @@ import numpy as np
 from ohmskin.child import begin
 from ohmskin.client.board import BoardReader
 from ohmskin.client.cdr import Decoder
-from ohmskin.client.felt import Contact, Felt, Patch, SharedMemory
+from ohmskin.client.contacts import Contact, Contacts, Patch, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
@@ -74,13 +74,13 @@ class Relay:
             self._stack = stack.pop_all()
         self._marked, self._due = False, 0.0
 
-    def look(self, picture_every: float) -> None:
+    def poll(self, picture_every: float) -> None:
         """Publish what is new: contacts at once, markers and images as often as that."""
-        if (felt := self._board.newest()) is None:
+        if (merged := self._board.newest()) is None:
             return
         patches = self._board.patches
-        self._send(self._contacts, felt.stamp, encode_contacts(felt))
-        for link, stamp, pushing in wrenches(felt, patches, self._wrenches):
+        self._send(self._contacts, merged.stamp, encode_contacts(merged))
+        for link, stamp, pushing in wrenches(merged, patches, self._wrenches):
             self._send(self._wrenches[link], stamp, encode_wrench(pushing, link, stamp))
         self._send_posture()
         now = time.monotonic()
@@ -90,9 +90,9 @@ class Relay:
         for board in self._health:
             if (told := board.newest()) is not None:
                 self._send(_DIAGNOSTICS, Decoder(told).stamp(), told)
-        if felt.contacts or self._marked:
-            self._send(self._markers, felt.stamp, encode_markers(felt.contacts, patches, felt.stamp))
-            self._marked = bool(felt.contacts)
+        if merged.contacts or self._marked:
+            self._send(self._markers, merged.stamp, encode_markers(merged.contacts, patches, merged.stamp))
+            self._marked = bool(merged.contacts)
         for board, patch, (image, points) in zip(self._pictures, patches, self._images, strict=True):
             if (content := board.newest()) is not None:
                 picture = Picture.unpack(content, board.setup)
@@ -120,14 +120,16 @@ class Relay:
             outlet.send(topic, stamp, data)
 
 
-def wrenches(felt: Felt, patches: Sequence[Patch], links: Iterable[str]) -> Iterator[tuple[str, int, list[Contact]]]:
+def wrenches(
+    merged: Contacts, patches: Sequence[Patch], links: Iterable[str]
+) -> Iterator[tuple[str, int, list[Contact]]]:
     """Links, with the time (ns) and all the contacts that push them: none when nothing does; no link of which that is
     not known."""
     telling = {patch.name for patch in patches if patch.newtons}
     for link in links:
-        seen = [one for one in felt.patches if one.frame == link and one.patch in telling]
+        seen = [one for one in merged.patches if one.frame == link and one.patch in telling]
         names = [one.patch for one in seen]
-        own = [contact for contact in felt.contacts if contact.patch in names]
+        own = [contact for contact in merged.contacts if contact.patch in names]
         if all(one.sequence for one in seen) and not any(contact.force is None for contact in own):
             yield link, min(one.stamp for one in seen), own
 
@@ -144,7 +146,7 @@ def main() -> None:
     with closing(relay), np.errstate(all="ignore"):
         answer(ready=[outlet.address for outlet in relay.outlets])
         while os.read(0, 65536):
-            relay.look(every)
+            relay.poll(every)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.client.board import Board
-from ohmskin.client.felt import LARGEST, Felt, Patch, Sighting, felt, pack
-from ohmskin.client.felt import Contact as Placed
+from ohmskin.client.contacts import LARGEST, Contacts, Patch, PatchState, merged, pack
+from ohmskin.client.contacts import Contact as Placed
 from ohmskin.closing import Closing
 from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
@@ -76,7 +76,7 @@ class Publisher(Closing):
         """Publish the contacts of a cycle; never waits."""
         # The calendar may be set anew at any time, so that each stamp is taken from how long ago the sample was.
         stamp = time.time_ns() - round((time.monotonic() - touch.time) * 1e9)
-        self._board.write(pack(self.felt(touch, stamp), [self.patch]))
+        self._board.write(pack(self.contacts(touch, stamp), [self.patch]))
         if (now := time.monotonic()) >= self._due:
             self._due = now + self._every
             self.show(self.raster(touch.percept.image.values), touch.sequence, stamp)
@@ -87,9 +87,9 @@ class Publisher(Closing):
             self._health.write(encode_health(*told))
         self._relay.wake()
 
-    def repeat(self, seen: Sighting, contacts: Sequence[Placed]) -> None:
+    def repeat(self, seen: PatchState, contacts: Sequence[Placed]) -> None:
         """Publish contacts of before, `seen` then."""
-        self._board.write(pack(felt(seen.sequence, [seen], contacts, self._board.boot), [self.patch]))
+        self._board.write(pack(merged(seen.sequence, [seen], contacts, self._board.boot), [self.patch]))
 
     def show(self, pixels: Floats, sequence: int, stamp: int) -> None:
         """Show an image (ny, nx); one of another size is none of this skin.
@@ -101,11 +101,11 @@ class Publisher(Closing):
             raise DataError(f"an image of {pixels.shape} pixels; this skin has {self.raster.inside.shape}")
         self._picture.write(Picture.pack(pixels, sequence, stamp))
 
-    def felt(self, touch: Touch, stamp: int) -> Felt:
+    def contacts(self, touch: Touch, stamp: int) -> Contacts:
         """The contacts of a cycle, in the patch's frame."""
-        seen = Sighting(self.patch.name, self.patch.frame, touch.sequence, touch.time, stamp, touch.mode.name)
+        seen = PatchState(self.patch.name, self.patch.frame, touch.sequence, touch.time, stamp, touch.mode.name)
         contacts = in_frame(touch.contacts, self._chart, self.patch)
-        return felt(touch.sequence, [seen], contacts, self._board.boot)
+        return merged(touch.sequence, [seen], contacts, self._board.boot)
 
     def close(self) -> None:
         """End outlets, take the boards away. Safe to call twice."""

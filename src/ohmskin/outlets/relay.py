@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ohmskin.child import Child
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.outlet import check_outlet

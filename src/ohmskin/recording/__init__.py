@@ -1,7 +1,7 @@
 """Recordings of ours: made while the loop runs (`Recorder`), replayed through it (`Player`, `reimage`), and read."""
 
 from ohmskin.device.replay import recorded_skin
-from ohmskin.mcap import Progress, Recovery, Role, Tape, is_tape, recover
+from ohmskin.mcap import Progress, RecordingReader, Recovery, Role, is_recording, recover
 from ohmskin.recording.player import Player, Replayed, reimage
 from ohmskin.recording.recorder import Recorder
 
@@ -9,11 +9,11 @@ __all__ = [
     "Player",
     "Progress",
     "Recorder",
+    "RecordingReader",
     "Recovery",
     "Replayed",
     "Role",
-    "Tape",
-    "is_tape",
+    "is_recording",
     "recorded_skin",
     "recover",
     "reimage",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ohmskin.client.fields import columns, numbers
 from ohmskin.errors import DataError
-from ohmskin.mcap import Tape
+from ohmskin.mcap import RecordingReader
 from ohmskin.recording.player import Replayed, reimage
 
 CONTACT_COLUMNS = ("time_s", "cycle", "mode", *columns())
@@ -31,21 +31,21 @@ _ROWS_AT_ONCE = 65536
 _MOST_VALUES = 2**28  # of one array held in memory
 
 
-def contact_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
+def contact_rows(reader: RecordingReader, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
     """The recorded contacts (`CONTACT_COLUMNS`) between two times (s)."""
-    times = tape.times_of(tape.touches)
+    times = reader.times_of(reader.touches)
     for k in np.flatnonzero((times >= start) & (times <= stop)):
-        touch = tape.touches[int(k)]
+        touch = reader.touches[int(k)]
         for contact in touch.contacts:
             yield (float(times[k]), touch.sequence, touch.mode, *numbers(contact, 2))
 
 
-def frame_rows(tape: Tape, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
+def frame_rows(reader: RecordingReader, start: float = -np.inf, stop: float = np.inf) -> Iterator[tuple[Any, ...]]:
     """The recorded voltages (`FRAME_COLUMNS`) of frames between two times (s)."""
-    for k in _within(tape, start, stop):
-        record, pattern = tape.frames[int(k)], tape.pattern(int(k))
+    for k in _within(reader, start, stop):
+        record, pattern = reader.frames[int(k)], reader.pattern(int(k))
         frame = record.frame(pattern)
-        head = (float(tape.times[k]), record.time, record.sequence, record.role.name.lower(), record.mode)
+        head = (float(reader.times[k]), record.time, record.sequence, record.role.name.lower(), record.mode)
         amperes, volts = frame.measurement_currents.tolist(), frame.voltages.tolist()
         rows = zip(pattern.quadruples.tolist(), amperes, volts, strict=True)
         for quadruple, current, voltage in rows:
@@ -92,7 +92,9 @@ def write_parquet(path: Path, columns: Iterable[str], rows: Iterable[tuple[Any, 
     return total
 
 
-def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.inf) -> dict[str, tuple[int, ...]]:
+def write_npz(
+    path: Path, reader: RecordingReader, start: float = -np.inf, stop: float = np.inf
+) -> dict[str, tuple[int, ...]]:
     """Write frames, patterns, contacts and images as NumPy arrays (docs/guide/recording.md); their shapes.
 
     Voltages of frame k are `voltages[voltages_start[k] : voltages_start[k + 1]]`; likewise currents and patterns.
@@ -100,29 +102,31 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
     Raises:
         DataError: If the file exists or cannot be written, or so much does not fit into memory.
     """
-    frames = _within(tape, start, stop)
-    _, first, which = np.unique(tape.pattern_numbers[frames], return_index=True, return_inverse=True)
-    patterns = [tape.pattern(int(frames[k])) for k in first]
+    frames = _within(reader, start, stop)
+    _, first, which = np.unique(reader.pattern_numbers[frames], return_index=True, return_inverse=True)
+    patterns = [reader.pattern(int(frames[k])) for k in first]
     sizes = np.array([p.n_meas for p in patterns], np.int64)
     if (total := int(sizes[which].sum())) > _MOST_VALUES:
         raise DataError(f"{total} voltages are too many for one file; choose a part with --start and --seconds")
-    records = [tape.frames[int(k)] for k in frames]
+    records = [reader.frames[int(k)] for k in frames]
     images: list[Any] = []
     image_times, shape = [], (0, 0)
-    times = tape.times_of(tape.images)
+    times = reader.times_of(reader.images)
     for k in np.flatnonzero((times >= start) & (times <= stop)):
-        image = tape.images[int(k)]
+        image = reader.images[int(k)]
         shape = shape if images else image.shape
         if image.shape != shape:
-            raise DataError(f"image {k} of {tape.path} has shape {image.shape}, not {shape}; export a part without it")
+            raise DataError(
+                f"image {k} of {reader.path} has shape {image.shape}, not {shape}; export a part without it"
+            )
         if (len(images) + 1) * image.size > _MOST_VALUES:
             raise DataError("the images are too many for one file; choose a part with --start and --seconds")
         images.append(image.astype(np.float32))
         image_times.append(times[k])
-    contacts = list(contact_rows(tape, start, stop))
+    contacts = list(contact_rows(reader, start, stop))
     table = zip(*contacts, strict=True) if contacts else [()] * len(CONTACT_COLUMNS)
     arrays: dict[str, Any] = {
-        "frame_time_s": tape.times[frames],
+        "frame_time_s": reader.times[frames],
         "frame_device_time_s": np.array([r.time for r in records]),
         "frame_sequence": np.array([r.sequence for r in records], np.uint64),
         "frame_auxiliary": np.array([np.nan if r.auxiliary is None else r.auxiliary for r in records]),
@@ -135,11 +139,11 @@ def write_npz(path: Path, tape: Tape, start: float = -np.inf, stop: float = np.i
         **_joined("pattern_measurements", [p.measurements for p in patterns], np.empty((0, 3), np.int32)),
         "image_time_s": np.array(image_times),
         "images": np.array(images, np.float32).reshape(len(images), *shape),
-        "skin_toml": np.array(tape.skin),
+        "skin_toml": np.array(reader.skin),
         **{f"contact_{name}": np.array(own) for name, own in zip(CONTACT_COLUMNS, table, strict=True)},
     }
     with suppress(KeyError, ValueError), np.errstate(all="ignore"):  # a damaged file may tell of infinite pixels
-        raster = tape.metadata["raster"]
+        raster = reader.metadata["raster"]
         arrays["image_x_m"] = float(raster["x0"]) + float(raster["pitch"]) * np.arange(shape[1])
         arrays["image_y_m"] = float(raster["y0"]) + float(raster["pitch"]) * np.arange(shape[0])
     with _new(path) as part, part.open("wb") as file:
@@ -153,7 +157,7 @@ def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
     Raises:
         DataError: If the file exists or cannot be written, or the extra `plot` is missing.
     """
-    from ohmskin.plot.film import side_by_side  # here: it needs the extra `plot`
+    from ohmskin.plot.video import side_by_side  # here: it needs the extra `plot`
 
     figure = side_by_side({title: (cycle.known.model, cycle.touch.percept) for title, cycle in cycles.items()})
     with _new(path) as part:
@@ -163,7 +167,7 @@ def save_comparison(path: Path, cycles: dict[str, Replayed]) -> None:
             raise DataError(f"cannot write picture {path}: {error}") from error
 
 
-def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> int:
+def write_video(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> int:
     """Write an MP4 video of `rate` pictures per recorded second, through ffmpeg; the number of its pictures.
 
     Each picture is of the newest cycle at its time. Colours stay fixed from the first one on.
@@ -172,17 +176,17 @@ def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> in
         DataError: If ffmpeg or the extra `plot` is not installed, ffmpeg fails, there are no cycles, or the file
             exists.
     """
-    from ohmskin.plot.film import Film, check_film  # here: it needs the extra `plot`
+    from ohmskin.plot.video import VideoFigure, check_video  # here: it needs the extra `plot`
 
-    check_film()
+    check_video()
     cycles = iter(cycles)
     if (first := next(cycles, None)) is None:
         raise DataError("nothing was recorded in that time; choose another --start and --seconds")
-    film = Film(first.known.model, first.touch.percept, max(0.3, 3 * first.thresholds.final))
+    video = VideoFigure(first.known.model, first.touch.percept, max(0.3, 3 * first.thresholds.final))
     count, due = 0, first.time
     with _new(path) as part:
         try:
-            with film.written(part, rate) as add:
+            with video.written(part, rate) as add:
                 for cycle in chain([first], cycles):
                     while count and due + 1 / rate <= cycle.time:  # nothing new: the film stands still
                         add()
@@ -190,7 +194,7 @@ def write_film(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> in
                     if cycle.time + 1e-9 >= due:
                         touch = cycle.touch
                         title = f"{touch.mode.name}   {cycle.time:7.2f} s"
-                        film.show(cycle.known.model, touch.percept, touch.contacts, title)
+                        video.show(cycle.known.model, touch.percept, touch.contacts, title)
                         add()
                         count, due = count + 1, due + 1 / rate
         except subprocess.CalledProcessError as error:
@@ -227,8 +231,8 @@ def cycle_at(path: str | Path, at: float, **options: Any) -> Replayed:
     raise DataError(f"no whole cycle was recorded from {at:g} s on; choose an earlier time")
 
 
-def _within(tape: Tape, start: float, stop: float) -> Any:
-    return np.flatnonzero((tape.times >= start) & (tape.times <= stop))
+def _within(reader: RecordingReader, start: float, stop: float) -> Any:
+    return np.flatnonzero((reader.times >= start) & (reader.times <= stop))
 
 
 def _joined(name: str, parts: Sequence[NDArray], none: NDArray) -> dict[str, NDArray]:

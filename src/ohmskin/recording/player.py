@@ -36,19 +36,19 @@ class Player:
     Args:
         engine: Made on a `ReplayDevice`, not yet calibrated.
         mode: Stay in this mode instead.
-        say: Called with a sentence when a mode cannot be had.
+        notify: Called with a sentence when a mode cannot be had.
 
     Raises:
         DeviceError: If the device of the engine is not a recording.
         PatternError: If cycles of `mode` were not recorded; the message lists those that were.
     """
 
-    def __init__(self, engine: Engine, mode: str = "", say: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(self, engine: Engine, mode: str = "", notify: Callable[[str], None] = lambda _: None) -> None:
         device = engine.device
         if not isinstance(device, ReplayDevice):
             raise DeviceError(f"{device.url} is not a recording; open replay:FILE")
         self.device = device
-        self._engine, self._say = engine, say
+        self._engine, self._notify = engine, notify
         device.calibrating = lambda: engine.state is State.CALIBRATING
         self._recorded, self._calibration, self._jumps = device.mode, device.calibration, device.jumps
         if mode:
@@ -76,7 +76,7 @@ class Player:
             return
         if not self._possible():
             if self._engine.mode.name != recorded:
-                self._say(f"mode {self._engine.mode.name} was not recorded here; showing {self._recorded}")
+                self._notify(f"mode {self._engine.mode.name} was not recorded here; showing {self._recorded}")
             engine.set_mode(self._recorded)
         elif recorded != self._recorded and not self._fixed:
             engine.set_mode(self._recorded)
@@ -99,7 +99,7 @@ class Player:
                 else:
                     self._engine.pause(True)
                     self._before = State.PAUSED
-                    self._say("the recording has ended")
+                    self._notify("the recording has ended")
             self.prepare()
             return self._unless_over(step)
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 import ohmskin
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.closing import Closing
 from ohmskin.contacts import in_frame
 from ohmskin.device import Device
@@ -20,8 +20,8 @@ from ohmskin.errors import DataError
 from ohmskin.geometry import Raster
 from ohmskin.mcap import Progress, Role, WriterPipe, messages, standard
 from ohmskin.mcap.modes import encode_modes
+from ohmskin.mcap.reader import FORMAT
 from ohmskin.mcap.schemas import FRAME, HEALTH, IMAGE, LOG, MARKERS, PATTERN, TOUCH
-from ohmskin.mcap.tape import FORMAT
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.sensing import drive_of
 from ohmskin.sensing import modes as modes_of
@@ -109,7 +109,7 @@ class Recorder(Closing):
                 role = Role.QUIET if self._engine.state is State.CALIBRATING else Role.BASE if first else Role.CHOSEN
         self._frames += 1
         if self._store(frame.pattern, stamp):
-            data = messages.encode_frame(frame, stamp, time.monotonic(), role or Role.UNTOLD, mode)
+            data = messages.encode_frame(frame, stamp, time.monotonic(), role or Role.UNKNOWN, mode)
             self._pipe.send(FRAME, self._frames, stamp, data)
         else:
             self._unnamed += 1

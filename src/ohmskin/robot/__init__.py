@@ -2,18 +2,18 @@
 
 from ohmskin.robot.arm import arm
 from ohmskin.robot.demonstration import Demonstration, Moment, Sensed, engines
-from ohmskin.robot.figures import Encounter, Hug, OwnTouch, summary
-from ohmskin.robot.wearer import Push, Wearer
+from ohmskin.robot.figures import Encounter, Hug, SelfTouchTrial, summary
+from ohmskin.robot.simulation import Push, RobotSimulation
 
 __all__ = [
     "Demonstration",
     "Encounter",
     "Hug",
     "Moment",
-    "OwnTouch",
     "Push",
+    "RobotSimulation",
+    "SelfTouchTrial",
     "Sensed",
-    "Wearer",
     "arm",
     "engines",
     "summary",

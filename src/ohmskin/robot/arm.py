@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ohmskin.body import Body, PlacedSkin
 from ohmskin.body.robot import Robot
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.errors import ModelError
 from ohmskin.skin import Skin
 

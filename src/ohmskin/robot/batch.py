@@ -8,7 +8,7 @@ from ohmskin.skin import Fault, Press, Skin, VirtualSkin
 _CONTACTS = 4  # between sheet and patch along each side, as in data sets: presses do to 5 % what they do with more
 
 
-class QuickSkin(VirtualSkin):
+class BatchSkin(VirtualSkin):
     """A `VirtualSkin` whose presses are modelled many at a time, by the same equations.
 
     Args:
@@ -24,15 +24,15 @@ class QuickSkin(VirtualSkin):
         super().__init__(skin, seed, faults, _CONTACTS)
         self.sheet.many([[]])  # compiles
 
-    def scans(self, scenes: Sequence[Iterable[Press]], pattern: DrivePattern) -> list[Frame]:
+    def scans(self, cases: Sequence[Iterable[Press]], pattern: DrivePattern) -> list[Frame]:
         """A scan of each of n scenes, one after the other.
 
         Args:
-            scenes: What presses in each; of a press off the sheet only what is on it counts.
+            cases: What presses in each; of a press off the sheet only what is on it counts.
             pattern: What is driven.
         """
         frames = []
-        for resistance in self.sheet.many(scenes):
+        for resistance in self.sheet.many(cases):
             self._resistance, self._stale = self.wiring.seen_from_terminals(resistance), False
             frames.append(self.scan(pattern))
         return frames

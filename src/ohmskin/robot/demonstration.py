@@ -9,17 +9,17 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.body import Body, SelfTouch
-from ohmskin.client.felt import Contact
+from ohmskin.client.contacts import Contact
 from ohmskin.contacts import in_frame
 from ohmskin.device import connect
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
-from ohmskin.robot.figures import Encounter, Hug, OwnTouch
+from ohmskin.robot.figures import Encounter, Hug, SelfTouchTrial
 from ohmskin.robot.hands import Hand
-from ohmskin.robot.manners import MANNERS
 from ohmskin.robot.reach import way_to_itself
 from ohmskin.robot.scene import PADS
-from ohmskin.robot.wearer import Push, Wearer, above
+from ohmskin.robot.simulation import Push, RobotSimulation, above
+from ohmskin.robot.strategies import STRATEGIES
 from ohmskin.skin import Calibration, Press, Skin
 
 _WITHDRAW = 0.25  # m/s, of a place that tells no newtons
@@ -65,14 +65,14 @@ class Moment:
         touches: The cycle of each skin.
         pushes: What presses the skins.
         sensed: All contacts.
-        wearer: The robot, which goes on moving: draw it now.
+        simulation: The robot, which goes on moving: draw it now.
     """
 
     time: float
     touches: tuple[Touch, ...]
     pushes: tuple[Push, ...]
     sensed: tuple[Sensed, ...]
-    wearer: Wearer = field(repr=False)
+    simulation: RobotSimulation = field(repr=False)
 
 
 class Demonstration:
@@ -85,29 +85,31 @@ class Demonstration:
         body: The robot.
         engines: The loops on virtual skins, calibrated, in the order of its patches.
         seed: Chooses the places of the pokes.
-        manner: How the robot answers, of `MANNERS`; a stiff one serves for comparison.
+        strategy: How the robot answers, of `STRATEGIES`; a stiff one serves for comparison.
         computing: Time for computing in each cycle (s).
 
     Raises:
-        ModelError: If a skin is not virtual, there is no such manner, or it needs newtons and a skin is uncalibrated.
+        ModelError: If a skin is not virtual, there is no such strategy, or it needs newtons and a skin is uncalibrated.
     """
 
     def __init__(
-        self, body: Body, engines: Sequence[Engine], seed: int = 0, manner: str = "yield", computing: float = 2e-3
+        self, body: Body, engines: Sequence[Engine], seed: int = 0, strategy: str = "yield", computing: float = 2e-3
     ) -> None:
         if not all(engine.device.capabilities.virtual for engine in engines) or len(engines) != len(body.patches):
             raise ModelError("the demonstration needs a skin on the device virtual: for each patch")
-        if manner not in MANNERS:
-            raise ModelError(f"no manner {manner!r}; choose from {', '.join(MANNERS)}")
-        self.body, self.engines, self.manner, self.computing = body, tuple(engines), MANNERS[manner], computing
+        if strategy not in STRATEGIES:
+            raise ModelError(f"no strategy {strategy!r}; choose from {', '.join(STRATEGIES)}")
+        self.body, self.engines, self.strategy, self.computing = body, tuple(engines), STRATEGIES[strategy], computing
         untold = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
-        if self.manner.needs_force and untold:
-            raise ModelError(f"manner {manner!r} needs newtons; calibrate skin {untold[0]!r} with `ohmskin calibrate`")
-        self.wearer = Wearer(body)
+        if self.strategy.needs_force and untold:
+            raise ModelError(
+                f"strategy {strategy!r} needs newtons; calibrate skin {untold[0]!r} with `ohmskin calibrate`"
+            )
+        self.simulation = RobotSimulation(body)
         self._self_touch = SelfTouch(body)
         self._links = {placed.patch.name: placed.patch.frame for placed in body.patches}
         self._random = np.random.default_rng(seed)
-        self._offset = np.zeros_like(self.wearer.target)
+        self._offset = np.zeros_like(self.simulation.target)
         self._pressed: list[int] = [0] * len(engines)
         self._elapsed = self._halted = 0.0  # s, of the last cycle; that its own movement stood still
         self._reach: Floats | None = None  # joint positions in place of the robot's own movement
@@ -129,22 +131,22 @@ class Demonstration:
 
     def free(self, seconds: float, show: Callable[[Moment], None] = lambda _: None) -> int:
         """Move untouched for `seconds` (s), `show` as for `pokes`; the number of contacts reported all the same."""
-        self.wearer.bring(_AWAY, _UP)
-        end, found = self.wearer.time + seconds, set[tuple[str, int]]()
-        while self.wearer.time < end:
+        self.simulation.place_hand(_AWAY, _UP)
+        end, found = self.simulation.time + seconds, set[tuple[str, int]]()
+        while self.simulation.time < end:
             moment = self._cycle(_AWAY)
             show(moment)
             found |= {(one.contact.patch, one.contact.id) for one in moment.sensed if one.push is None}
         return len(found)
 
-    def own_touches(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[OwnTouch]:
+    def own_touches(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[SelfTouchTrial]:
         """Let the robot touch itself, in postures found by chance, with no hand near it; arguments as for `pokes`."""
-        self.wearer.bring(_AWAY, _UP)
+        self.simulation.place_hand(_AWAY, _UP)
         for _ in range(count):
-            yield self._own_touch(way_to_itself(self.wearer, self._random), show)
+            yield self._own_touch(way_to_itself(self.simulation, self._random), show)
 
-    def _own_touch(self, end: Floats, show: Callable[[Moment], None]) -> OwnTouch:
-        start, push, peak, pushed, frames, told = self.wearer.target.copy(), 0.0, 0.0, set[int](), 0, 0
+    def _own_touch(self, end: Floats, show: Callable[[Moment], None]) -> SelfTouchTrial:
+        start, push, peak, pushed, frames, told = self.simulation.target.copy(), 0.0, 0.0, set[int](), 0, 0
         gone, held, seconds = 0.0, 0.0, float(np.abs(end - start).max()) / _REACHING
         names = [placed.patch.name for placed in self.body.patches]
         while gone >= 0:
@@ -163,7 +165,7 @@ class Demonstration:
             own = [one for one in moment.sensed if one.push is not None]
             frames, told = frames + len(own), told + sum(bool(one.contact.self_touch) for one in own)
         self._reach = None
-        return OwnTouch(tuple(names[number] for number in sorted(pushed)), peak, frames, told)
+        return SelfTouchTrial(tuple(names[number] for number in sorted(pushed)), peak, frames, told)
 
     def _reachable(self) -> tuple[int, Floats]:
         """A skin, and a place on it that the finger can come to; by chance."""
@@ -177,16 +179,16 @@ class Demonstration:
         domain = self.engines[patch].skin.domain
         x0, y0, x1, y1 = domain.bounds
         place = self._random.uniform([x0, y0], [x1, y1])
-        radius = self.wearer.hands[hand]
+        radius = self.simulation.hands[hand]
         if domain.depth([place])[0] <= max(_RIM * min(x1 - x0, y1 - y0), radius / 2):
             return None
-        robot, link = self.wearer.posed(), self.body.patches[patch].patch.frame
-        ways = (above(self.wearer, patch, place, height, radius) for height in np.linspace(0.0, 0.15, 7))
+        robot, link = self.simulation.posed(), self.body.patches[patch].patch.frame
+        ways = (above(self.simulation, patch, place, height, radius) for height in np.linspace(0.0, 0.15, 7))
         clear = all(self._self_touch.nearest(robot, way, link)[1] > radius + _FREE for way in ways)
         return place if clear else None
 
     def _encounter(self, patch: int, aim: Floats, show: Callable[[Moment], None]) -> Encounter:
-        hand, felt_on, reacted_at = Hand(self.wearer, 0, patch, aim), "", np.nan
+        hand, felt_on, reacted_at = Hand(self.simulation, 0, patch, aim), "", np.nan
         errors, forces, strangers, own = list[float](), list[tuple[float, float]](), set[tuple[str, int]](), 0
         while not hand.done:
             moment = self._pressed_by([hand], show)
@@ -208,11 +210,11 @@ class Demonstration:
     def _hug(self, show: Callable[[Moment], None]) -> Hug:
         hands, errors, forces = list[Hand](), list[float](), list[tuple[float, float]]()
         totals, felt, strangers, reacted_at = list[tuple[float, float]](), set[int](), set[tuple[str, int]](), np.nan
-        self.wearer.bring(_AWAY, _UP)
+        self.simulation.place_hand(_AWAY, _UP)
         for patch in self._random.permutation(len(self.engines))[:PADS].tolist():
             tried = (self._free_place(patch, 1 + len(hands)) for _ in range(_TRIES))
             if (place := next((place for place in tried if place is not None), None)) is not None:
-                hands.append(Hand(self.wearer, 1 + len(hands), patch, place))
+                hands.append(Hand(self.simulation, 1 + len(hands), patch, place))
         while not all(hand.done for hand in hands):
             moment = self._pressed_by(hands, show)
             pressed = [hand.push for hand in hands if hand.push is not None]
@@ -245,19 +247,19 @@ class Demonstration:
                 hand.advance(self._elapsed)
         moment = self._cycle(*self._tips(hands))
         for hand in hands:
-            hand.see(moment.pushes, moment.time)
+            hand.update(moment.pushes, moment.time)
         show(moment)
         return moment
 
     def _let_go(self, hands: Sequence[Hand], show: Callable[[Moment], None]) -> None:
         """Let hands go back, for a pause."""
-        end = self.wearer.time + _PAUSE
-        while self.wearer.time < end:
+        end = self.simulation.time + _PAUSE
+        while self.simulation.time < end:
             for hand in hands:
                 hand.retreat(self._elapsed)
             show(self._cycle(*self._tips(hands)))
         for hand in hands:
-            self.wearer.bring(_AWAY, _UP, hand.number)
+            self.simulation.place_hand(_AWAY, _UP, hand.number)
 
     def _tips(self, hands: Sequence[Hand]) -> list[Floats]:
         """Where the tips of the first hands are to be, those not in use far away."""
@@ -267,12 +269,12 @@ class Demonstration:
     def _cycle(self, *tips: Floats) -> Moment:
         """Move for the time of the last cycle, press what MuJoCo presses, sense, command."""
         if self._elapsed:
-            self.wearer.advance(self._elapsed, *tips)
-        pushes = self.wearer.pushes()
+            self.simulation.advance(self._elapsed, *tips)
+        pushes = self.simulation.pushes()
         touches = tuple(self._sense(number, engine, pushes) for number, engine in enumerate(self.engines))
         sensed = tuple(self._placed(touches, pushes))
         self._elapsed = self.computing + max(self._scanning(*pair) for pair in zip(self.engines, touches, strict=True))
-        moment = Moment(self.wearer.time, touches, pushes, sensed, self.wearer)
+        moment = Moment(self.simulation.time, touches, pushes, sensed, self.simulation)
         self._command(sensed)
         return moment
 
@@ -292,9 +294,9 @@ class Demonstration:
         """All contacts as the body reports them: in the world, by the joints as measured, with self-touch."""
         if not any(touch.contacts for touch in touches):
             return  # most of the time
-        robot = self.wearer.posed()
+        robot = self.simulation.posed()
         for number, (placed, touch) in enumerate(zip(self.body.patches, touches, strict=True)):
-            told = self._self_touch.told(robot, in_frame(touch.contacts, placed.skin.chart, placed.patch))
+            told = self._self_touch.with_self_touch(robot, in_frame(touch.contacts, placed.skin.chart, placed.patch))
             for on_map, contact in zip(touch.contacts, robot.place(told), strict=True):
                 alone = Sensed(number, on_map.position, contact, None)
                 near = (replace(alone, push=push) for push in pushes if push.patch == number)
@@ -303,25 +305,25 @@ class Demonstration:
 
     def _rest(self) -> Floats:
         """Joint positions of the robot's own movement, which may have stood still."""
-        return self.wearer.rest(self.wearer.time - self._halted)
+        return self.simulation.rest(self.simulation.time - self._halted)
 
     def _scanning(self, engine: Engine, touch: Touch) -> float:
         return sum(engine.device.capabilities.scan_time(frame.pattern) for frame in touch.percept.frames)
 
     def _command(self, sensed: Sequence[Sensed]) -> None:
-        """Answer where others touch, by the robot's manner; without newtons a place that gives way withdraws."""
+        """Answer where others touch, by the robot's strategy; without newtons a place that gives way withdraws."""
         touched = [one for one in sensed if not one.contact.self_touch]
-        if self.manner.returns is not None:
-            self._offset *= np.exp(-self._elapsed / self.manner.returns)
+        if self.strategy.returns is not None:
+            self._offset *= np.exp(-self._elapsed / self.strategy.returns)
         for one in touched:
-            speed = self.manner.speed(one.contact.force)
+            speed = self.strategy.speed(one.contact.force)
             if speed and not self.body.patches[one.patch].patch.newtons:
                 speed = _WITHDRAW
-            self._offset += self.wearer.yielding(one.patch, np.array(one.place)) * speed * self._elapsed
-        if touched and self.manner.halts:
+            self._offset += self.simulation.inward_step(one.patch, np.array(one.place)) * speed * self._elapsed
+        if touched and self.strategy.halts:
             self._halted += self._elapsed
         own = self._rest() if self._reach is None else self._reach
-        self.wearer.aim(own + self._offset)
+        self.simulation.aim(own + self._offset)
 
 
 @contextmanager

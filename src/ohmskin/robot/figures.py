@@ -63,7 +63,7 @@ class Hug:
 
 
 @dataclass(frozen=True)
-class OwnTouch:
+class SelfTouchTrial:
     """One self-touch of the robot and its result.
 
     Args:
@@ -80,7 +80,7 @@ class OwnTouch:
 
 
 def summary(
-    encounters: Sequence[Encounter], touches: Sequence[OwnTouch] = (), hugs: Sequence[Hug] = ()
+    encounters: Sequence[Encounter], touches: Sequence[SelfTouchTrial] = (), hugs: Sequence[Hug] = ()
 ) -> dict[str, object]:
     """Figures of a run, for JSON: how many pokes were detected, position errors (m), reaction times (s), forces (N).
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.robot.wearer import Push, Wearer, above
+from ohmskin.robot.simulation import Push, RobotSimulation, above
 
 _ABOVE = 0.03  # m: where a hand starts, above the skin
 _APPROACH = 0.08  # m/s
@@ -17,8 +17,8 @@ class Hand:
     """One hand on its way to a place of a skin.
 
     Args:
-        wearer: The robot.
-        number: Which hand it is, of `Wearer.hands`.
+        simulation: The robot.
+        number: Which hand it is, of `RobotSimulation.hands`.
         patch: The skin.
         aim: The place (2,) on its map (m).
 
@@ -30,14 +30,14 @@ class Hand:
         peak: Largest force so far (N).
     """
 
-    def __init__(self, wearer: Wearer, number: int, patch: int, aim: Floats) -> None:
+    def __init__(self, simulation: RobotSimulation, number: int, patch: int, aim: Floats) -> None:
         self.number, self.patch = number, patch
-        self._wearer, self._aim, self._height, self._pushed, self._held = wearer, aim, _ABOVE, 0.0, 0.0
+        self._simulation, self._aim, self._height, self._pushed, self._held = simulation, aim, _ABOVE, 0.0, 0.0
         self._direction = np.zeros(3)
         self.push: Push | None = None
         self.touched_at, self.peak, self.where = np.nan, 0.0, (np.nan, np.nan)
         self.point = self._over()
-        wearer.bring(self.point, wearer.surface(patch, aim)[1], number)
+        simulation.place_hand(self.point, simulation.surface(patch, aim)[1], number)
 
     @property
     def done(self) -> bool:
@@ -57,14 +57,14 @@ class Hand:
         else:
             self._held += elapsed
 
-    def see(self, pushes: tuple[Push, ...], time: float) -> None:
+    def update(self, pushes: tuple[Push, ...], time: float) -> None:
         """Take note of what it presses at a time (s)."""
         own = (push for push in pushes if push.patch == self.patch and push.hand == self.number)
         self.push = next(own, None)
         if self.push is not None:
             self.peak = max(self.peak, self.push.force)
             if np.isnan(self.touched_at):
-                self._direction, self.touched_at = -self._wearer.surface(self.patch, self._aim)[1], time
+                self._direction, self.touched_at = -self._simulation.surface(self.patch, self._aim)[1], time
                 self.where = (float(self.push.place[0]), float(self.push.place[1]))
 
     def retreat(self, elapsed: float) -> None:
@@ -72,4 +72,4 @@ class Hand:
         self.point = self.point - self._direction * _RETREAT * elapsed
 
     def _over(self) -> Floats:
-        return above(self._wearer, self.patch, self._aim, self._height, self._wearer.hands[self.number])
+        return above(self._simulation, self.patch, self._aim, self._height, self._simulation.hands[self.number])

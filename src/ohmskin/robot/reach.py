@@ -4,7 +4,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import ModelError
-from ohmskin.robot.wearer import Wearer
+from ohmskin.robot.simulation import RobotSimulation
 
 _FREE_TURN = 1.0  # rad, tried of joints without limits
 _STEPS = 80  # along a way
@@ -12,15 +12,15 @@ _TRIES = 3000
 _RIM = 0.012  # m from the rim of a skin, within which a touch would not be on it for long
 
 
-def way_to_itself(wearer: Wearer, random: np.random.Generator) -> Floats:
+def way_to_itself(simulation: RobotSimulation, random: np.random.Generator) -> Floats:
     """Joint positions (rad, m) towards which the robot, from where it stands now, soon touches itself with a skin.
 
     Raises:
         ModelError: If no such posture is found.
     """
-    start = wearer.data.qpos.copy()
-    low, high = np.maximum(wearer.low, start - _FREE_TURN), np.minimum(wearer.high, start + _FREE_TURN)
-    trial = wearer.copy()
+    start = simulation.data.qpos.copy()
+    low, high = np.maximum(simulation.low, start - _FREE_TURN), np.minimum(simulation.high, start + _FREE_TURN)
+    trial = simulation.copy()
     for _ in range(_TRIES):
         end = random.uniform(low, high)
         for share in np.linspace(0.0, 1.0, _STEPS)[1:]:
@@ -28,10 +28,10 @@ def way_to_itself(wearer: Wearer, random: np.random.Generator) -> Floats:
             if (touching := trial.touching()) is None:
                 continue
             patch, place = touching
-            if share > 0.2 and wearer.body.patches[patch].skin.domain.depth([place])[0] > _RIM:
+            if share > 0.2 and simulation.body.patches[patch].skin.domain.depth([place])[0] > _RIM:
                 return np.asarray(start + (share + 0.15) * (end - start))
             break
     raise ModelError(
-        f"body {wearer.body.name!r} does not touch itself with a skin in any of {_TRIES} postures; "
+        f"body {simulation.body.name!r} does not touch itself with a skin in any of {_TRIES} postures; "
         "leave out own touches, or widen the limits of its joints"
     )

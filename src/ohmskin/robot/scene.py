@@ -19,9 +19,9 @@ THICKNESS = 4e-3  # m, of a skin
 _SKIN, _SHELL, _HAND = 1, 2, 4  # who touches whom: skins touch all, shells and the hand only skins
 _MOST_CORNERS = 400  # of a skin's convex hull, about
 
-# What bears a finger is foam (`Wearer`): its force must not depend on the inertia of what is pressed, as that of
-# MuJoCo's contacts does, which begin where foam is dense. Soft neoprene, 8 mm thick, bears 14 to 34 kPa at 25 % (ASTM
-# D1056, grade 1). Joints are position servos.
+# What bears a finger is foam (`RobotSimulation`): its force must not depend on the inertia of what is pressed, as
+# that of MuJoCo's contacts does, which begin where foam is dense. Soft neoprene, 8 mm thick, bears 14 to 34 kPa at
+# 25 % (ASTM D1056, grade 1). Joints are position servos.
 STIFFNESS = 12e6  # pressure of foam for each metre of its compression (Pa/m)
 _DENSE = {"priority": "1", "solref": "0.02 1", "solimp": "0.0001 0.9 0.016 0.5 6"}
 _SCENE = """

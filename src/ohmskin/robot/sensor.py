@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.closing import Closing
 from ohmskin.device.driver import Device
 from ohmskin.device.virtual import twin_capabilities
 from ohmskin.engine import Engine, Touch
 from ohmskin.errors import ModelError
 from ohmskin.geometry import FlatChart
-from ohmskin.robot.batch import QuickSkin
+from ohmskin.robot.batch import BatchSkin
 from ohmskin.robot.display import mujoco
-from ohmskin.robot.wearer import OFF, Push
+from ohmskin.robot.simulation import OFF, Push
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.sensing import default_mode, drive_of, modes
 from ohmskin.skin import Fault, Press, Skin
@@ -74,7 +74,7 @@ class SkinSensor(Closing):
         self._mode, drive = mode, drive_of(known[mode], skin)
         self.pattern: DrivePattern = drive.next((), 0)
         self.period = sum(skin.cost.time(pattern) for pattern in drive.patterns[: drive.scans])
-        self._device = _InProcess(QuickSkin(skin, seed, faults))
+        self._device = _InProcess(BatchSkin(skin, seed, faults))
         self._engine: Engine | None = None
         self.quiet: Floats = self.voltages([()] * 32).mean(axis=0)
 
@@ -92,13 +92,13 @@ class SkinSensor(Closing):
         assert touch is not None  # this device is never lost
         return touch
 
-    def voltages(self, scenes: Sequence[Sequence[Press]]) -> Floats:
+    def voltages(self, cases: Sequence[Sequence[Press]]) -> Floats:
         """(n, n_meas) voltages (V) of n moments, one after the other, as the instrument reads them; no contacts.
 
         Args:
-            scenes: What presses in each; see `presses`.
+            cases: What presses in each; see `presses`.
         """
-        return np.array([frame.voltages for frame in self._device.virtual.scans(scenes, self.pattern)])
+        return np.array([frame.voltages for frame in self._device.virtual.scans(cases, self.pattern)])
 
     def presses(self, data: Any) -> tuple[Press, ...]:
         """What presses the skin now, on its map: every MuJoCo contact of the geom that lies on the skin."""
@@ -167,7 +167,7 @@ class SkinSensor(Closing):
 class _InProcess(Device):
     """The device of a skin in this process."""
 
-    def __init__(self, virtual: QuickSkin) -> None:
+    def __init__(self, virtual: BatchSkin) -> None:
         super().__init__("in-process:", replace(twin_capabilities(virtual.skin, "simulated", 0.0), settle_time=0.0))
         self.virtual, self.presses = virtual, tuple[Press, ...]()
 

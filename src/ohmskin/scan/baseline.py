@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from ohmskin.arrays import Floats, Ints, Remembered, changed, real
+from ohmskin.arrays import Floats, Ints, WeakCache, changed, real
 from ohmskin.errors import DataError, PatternError
 from ohmskin.scan.frame import Frame
 from ohmskin.scan.pairs import Pairs
@@ -165,7 +165,7 @@ class Baseline:
     resistances: Floats
     noise: float
     repeats: int
-    _known: Remembered[DrivePattern, Floats] = field(default_factory=Remembered, init=False, repr=False)
+    _known: WeakCache[DrivePattern, Floats] = field(default_factory=WeakCache, init=False, repr=False)
 
     @classmethod
     def learn(cls, frames: Iterable[Frame]) -> "Baseline":

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ohmskin.arrays import Bools, Floats, Ints, Remembered
+from ohmskin.arrays import Bools, Floats, Ints, WeakCache
 from ohmskin.errors import DataError
 from ohmskin.scan.baseline import Difference, codes_of
 from ohmskin.scan.frame import Frame
@@ -29,7 +29,7 @@ class Channels:
     quadruples: Ints
     gains: Floats
     errors: Floats
-    _known: Remembered[DrivePattern, tuple[Floats, Floats]] = field(default_factory=Remembered, init=False, repr=False)
+    _known: WeakCache[DrivePattern, tuple[Floats, Floats]] = field(default_factory=WeakCache, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = [np.shape(one) for one in (self.quadruples, self.gains, self.errors)]

@@ -19,7 +19,7 @@ _MOST_ENTRIES = 2**26  # of a matrix: all pairs of 128 electrodes
 
 
 @dataclass(frozen=True)
-class Misfit:
+class GoodnessOfFit:
     """How far data are from any network.
 
     Args:
@@ -64,7 +64,7 @@ class NetworkFit:
         self._rows = rows[:, used].toarray() * np.where(self.known, currents, 0.0)[:, None]
         self._rows /= max(float(np.abs(self._rows).max(initial=0.0)), 1e-300)  # currents of microamperes square badly
         self._volts = np.where(self.known[:, None], volts, 0.0)
-        self._known_misfits: dict[bytes, Misfit] = {}
+        self._known_misfits: dict[bytes, GoodnessOfFit] = {}
         self._involved = np.zeros((pattern.n_meas, self.n_elec), bool)
         self._involved[np.arange(pattern.n_meas)[:, None], pattern.quadruples] = True
 
@@ -86,7 +86,7 @@ class NetworkFit:
         left[kept] = self._volts[kept] - rows @ np.linalg.lstsq(rows, self._volts[kept], rcond=1e-10)[0]
         return left
 
-    def misfit(self, kept: np.ndarray) -> Misfit:
+    def misfit(self, kept: np.ndarray) -> GoodnessOfFit:
         """The misfit of the `kept` measurements (n_meas,). Quick: no residual is formed, and it is remembered."""
         if (key := kept.tobytes()) in self._known_misfits:
             return self._known_misfits[key]
@@ -96,7 +96,9 @@ class NetworkFit:
         explained = vectors[:, spanned].T @ (rows.T @ volts)
         squares = float((volts**2).sum() - (explained**2 / values[spanned][:, None]).sum())
         floor = 1e-13 * float((volts**2).sum())  # what rounding leaves
-        found = self._known_misfits[key] = Misfit(max(squares, floor), volts.shape[1] * int(kept.sum() - spanned.sum()))
+        found = self._known_misfits[key] = GoodnessOfFit(
+            max(squares, floor), volts.shape[1] * int(kept.sum() - spanned.sum())
+        )
         return found
 
 

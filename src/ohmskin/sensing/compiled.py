@@ -22,7 +22,7 @@ from ohmskin.drive import OptimalDrive, TwoScans, part_of
 from ohmskin.errors import DataError, ModelError, PatternError
 from ohmskin.forward.tiles import padded
 from ohmskin.inverse import GaussNewton, Image
-from ohmskin.inverse.estimators import FrameWise, Made
+from ohmskin.inverse.estimators import FrameWise, LazyEstimate
 from ohmskin.scan import Baseline, DrivePattern, Frame
 from ohmskin.scan.baseline import terms_of
 from ohmskin.sensing.kernels import Tables, Workspace, base_step, second_step
@@ -241,12 +241,12 @@ class Compiled:
         except DataError:
             return tuple(frames)
 
-        def image(values: Singles, *used: Frame) -> Made:
+        def image(values: Singles, *used: Frame) -> LazyEstimate:
             def noise_std(cells: ArrayLike) -> Floats:
                 return cycle.estimator.reconstruct(*map(known.difference, used)).noise_std(cells)
 
             kept = values.astype(float)  # the next cycle writes over them
-            return Made(lambda: Image(kept, noise_std))
+            return LazyEstimate(lambda: Image(kept, noise_std))
 
         base_estimate = image(cycle.base_image, frames[0])
         estimate = image(cycle.image, *frames[0 if cycle.fuse else 1 :])

@@ -11,7 +11,7 @@ from ohmskin.contacts.refit import CLEAR
 from ohmskin.drive import Target
 from ohmskin.geometry import Cells
 from ohmskin.inverse import GaussNewton, Image
-from ohmskin.inverse.estimators import Estimate, Made
+from ohmskin.inverse.estimators import Estimate, LazyEstimate
 from ohmskin.scan import Difference
 from ohmskin.sensing.readers import Belief, undriven
 
@@ -32,7 +32,7 @@ class Locator:
 
     def estimate(self, scans: Sequence[Difference]) -> Estimate:
         """The image of scans."""
-        return Made(lambda: self.estimator.reconstruct(*undriven(scans)))
+        return LazyEstimate(lambda: self.estimator.reconstruct(*undriven(scans)))
 
     def targets(self, scans: Sequence[Difference], base_estimate: Estimate, before: Belief) -> list[Target]:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.

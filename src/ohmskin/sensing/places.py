@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints, Remembered
+from ohmskin.arrays import Floats, Ints, WeakCache
 from ohmskin.contacts import Contact
 from ohmskin.scan import Difference, DrivePattern, Pairs
 from ohmskin.scan.baseline import codes_of
@@ -27,8 +27,8 @@ class Placement:
 
     map: PositionMap
     noise: float
-    _found: Remembered[DrivePattern, tuple[Ints, Ints, Floats]] = field(
-        default_factory=Remembered, init=False, repr=False
+    _found: WeakCache[DrivePattern, tuple[Ints, Ints, Floats]] = field(
+        default_factory=WeakCache, init=False, repr=False
     )
 
     def changes(self, scans: Sequence[Difference]) -> Floats | None:

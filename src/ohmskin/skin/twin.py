@@ -132,9 +132,9 @@ class PressedSheet:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
         return self.under(self._loads(presses))
 
-    def many(self, scenes: Sequence[Iterable[Press]]) -> Floats:
+    def many(self, cases: Sequence[Iterable[Press]]) -> Floats:
         """(n, n_elec, n_elec) `transfer_resistance` of n scenes of presses, in one compiled pass."""
-        closed = [self._closed(self._loads(presses)) for presses in scenes]
+        closed = [self._closed(self._loads(presses)) for presses in cases]
         return np.array([_against_last(one) for one in self._patches.many(closed)])
 
     def under(self, loads: Iterable[Load]) -> Floats:

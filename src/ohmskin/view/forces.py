@@ -32,18 +32,18 @@ class GuidedForces:
         """Forget all samples."""
         self._presses, self._force = ForceSampler(_MOST, _SETTLE, _CYCLES), float("nan")
 
-    def weigh(self, force: float) -> None:
+    def set_force(self, force: float) -> None:
         """From now on the skin is pressed with a force (N); 0: it is not, or nobody knows with which."""
         self._force = force or float("nan")
 
-    def see(self, touch: Touch) -> None:
+    def add(self, touch: Touch) -> None:
         """Look at a cycle."""
         if np.isnan(self._force) or self._presses.done or (known := self._engine.known) is None:
             return
         frames = touch.percept.frames
         beside = frames[-1].auxiliary
         scans = tuple(map(known.difference, frames))
-        self._presses.see(touch.contacts, scans, self._force, np.nan if beside is None else beside)
+        self._presses.add(touch.contacts, scans, self._force, np.nan if beside is None else beside)
 
     def save(self, folder: Path = Path()) -> str:
         """Write the skin's description with what the presses say of newtons to a new file; says what was found.

@@ -15,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ohmskin.child import when_input_ends
 from ohmskin.client.board import BoardReader
-from ohmskin.client.felt import Contact, Felt, SharedMemory
+from ohmskin.client.contacts import Contact, Contacts, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
@@ -37,7 +37,7 @@ class Overview(Closing):
     Args:
         name: Board with the contacts of all patches.
         boards: The boards of the patches, in the same order.
-        robot: What it looks like (`Robot.told`); without it, there are maps only.
+        robot: What it looks like (`Robot.known`); without it, there are maps only.
         host, port, token: As for `LiveView`.
 
     Attributes:
@@ -77,38 +77,38 @@ class BoardsPage:
         self._images: list[tuple[dict[str, Any], NDArray]] = [({}, np.zeros(0))] * len(self._names)
         self._setups: list[tuple[int, dict[str, Any]]] = [(0, {})] * len(self._names)
         self._pictures_of: list[Picture | None] = [None] * len(self._names)
-        self._felt: Felt | None = None
+        self._newest: Contacts | None = None
 
-    def frame(self, told: dict[int, int] | None = None, note: str = "") -> bytes:
+    def frame(self, known: dict[int, int] | None = None, note: str = "") -> bytes:
         """Length of a JSON text, the text, and each patch's pixels as signed bytes (127ths of its `peak`).
 
         Args:
-            told: Which shapes a browser knows already, which is kept there.
+            known: Which shapes a browser knows already, which is kept there.
             note: What its reader should know.
         """
-        patches, pixels, told = [], [], {} if told is None else told
+        patches, pixels, known = [], [], {} if known is None else known
         with contextlib.suppress(PublishError):  # a board of another version: shown as silent
-            self._felt = self._merged.newest() or self._felt
+            self._newest = self._merged.newest() or self._newest
         for number, name in enumerate(self._names):
             (about, image), title = self._image(number), name.rpartition(".")[2]
             shown: dict[str, Any] = {"name": title, "link": "", "age": None, "mode": "", "contacts": []}
-            if self._felt is not None and number < len(self._merged.patches):
-                patch, seen = self._merged.patches[number], self._felt.patches[number]
+            if self._newest is not None and number < len(self._merged.patches):
+                patch, seen = self._merged.patches[number], self._newest.patches[number]
                 shown |= {"name": patch.name, "link": patch.frame, "mode": seen.mode, "newtons": patch.newtons}
                 shown["age"] = seen.age if seen.sequence else None
-                own = [contact for contact in self._felt.contacts if contact.patch == patch.name]
+                own = [contact for contact in self._newest.contacts if contact.patch == patch.name]
                 if (picture := self._pictures_of[number]) is not None:
                     shown["contacts"] = [_shown(one, *picture.place(one.position, about["raster"])) for one in own]
             if self._robot is not None:
-                shown |= self._in_space(number, told)
+                shown |= self._in_space(number, known)
             patches.append(shown | about)
             pixels.append(image)
         header: dict[str, Any] = {"name": self._name, "patches": patches, "note": note}
         if self._robot is not None:
             with contextlib.suppress(PublishError):
                 header["links"] = self._links.newest()
-            if _ROBOT not in told:
-                told[_ROBOT], header["robot"] = 1, self._robot
+            if _ROBOT not in known:
+                known[_ROBOT], header["robot"] = 1, self._robot
         return pack_frame(header, *pixels, dtype="i1")
 
     def pressed(self, answer: str) -> Press | None:
@@ -126,15 +126,15 @@ class BoardsPage:
         picture, address = self._pictures_of[number], self._addresses[number]
         return (address, picture.place(place, self._images[number][0]["raster"])) if picture and address else None
 
-    def _in_space(self, number: int, told: dict[int, int]) -> dict[str, Any]:
+    def _in_space(self, number: int, known: dict[int, int]) -> dict[str, Any]:
         """Whether a patch can be pressed, and, once, where its pixels are in its frame (m); those off it are null."""
         with contextlib.suppress(PublishError):
             if (address := self._devices[number].newest()) is not None:
                 self._addresses[number] = address.decode()
         shown: dict[str, Any] = {"virtual": bool(self._addresses[number]) and not self._devices[number].closed}
         boot, picture = self._setups[number][0], self._pictures_of[number]
-        if picture is not None and self._felt is not None and told.get(number) != boot:  # which says on what link
-            told[number] = boot
+        if picture is not None and self._newest is not None and known.get(number) != boot:  # which says on what link
+            known[number] = boot
             away = np.isnan(picture.pixels).ravel()
             points = picture.points.reshape(-1, 3).round(5).tolist()
             shown["points"] = [None if off else point for off, point in zip(away, points, strict=True)]
@@ -163,7 +163,7 @@ class BoardsPage:
         The next frame is on its way while the browser answers the last one, so that their ways add up to no wait.
         """
         await channel.accept()
-        told: dict[int, int] = {}
+        known: dict[int, int] = {}
         finger, answered = Finger(), asyncio.Semaphore(_AHEAD)
 
         async def hear() -> None:
@@ -181,7 +181,7 @@ class BoardsPage:
                 await answered.acquire()
                 if hearing.done():
                     await hearing  # raises why
-                await channel.send_bytes(self.frame(told, finger.note))
+                await channel.send_bytes(self.frame(known, finger.note))
                 await asyncio.sleep(max(0.0, began + self._every - time.monotonic()))
         except ValueError:
             await channel.close(1008)
@@ -198,10 +198,10 @@ def _shown(contact: Contact, x: float, y: float) -> dict[str, Any]:
     return {**{name: getattr(contact, name) for name in names}, "x": x, "y": y, "in": contact.position}
 
 
-async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
+async def serve(settings: dict[str, Any], send: Callable[..., None]) -> None:
     """Serve until standard input ends."""
     page = BoardsPage(settings["name"], settings["boards"], settings["robot"])
-    await serve_page("overview.html", page.converse, _LARGEST_ANSWER, settings, tell, when_input_ends)
+    await serve_page("overview.html", page.converse, _LARGEST_ANSWER, settings, send, when_input_ends)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ohmskin.arrays import Floats
 from ohmskin.child import when_input_ends
-from ohmskin.client.felt import Patch
+from ohmskin.client.contacts import Patch
 from ohmskin.closing import Closing
 from ohmskin.errors import OhmskinError
 from ohmskin.geometry import Raster
@@ -30,7 +30,7 @@ _LARGEST_ANSWER = 96  # bytes
 _WORDS = {"click": 3, "place": 2, "remove": 1, "clear": 0, "save": 0}  # what a browser says, and how many numbers
 
 
-class PlacingPage(Closing):
+class PlacementPage(Closing):
     """The page, served by a process of its own.
 
     Args:
@@ -56,7 +56,7 @@ class PlacingPage(Closing):
         self._child.close()
 
 
-class Placing:
+class ElectrodePlacement:
     """Electrodes that are being placed on a skin.
 
     Args:
@@ -92,11 +92,11 @@ class Placing:
         places = np.reshape(self._places, (-1, 2))
         chart = self._skin.chart
         normals = chart.frames(places)[:, 2]
-        told = zip(places.tolist(), chart.points(places).tolist(), normals.tolist(), strict=True)
-        electrodes = [{"x": x, "y": y, "at": at, "normal": normal} for (x, y), at, normal in told]
+        rows = zip(places.tolist(), chart.points(places).tolist(), normals.tolist(), strict=True)
+        electrodes = [{"x": x, "y": y, "at": at, "normal": normal} for (x, y), at, normal in rows]
         return {"electrodes": electrodes, "note": self._note, "savable": bool(self._placed), "saved": self._saved}
 
-    def hear(self, words: str) -> None:
+    def command(self, words: str) -> None:
         """Do what a browser says: ``click X Y Z`` (m, in space), ``place X Y`` (on the map), ``remove N``, ``clear``,
         ``save``.
 
@@ -176,7 +176,7 @@ class Placing:
         try:
             await channel.send_text(to_json(self.shape() | self.state()))
             while True:
-                self.hear(await channel.receive_text())
+                self.command(await channel.receive_text())
                 await channel.send_text(to_json(self.state()))
         except (ValueError, IndexError):
             await channel.close(1008)
@@ -184,10 +184,10 @@ class Placing:
             pass
 
 
-async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
+async def serve(settings: dict[str, Any], send: Callable[..., None]) -> None:
     """Serve until standard input ends."""
-    page = Placing(Skin.parse(settings["skin"]), Path(settings["target"]))
-    await serve_page("electrodes.html", page.converse, _LARGEST_ANSWER, settings, tell, when_input_ends)
+    page = ElectrodePlacement(Skin.parse(settings["skin"]), Path(settings["target"]))
+    await serve_page("electrodes.html", page.converse, _LARGEST_ANSWER, settings, send, when_input_ends)
 
 
 if __name__ == "__main__":

@@ -58,18 +58,18 @@ class Browser:
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     awaited: int | None = None  # sequence of the frame that it is drawing
     seen: int = 0
-    told: str = ""  # of the loop's start, or the setup
+    sent: str = ""  # of the loop's start, or the setup
     held: set[str] = field(default_factory=set)
     refusals: list[str] = field(default_factory=list)
 
 
 class Page:
-    """Passes the newest frame to each browser that is ready for one, and their commands to `tell`."""
+    """Passes the newest frame to each browser that is ready for one, and their commands to `send`."""
 
-    def __init__(self, tell: Callable[..., None]) -> None:
+    def __init__(self, send: Callable[..., None]) -> None:
         self._setup: dict[str, Any] | None = None
         self._starting = to_json({"type": "starting", "message": "starting", "share": None})
-        self._tell = tell
+        self._send = send
         self._browsers: list[Browser] = []
         self._frame = b""
         self._sequence = 0
@@ -104,12 +104,12 @@ class Page:
                 message = await channel.receive()
                 if message["type"] == "websocket.disconnect":
                     break
-                self._hear(browser, message.get("text"))
+                self._receive(browser, message.get("text"))
         finally:
             feeding.cancel()
             self._browsers.remove(browser)
             for press in sorted(browser.held):
-                self._tell(command={"type": "lift", "id": press})
+                self._send(command={"type": "lift", "id": press})
 
     async def _feed(self, browser: Browser) -> None:
         # The only place that sends: a browser that does not read holds up nothing but this task.
@@ -117,8 +117,8 @@ class Page:
             while True:
                 await browser.wake.wait()
                 browser.wake.clear()
-                if browser.told != (news := self._news(browser)):
-                    browser.told = news
+                if browser.sent != (news := self._status(browser)):
+                    browser.sent = news
                     await browser.channel.send_text(news)
                 if self._setup is None:
                     continue
@@ -129,7 +129,7 @@ class Page:
                     await browser.channel.send_bytes(self._frame)
                 self._ask()
 
-    def _news(self, browser: Browser) -> str:
+    def _status(self, browser: Browser) -> str:
         """What there is to show, once the loop has said so; until then, how far it is."""
         return to_json(self._setup | {"type": "setup", "client": browser.name}) if self._setup else self._starting
 
@@ -137,9 +137,9 @@ class Page:
         waiting = any(b.awaited is None and (b.seen == self._arrived or not self._frame) for b in self._browsers)
         if waiting and not self._asked:
             self._asked = True
-            self._tell(credit=1)
+            self._send(credit=1)
 
-    def _hear(self, browser: Browser, text: str | None) -> None:
+    def _receive(self, browser: Browser, text: str | None) -> None:
         try:
             if text is None:
                 raise CommandError("commands are text, not binary")
@@ -157,7 +157,7 @@ class Page:
                 browser.refusals.append(str(refusal))
             browser.wake.set()
             return
-        self._tell(command=command)
+        self._send(command=command)
 
     def _note_press(self, browser: Browser, command: dict[str, Any]) -> None:
         if command["type"] == "lift_all":
@@ -256,7 +256,7 @@ async def serve_page(
     converse: Callable[[WebSocket], Awaitable[None]],
     largest: int,
     settings: dict[str, Any],
-    tell: Callable[..., None],
+    send: Callable[..., None],
     when_over: Callable[[Callable[[], None]], None],
 ) -> None:
     """Serve a page of the static files, these files, and a socket, behind the guard, until it is over.
@@ -266,7 +266,7 @@ async def serve_page(
         converse: Serves the socket.
         largest: Bytes of the largest message that a browser may send.
         settings: Host, port and token.
-        tell: Called with the port.
+        send: Called with the port.
         when_over: Takes what is to be called in the end, in any thread.
     """
 
@@ -290,13 +290,13 @@ async def serve_page(
     )
     server, listener = Server(config), listen(settings["host"], settings["port"])
     when_over(lambda: setattr(server, "should_exit", True))
-    tell(port=listener.getsockname()[1])
+    send(port=listener.getsockname()[1])
     await server.serve(sockets=[listener])
 
 
-async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
+async def serve(settings: dict[str, Any], send: Callable[..., None]) -> None:
     """Serve until the loop says so or standard input ends."""
-    page = Page(tell)
+    page = Page(send)
     loop = asyncio.get_running_loop()
 
     def listen_to_loop(end: Callable[[], None]) -> None:
@@ -309,16 +309,16 @@ async def serve(settings: dict[str, Any], tell: Callable[..., None]) -> None:
     def start(end: Callable[[], None]) -> None:
         threading.Thread(target=listen_to_loop, args=(end,), daemon=True).start()
 
-    await serve_page("index.html", page.converse, LARGEST_COMMAND, settings, tell, start)
+    await serve_page("index.html", page.converse, LARGEST_COMMAND, settings, send, start)
 
 
 def run(serve: Callable[[dict[str, Any], Callable[..., None]], Coroutine[Any, Any, None]]) -> None:
     """Be the process of a page: `serve` it as the settings say, with a function that tells the parent."""
-    settings, tell = begin()
+    settings, send = begin()
     try:
-        asyncio.run(serve(settings, tell))
+        asyncio.run(serve(settings, send))
     except OSError as error:
-        tell(failed=str(error))
+        send(failed=str(error))
 
 
 if __name__ == "__main__":

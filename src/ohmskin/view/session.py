@@ -92,7 +92,7 @@ class Session(Closing):
             for number, press in self._presses.values():
                 self._press(number, press, press["pressure"])
         if touch:
-            self._forces.see(touch)
+            self._forces.add(touch)
         self._last = touch or self._last
         self._publish()
         return touch
@@ -132,7 +132,7 @@ class Session(Closing):
                 self._forces.begin()
                 self._outcome = ""
             case "weigh":
-                self._forces.weigh(command["force"])
+                self._forces.set_force(command["force"])
             case "save":
                 self._save()
             case "pause":

@@ -9,7 +9,7 @@ from ohmskin.evaluate.methods import Bench
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import View
 from ohmskin.evaluate.shapes import Shape
-from ohmskin.evaluate.two_points import one_or_two, told
+from ohmskin.evaluate.two_points import one_or_two, resolved
 from ohmskin.evaluate.worlds import Contacts
 
 RADIUS = 5e-3  # metres; two weights 12 mm apart, as in the paper, cannot be much larger
@@ -82,7 +82,7 @@ class Discrimination(Bench):
 
 def _dip(seen: View, contacts: Contacts) -> dict[str, Any]:
     truth, places = ([contact.position for contact in each] for each in (contacts, seen.contacts))
-    return {"dip": len(places) > 1 if len(truth) == 1 else told(places, truth)}
+    return {"dip": len(places) > 1 if len(truth) == 1 else resolved(places, truth)}
 
 
 def _rates(seen: View, contacts: Contacts) -> dict[str, Any]:
@@ -92,6 +92,6 @@ def _rates(seen: View, contacts: Contacts) -> dict[str, Any]:
     left = np.concatenate([d.volts - d.caused_by(caused) for d in seen.differences]) / seen.setup.noise
     return _dip(seen, contacts) | {
         "statistic": statistic,
-        "near": len(truth) == 2 and told(two.params[:, :2], truth),
+        "near": len(truth) == 2 and resolved(two.params[:, :2], truth),
         "chi_square": left @ left / (len(left) - 4 * len(truth)),
     }

@@ -45,7 +45,7 @@ class Gain:
             truth = apart(np.random.default_rng([w, self.contacts, 31]), self.contacts)
             there = tuple(contact(self.world, *place) for place in truth)
             for (s, key), seed in product(enumerate(("16P", "best")), range(self.seeds)):
-                seen = world.see(scheme(f"{key}/{self.injections}", READING), there, seed)
+                seen = world.simulate(scheme(f"{key}/{self.injections}", READING), there, seed)
                 found = [c.position for c in seen.contacts]
                 away[s, seed, w] = np.mean([min(near(found, place), MISS) for place in truth])
         return {"away": away}
@@ -77,7 +77,7 @@ class Sensitivity:
             while high - low > 1:
                 middle = (low + high) // 2
                 there = (disc(float(place[0]), float(place[1]), self.radius, float(PRESSURES[middle])),)
-                felt = near([c.position for c in world.see(mode, there, seed).contacts], place) < NEAR
+                felt = near([c.position for c in world.simulate(mode, there, seed).contacts], place) < NEAR
                 low, high = (low, middle) if felt else (middle, high)
             if high < len(PRESSURES):
                 least[w, seed, p] = PRESSURES[high]

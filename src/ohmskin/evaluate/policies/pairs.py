@@ -14,7 +14,7 @@ from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.shapes import disc
-from ohmskin.evaluate.two_points import told
+from ohmskin.evaluate.two_points import resolved
 from ohmskin.evaluate.worlds import CURRENT, Contacts
 from ohmskin.forward.response import effective_change
 from ohmskin.scan import Difference, DrivePattern
@@ -62,13 +62,13 @@ class Pairs:
         right = np.zeros((len(self.schemes), len(self.distances), self.where, self.seeds), bool)
         for d, w, truth, contacts in _pairs(self, where):
             for seed, (s, key) in product(range(self.seeds), enumerate(self.schemes)):
-                seen = where.see(scheme(key, READING), contacts, seed).contacts
-                right[s, d, w, seed] = len(seen) == 2 and told([one.position for one in seen], truth)
+                seen = where.simulate(scheme(key, READING), contacts, seed).contacts
+                right[s, d, w, seed] = len(seen) == 2 and resolved([one.position for one in seen], truth)
         places = single_places(self.singles, 1, where.electrodes.positions)
         counted = np.empty((len(self.schemes), len(places)), int)
         for (k, (x, y)), (s, key) in product(enumerate(places), enumerate(self.schemes)):
             contacts = (disc(x, y, RADIUS if k % 2 else np.sqrt(2) * RADIUS, self.strength),)
-            counted[s, k] = len(where.see(scheme(key, READING), contacts, k).contacts)
+            counted[s, k] = len(where.simulate(scheme(key, READING), contacts, k).contacts)
         return {"right": right, "counted": counted}
 
 
@@ -152,10 +152,10 @@ def unlike_one(
     may = None if errors is None else _EXACT * errors
     fitter = ContactFitter(where.table, _EXACT * where.noise, model_error=0.0, contacts=may)
     unknown = np.zeros(4)
-    told, _ = fitter.information(*scans)
+    resolved, _ = fitter.information(*scans)
     between = np.linspace(truth[0], truth[1], 5)  # the best one may be in the middle, or close to one of the two
     starts = [np.array([[*at, 2 * effect, radius**2]]) for at in between for radius in (RADIUS, 2 * RADIUS)]
-    found = [fitter.refine(told, start, unknown, np.diag(unknown), rounds=40) for start in starts]
+    found = [fitter.refine(resolved, start, unknown, np.diag(unknown), rounds=40) for start in starts]
     best = min(found, key=lambda one: one.cost)
     left = np.concatenate([scan.volts - scan.caused_by(best.caused) for scan in scans]) / where.noise
     return left, _EXACT * float(np.sqrt(max(best.cost, 0.0)))

@@ -9,7 +9,7 @@ from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.flaws import SOUND, Flaw
 from ohmskin.evaluate.policies.adaptivity import Gain, Sensitivity
 from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
-from ohmskin.evaluate.policies.presses import Felt, Forces
+from ohmskin.evaluate.policies.presses import Forces, PressCounts
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.policies.tracked import Cost, Detection, Moving, Quiet
@@ -193,7 +193,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
         found["pairs"][f"told/{name}"] = Pairs(decibels, s.seeds, s.singles, *discs)
         found["pairs"][f"limit/{name}"] = PairLimits(decibels, *discs)
     for name, (radius, pressure) in PRESSES.items():
-        found["press"][f"felt/{name}"] = Felt(50.0, s.seeds, radius, pressure, 2 * s.where)
+        found["press"][f"felt/{name}"] = PressCounts(50.0, s.seeds, radius, pressure, 2 * s.where)
     for draw in range(s.draws):
         found["press"][f"force/{draw}"] = Forces(50.0, -(-s.where // 2), draw)
     for name, flaw in FLAWS.items():

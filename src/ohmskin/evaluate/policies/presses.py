@@ -25,7 +25,7 @@ _MARGIN = 20e-3  # m from a press to the rim
 
 
 @dataclass(frozen=True)
-class Felt:
+class PressCounts:
     """How many contacts a press is.
 
     Args:
@@ -53,7 +53,7 @@ class Felt:
         for s, (w, place), seed in product(
             range(len(self.schemes)), enumerate(places(self.where, 3, world.skin)), range(self.seeds)
         ):
-            seen = world.see(
+            seen = world.simulate(
                 scheme(self.schemes[s], READING),
                 (disc(float(place[0]), float(place[1]), self.radius, self.pressure),),
                 seed,
@@ -110,8 +110,8 @@ class Forces:
             )
             for (f, fitter), (n, scans) in product(enumerate(fitters), enumerate((frames[0], sum(frames, ())))):
                 if contacts and (n or f == 0):
-                    (told,) = fitter.fit(contacts[:1], *scans)
-                    force[n, f, p, w], std[n, f, p, w] = told.force, told.force_std
+                    (fitted,) = fitter.fit(contacts[:1], *scans)
+                    force[n, f, p, w], std[n, f, p, w] = fitted.force, fitted.force_std
         unit = Press((0.1, 0.1), self.radius, 1.0).force(layer.foam_spread)
         true = unit * np.array(self.pressures)
         return {
@@ -130,7 +130,7 @@ class Forces:
     def _seen(self, world: Setup, press: Press, seed: int) -> tuple[tuple[Contact, ...], list[tuple[Difference, ...]]]:
         """The contacts of the first frame that shows any, and the data of all frames."""
         shape = (disc(*press.position, press.radius, press.pressure),)
-        views = [world.see(scheme("16P", READING), shape, self.draw, seed, frame) for frame in range(self.frames)]
+        views = [world.simulate(scheme("16P", READING), shape, self.draw, seed, frame) for frame in range(self.frames)]
         contacts = next((view.contacts for view in views if view.contacts), ())
         return contacts, [view.differences for view in views]
 

@@ -51,7 +51,7 @@ class Static:
 
     def run(self) -> Result:
         """Results: ``truth`` (n_places, 2) and ``estimate`` (n_schemes, n_readers, n_seeds, n_places, 2) in metres,
-        NaN where nothing was found; ``bound`` (n_schemes, n_seeds, n_places), see `bound_of`, of the patterns
+        NaN where nothing was found; ``bound`` (n_schemes, n_seeds, n_places), simulate `bound_of`, of the patterns
         that were driven for the last reader, NaN on the pressed twin, which has no discs; ``injections`` (n_schemes,);
         ``stated`` (n_schemes, n_readers, n_seeds, n_places), the root of the stated variance of x and y together (m),
         and ``nees`` (same), the squared error over the stated covariance; NaN where a reader states none.
@@ -70,7 +70,7 @@ class Static:
             for seed, (s, each) in product(range(self.seeds), enumerate(compared)):
                 for e, way in enumerate(ways):
                     mode = replace(each, reader=way.reader, driven=way.driven)
-                    seen = where.see(mode, contacts, self.first + seed)
+                    seen = where.simulate(mode, contacts, self.first + seed)
                     estimate[s, e, seed, p] = seen.strongest
                     if seen.contacts and seen.contacts[0].covariance is not None:
                         covariance, off = np.array(seen.contacts[0].covariance), seen.strongest - place

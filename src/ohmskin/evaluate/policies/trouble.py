@@ -164,7 +164,7 @@ class Troubled:
         """Results, of each of the troubles: ``false`` (n_troubles,) quiet frames with a contact; ``named``, seconds
         until it is reported, an open electrode by its number, infinite if it never is; ``well``, seconds from its mend
         until no electrode is left out and nothing is detected; ``sound``, ``away``, ``after`` (n_troubles, n_presses),
-        errors before, while and after (m), see `Loop.error`; ``gone`` (same), see `Loop.slide`, after it.
+        errors before, while and after (m), see `Loop.error`; ``gone`` (same), simulate `Loop.slide`, after it.
         """
         loop = Loop(self.mode, self.seed)
         with loop.engine:

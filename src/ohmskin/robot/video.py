@@ -20,7 +20,7 @@ from ohmskin.geometry import Raster
 from ohmskin.plot.colours import GLOWING
 from ohmskin.robot.demonstration import Moment
 from ohmskin.robot.display import mujoco, renderer
-from ohmskin.robot.wearer import Wearer
+from ohmskin.robot.simulation import RobotSimulation
 
 _SIDE, _LARGE = 480, 720  # pixels of each half: with one skin, with several
 _RATE = 30  # pictures per second of film
@@ -75,33 +75,33 @@ class SkinMap:
         self._truth.set_data(*np.reshape(truth, (-1, 2)).T)
         self._felt.set_data(*np.reshape(felt, (-1, 2)).T)
 
-    def coloured(self, wearer: Wearer, link: str) -> Iterator[tuple[Floats, Floats]]:
+    def coloured(self, simulation: RobotSimulation, link: str) -> Iterator[tuple[Floats, Floats]]:
         """Points (3,) of the skin in the world where it feels something, and their colours (RGBA)."""
-        body = wearer.data.body(link)
+        body = simulation.data.body(link)
         turn, shown = body.xmat.reshape(3, 3), self.values > _SHOWN
         colours = GLOWING(self.values[shown] / max(_SCALE, float(self.values.max(initial=0.0))))
         for point, colour in zip(self._points[shown], colours, strict=True):
             yield body.xpos + turn @ point, colour
 
 
-class Film:
+class SceneRenderer:
     """Draws moments side by side: robot left, skins right.
 
     Args:
-        wearer: The robot.
+        simulation: The robot.
 
     Raises:
         ModelError: If MuJoCo cannot draw on this machine.
     """
 
-    def __init__(self, wearer: Wearer) -> None:
-        patches = wearer.body.patches
+    def __init__(self, simulation: RobotSimulation) -> None:
+        patches = simulation.body.patches
         self._alone = len(patches) == 1
         side = _SIDE if self._alone else _LARGE
         self.size = 2 * side, side
-        self._renderer = renderer(wearer.model, side, side)
+        self._renderer = renderer(simulation.model, side, side)
         self._camera = mujoco.MjvCamera()
-        mujoco.mjv_defaultFreeCamera(wearer.model, self._camera)
+        mujoco.mjv_defaultFreeCamera(simulation.model, self._camera)
         figure = Figure(figsize=(side / 100, side / 100), dpi=100)
         self._canvas = FigureCanvasAgg(figure)
         self._title = figure.text(0.09, 0.94, "", fontsize=15)
@@ -116,11 +116,11 @@ class Film:
 
     def draw(self, moment: Moment) -> np.ndarray:
         """A picture (480, 960, 3), of several skins (720, 1440, 3), uint8."""
-        wearer = moment.wearer
-        self._renderer.update_scene(wearer.data, self._camera)
-        for number, (own, placed) in enumerate(zip(self._maps, wearer.body.patches, strict=True)):
+        simulation = moment.simulation
+        self._renderer.update_scene(simulation.data, self._camera)
+        for number, (own, placed) in enumerate(zip(self._maps, simulation.body.patches, strict=True)):
             own.draw(number, moment)
-            for point, colour in own.coloured(wearer, placed.patch.frame):
+            for point, colour in own.coloured(simulation, placed.patch.frame):
                 self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, own.size), point, colour)
         for one in moment.sensed:
             self._arrow(one.contact.position, one.contact.normal, one.contact.force, bool(one.contact.self_touch))
@@ -166,7 +166,7 @@ class Film:
 
 
 @contextmanager
-def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
+def snapshot(path: Path, scene_renderer: SceneRenderer) -> Iterator[Callable[[Moment], None]]:
     """A PNG file of the moment of largest force among those with a sensed contact, best in view; none if there is none.
 
     Raises:
@@ -176,10 +176,12 @@ def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
 
     def show(moment: Moment) -> None:
         nonlocal best, picture
-        shares = [(one.push.force, film.faces(one.contact.normal)) for one in moment.sensed if one.push is not None]
+        shares = [
+            (one.push.force, scene_renderer.faces(one.contact.normal)) for one in moment.sensed if one.push is not None
+        ]
         felt = max((force * (1.1 + facing) for force, facing in shares), default=0.0)
         if felt > best:
-            best, picture = felt, film.draw(moment)
+            best, picture = felt, scene_renderer.draw(moment)
 
     try:
         yield show
@@ -192,7 +194,7 @@ def snapshot(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
 
 
 @contextmanager
-def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
+def video(path: Path, scene_renderer: SceneRenderer) -> Iterator[Callable[[Moment], None]]:
     """An MP4 file of the moments shown, written by ffmpeg as they come; simulated time at its true speed.
 
     Raises:
@@ -200,7 +202,7 @@ def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
     """
     if (ffmpeg := shutil.which("ffmpeg")) is None:
         raise ModelError("a video needs ffmpeg; install it: apt-get install ffmpeg")
-    width, height = film.size
+    width, height = scene_renderer.size
     raw = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {_RATE} -i -"
     command = [ffmpeg, *raw.split(), *["-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"], str(path)]
     process, due = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE), 0.0
@@ -209,7 +211,7 @@ def video(path: Path, film: Film) -> Iterator[Callable[[Moment], None]]:
     def show(moment: Moment) -> None:
         nonlocal due
         if due <= moment.time:
-            picture = film.draw(moment).tobytes()
+            picture = scene_renderer.draw(moment).tobytes()
             while due <= moment.time:
                 stdin.write(picture)
                 due += 1 / _RATE

@@ -169,7 +169,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class PatchState:
     """Sequence number and time of a patch's newest data.
 
     Args:
@@ -195,7 +195,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Felt:
+class Contacts:
     """The newest contacts of a skin, or of all skins of a robot.
 
     Args:
@@ -210,7 +210,7 @@ class Felt:
     sequence: int
     time: float
     stamp: int
-    patches: tuple[Sighting, ...]
+    patches: tuple[PatchState, ...]
     contacts: tuple[Contact, ...]
     boot: int = 0
 
@@ -220,10 +220,10 @@ class Felt:
         return time.monotonic() - self.time
 
 
-def felt(sequence: int, patches: Sequence[Sighting], contacts: Sequence[Contact], boot: int = 0) -> Felt:
+def merged(sequence: int, patches: Sequence[PatchState], contacts: Sequence[Contact], boot: int = 0) -> Contacts:
     """The contacts of all patches together, as old as the oldest of them."""
-    oldest = min(patches, key=lambda sighting: sighting.time)
-    return Felt(sequence, oldest.time, oldest.stamp, tuple(patches), tuple(contacts), boot)
+    oldest = min(patches, key=lambda state: state.time)
+    return Contacts(sequence, oldest.time, oldest.stamp, tuple(patches), tuple(contacts), boot)
 
 
 def wrench(contacts: Sequence[Contact]) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -242,19 +242,19 @@ def wrench(contacts: Sequence[Contact]) -> tuple[tuple[float, ...], tuple[float,
     return tuple(value + 0.0 for value in force), tuple(value + 0.0 for value in torque)  # no minus zeros
 
 
-def pack(felt: Felt, patches: Sequence[Patch]) -> bytes:
-    """The record of `felt` on a board whose setup has `patches`; the strongest `MOST_CONTACTS` contacts of it."""
+def pack(given: Contacts, patches: Sequence[Patch]) -> bytes:
+    """The record of `given` on a board whose setup has `patches`; the strongest `MOST_CONTACTS` contacts of it."""
     places = {patch.name: number for number, patch in enumerate(patches)}
-    contacts = felt.contacts
+    contacts = given.contacts
     if len(contacts) > MOST_CONTACTS:
         contacts = tuple(sorted(contacts, key=lambda contact: -abs(contact.peak))[:MOST_CONTACTS])
-    parts = [_HEAD.pack(felt.sequence, felt.time, felt.stamp, len(felt.patches), len(contacts))]
-    parts += [_PATCH.pack(s.sequence, s.time, s.stamp, s.mode.encode()[:16]) for s in felt.patches]
+    parts = [_HEAD.pack(given.sequence, given.time, given.stamp, len(given.patches), len(contacts))]
+    parts += [_PATCH.pack(s.sequence, s.time, s.stamp, s.mode.encode()[:16]) for s in given.patches]
     parts += [_CONTACT.pack(places[c.patch], *numbers(c, 3)) for c in contacts]
     return b"".join(parts)
 
 
-def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Felt:
+def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Contacts:
     """What a record says; the inverse of `pack`.
 
     Raises:
@@ -266,14 +266,14 @@ def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Felt:
         if n_patches != len(patches) or len(record) != middle + n_contacts * _CONTACT.size:
             raise PublishError(f"a record of {len(record)} bytes claims {n_patches} patches and {n_contacts} contacts")
         rows = zip(patches, _PATCH.iter_unpack(record[_HEAD.size : middle]), strict=True)
-        sightings = [
-            Sighting(patch.name, patch.frame, number, seen, when, mode.rstrip(b"\0").decode(errors="replace"))
+        states = [
+            PatchState(patch.name, patch.frame, number, seen, when, mode.rstrip(b"\0").decode(errors="replace"))
             for patch, (number, seen, when, mode) in rows
         ]
         contacts = tuple(contact_from(patches[which], own) for which, *own in _CONTACT.iter_unpack(record[middle:]))
     except (struct.error, IndexError) as error:
         raise PublishError(f"a record of {len(record)} bytes cannot be read: {error}") from error
-    return Felt(sequence, at, stamp, tuple(sightings), contacts, boot)
+    return Contacts(sequence, at, stamp, tuple(states), contacts, boot)
 
 
 def contact_from(patch: Patch, own: Sequence[float]) -> Contact:
@@ -312,7 +312,7 @@ class SharedMemory:
         self._boot = 0
         self.patches: tuple[Patch, ...] = ()
 
-    def newest(self) -> Felt | None:
+    def newest(self) -> Contacts | None:
         """The newest that was not given before; None if there is none. Never waits.
 
         Raises:
@@ -324,7 +324,7 @@ class SharedMemory:
             self._boot, self.patches = self._board.boot, patches_from(self._board.setup)
         return unpack(record, self.patches, self._boot)
 
-    def wait(self, timeout: float) -> Felt | None:
+    def wait(self, timeout: float) -> Contacts | None:
         """The next that was not given before; None if nothing comes within `timeout` seconds."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:

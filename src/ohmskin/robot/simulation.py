@@ -50,7 +50,7 @@ class Push:
         return Press(place, radius, min(self.force / per_pascal, _MOST_PRESSURE))
 
 
-class Wearer:
+class RobotSimulation:
     """A robot in skins, its root link fixed in the world, the hand that pokes it, and the pads that hug it.
 
     Args:
@@ -158,12 +158,12 @@ class Wearer:
         radius = self.hands[hands[0]] if hands else _OWN
         return float(np.pi * STIFFNESS * radius * max(-contact.dist, 0.0) ** 2)
 
-    def bring(self, tip: Floats, normal: Floats, hand: int = 0) -> None:
+    def place_hand(self, tip: Floats, normal: Floats, hand: int = 0) -> None:
         """Take the tip of a hand to a point (3,) in the world at once, the hand along a normal (3,)."""
         self.data.mocap_pos[hand] = tip
         mujoco.mju_quatZ2Vec(self.data.mocap_quat[hand], normal)
 
-    def copy(self) -> "Wearer":
+    def copy(self) -> "RobotSimulation":
         """Another one that stands so, without a hand near it."""
         other = copy(self)
         other.data = mujoco.MjData(self.model)
@@ -210,7 +210,7 @@ class Wearer:
         name, hand = ("", -1 - by) if by < 0 else (self.model.body(by).name, -1)
         return Push(patch, place, self.surface(patch, place)[0], float(sum(forces)), radius, name, hand)
 
-    def yielding(self, patch: int, place: Floats) -> Floats:
+    def inward_step(self, patch: int, place: Floats) -> Floats:
         """Steps of all joints (rad, m) that move a place of a skin inwards by 1 m along its normal, to first order.
 
         Args:
@@ -233,7 +233,7 @@ class Wearer:
         return np.asarray(self._still + _MOTION * np.sin((0.5 + 0.13 * numbers) * time))
 
 
-def above(wearer: Wearer, patch: int, place: Floats, height: float, radius: float = FINGER) -> Floats:
+def above(simulation: RobotSimulation, patch: int, place: Floats, height: float, radius: float = FINGER) -> Floats:
     """Where (3,) the middle of a tip of some radius is when it is `height` above a place (2,) of a skin (m)."""
-    point, normal = wearer.surface(patch, place)
+    point, normal = simulation.surface(patch, place)
     return np.asarray(point + (radius + height) * normal)

@@ -41,11 +41,11 @@ def pressed(
     row = np.full(len(corners), -1)  # of contacts, nodes and patches in the scene at hand
     node = np.full(len(green), -1)
     member = np.full(len(own), -1)
-    for scene in range(len(first) - 1):
-        points = touching[first[scene] : first[scene + 1]]
+    for case in range(len(first) - 1):
+        points = touching[first[case] : first[case + 1]]
         n = len(points)
         if n == 0:
-            out[scene] = untouched
+            out[case] = untouched
             continue
         nodes, patches = np.empty(n * n_corners, np.int64), np.empty(n, np.int64)
         n_nodes, n_patches = 0, 0
@@ -69,7 +69,7 @@ def pressed(
             for j in range(i + 1):
                 for c in range(n_corners):
                     system[i, j] += half[i, node[corners[points[j], c]]] * weights[points[j], c]
-            system[i, i] += 1 / conductance[first[scene] + i]
+            system[i, i] += 1 / conductance[first[case] + i]
         for patch in patches[:n_patches]:
             for k in range(near.shape[1]):
                 at = near[patch, k]
@@ -90,7 +90,7 @@ def pressed(
         floating: Floats = np.ascontiguousarray(gram[n_elec:, :n_elec])
         lower = np.linalg.cholesky(np.ascontiguousarray(gram[n_elec:, n_elec:]))
         _divide(lower, floating)
-        out[scene] = untouched - gram[:n_elec, :n_elec] + np.dot(floating.T, floating)
+        out[case] = untouched - gram[:n_elec, :n_elec] + np.dot(floating.T, floating)
         for i in range(n):
             row[points[i]] = -1
         for m in range(n_nodes):

@@ -54,7 +54,7 @@ class LazyList(Sequence[Value], Generic[Value]):
         return self._read(int(self.numbers[index]))
 
 
-class Tape(Closing):
+class RecordingReader(Closing):
     """A recording in MCAP, indexed; the file stays open.
 
     A file that was cut short, or has damaged parts, is read as far as it goes, and `notes` says so.
@@ -210,7 +210,7 @@ class Tape(Closing):
         return self.modes.index(name)
 
 
-def is_tape(path: Path) -> bool:
+def is_recording(path: Path) -> bool:
     """Whether the file at a `path` begins as an MCAP file does."""
     try:
         if path.is_fifo():

@@ -10,29 +10,29 @@ from typing import Any, Self, TextIO, cast
 _EVERY = 2.0  # s
 
 
-class _Heard:
+class _TimedStream:
     """A stream, and when something was last written to it."""
 
-    def __init__(self, stream: TextIO, life: "SignsOfLife") -> None:
+    def __init__(self, stream: TextIO, life: "Heartbeat") -> None:
         self._stream, self._life = stream, life
 
     def write(self, text: str) -> int:
         with self._life.lock:
-            self._life.spoken()
+            self._life.printing()
             return self._stream.write(text)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
 
-class SignsOfLife:
+class Heartbeat:
     """Within `with`, a dot on standard error whenever nothing has been printed for two seconds, until `end`."""
 
     def __init__(self) -> None:
         self.lock, self._ended = RLock(), Event()
         self._last, self._dots = 0.0, False
 
-    def spoken(self) -> None:
+    def printing(self) -> None:
         """Something is about to be printed, on a line of its own."""
         if self._dots:
             self._dots = False
@@ -46,14 +46,14 @@ class SignsOfLife:
     def __enter__(self) -> Self:
         self._streams, self._ended = (sys.stdout, sys.stderr), Event()
         self._last, self._dots = time.monotonic(), False
-        sys.stdout, sys.stderr = (cast(TextIO, _Heard(stream, self)) for stream in self._streams)
+        sys.stdout, sys.stderr = (cast(TextIO, _TimedStream(stream, self)) for stream in self._streams)
         Thread(target=self._watch, args=(self._ended,), daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.end()
         with self.lock:
-            self.spoken()
+            self.printing()
         sys.stdout, sys.stderr = self._streams
 
     def _watch(self, ended: Event) -> None:
@@ -84,5 +84,5 @@ def interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-LIFE = SignsOfLife()
+HEARTBEAT = Heartbeat()
 """Those of this process's command."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_USUAL = 5.0  # N, taken for the force where none is told, as in the first frames of a contact
+_USUAL = 5.0  # N, taken for the force where none is estimated, as in the first frames of a contact
 _FASTEST = 0.25  # m/s, of a place that is touched
 _SOFT = 0.02  # m/s for each newton that is felt: the admittance
 _WANTED = 2.0  # N, kept by a robot that follows
@@ -11,7 +11,7 @@ _STILL = 0.75  # s in which a robot comes back
 
 
 @dataclass(frozen=True)
-class Manner:
+class ReactionStrategy:
     """How a robot answers.
 
     Args:
@@ -37,12 +37,14 @@ def _following(force: float | None) -> float:
     return 0.0 if force is None else min(_FASTEST, max(-_FASTEST / 5, _SOFT * (force - _WANTED)))
 
 
-MANNERS = {
-    "yield": Manner("moves on, and yields the faster the larger the force", _admitted, halts=False, returns=_STILL),
-    "stiff": Manner("does not react", lambda _: 0.0, halts=False),
-    "stop": Manner("stands still while it is touched", lambda _: 0.0),
-    "retract": Manner("withdraws at once, then returns", lambda _: _FASTEST, returns=_STILL),
-    "follow": Manner("keeps a contact at 2 N, moving both ways", _following, needs_force=True),
-    "guide": Manner("goes where it is pushed, and stays there", _admitted),
+STRATEGIES = {
+    "yield": ReactionStrategy(
+        "moves on, and yields the faster the larger the force", _admitted, halts=False, returns=_STILL
+    ),
+    "stiff": ReactionStrategy("does not react", lambda _: 0.0, halts=False),
+    "stop": ReactionStrategy("stands still while it is touched", lambda _: 0.0),
+    "retract": ReactionStrategy("withdraws at once, then returns", lambda _: _FASTEST, returns=_STILL),
+    "follow": ReactionStrategy("keeps a contact at 2 N, moving both ways", _following, needs_force=True),
+    "guide": ReactionStrategy("goes where it is pushed, and stays there", _admitted),
 }
-"""By name, for `ohmskin robot --manner`."""
+"""By name, for `ohmskin robot --strategy`."""

@@ -33,7 +33,7 @@ def side_by_side(seen: Mapping[str, tuple[TransferModel, Percept]]) -> Figure:
     return figure
 
 
-class Film:
+class VideoFigure:
     """One figure, whose image and contacts are exchanged from picture to picture; colours stay fixed.
 
     Args:
@@ -67,7 +67,7 @@ class Film:
             yield writer.grab_frame
 
 
-def check_film() -> None:
+def check_video() -> None:
     """Raise DataError unless videos can be made here."""
     if not FFMpegWriter.isAvailable():
         raise DataError("a video needs ffmpeg; install it: apt-get install ffmpeg; or choose png, csv, npz or parquet")
