@@ -34,7 +34,7 @@ from ohmskin.device.demo import demo_finger
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.recording import Recorder
 from ohmskin.view import LiveView
-from ohmskin.view.session import Session
+from ohmskin.view.session import PageSession
 
 _ZENOH = "tcp/127.0.0.1:17461"
 _LISTEN = """
@@ -101,7 +101,7 @@ def measure(seconds: float, rate: float) -> dict[str, Any]:
             Engine(lambda: recorder.tee(connect("virtual:", skin=skin, seed=1, realtime=False)), skin, "16O")
         )
         recorder.watch(engine)
-        session = stack.enter_context(Session(engine, "virtual:", LiveView(port=0), False))
+        session = stack.enter_context(PageSession(engine, "virtual:", LiveView(port=0), False))
         publisher = stack.enter_context(Publisher(skin, [f"zenoh:listen/{_ZENOH}"], "latency"))
         session.calibrate()
         browser = subprocess.Popen([sys.executable, "-c", _BROWSE, session.view.url], stderr=subprocess.DEVNULL)

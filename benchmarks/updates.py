@@ -23,7 +23,7 @@ from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
 from ohmskin.body.patches import Merger
 from ohmskin.client import Board, PatchState
-from ohmskin.client.contacts import LARGEST, felt, pack
+from ohmskin.client.contacts import LARGEST, merged, pack
 from ohmskin.geometry import Raster
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.publisher import describe_domain
@@ -64,7 +64,7 @@ class Written:
         seen = PatchState(self.patch.name, self.patch.frame, self.sequence, time.monotonic(), time.time_ns(), "16P")
         place = self.centres.mean(axis=(0, 1)) + 0.03 * np.array([np.cos(now), np.sin(now)])
         image = 0.8 * np.exp(-(((self.centres - place) / 0.012) ** 2).sum(axis=-1))
-        self.felt.write(pack(felt(self.sequence, [seen], []), [self.patch]))
+        self.felt.write(pack(merged(self.sequence, [seen], []), [self.patch]))
         self.image.write(Picture.pack(np.where(self.raster.inside, image, np.nan), self.sequence, 0))
 
 

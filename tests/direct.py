@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ohmskin.device import Capabilities, Device, Feature, Press
+from ohmskin.device import Capabilities, Device, Feature, PressCommand
 from ohmskin.errors import DeviceLost
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import VirtualSkin
@@ -35,7 +35,7 @@ class DirectDevice(Device):
         unseen = (pattern.measurements[:, 1:] == 5).any(axis=1)  # electrode 5 clips
         return replace(frame, voltages=np.where(unseen, np.inf, frame.voltages))
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: PressCommand) -> None:
         self.virtual.press(press.number, press.x, press.y, press.radius, press.pressure)
 
     def _close(self) -> None:

@@ -23,15 +23,15 @@ from ohmskin.device import wire
 from ohmskin.device.instrument import SharedInstrument
 from ohmskin.device.layout import CHECKSUM, HEADER, LAYOUTS
 from ohmskin.device.messages import FrameData, Hello, Message, Scan, SetPattern
-from ohmskin.device.press import Press
-from ohmskin.device.protocol import Decoder, encode
+from ohmskin.device.press import PressCommand
+from ohmskin.device.protocol import PacketDecoder, encode
 from ohmskin.device.session import Session
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.device.wire import WireDevice
 from ohmskin.engine import Engine
 from ohmskin.errors import OhmskinError
 from ohmskin.scan import DrivePattern
-from ohmskin.view.session import Session as PageSession
+from ohmskin.view.session import PageSession
 from ohmskin.view.wire import CommandError, read_command
 
 SINGLES = [value for value in FLOATS if not 3.4e38 < abs(value) < math.inf]
@@ -104,12 +104,12 @@ class Requests:
         asked: list[Message] = [Hello()]
         for _ in range(rng.randrange(1, 6)):
             pattern, slot = rng.choice((RIM, SMALL)), rng.choice((0, 0, 1, 15))
-            touch = Press(rng.choice((0, 1, 65535)), 0.1, 0.1, 0.008, rng.choice((0.0, 2e4)))
+            touch = PressCommand(rng.choice((0, 1, 65535)), 0.1, 0.1, 0.008, rng.choice((0.0, 2e4)))
             asked += rng.choice(([SetPattern(slot, pattern)], [Scan(slot, pattern.digest)], [touch]))
         return mixed([encode(message, number) for number, message in enumerate(asked)], rng)
 
     def use(self, content: bytes, rng: random.Random) -> None:
-        session, decoder = Session(self._instrument), Decoder()
+        session, decoder = Session(self._instrument), PacketDecoder()
         for at in range(0, len(content), 50_000):
             decoder.feed(session.feed(content[at : at + 50_000]))
         assert decoder.tally.damaged == decoder.tally.unknown == 0

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import ohmskin as ohm
-from ohmskin.device import Capabilities, Device, Feature, Press
+from ohmskin.device import Capabilities, Device, Feature, PressCommand
 from ohmskin.recording import Recorder
 from ohmskin.scan import DrivePattern, Frame
 from ohmskin.skin import Skin, VirtualSkin
@@ -26,7 +26,7 @@ class Bench(Device):
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         return self._skin.scan(pattern)
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: PressCommand) -> None:
         self._skin.press(press.number, press.x, press.y, press.radius, press.pressure)
 
     def _close(self) -> None:

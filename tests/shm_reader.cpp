@@ -35,7 +35,7 @@ static void print(const ohmskin::Client& client, const ohmskin::Contacts& newest
         std::printf("\nseen"), put(seen.patch), put(seen.frame), put(seen.mode.data()), put(seen.time);
         std::printf("\t%llu\t%lld", (unsigned long long)seen.sequence, (long long)seen.stamp);
     }
-    for (const ohmskin::Contact& c : newest.contacts) {
+    for (const ohmskin::PlacedContact& c : newest.contacts) {
         std::printf("\ncontact"), put(c.patch), put(c.frame), put(c.id), put(c.position), put(c.normal);
         put(c.extent), put(c.strength), put(c.confidence), put(c.peak), put(c.radius);
         put(c.velocity.value_or(ohmskin::Vector{NAN, NAN, NAN}));

@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Page, expect
 from test_view_browser import AS_USUAL, Reader, SyntheticLoop, make_setup
 
 from ohmskin.arrays import Floats
-from ohmskin.plot.report import Folded, Image, Picture, Section, Table, write_report
+from ohmskin.plot.report import Folded, ReportImage, ReportPicture, Section, Table, write_report
 from ohmskin.view import LiveView
 
 AXE = Axe()
@@ -117,7 +117,7 @@ def test_axe_finds_nothing_in_a_report(chromium: Browser, theme: str, tmp_path: 
     Bitmap.new("RGB", (400, 300), "white").save(tmp_path / "map.png")
     head = ("", *(f"quantity {k} / mm" for k in range(12)))
     table = Table(head, [("it's", *("1.25 (1.1 to 1.4)",) * 10, verdict, "met") for verdict in ("missed", "undecided")])
-    picture = Image("Figure 1", Picture("map", tmp_path / "map.png", "Where it is."))
+    picture = ReportImage("Figure 1", ReportPicture("map", tmp_path / "map.png", "Where it is."))
     first = Section("A report", ["Some *words*, and `code`."], "#")
     report = write_report(
         [first, Section("Errors", [table, picture, Folded("more", [table])], "1", "errors")], tmp_path / "a.html"

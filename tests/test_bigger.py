@@ -11,7 +11,7 @@ from ohmskin import Engine, Skin, VirtualSkin
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.misfit import ridge_solution
 from ohmskin.drive import Candidates, OptimalDrive, base_pattern, candidate_pairs, candidate_pattern, part_of
-from ohmskin.drive.optimal import pair_weights, take_turns
+from ohmskin.drive.optimal import pair_weights, round_robin
 from ohmskin.drive.patterns import numbers_of
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes, Rectangle
@@ -94,7 +94,7 @@ def test_the_compiled_choice_of_near_pairs_is_that_of_the_drive() -> None:
         choose(drive.electrodes.positions.copy(), pairs.copy(), drive.reach, anchors, space, chosen)
         assert chosen.tolist() == drive.choose(list(anchors)).tolist()
         weights = [pair_weights(drive.electrodes.positions, one, 0.0, pairs, drive.reach) for one in anchors]
-        assert chosen.tolist() == take_turns(np.array(weights), 12).tolist()
+        assert chosen.tolist() == round_robin(np.array(weights), 12).tolist()
         middles = drive.electrodes.positions[pairs[chosen]].mean(axis=1)
         assert np.linalg.norm(middles[:, None] - anchors[:, 0], axis=2).min(axis=1).max() <= drive.reach
 

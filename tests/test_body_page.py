@@ -21,8 +21,8 @@ from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
 from ohmskin.body.patches import Merger
 from ohmskin.body.robot import Robot
-from ohmskin.client import Board, Client, Contact, PatchState
-from ohmskin.client.contacts import LARGEST, felt, pack
+from ohmskin.client import Board, Client, PatchState, PlacedContact
+from ohmskin.client.contacts import LARGEST, merged, pack
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import twin_capabilities
 from ohmskin.geometry import Raster
@@ -78,7 +78,7 @@ class Contacts:
             self.patch.name, self.patch.frame, self._sequence, time.monotonic() - ago, time.time_ns(), "16P"
         )
         contacts = [
-            Contact(
+            PlacedContact(
                 *(k + 1, self.patch.name, self.patch.frame),
                 *(tuple(part.tolist()) for part in self.at(place)),
                 *(1e-4, 2e-4, confidence, 0.3),
@@ -89,7 +89,7 @@ class Contacts:
         centres = np.stack(np.meshgrid(self.raster.x, self.raster.y), axis=-1)
         image = sum((0.8 * np.exp(-(((centres - place) / 0.012) ** 2).sum(axis=-1)) for place in places), 0.0)
         image = np.where(self.raster.inside, image, np.nan)
-        self._felt.write(pack(felt(self._sequence, [seen], contacts), [self.patch]))
+        self._felt.write(pack(merged(self._sequence, [seen], contacts), [self.patch]))
         self._image.write(Picture.pack(image, self._sequence, 0))
 
 

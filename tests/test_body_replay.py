@@ -18,7 +18,7 @@ from ohmskin.body import Body
 from ohmskin.body.body import PlacedSkin
 from ohmskin.body.patches import Merger, Patches
 from ohmskin.body.posture import Posture
-from ohmskin.client import Client, Contact, PatchState
+from ohmskin.client import Client, PatchState, PlacedContact
 from ohmskin.client.board import BoardReader
 from ohmskin.client.joints import JointStates, LinkPoses
 from ohmskin.errors import DataError, PublishError
@@ -57,10 +57,10 @@ def body(tmp_path: Path) -> Body:
     return Body.load(tmp_path / "body.toml")
 
 
-def contact(placed: PlacedSkin, number: int, x: float) -> Contact:
+def contact(placed: PlacedSkin, number: int, x: float) -> PlacedContact:
     cell = ((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 0.0))
     place = (x, 0.1, 0.2)
-    return Contact(
+    return PlacedContact(
         number, placed.patch.name, placed.patch.frame, place, (0.0, 0.0, 1.0), 1e-4, 2e-5, 0.9, 0.3, covariance=cell
     )
 

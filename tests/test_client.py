@@ -21,9 +21,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from waiting import until
 
-from ohmskin.client import Board, BoardReader, Client, Contact, Contacts, Patch, PatchState
+from ohmskin.client import Board, BoardReader, Client, Contacts, Patch, PatchState, PlacedContact
 from ohmskin.client.board import board_path
-from ohmskin.client.contacts import LARGEST, MOST_CONTACTS, felt, pack, patches_from, unpack
+from ohmskin.client.contacts import LARGEST, MOST_CONTACTS, merged, pack, patches_from, unpack
 from ohmskin.errors import PublishError
 from ohmskin.outlets.messages import encode_contacts
 from ohmskin.outlets.topics import contacts_topic
@@ -46,12 +46,12 @@ def touched(sequence: int = 1, count: int = 1, ago: float = 0.0) -> Contacts:
     at = time.monotonic() - ago
     seen = PatchState("arm", "forearm_link", sequence, at, time.time_ns() - round(ago * 1e9), "16O")
     contacts = [
-        Contact(
+        PlacedContact(
             k + 1, "arm", "forearm_link", (0.1, 0.2, 0.05), (0.0, 0.0, 1.0), 1e-4, 2e-4, 0.9, 0.3, 8e-3, (0.0, 0.1, 0.0)
         )
         for k in range(count)
     ]
-    return felt(sequence, [seen], contacts)
+    return merged(sequence, [seen], contacts)
 
 
 @contextmanager
@@ -239,7 +239,7 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 TRIPLE = st.tuples(FLOATS, FLOATS, FLOATS)
 COVARIANCE = st.tuples(*[FLOATS] * 6).map(lambda v: ((v[0], v[1], v[2]), (v[1], v[3], v[4]), (v[2], v[4], v[5])))
 CONTACT = st.builds(
-    Contact,
+    PlacedContact,
     st.integers(-1, 2**31 - 1),
     st.just("hand"),
     st.just("palm_link"),
@@ -288,7 +288,7 @@ def test_bytes_that_are_no_record_give_one_error(record: bytes) -> None:
 
 def test_the_strongest_contacts_are_kept_when_there_are_too_many() -> None:
     contacts = tuple(
-        Contact(k, "arm", "x", (0, 0, 0), (0, 0, 1), 1, 1, 1, peak=-float(k)) for k in range(MOST_CONTACTS + 10)
+        PlacedContact(k, "arm", "x", (0, 0, 0), (0, 0, 1), 1, 1, 1, peak=-float(k)) for k in range(MOST_CONTACTS + 10)
     )
     what = Contacts(1, 0.0, 0, (PatchState("arm", "x"), PatchState("hand", "y")), contacts)
     kept = unpack(pack(what, PATCHES), PATCHES).contacts
@@ -308,9 +308,9 @@ def test_a_place_on_a_patch_is_as_far_from_its_origin_as_on_the_sheet(x: float, 
 def test_what_was_felt_is_as_old_as_its_oldest_patch() -> None:
     now = time.monotonic()
     fresh, old, never = PatchState("a", "x", 5, now, 9), PatchState("b", "x", 5, now - 2.0, 7), PatchState("c", "x")
-    assert felt(1, [fresh, old], []).stamp == 7
-    assert 2.0 <= felt(1, [fresh, old], []).age < 3.0
-    assert felt(1, [fresh, old, never], []).age == math.inf
+    assert merged(1, [fresh, old], []).stamp == 7
+    assert 2.0 <= merged(1, [fresh, old], []).age < 3.0
+    assert merged(1, [fresh, old, never], []).age == math.inf
 
 
 @pytest.mark.parametrize(

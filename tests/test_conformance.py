@@ -14,7 +14,7 @@ import pytest
 from live_process import serving
 
 from ohmskin.arrays import Floats
-from ohmskin.device import Capabilities, Device, Feature, Press, connect, drivers
+from ohmskin.device import Capabilities, Device, Feature, PressCommand, connect, drivers
 from ohmskin.device.conformance import Check, check_device
 from ohmskin.device.daq import MuxDaqDevice
 from ohmskin.errors import DeviceError, DeviceLost, DeviceRefused
@@ -65,7 +65,7 @@ class Fake(Device):
             pattern, np.where(over, np.inf, volts), currents, self.count * 0.01, self.count, FrameFlag(int(over.any()))
         )
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: PressCommand) -> None:
         raise DeviceRefused("a real skin")
 
     def _close(self) -> None:

@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 from test_client import FLOOD, PATCHES, half_written, until
 
-from ohmskin.client import Board, Contact, Contacts, Patch, PatchState
+from ohmskin.client import Board, Contacts, Patch, PatchState, PlacedContact
 from ohmskin.client.board import board_path
-from ohmskin.client.contacts import LARGEST, felt, pack
+from ohmskin.client.contacts import LARGEST, merged, pack
 from ohmskin.client.fields import numbers
 
 ROOT = Path(__file__).parents[1]
 TURNED = ((1.0, 0.1, 0.2), (0.1, 2.0, 0.3), (0.2, 0.3, 3.0))
-LIGHT = Contact(7, "arm", "forearm_link", (0.1, -0.2, 0.05), (0.0, 0.6, 0.8), 1e-4, 2e-4, 0.9, -0.3)
-FULL = Contact(
+LIGHT = PlacedContact(7, "arm", "forearm_link", (0.1, -0.2, 0.05), (0.0, 0.6, 0.8), 1e-4, 2e-4, 0.9, -0.3)
+FULL = PlacedContact(
     *(-1, "hand", "palm \"left\" \\ ü/漢", (1 / 3, 1e-300, -5e15), (0.0, 0.0, 1.0), 1e-4, 2e-4, 0.5, 0.25, 8e-3),
     *((0.01, -0.02, 0.03), TURNED, 5.5, 0.4, 2e4, 2.5e-4, True),
 )  # fmt: skip
@@ -89,12 +89,12 @@ def board(patches: tuple[Patch, ...] = SKIN) -> Board:
     )
 
 
-def touch(sequence: int, *contacts: Contact, ago: float = 0.0) -> Contacts:
+def touch(sequence: int, *contacts: PlacedContact, ago: float = 0.0) -> Contacts:
     now, stamp = time.monotonic() - ago, time.time_ns()
     seen = [
         PatchState(p.name, p.frame, sequence, now, stamp, mode) for p, mode in zip(SKIN, ("16O", "a" * 16), strict=True)
     ]
-    return felt(sequence, seen, contacts)
+    return merged(sequence, seen, contacts)
 
 
 def test_every_value_that_python_wrote_is_read(reader: Path) -> None:

@@ -13,7 +13,7 @@ from ohmskin.arrays import Floats
 from ohmskin.drive import base_pattern, complete_pattern, part_of
 from ohmskin.engine import Engine, State, Touch
 from ohmskin.scan import Difference, DrivePattern, Frame, NetworkFit, n_pairs
-from ohmskin.scan.coherence import Instrument, NetworkData
+from ohmskin.scan.coherence import InstrumentErrors, NetworkData
 from ohmskin.sensing import Diagnosis
 from ohmskin.sensing.diagnosis import Cause
 from ohmskin.sensing.remedies import without_spikes
@@ -101,7 +101,7 @@ def test_what_any_network_causes_is_coherent_with_the_freedom_that_linear_algebr
     for pattern in patterns:
         fits = []
         for _ in range(60):
-            data = NetworkData([some_changes(random, pattern, 1e-4)], 16, Instrument(1e-4, 1e-3))
+            data = NetworkData([some_changes(random, pattern, 1e-4)], 16, InstrumentErrors(1e-4, 1e-3))
             fits.append(data.coherence())
         spanned = NetworkFit(pattern, np.ones(pattern.n_meas), np.zeros(pattern.n_meas))
         freedom = spanned.misfit(spanned.known).freedom
@@ -115,13 +115,13 @@ def test_without_errors_of_currents_the_misfit_is_that_of_the_network_fit(patter
     for pattern in patterns[::2]:  # electrodes that are driven count by how much they change
         changes = some_changes(random, pattern, 1e-4)
         fit = NetworkFit(pattern, changes.currents, changes.volts)
-        found = NetworkData([changes], 16, Instrument(1e-4)).coherence()
+        found = NetworkData([changes], 16, InstrumentErrors(1e-4)).coherence()
         assert found.squares == pytest.approx(fit.misfit(fit.known).squares / 1e-8, rel=1e-6)
         np.testing.assert_allclose(1e-4 * found.residuals, fit.residuals(fit.known)[:, 0], atol=1e-9)
 
 
 def test_the_projection_tells_what_each_voltage_left_out_saves(patterns: list[DrivePattern]) -> None:
-    data = NetworkData([some_changes(np.random.default_rng(3), patterns[2], 1e-4)], 16, Instrument(1e-4, 1e-3))
+    data = NetworkData([some_changes(np.random.default_rng(3), patterns[2], 1e-4)], 16, InstrumentErrors(1e-4, 1e-3))
     every = np.ones(patterns[2].n_meas, bool)
     projection, left = data.projection(every)
     for row in range(0, len(every), 17):
@@ -134,7 +134,7 @@ def test_noise_on_all_values_leaves_most_of_them_in(patterns: list[DrivePattern]
     for seed, pattern in product(range(20), patterns):
         changes = some_changes(np.random.default_rng(seed), pattern, times * 1e-4)
         every = np.ones(pattern.n_meas, bool)
-        remedy = without_spikes(NetworkData([changes], 16, Instrument(1e-4, 1e-3)), every)
+        remedy = without_spikes(NetworkData([changes], 16, InstrumentErrors(1e-4, 1e-3)), every)
         assert remedy is None or remedy.kept.mean() > 0.5
 
 
@@ -142,12 +142,12 @@ def test_what_is_seen_for_long_takes_no_more_memory_and_is_told_as_before() -> N
     loose = Cause("open", (5,))
     diagnosis = Diagnosis()
     for frame in range(200):
-        diagnosis = replace(diagnosis, time=0.01 * frame).told({loose}, 1e-4, set())
+        diagnosis = replace(diagnosis, time=0.01 * frame).with_causes({loose}, 1e-4, set())
         assert [finding.cause for finding in diagnosis.findings] == [loose] * (frame > 1)
-        assert len(diagnosis.seen[loose]) <= 3
+        assert len(diagnosis.occurrences[loose]) <= 3
     gone = replace(diagnosis, findings=(), time=3.5)
-    assert not gone.told(set(), 1e-4, set()).seen
-    assert not gone.told({loose}, 1e-4, set()).findings  # the first of three
+    assert not gone.with_causes(set(), 1e-4, set()).occurrences
+    assert not gone.with_causes({loose}, 1e-4, set()).findings  # the first of three
 
 
 # --- in the loop ------------------------------------------------------------------------------------------------------
@@ -369,7 +369,7 @@ def test_a_current_that_failed_once_is_not_told_for_ever(engine: Engine) -> None
     frame = engine.device.scan(pattern)
     before = Diagnosis(silent={13: 0.0}, time=1.0)
     after, _ = engine.sensor.detector.examine(before, [frame], [engine.known.difference(frame)], 0.01)
-    assert not after.seen
+    assert not after.occurrences
     assert after.silent == {13: 0.0}
 
 

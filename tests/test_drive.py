@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.drive import DRIVES, DriveSettings, Fixed, OptimalDrive, TwoScans, pair_weights, take_turns
+from ohmskin.drive import DRIVES, DriveSettings, Fixed, OptimalDrive, TwoScans, pair_weights, round_robin
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes, Rectangle
 from ohmskin.scan import adjacent, all_pairs, measure_others
@@ -106,18 +106,18 @@ def test_regions_choose_in_turn_the_best_pair_still_free(regions: int, n: int, s
     rng = np.random.default_rng(seed)
     weights = rng.integers(0, 4, (regions, n)).astype(float) if ties else rng.random((regions, n))
     for count in (1, min(regions, n), n // 2 + 1, n, n + 5):
-        chosen = take_turns(weights, count)
+        chosen = round_robin(weights, count)
         assert len(chosen) == min(count, n)
         assert len(set(chosen.tolist())) == len(chosen)
-        np.testing.assert_array_equal(chosen, take_turns(weights, n)[:count])
+        np.testing.assert_array_equal(chosen, round_robin(weights, n)[:count])
     best = [int(w.argmax()) for w in weights]
-    assert list(dict.fromkeys(best)) == take_turns(weights, n)[: len(set(best))].tolist()
+    assert list(dict.fromkeys(best)) == round_robin(weights, n)[: len(set(best))].tolist()
 
 
 def test_two_distant_regions_share_the_pairs_evenly() -> None:
     weights = np.array([[9, 8, 7, 0.4, 0.3, 0.2], [0.1, 0.2, 0.3, 7, 8, 9]])
-    assert take_turns(weights, 6).tolist() == [0, 5, 1, 4, 2, 3]
-    assert take_turns(weights[0], 3).tolist() == [0, 1, 2]
+    assert round_robin(weights, 6).tolist() == [0, 5, 1, 4, 2, 3]
+    assert round_robin(weights[0], 3).tolist() == [0, 1, 2]
 
 
 # --- patterns ---------------------------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ def test_two_distant_regions_share_the_pairs_evenly() -> None:
 def test_the_optimal_pattern_drives_the_chosen_pairs_and_measures_at_all_others(regions: list, count: int) -> None:
     pattern = OptimalDrive(GRID, count).pattern(regions)
     weights = np.array([pair_weights(GRID.positions, points) for points in regions])
-    chosen = all_pairs(16)[take_turns(weights, count)]
+    chosen = all_pairs(16)[round_robin(weights, count)]
     assert pattern == measure_others(chosen, range(16))
     assert pattern.n_meas == 13 * count
 

@@ -17,11 +17,11 @@ import pytest
 from direct import DirectDevice
 from waiting import until
 
-from ohmskin.device import Capabilities, Device, DeviceServer, Feature, Press, connect, drivers, registry
+from ohmskin.device import Capabilities, Device, DeviceServer, Feature, PressCommand, connect, drivers, registry
 from ohmskin.device.instrument import SharedInstrument
-from ohmskin.device.layout import Kind
+from ohmskin.device.layout import MessageKind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
-from ohmskin.device.protocol import Decoder, encode
+from ohmskin.device.protocol import PacketDecoder, encode
 from ohmskin.device.session import Session
 from ohmskin.device.transport import SerialTransport, SocketTransport, open_transport
 from ohmskin.device.virtual import VirtualInstrument
@@ -267,7 +267,7 @@ def test_a_device_slower_than_it_says_still_gets_through() -> None:
 @pytest.mark.parametrize("greet", [False, True])
 def test_a_silent_device_is_lost_in_bounded_time(greet: bool) -> None:
     def behave(host: socket.socket) -> None:
-        decoder = Decoder()
+        decoder = PacketDecoder()
         while data := host.recv(65536):
             for packet in decoder.feed(data):
                 if greet and isinstance(packet.message, Hello):
@@ -358,7 +358,7 @@ class Forgetful:
         while data := host.recv(65536):
             reply = session.feed(data)
             host.sendall(reply)
-            scans += any(isinstance(packet.message, FrameData) for packet in Decoder().feed(reply))
+            scans += any(isinstance(packet.message, FrameData) for packet in PacketDecoder().feed(reply))
             if scans == 1:
                 session, scans = Session(SharedInstrument(FakeSkin(self.capabilities))), 2
 
@@ -387,10 +387,10 @@ def test_another_protocol_version_is_told(version: int, advice: str) -> None:
     from cobs import cobs
 
     def behave(host: socket.socket) -> None:
-        decoder = Decoder()
+        decoder = PacketDecoder()
         while data := host.recv(65536):
             for packet in decoder.feed(data):
-                body = bytes([version, Kind.ERROR]) + packet.sequence.to_bytes(2, "little") + b"\x01\0what?"
+                body = bytes([version, MessageKind.ERROR]) + packet.sequence.to_bytes(2, "little") + b"\x01\0what?"
                 host.sendall(cobs.encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0")
 
     with stub(behave) as url, pytest.raises(ProtocolError, match=f"speaks protocol {version}, this host 1; {advice}"):
@@ -399,7 +399,7 @@ def test_another_protocol_version_is_told(version: int, advice: str) -> None:
 
 def test_a_frame_of_another_pattern_is_refused() -> None:
     def behave(host: socket.socket) -> None:
-        decoder = Decoder()
+        decoder = PacketDecoder()
         other = some_pattern(5)
         while data := host.recv(65536):
             for packet in decoder.feed(data):
@@ -412,7 +412,7 @@ def test_a_frame_of_another_pattern_is_refused() -> None:
 
 def test_a_pattern_with_another_digest_in_the_device_is_refused() -> None:
     def behave(host: socket.socket) -> None:
-        decoder = Decoder()
+        decoder = PacketDecoder()
         while data := host.recv(65536):
             for packet in decoder.feed(data):
                 match packet.message:
@@ -435,7 +435,7 @@ def test_a_pattern_with_another_digest_in_the_device_is_refused() -> None:
 @pytest.mark.parametrize("patient", [True, False])
 def test_a_busy_device_is_asked_again(patient: bool) -> None:
     def behave(host: socket.socket) -> None:
-        session, decoder, refusals = Session(SharedInstrument(FakeSkin())), Decoder(), 0
+        session, decoder, refusals = Session(SharedInstrument(FakeSkin())), PacketDecoder(), 0
         while data := host.recv(65536):
             packets = decoder.feed(data)
             if packets and isinstance(packets[-1].message, Scan) and (refusals < 2 or not patient):
@@ -494,7 +494,7 @@ def test_two_hosts_do_not_clash(server: DeviceServer, skin: FakeSkin) -> None:
 
 def test_a_connection_is_a_session_also_without_a_greeting(server: DeviceServer, skin: FakeSkin) -> None:
     """Slots are those of the connection, and go with it, as presses do."""
-    greeting, asked = [Hello(), SetPattern(0, RIM), Press(0, 0.1, 0.1, 0.01, 1e4)], Scan(0, RIM.digest)
+    greeting, asked = [Hello(), SetPattern(0, RIM), PressCommand(0, 0.1, 0.1, 0.01, 1e4)], Scan(0, RIM.digest)
     for requests, kind in (
         ([*greeting, asked], FrameData),
         ([asked], Refusal),
@@ -503,7 +503,7 @@ def test_a_connection_is_a_session_also_without_a_greeting(server: DeviceServer,
         with socket.create_connection(("127.0.0.1", int(server.url.rpartition(":")[2]))) as line:
             line.settimeout(60)
             line.sendall(b"".join(encode(request, k) for k, request in enumerate(requests)))
-            decoder, packets = Decoder(), []
+            decoder, packets = PacketDecoder(), []
             while len(packets) < len(requests):
                 packets += decoder.feed(line.recv(65536))
         assert isinstance(packets[-1].message, kind)
@@ -557,7 +557,7 @@ def test_a_press_waits_for_the_scan_of_another_thread() -> None:
             order.append("scan")
             return FakeSkin().scan(pattern)
 
-        def _press(self, press: Press) -> None:
+        def _press(self, press: PressCommand) -> None:
             order.append("press")
 
     device = Slow(VirtualSkin(Skin.load("paper")))
@@ -684,7 +684,7 @@ def test_a_device_that_falls_silent_is_waited_for_ten_seconds_more_than_it_says_
 
     def write(data: bytes) -> None:
         """Answers greetings alone."""
-        asked = [packet for packet in Decoder().feed(data) if isinstance(packet.message, Hello)]
+        asked = [packet for packet in PacketDecoder().feed(data) if isinstance(packet.message, Hello)]
         replies.extend(encode(replace(CAPABILITIES, settle_time=settle), packet.sequence) for packet in asked)
 
     def read(timeout: float) -> bytes:

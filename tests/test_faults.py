@@ -299,11 +299,11 @@ def test_another_protocol_version_ends_it_with_advice(version: int) -> None:
 
     from cobs import cobs
 
-    from ohmskin.device.protocol import Decoder
+    from ohmskin.device.protocol import PacketDecoder
 
     def answer(listener: socket.socket) -> None:
         host = listener.accept()[0]
-        decoder = Decoder()
+        decoder = PacketDecoder()
         with host, suppress(OSError):
             while data := host.recv(65536):
                 for packet in decoder.feed(data):

@@ -179,7 +179,7 @@ def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None
         both = np.stack([np.sum(a * (b @ one.matrix[:-1, :-1]), axis=1) for a, b in
                          ((ones, ones), (others, others), (ones, others))], axis=1)  # fmt: skip
         np.testing.assert_allclose(
-            pair_products(one.rows, one.lost, ones, others), both, rtol=1e-7, atol=1e-7 * np.abs(both).max()
+            pair_products(one.rows, one.downdates, ones, others), both, rtol=1e-7, atol=1e-7 * np.abs(both).max()
         )
     assert found.white.trace == pytest.approx(np.trace(found.white.matrix[:-1, :-1]))
     blind, seeing = (
@@ -547,7 +547,7 @@ def test_contacts_that_explain_data_poorly_are_looked_for_afresh_in_the_second_l
     """Data err a quarter more than the filter is told; there is next to nothing to be found."""
     judge, calls = fitter("discs", 50), list[int]()
     search = judge.fit_information
-    monkeypatch.setattr(judge, "explained", lambda *given: [calls.append(1), search(*given)][1])
+    monkeypatch.setattr(judge, "fit_information", lambda *given: [calls.append(1), search(*given)][1])
     for seed, place in enumerate(PLACES):
         state = Rig("discs", 48, seed, ContactFilter(judge)).run(30, press("discs", place))
         state, looks = replace(state, history=4 * state.history[:1]), []

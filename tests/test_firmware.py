@@ -17,9 +17,9 @@ from tiers import needs
 
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.instrument import SharedInstrument
-from ohmskin.device.layout import LAYOUTS, Kind
+from ohmskin.device.layout import LAYOUTS, MessageKind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern, to_fields
-from ohmskin.device.protocol import Decoder, Unreadable, encode
+from ohmskin.device.protocol import PacketDecoder, Unreadable, encode
 from ohmskin.device.session import Session
 from ohmskin.scan import DrivePattern, Frame, measure_others
 
@@ -67,7 +67,7 @@ class Bridge:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen([build("build/bridge")], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        self._decoder = Decoder()
+        self._decoder = PacketDecoder()
 
     def ask(self, request: bytes) -> Message | Unreadable:
         """The one reply to one packet."""
@@ -153,7 +153,7 @@ def requests(draw: st.DrawFn) -> bytes:
         case 3:
             return encode(Scan(slot, draw(st.integers(0, 2**32 - 1))))
         case 4:
-            kind = draw(st.sampled_from([Kind.HELLO, Kind.SCAN, Kind.PRESS]))
+            kind = draw(st.sampled_from([MessageKind.HELLO, MessageKind.SCAN, MessageKind.PRESS]))
             return intact(1, kind, draw(st.binary(max_size=24)))
         case _:
             return intact(draw(st.integers(0, 3)), draw(st.integers(0, 255)), b"")
@@ -167,9 +167,9 @@ def core() -> Iterator[Bridge]:
 
 @settings(max_examples=200)
 @given(asked=st.lists(requests(), min_size=1, max_size=12))
-@example(asked=[intact(1, Kind.ERROR, b"")])  # a reply sent as a request, and cut
+@example(asked=[intact(1, MessageKind.ERROR, b"")])  # a reply sent as a request, and cut
 def test_the_core_answers_as_the_python_device_does(core: Bridge, asked: list[bytes]) -> None:
-    session, decoder = Session(SharedInstrument(CodedInstrument())), Decoder()
+    session, decoder = Session(SharedInstrument(CodedInstrument())), PacketDecoder()
     core.ask(encode(Hello()))  # both begin without patterns
     for request in asked:
         (packet,) = decoder.feed(session.feed(request))
@@ -182,15 +182,15 @@ def test_the_core_answers_as_the_python_device_does(core: Bridge, asked: list[by
 
 def test_both_devices_give_the_documented_answer_where_a_request_does_not_fit(core: Bridge) -> None:
     rim = DrivePattern(np.array([[0, 1]]), np.array([[0, 2, 3]]))
-    session, decoder = Session(SharedInstrument(CodedInstrument())), Decoder()
+    session, decoder = Session(SharedInstrument(CodedInstrument())), PacketDecoder()
     for request, codes in (
         (encode(Scan(65535, 1)), {ErrorCode.UNKNOWN_SLOT}),
         (encode(SetPattern(SIZES.pattern_slots, rim)), {ErrorCode.TOO_LARGE}),
-        (intact(1, Kind.HELLO, b"\0"), {ErrorCode.BAD_REQUEST}),
-        (intact(1, Kind.SCAN, bytes(7)), {ErrorCode.BAD_REQUEST}),
-        (intact(1, Kind.PRESS, bytes(19)), {ErrorCode.BAD_REQUEST}),
-        (intact(1, Kind.PATTERN, bytes(6)), {ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN}),
-        (intact(1, Kind.PATTERN, encode_payload(rim) + b"\0\0"), {ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN}),
+        (intact(1, MessageKind.HELLO, b"\0"), {ErrorCode.BAD_REQUEST}),
+        (intact(1, MessageKind.SCAN, bytes(7)), {ErrorCode.BAD_REQUEST}),
+        (intact(1, MessageKind.PRESS, bytes(19)), {ErrorCode.BAD_REQUEST}),
+        (intact(1, MessageKind.PATTERN, bytes(6)), {ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN}),
+        (intact(1, MessageKind.PATTERN, encode_payload(rim) + b"\0\0"), {ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN}),
     ):
         (packet,) = decoder.feed(session.feed(request))
         for told in (packet.message, core.ask(request)):
@@ -199,7 +199,7 @@ def test_both_devices_give_the_documented_answer_where_a_request_does_not_fit(co
 
 
 def encode_payload(pattern: DrivePattern) -> bytes:
-    return LAYOUTS[Kind.PATTERN].pack(to_fields(SetPattern(0, pattern)))
+    return LAYOUTS[MessageKind.PATTERN].pack(to_fields(SetPattern(0, pattern)))
 
 
 @settings(max_examples=40)

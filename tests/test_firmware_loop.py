@@ -25,7 +25,7 @@ from ohmskin.device.analogue import AnalogueSide
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.firmware import EmulatedBoard
 from ohmskin.device.messages import Ack, FrameData, Hello, Refusal, Scan, SetPattern
-from ohmskin.device.protocol import Decoder, encode
+from ohmskin.device.protocol import PacketDecoder, encode
 from ohmskin.device.transport import open_transport
 from ohmskin.device.wire import WireDevice
 from ohmskin.drive import complete_pattern
@@ -298,7 +298,7 @@ def test_one_pattern_and_scan_ahead_is_never_lost_and_more_do_no_harm(image: Pat
             for slot, pattern in both
         ]
         with closing(open_transport(board.url)) as line_to:
-            decoder = Decoder()
+            decoder = PacketDecoder()
 
             def replies(last: type | None, count: int = 1) -> list[type]:
                 """The kinds of what comes, up to the last of `count` replies of a kind, or until nothing comes for a

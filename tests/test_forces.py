@@ -15,7 +15,7 @@ from direct import DirectDevice
 from ohmskin.arrays import Floats
 from ohmskin.cli.live import _Lines, _Table
 from ohmskin.client import Client
-from ohmskin.client.cdr import Decoder
+from ohmskin.client.cdr import CdrDecoder
 from ohmskin.client.remote import decode_contacts
 from ohmskin.contacts import Contact
 from ohmskin.engine import Engine, Touch
@@ -296,7 +296,7 @@ def test_the_same_force_is_told_everywhere(
         heard["recording"] = reader.touches[-1].contacts[0]
     for name, found in heard.items():
         assert (found.force, found.force_std, found.pressure, found.area) == told, name
-    wrench = Decoder(encode_wrench(felt.contacts, "skin", felt.stamp))
+    wrench = CdrDecoder(encode_wrench(felt.contacts, "skin", felt.stamp))
     wrench.stamp()
     wrench.text()
     assert wrench.take("dddddd")[2] == pytest.approx(-told[0])

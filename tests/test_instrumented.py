@@ -17,7 +17,7 @@ from direct import DirectDevice
 from waiting import until
 
 from ohmskin.calibrate import ForceSampler, LoadCell, read_table
-from ohmskin.client.cdr import Encoder
+from ohmskin.client.cdr import CdrEncoder
 from ohmskin.device import connect
 from ohmskin.engine import Engine
 from ohmskin.errors import DataError, OhmskinError, PublishError
@@ -71,7 +71,7 @@ def test_a_force_sensor_of_ros_is_heard(place: str, monkeypatch: pytest.MonkeyPa
     )
     sender = open_outlet(where[0], [topic], "sensor", None)
     end = open_load_cell(where[1], "ft/wrench", cell.update)
-    wrench = Encoder().stamp(time.time_ns()).text("tool").put("dddddd", 0.0, 3.0, -4.0, 9.0, 9.0, 9.0).done()
+    wrench = CdrEncoder().stamp(time.time_ns()).text("tool").put("dddddd", 0.0, 3.0, -4.0, 9.0, 9.0, 9.0).done()
     try:
 
         def heard() -> bool:

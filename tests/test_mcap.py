@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import ohmskin as ohm
 import ohmskin.client
-from ohmskin.client.cdr import Decoder, Encoder
+from ohmskin.client.cdr import CdrDecoder, CdrEncoder
 from ohmskin.client.fields import as_json, columns, components, numbers
 from ohmskin.client.fields import fields as contact_fields
 from ohmskin.contacts import Contact
@@ -213,12 +213,12 @@ def test_cdr_aligns_as_ros_does() -> None:
     for text in ("", "a", "abc", "abcd"):
         for count in (0, 1, 3):
             d, e = np.arange(count, dtype="u2"), np.arange(count, dtype="f8")
-            ours = Encoder().put("Bd", 7, 0.5).text(text).array(d).array(e).put("?i", True, -2).done()
+            ours = CdrEncoder().put("Bd", 7, 0.5).text(text).array(d).array(e).put("?i", True, -2).done()
             theirs = store.deserialize_cdr(ours, "x/msg/Mixed")
             assert (theirs.a, theirs.b, theirs.c, theirs.f, theirs.g) == (7, 0.5, text, True, -2)
             np.testing.assert_array_equal(theirs.d, d)
             np.testing.assert_array_equal(theirs.e, e)
-            decoder = Decoder(ours)
+            decoder = CdrDecoder(ours)
             assert (decoder.take("Bd"), decoder.text()) == ((7, 0.5), text)
             np.testing.assert_array_equal(np.frombuffer(decoder.block(2), "<u2"), d)
             np.testing.assert_array_equal(np.frombuffer(decoder.block(8), "<f8"), e)
@@ -226,10 +226,10 @@ def test_cdr_aligns_as_ros_does() -> None:
 
 
 def test_a_sequence_that_cannot_fit_is_refused_before_it_is_read() -> None:
-    whole = Encoder().put("I", 3).done() + bytes(24)
-    assert Decoder(whole).count(8) == 3
+    whole = CdrEncoder().put("I", 3).done() + bytes(24)
+    assert CdrDecoder(whole).count(8) == 3
     with pytest.raises(DataError, match="it has 3 entries, which do not fit"):
-        Decoder(whole[:-1]).count(8)
+        CdrDecoder(whole[:-1]).count(8)
 
 
 def test_a_recording_reads_as_any_other(recorded: tuple[Path, list[ohm.Touch]]) -> None:
@@ -467,7 +467,12 @@ def test_a_new_field_of_a_contact_reaches_every_encoding() -> None:
     named = {field.name for field in dataclass_fields(Contact)}
     assert {field.name for field in contact_fields(2)} == named == as_json(KNOWN).keys()
     assert {field.name for field in contact_fields(3)} == named | {"normal", "self_touch"}
-    assert {f.name for f in dataclass_fields(ohm.client.Contact)} == named | {"normal", "patch", "frame", "self_touch"}
+    assert {f.name for f in dataclass_fields(ohm.client.PlacedContact)} == named | {
+        "normal",
+        "patch",
+        "frame",
+        "self_touch",
+    }
     assert len(columns()) == len(components(2)) == len(numbers(KNOWN, 2)) == 17
     assert as_json(KNOWN)["covariance"] == [2e-6, 1e-7, 1e-6]
     assert as_json(replace(KNOWN, velocity=None))["velocity"] is None

@@ -31,8 +31,8 @@ from ohmskin.body import Body
 from ohmskin.body.body import axes
 from ohmskin.body.patches import Merger
 from ohmskin.body.robot import Robot
-from ohmskin.client import Board, Client, Contact, Patch, PatchState
-from ohmskin.client.contacts import LARGEST, felt, pack
+from ohmskin.client import Board, Client, Patch, PatchState, PlacedContact
+from ohmskin.client.contacts import LARGEST, merged, pack
 from ohmskin.device import connect as connect_device
 from ohmskin.errors import SkinError, ViewError
 from ohmskin.view.overview import BoardsPage, Overview
@@ -180,10 +180,10 @@ def speak(board: Board, patch: Patch, sequence: int, count: int, ago: float = 0.
         patch.name, patch.frame, sequence, time.monotonic() - ago, time.time_ns() - round(1e9 * ago), "16O"
     )
     contacts = [
-        Contact(k + 1, patch.name, patch.frame, patch.place(0.05, 0.1), patch.normal, 1e-4, 2e-4, 0.9, 0.3)
+        PlacedContact(k + 1, patch.name, patch.frame, patch.place(0.05, 0.1), patch.normal, 1e-4, 2e-4, 0.9, 0.3)
         for k in range(count)
     ]
-    board.write(pack(felt(sequence, [seen], contacts), [patch]))
+    board.write(pack(merged(sequence, [seen], contacts), [patch]))
 
 
 def test_patches_are_felt_together_and_as_old_as_the_oldest() -> None:

@@ -37,7 +37,7 @@ from ohmskin.evaluate.policies.tracked import apart as far_apart
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.setup import Setup, View, repeated, setup
 from ohmskin.evaluate.shapes import disc
-from ohmskin.evaluate.statistics import Estimate, mean, share
+from ohmskin.evaluate.statistics import ConfidenceInterval, mean, share
 from ohmskin.evaluate.two_points import best_single, one_or_two, resolved
 from ohmskin.evaluate.verdict import MET, MISSED, OPEN, Goal
 from ohmskin.evaluate.worlds import CONTACT_ERROR, CONTACT_RADIUS, CURRENT, contact
@@ -105,7 +105,7 @@ def test_the_interval_of_a_mean_holds_the_truth_about_as_often_as_it_says() -> N
     ],
 )
 def test_a_goal_is_met_or_missed_only_by_the_whole_interval(measured, at_most, verdict) -> None:
-    goal = Goal("static", "x", 0.65, at_most, Estimate(*measured), "ratio", "2 seeds")
+    goal = Goal("static", "x", 0.65, at_most, ConfidenceInterval(*measured), "ratio", "2 seeds")
     assert goal.verdict == verdict
     assert goal.margin == f"{100 * (measured[0] / 0.65 - 1):+.0f} %"
     assert goal.bound == ("≤ 0.65" if at_most else "≥ 0.65")
@@ -402,7 +402,7 @@ def test_two_close_discs_are_counted_and_placed_and_one_is_one(decibels: float, 
     It was 63 and 67 % while one of a pair could become a shadow of the other, while pairs were sought along two axes
     alone and refused if their discs overlap by a third, and while discs were said to err by 1 %.
     """
-    found = policies.Pairs(decibels, 2, 500, (distance,), where=60, schemes=("16P",)).run()
+    found = policies.PairDiscrimination(decibels, 2, 500, (distance,), where=60, schemes=("16P",)).run()
     assert found["right"].mean() >= least
     assert (found["counted"] != 1).sum() <= 0.01 * found["counted"].size
 
@@ -445,7 +445,7 @@ def test_the_full_plan_is_as_thorough_as_was_asked() -> None:
     for section in ("static", "time", "moving", "pairs"):
         assert all(task.seeds >= 20 for task in full[section].values() if hasattr(task, "seeds"))
     assert all(task.side == 9 and task.random > 0 for task in full["static"].values())
-    told_apart = [t for t in full["pairs"].values() if isinstance(t, policies.Pairs)]
+    told_apart = [t for t in full["pairs"].values() if isinstance(t, policies.PairDiscrimination)]
     assert {(t.decibels, round(1e3 * d)) for t in told_apart for d in t.distances} >= {(50.0, 20), (60.0, 12)}
     assert sum(task.frames for task in full["quiet"].values()) >= 100_000
     assert all(

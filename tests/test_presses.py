@@ -30,7 +30,7 @@ def fitter() -> PressFitter:
 def pressed(press: Press, seed: int, frames: int = FRAMES) -> KnownPress:
     """What the default mode sees of a press, and its true force."""
     mode, shape = modes(world().skin)["16P"], disc(*press.position, press.radius, press.pressure)
-    views = [world().see(mode, (shape,), seed, k) for k in range(frames)]
+    views = [world().simulate(mode, (shape,), seed, k) for k in range(frames)]
     scans: list[Difference] = [scan for view in views for scan in view.differences]
     contact = next(view.contacts[0] for view in views if view.contacts)
     return KnownPress(press.force(world().skin.contact_layer.foam_spread), contact, tuple(scans))
@@ -88,7 +88,7 @@ def test_force_is_told_with_its_uncertainty() -> None:
 
 def test_pressures_of_two_presses_are_told_apart() -> None:
     light, hard = disc(0.06, 0.13, 8e-3, 3e3), disc(0.13, 0.06, 8e-3, 40e3)
-    views = [world().see(modes(world().skin)["16P"], (light, hard), 5, k) for k in range(FRAMES)]
+    views = [world().simulate(modes(world().skin)["16P"], (light, hard), 5, k) for k in range(FRAMES)]
     contacts = sorted(views[0].contacts, key=lambda contact: contact.position[0])
     assert len(contacts) == 2
     found = fitter().fit(contacts, *(scan for view in views for scan in view.differences))

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from ohmskin.device import protocol
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.instrument import SharedInstrument
-from ohmskin.device.layout import LAYOUTS, MAX_PACKET, Kind
+from ohmskin.device.layout import LAYOUTS, MAX_PACKET, MessageKind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
-from ohmskin.device.press import Press
-from ohmskin.device.protocol import Decoder, Packet, Unreadable, encode
+from ohmskin.device.press import PressCommand
+from ohmskin.device.protocol import Packet, PacketDecoder, Unreadable, encode
 from ohmskin.device.session import Session
 from ohmskin.errors import DeviceRefused, ProtocolError
 from ohmskin.scan import DrivePattern, Frame, adjacent
@@ -63,7 +63,7 @@ capabilities = st.builds(
     firmware=st.tuples(u8, u8, u8),
     boot=u32,
 )
-presses = st.builds(Press, u16, f32(-100, 100), f32(-100, 100), st.floats(2.0**-20, 10, width=32), f32(0, 1e9))
+presses = st.builds(PressCommand, u16, f32(-100, 100), f32(-100, 100), st.floats(2.0**-20, 10, width=32), f32(0, 1e9))
 messages = st.one_of(
     st.just(Hello()),
     st.builds(SetPattern, u16, patterns()),
@@ -89,7 +89,7 @@ def again(item: Packet) -> bytes:
 
 @given(packets)
 def test_every_message_arrives_as_it_was_sent(packet: Packet) -> None:
-    (got,) = Decoder().feed(encode(packet.message, packet.sequence))
+    (got,) = PacketDecoder().feed(encode(packet.message, packet.sequence))
     assert got.sequence == packet.sequence
     if isinstance(packet.message, FrameData):
         assert isinstance(got.message, FrameData)
@@ -101,7 +101,7 @@ def test_every_message_arrives_as_it_was_sent(packet: Packet) -> None:
 
 @given(st.lists(packets, max_size=5), st.data())
 def test_pieces_of_any_size_make_the_same_messages(items: list[Packet], data: st.DataObject) -> None:
-    stream, decoder, got = b"".join(sent(items)), Decoder(), []
+    stream, decoder, got = b"".join(sent(items)), PacketDecoder(), []
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
     for start, stop in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         got += decoder.feed(stream[start:stop])
@@ -112,7 +112,7 @@ def test_pieces_of_any_size_make_the_same_messages(items: list[Packet], data: st
 
 @given(st.binary(max_size=2000))
 def test_random_bytes_make_no_message_and_no_error(noise: bytes) -> None:
-    decoder = Decoder()
+    decoder = PacketDecoder()
     assert decoder.feed(noise) == []
     (packet,) = decoder.feed(b"\0" + encode(Hello(), 3))  # and the line recovers at the next delimiter
     assert packet == Packet(3, Hello())
@@ -135,7 +135,7 @@ def test_damaged_streams_give_only_messages_that_were_sent(items: list[Packet], 
                     part.insert(where, data.draw(u8))
                 case "drop" if part:
                     del part[where]
-    got = Decoder().feed(b"".join(mangled))
+    got = PacketDecoder().feed(b"".join(mangled))
     assert {again(item) for item in got} <= set(parts)
 
 
@@ -150,7 +150,7 @@ def flips(packet: bytes) -> list[bytes]:
 def test_a_flipped_bit_drops_the_packet_because_of_the_checksum(monkeypatch: pytest.MonkeyPatch) -> None:
     frame = FrameData(1, 2, 3, 0, np.full(4, 0.01, np.float32), np.full(20, 0.5, np.float32))
     damaged = flips(encode(frame, 9))
-    assert not any(Decoder().feed(one) for one in damaged)
+    assert not any(PacketDecoder().feed(one) for one in damaged)
 
     class NoChecksum:
         """The decoder without its check: it must be the one that catches the flips."""
@@ -163,14 +163,14 @@ def test_a_flipped_bit_drops_the_packet_because_of_the_checksum(monkeypatch: pyt
             return False
 
     monkeypatch.setattr(protocol, "zlib", NoChecksum)
-    assert sum(bool(Decoder().feed(one)) for one in damaged) > len(damaged) // 2
+    assert sum(bool(PacketDecoder().feed(one)) for one in damaged) > len(damaged) // 2
 
 
 def test_a_signalling_nan_is_a_nan_like_others() -> None:
     """Converted to doubles it would warn; a device may well send one."""
     signalling = np.array([0x7FA00000] * 5, np.uint32).view(np.float32)
     sent = FrameData(PATTERN.digest, 1, 1, 0, signalling[:2], signalling[:3])
-    (got,) = Decoder().feed(encode(sent))
+    (got,) = PacketDecoder().feed(encode(sent))
     assert isinstance(got.message, FrameData)
     frame = got.message.frame(PATTERN)
     assert np.isnan(frame.voltages * 2).all()
@@ -178,7 +178,7 @@ def test_a_signalling_nan_is_a_nan_like_others() -> None:
 
 
 def test_counters_tell_the_kinds_of_damage() -> None:
-    decoder = Decoder()
+    decoder = PacketDecoder()
     good = encode(Ack(5), 1)
     decoder.feed(good + b"\0\0" + b"\x05\x01\0" + good.replace(b"\x82", b"\x83"))
     decoder.feed(b"\x01" * (MAX_PACKET + 1))
@@ -189,7 +189,7 @@ def test_counters_tell_the_kinds_of_damage() -> None:
 
 
 def test_an_endless_packet_takes_no_memory() -> None:
-    decoder = Decoder()
+    decoder = PacketDecoder()
     tracemalloc.start()
     for _ in range(100):
         assert decoder.feed(b"\x55" * 60000) == []
@@ -204,24 +204,24 @@ def intact(version: int, kind: int, payload: bytes, sequence: int = 7) -> bytes:
 
 
 def test_another_protocol_version_is_reported_as_such() -> None:
-    (packet,) = Decoder().feed(intact(2, Kind.ERROR, b"\x01\x00new"))
+    (packet,) = PacketDecoder().feed(intact(2, MessageKind.ERROR, b"\x01\x00new"))
     assert packet.sequence == 7
     assert isinstance(packet.message, Unreadable)
     assert packet.message.version == 2
 
 
-@given(st.sampled_from(list(Kind)), st.binary(max_size=100))
-def test_any_payload_is_read_or_reported(kind: Kind, payload: bytes) -> None:
-    (packet,) = Decoder().feed(intact(1, kind, payload))
+@given(st.sampled_from(list(MessageKind)), st.binary(max_size=100))
+def test_any_payload_is_read_or_reported(kind: MessageKind, payload: bytes) -> None:
+    (packet,) = PacketDecoder().feed(intact(1, kind, payload))
     assert packet.sequence == 7
 
 
-@pytest.mark.parametrize("kind", list(Kind))
-def test_a_payload_of_the_wrong_length_is_reported(kind: Kind) -> None:
-    payload = b"" if kind is Kind.HELLO else b"\0" * 5
-    extra = payload + (b"\0" * 400 if LAYOUTS[kind].tail or kind is Kind.HELLO else b"\0" * 100)
-    for wrong in (extra, payload[:1]) if kind is not Kind.HELLO else (extra,):
-        (packet,) = Decoder().feed(intact(1, kind, wrong))
+@pytest.mark.parametrize("kind", list(MessageKind))
+def test_a_payload_of_the_wrong_length_is_reported(kind: MessageKind) -> None:
+    payload = b"" if kind is MessageKind.HELLO else b"\0" * 5
+    extra = payload + (b"\0" * 400 if LAYOUTS[kind].tail or kind is MessageKind.HELLO else b"\0" * 100)
+    for wrong in (extra, payload[:1]) if kind is not MessageKind.HELLO else (extra,):
+        (packet,) = PacketDecoder().feed(intact(1, kind, wrong))
         assert isinstance(packet.message, Unreadable)
 
 
@@ -237,11 +237,11 @@ def test_what_does_not_fit_the_wire_is_refused() -> None:
     with pytest.raises(ProtocolError, match="one packet"):
         Capabilities("x", 16, 100, 60000)
     with pytest.raises(DeviceRefused, match="radius"):
-        Press(0, 0.1, 0.1, float("nan"), 1.0)
+        PressCommand(0, 0.1, 0.1, float("nan"), 1.0)
 
 
 def test_long_texts_are_cut_between_characters() -> None:
-    (packet,) = Decoder().feed(encode(Refusal(1, "ü" * 100)))
+    (packet,) = PacketDecoder().feed(encode(Refusal(1, "ü" * 100)))
     assert packet.message == Refusal(1, "ü" * 60)
 
 
@@ -268,13 +268,13 @@ class Instrument:
 
 
 def answer(session: Session, data: bytes) -> Message | Unreadable:
-    (packet,) = Decoder().feed(session.feed(data))
+    (packet,) = PacketDecoder().feed(session.feed(data))
     return packet.message
 
 
 @given(st.lists(st.one_of(st.binary(max_size=300), packets.map(lambda p: encode(p.message, p.sequence))), max_size=6))
 def test_a_session_survives_anything_and_answers_with_messages(stream: list[bytes]) -> None:
-    session, decoder = Session(SharedInstrument(Instrument())), Decoder()
+    session, decoder = Session(SharedInstrument(Instrument())), PacketDecoder()
     for data in stream:
         decoder.feed(session.feed(data))
     assert decoder.tally.damaged == decoder.tally.unknown == 0
@@ -293,14 +293,14 @@ def test_a_session_says_why_it_refuses() -> None:
         encode(SetPattern(4, rim)): ErrorCode.TOO_LARGE,
         encode(SetPattern(0, big)): ErrorCode.TOO_LARGE,
         encode(SetPattern(0, beyond)): ErrorCode.BAD_PATTERN,
-        intact(1, Kind.PATTERN, b"\0\0" + twice): ErrorCode.BAD_PATTERN,
-        intact(1, Kind.SCAN, b""): ErrorCode.BAD_REQUEST,
-        intact(1, Kind.SCAN, bytes(7)): ErrorCode.BAD_REQUEST,
-        intact(1, Kind.HELLO, b"\0"): ErrorCode.BAD_REQUEST,
+        intact(1, MessageKind.PATTERN, b"\0\0" + twice): ErrorCode.BAD_PATTERN,
+        intact(1, MessageKind.SCAN, b""): ErrorCode.BAD_REQUEST,
+        intact(1, MessageKind.SCAN, bytes(7)): ErrorCode.BAD_REQUEST,
+        intact(1, MessageKind.HELLO, b"\0"): ErrorCode.BAD_REQUEST,
         intact(1, 0x42, b""): ErrorCode.UNKNOWN_KIND,
-        intact(2, Kind.SCAN, b""): ErrorCode.WRONG_VERSION,
+        intact(2, MessageKind.SCAN, b""): ErrorCode.WRONG_VERSION,
         encode(Ack()): ErrorCode.UNKNOWN_KIND,
-        encode(Press(0, 0.1, 0.1, 0.01, 1.0)): ErrorCode.NOT_SUPPORTED,
+        encode(PressCommand(0, 0.1, 0.1, 0.01, 1.0)): ErrorCode.NOT_SUPPORTED,
     }
     for request, code in cases.items():
         reply = answer(session, request)
@@ -329,7 +329,7 @@ def test_a_touch_that_takes_long_is_followed_by_a_rest_in_which_others_are_serve
     session = Session(SharedInstrument(Slow()))
 
     def pressed(pressure: float) -> object:
-        reply = answer(session, encode(Press(0, 0.1, 0.1, 0.01, pressure)))
+        reply = answer(session, encode(PressCommand(0, 0.1, 0.1, 0.01, pressure)))
         return reply.code if isinstance(reply, Refusal) else reply
 
     assert [pressed(20.0), pressed(200.0), pressed(20.0)] == [Ack(), Ack(), ErrorCode.BUSY]
@@ -349,8 +349,8 @@ def rows(heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
-@pytest.mark.parametrize("kind", list(Kind))
-def test_the_documented_layout_is_the_one_in_use(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", list(MessageKind))
+def test_the_documented_layout_is_the_one_in_use(kind: MessageKind) -> None:
     offset, expected = 0, []
     for field in LAYOUTS[kind].scalars:
         assert offset % field.size == 0, f"{field.name} is not aligned"
@@ -391,7 +391,7 @@ VECTORS: dict[str, Message] = {
         np.array([2e-3, 2e-3], np.float32),
         np.array([0.25, np.nan, np.inf], np.float32),
     ),
-    "PRESS": Press(0, 0.0625, 0.125, 0.0078125, 20000.0),
+    "PRESS": PressCommand(0, 0.0625, 0.125, 0.0078125, 20000.0),
     "ERROR": Refusal(6, "no pattern in slot 0"),
 }
 
@@ -399,10 +399,10 @@ VECTORS: dict[str, Message] = {
 def test_the_documented_vectors_are_what_travels() -> None:
     found = re.findall(r"^\| ([A-Z]+) \| (\d+) \| `([0-9a-f]+)` \|$", DOC, re.M)
     documented = {name: (int(sequence), bytes.fromhex(packet)) for name, sequence, packet in found}
-    assert documented.keys() == VECTORS.keys() == Kind.__members__.keys()
+    assert documented.keys() == VECTORS.keys() == MessageKind.__members__.keys()
     for name, (sequence, packet) in documented.items():
         assert encode(VECTORS[name], sequence) == packet
-        (got,) = Decoder().feed(packet)
+        (got,) = PacketDecoder().feed(packet)
         assert again(got) == packet
     assert f"0x{PATTERN.digest:08X}" in DOC
     assert zlib.crc32(b"123456789") == 0xCBF43926
@@ -411,8 +411,10 @@ def test_the_documented_vectors_are_what_travels() -> None:
 def test_documented_text_that_is_not_utf8_is_shown_as_far_as_it_can_be() -> None:
     found = re.search(r"is not UTF-8, as an error of code 10: `([0-9a-f]+)`", DOC)
     assert found
-    assert Decoder().feed(bytes.fromhex(found[1])) == [Packet(3, Refusal(10, "??skin"))]
-    (packet,) = Decoder().feed(intact(1, Kind.CAPABILITIES, LAYOUTS[Kind.CAPABILITIES].pack(NAMELESS) + b"\xff" * 32))
+    assert PacketDecoder().feed(bytes.fromhex(found[1])) == [Packet(3, Refusal(10, "??skin"))]
+    (packet,) = PacketDecoder().feed(
+        intact(1, MessageKind.CAPABILITIES, LAYOUTS[MessageKind.CAPABILITIES].pack(NAMELESS) + b"\xff" * 32)
+    )
     assert isinstance(packet.message, Capabilities)
     assert packet.message.name == "?" * 32
 

@@ -31,7 +31,7 @@ from waiting import until
 import ohmskin
 from ohmskin.body.body import axes
 from ohmskin.client import Patch, PatchState
-from ohmskin.client.contacts import felt
+from ohmskin.client.contacts import merged
 from ohmskin.client.remote import CONTACTS_HASH, CONTACTS_TYPE, data_key, decode_contacts, domain
 from ohmskin.contacts import Contact as SheetContact
 from ohmskin.errors import DataError, OhmskinError, PublishError
@@ -100,7 +100,7 @@ def described(told: Any) -> tuple[bool, str]:
 
 def test_contacts_are_read_field_by_field(store: Any) -> None:
     message = store.deserialize_cdr(
-        encode_contacts(replace(felt(9, [SIGHTING], [CONTACT]), boot=2**63 + 5)), "ohmskin_msgs/msg/Contacts"
+        encode_contacts(replace(merged(9, [SIGHTING], [CONTACT]), boot=2**63 + 5)), "ohmskin_msgs/msg/Contacts"
     )
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(STAMP, 10**9)
     assert (message.boot, message.sequence) == (2**63 + 5, 9)
@@ -130,7 +130,7 @@ def test_velocity_and_covariance_turn_with_the_patch() -> None:
 
 def test_what_is_not_known_of_a_contact_is_nan_in_a_message_and_none_again(store: Any) -> None:
     plain = replace(CONTACT, radius=None, velocity=None, covariance=None)
-    data = encode_contacts(felt(9, [SIGHTING], [plain]))
+    data = encode_contacts(merged(9, [SIGHTING], [plain]))
     (c,) = store.deserialize_cdr(data, "ohmskin_msgs/msg/Contacts").contacts
     assert all(math.isnan(value) for value in (c.radius, c.velocity.z, c.covariance_xx, c.covariance_zz))
     assert decode_contacts(data, 0.0).contacts == (plain,)
@@ -164,7 +164,7 @@ def test_both_outlets_speak_in_the_domain_of_the_environment(monkeypatch: pytest
     outlet = open_outlet(f"zenoh:listen/{place}", [topic], "node", None)
     ears = Ears(place, 43)
     try:
-        data = encode_contacts(felt(1, [SIGHTING], [CONTACT]))
+        data = encode_contacts(merged(1, [SIGHTING], [CONTACT]))
         until(lambda: [outlet.send(topic, STAMP, data), ears.of("contacts")][1])
     finally:
         ears.session.close()
@@ -193,7 +193,7 @@ def test_a_dds_endpoint_tells_the_hash_of_its_type() -> None:
 def test_contacts_of_one_link_are_in_its_frame(store: Any) -> None:
     frames = [PatchState("a", "x"), PatchState("b", "x"), PatchState("c", "y")]
     heads = [
-        store.deserialize_cdr(encode_contacts(felt(1, seen, [])), "ohmskin_msgs/msg/Contacts").header.frame_id
+        store.deserialize_cdr(encode_contacts(merged(1, seen, [])), "ohmskin_msgs/msg/Contacts").header.frame_id
         for seen in (frames[:1], frames[:2], frames)
     ]
     assert heads == ["x", "x", ""]
@@ -227,7 +227,7 @@ def test_the_client_listens_where_contacts_are_sent() -> None:
 def test_contacts_come_back_as_they_went() -> None:
     silent = PatchState("hand", "palm_link")
     what = replace(
-        felt(3, [SIGHTING, silent], [CONTACT, replace(CONTACT, patch="hand", frame="palm_link", id=8)]), boot=77
+        merged(3, [SIGHTING, silent], [CONTACT, replace(CONTACT, patch="hand", frame="palm_link", id=8)]), boot=77
     )
     back = decode_contacts(encode_contacts(what), offset=12.5 - STAMP * 1e-9)
     assert back.contacts == what.contacts
@@ -238,14 +238,14 @@ def test_contacts_come_back_as_they_went() -> None:
 
 @given(st.binary(max_size=300))
 def test_bytes_that_are_no_contacts_give_one_error(data: bytes) -> None:
-    good = encode_contacts(felt(1, [SIGHTING], [CONTACT]))
+    good = encode_contacts(merged(1, [SIGHTING], [CONTACT]))
     for candidate in (b"\0\1\0\0" + data, good[: len(data)], good[: len(data)] + data):
         with suppress(DataError):
             decode_contacts(candidate, 0.0)
 
 
 def test_a_contact_of_a_patch_that_the_message_does_not_name_is_refused() -> None:
-    data = encode_contacts(felt(1, [SIGHTING], [replace(CONTACT, id=123456789)]))
+    data = encode_contacts(merged(1, [SIGHTING], [replace(CONTACT, id=123456789)]))
     own, strange = (struct.pack("<Ii", patch, 123456789) for patch in (0, 1))
     assert data.count(own) == 1
     with pytest.raises(DataError, match="a contact of patch 1 in a message of 1 patches"):
@@ -401,10 +401,10 @@ def test_a_wrench_is_told_of_each_link_whose_skins_all_tell_forces_and_have_been
     links = ["x", "y", "w"]  # d, on z, is not calibrated for force
     seen = [PatchState(name, link, 1, 0.0, STAMP) for name, link in zip("abce", "xxyw", strict=True)]
     contacts = [replace(CONTACT, patch="a", frame="x"), replace(CONTACT, patch="c", frame="y", force=None)]
-    first = felt(1, [*seen[:3], PatchState("d", "z", 1, 0.0, STAMP), PatchState("e", "w")], contacts)
+    first = merged(1, [*seen[:3], PatchState("d", "z", 1, 0.0, STAMP), PatchState("e", "w")], contacts)
     known = ("x", STAMP, contacts[:1])  # of y the force is not known yet, and e was never heard of
     assert list(wrenches(first, patches, links)) == [known]
-    later = felt(2, seen, contacts[:1])
+    later = merged(2, seen, contacts[:1])
     assert list(wrenches(later, patches, links)) == [(link, STAMP, contacts[: link == "x"]) for link in links]
     assert wrench_topic("arm", "x", links).name == "/ohmskin/arm/wrench/x"
     assert wrench_topic("skin", "arm/base-link", ["arm/base-link"]).name == "/ohmskin/wrench"

@@ -35,9 +35,9 @@ from ohmskin.recording.export import (
     save_comparison,
     strongest,
     write_csv,
-    write_film,
     write_npz,
     write_parquet,
+    write_video,
 )
 
 CYCLES = 30
@@ -353,10 +353,10 @@ def test_pictures_and_films(
     with monkeypatch.context() as nothing:
         nothing.setenv("PATH", str(tmp_path))
         with pytest.raises(DataError, match="a video needs ffmpeg; install it"):
-            write_film(tmp_path / "a.mp4", iter([cycle]))
+            write_video(tmp_path / "a.mp4", iter([cycle]))
     if shutil.which("ffmpeg") is None:
         pytest.skip("needs ffmpeg: apt-get install ffmpeg")
-    count = write_film(tmp_path / "a.mp4", reimage(path), rate=20)
+    count = write_video(tmp_path / "a.mp4", reimage(path), rate=20)
     probe = [
         "ffprobe",
         "-v",
@@ -438,7 +438,7 @@ def test_the_end_pauses_the_page_and_going_on_begins_anew(recorded: tuple[Path, 
     path, _ = recorded
     device, said = ReplayDevice(f"replay:{path}", speed=np.inf, loop=False), []
     with ohm.Engine(lambda: device, SKIN) as engine:
-        player = Player(engine, say=said.append)
+        player = Player(engine, notify=said.append)
         engine.calibrate()
         step = player.lead(engine.step)
         assert sum(step() is not None for _ in range(CYCLES + 3)) == CYCLES

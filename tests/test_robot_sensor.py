@@ -14,7 +14,7 @@ import pytest
 from ohmskin.client.contacts import Patch
 from ohmskin.client.points import point_names, points
 from ohmskin.errors import ModelError
-from ohmskin.robot.batch import QuickSkin
+from ohmskin.robot.batch import BatchSkin
 from ohmskin.robot.sensor import SkinSensor
 from ohmskin.skin import Fault, Press, Skin, VirtualSkin
 
@@ -115,7 +115,7 @@ SCENES = [
 
 
 def test_many_at_once_are_what_they_are_one_by_one(skin: Skin) -> None:
-    quick, slow = QuickSkin(skin), VirtualSkin(skin, contacts=4)
+    quick, slow = BatchSkin(skin), VirtualSkin(skin, contacts=4)
     found = quick.sheet.many(SCENES)
     for presses, resistance in zip(SCENES, found, strict=True):
         expected = slow.sheet.transfer_resistance(presses)
@@ -125,7 +125,7 @@ def test_many_at_once_are_what_they_are_one_by_one(skin: Skin) -> None:
 
 def test_noise_and_faults_are_those_of_the_virtual_skin(skin: Skin, sensor: SkinSensor) -> None:
     faults = [Fault.parse("open 3"), Fault.parse("high 5 20")]
-    quick, slow = QuickSkin(skin, 7, faults), VirtualSkin(skin, 7, faults, 4)
+    quick, slow = BatchSkin(skin, 7, faults), VirtualSkin(skin, 7, faults, 4)
     for presses, frame in zip(SCENES, quick.scans(SCENES, sensor.pattern), strict=True):
         for number, press in enumerate(presses):
             slow.press(number, *press.position, press.radius, press.pressure)

@@ -14,7 +14,7 @@ import pytest
 
 import ohmskin
 from ohmskin.client.remote import is_loopback
-from ohmskin.device.protocol import MAX_PACKET, Decoder
+from ohmskin.device.protocol import MAX_PACKET, PacketDecoder
 from ohmskin.device.server import DeviceServer
 from ohmskin.errors import OhmskinError, SkinError, ViewError
 from ohmskin.outlets.outlet import open_outlet
@@ -156,7 +156,7 @@ def test_a_skin_that_would_break_its_reader_gives_one_error(text: str) -> None:
 
 
 def test_a_line_that_never_ends_takes_no_memory() -> None:
-    decoder = Decoder()
+    decoder = PacketDecoder()
     tracemalloc.start()
     for _ in range(2000):
         assert decoder.feed(b"x" * 4096) == []

@@ -36,7 +36,7 @@ def changed(*targets: tuple[float, float, float], seed: int = 0) -> Difference:
 
 
 def found(difference: Difference) -> dict[int, bool]:
-    return {sign: one.there for sign, one in evidence(sheet()[0], NOISE, [difference], freedom=1000).items()}
+    return {sign: one.significant for sign, one in evidence(sheet()[0], NOISE, [difference], freedom=1000).items()}
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_the_classes_that_are_there_are_found_and_no_other(
     model, _ = sheet()
     difference = changed(*targets)
     needed = evidence(model, NOISE, [difference], freedom=1000)
-    assert {sign for sign, one in needed.items() if one.there} == classes
+    assert {sign for sign, one in needed.items() if one.significant} == classes
     image = GaussNewton(model, NOISE, "matern", amplitude=0.5, model_error=0.02).reconstruct(difference)
     told = segments(image, model.mesh, needed)
     assert set(np.unique(told.labels)) == {0, *classes}
@@ -75,7 +75,7 @@ def test_more_noise_needs_more_evidence_and_bad_settings_are_refused() -> None:
     model, _ = sheet()
     difference = changed((0.05, 0.13, 1.02))
     strict = evidence(model, 50 * NOISE, [difference])
-    assert not any(one.there for one in strict.values())
+    assert not any(one.significant for one in strict.values())
     assert found(difference)[1]
     for rate, freedom in ((0.0, 60), (1.0, 60), (0.01, 0)):
         with pytest.raises(DataError, match="rate of false alarms"):

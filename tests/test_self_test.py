@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from direct import DirectDevice
 
-from ohmskin.calibrate import Diagnosis, SelfTest, diagnose, self_test, terminal_pattern
+from ohmskin.calibrate import SelfTest, WiringDiagnosis, diagnose, self_test, terminal_pattern
 from ohmskin.calibrate.measures import Linearity, mean_frame
 from ohmskin.errors import DataError, DeviceError, SkinError
 from ohmskin.scan import DrivePattern, Frame, adjacent
@@ -38,7 +38,7 @@ def virtual(skin: Skin, faults: tuple[str, ...], seed: int) -> VirtualSkin:
     return shared
 
 
-def diagnosed(*faults: str, skin: Skin = PAPER, seed: int = 1, scans: int = 4) -> Diagnosis:
+def diagnosed(*faults: str, skin: Skin = PAPER, seed: int = 1, scans: int = 4) -> WiringDiagnosis:
     wired = virtual(skin, faults, seed)
     return diagnose(skin, mean_frame([wired.scan(terminal_pattern(len(skin.electrodes))) for _ in range(scans)]))
 

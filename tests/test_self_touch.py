@@ -17,8 +17,8 @@ from ohmskin.body.patches import Merger
 from ohmskin.body.posture import Posture
 from ohmskin.body.robot import Robot
 from ohmskin.body.self_touch import distance_to
-from ohmskin.client import Board, Client, Contact, JointStates, PatchState
-from ohmskin.client.contacts import LARGEST, felt, pack, wrench
+from ohmskin.client import Board, Client, JointStates, PatchState, PlacedContact
+from ohmskin.client.contacts import LARGEST, merged, pack, wrench
 from ohmskin.contacts import Contact as ContactOnMap
 from ohmskin.contacts import in_frame
 from ohmskin.errors import PublishError, SkinError
@@ -63,11 +63,13 @@ def body(folder: Path, urdf: str = URDF) -> Body:
     return Body.load(folder / "r.toml")
 
 
-def on_arm(angle: float, spread: float | None = 1e-3, z: float = 0.05) -> Contact:
+def on_arm(angle: float, spread: float | None = 1e-3, z: float = 0.05) -> PlacedContact:
     """A contact on the sleeve, in the direction of this angle."""
     x, y = math.cos(angle), math.sin(angle)
     covariance = None if spread is None else tuple(tuple(row) for row in (spread**2 * np.diag([0, 1, 1])).tolist())
-    return Contact(1, "arm", "arm", (0.045 * x, 0.045 * y, z), (x, y, 0.0), 1e-4, 1e-4, 1, 1, covariance=covariance)
+    return PlacedContact(
+        1, "arm", "arm", (0.045 * x, 0.045 * y, z), (x, y, 0.0), 1e-4, 1e-4, 1, 1, covariance=covariance
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,7 +82,7 @@ def test_a_contact_where_another_link_is_is_one_with_oneself(
     known = body(tmp_path)
     assert known.robot is not None
     robot = known.robot.posed({"slide": slide})
-    (told,) = SelfTouch(known).told(robot, [on_arm(angle, z=0.14)])
+    (told,) = SelfTouch(known).with_self_touch(robot, [on_arm(angle, z=0.14)])
     assert told == replace(on_arm(angle, z=0.14), self_touch=own)
 
 
@@ -89,7 +91,7 @@ def test_the_skin_of_another_link_counts_beside_its_shapes(tmp_path: Path) -> No
     assert known.robot is not None
     touch = SelfTouch(known)
     for slide, own in ((NEAR, True), (FAR, False)):
-        (told,) = touch.told(known.robot.posed({"slide": slide}), [on_arm(np.pi)])
+        (told,) = touch.with_self_touch(known.robot.posed({"slide": slide}), [on_arm(np.pi)])
         assert told.self_touch is own
 
 
@@ -98,7 +100,7 @@ def test_the_less_is_known_of_the_place_the_more_is_taken_for_oneself(tmp_path: 
     known = body(tmp_path)
     assert known.robot is not None
     robot = known.robot.posed({"slide": 0.145 + 15e-3})
-    told = SelfTouch(known).told(robot, [on_arm(np.pi, 1e-3), on_arm(np.pi, 8e-3), on_arm(np.pi, None)])
+    told = SelfTouch(known).with_self_touch(robot, [on_arm(np.pi, 1e-3), on_arm(np.pi, 8e-3), on_arm(np.pi, None)])
     assert [contact.self_touch for contact in told] == [False, True, True]
 
 
@@ -106,7 +108,7 @@ def test_where_the_shape_of_a_link_is_not_known_it_is_not_said_that_nothing_is_t
     known = body(tmp_path, URDF.replace('<sphere radius="0.1"/>', '<mesh filename="lid.stl"/>'))
     assert known.robot is not None
     for slide, own in ((NEAR, True), (FAR, None)):
-        (told,) = SelfTouch(known).told(known.robot.posed({"slide": slide}), [on_arm(np.pi)])
+        (told,) = SelfTouch(known).with_self_touch(known.robot.posed({"slide": slide}), [on_arm(np.pi)])
         assert told.self_touch is own
 
 
@@ -184,7 +186,7 @@ def live(tmp_path: Path) -> Iterator[Any]:
             while time.monotonic() < end:
                 sequence += 1
                 seen = PatchState("arm", "arm", sequence, time.monotonic(), time.time_ns(), "16P")
-                board.write(pack(felt(sequence, [seen], [on_arm(np.pi)]), patches[:1]))
+                board.write(pack(merged(sequence, [seen], [on_arm(np.pi)]), patches[:1]))
                 merger.step()
                 if (heard := client.newest()) is not None and heard.contacts[0].self_touch is own:
                     return True

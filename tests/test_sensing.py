@@ -22,8 +22,7 @@ from ohmskin.evaluate import worlds
 from ohmskin.evaluate.setup import setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.inverse import PRIORS, RULES, graph_laplacian
-from ohmskin.inverse.estimators import ESTIMATORS
-from ohmskin.inverse.estimators import Settings as EstimatorSettings
+from ohmskin.inverse.estimators import ESTIMATORS, EstimatorSettings
 from ohmskin.scan import Baseline, DrivePattern, Frame, adjacent
 from ohmskin.sensing import (
     DEFAULT,

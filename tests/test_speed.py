@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.sparse.linalg import splu
 
 from ohmskin.contacts import Contact, ContactFinder, find_regions, label_peaks
-from ohmskin.drive import DRIVES, DriveSettings, TwoScans, pair_weights, take_turns
+from ohmskin.drive import DRIVES, DriveSettings, TwoScans, pair_weights, round_robin
 from ohmskin.errors import DataError, GeometryError, ModelError, PatternError
 from ohmskin.forward import LocalUpdate, TouchTable, TransferModel
 from ohmskin.forward.assembly import assemble, stiffness
@@ -309,7 +309,7 @@ class Plain:
     def __init__(self, cycle: CompiledCycle) -> None:
         self.cycle, self.estimator, self.scans = cycle, cycle.estimator, []
 
-    def look(self, volts: np.ndarray, currents: np.ndarray, usual: float = 1e-3) -> list[int]:
+    def base_step(self, volts: np.ndarray, currents: np.ndarray, usual: float = 1e-3) -> list[int]:
         """The pairs of eq. (7) about the regions of the base image; about its highest place if there are none."""
         base, cells = self.cycle.drive.base, self.estimator.cells
         share = usual / currents[base.measurements[:, 0]]
@@ -321,7 +321,7 @@ class Plain:
         injections = self.cycle.drive.second.pattern(anchors).injections
         return pair_index(injections[:, 0], injections[:, 1], len(self.estimator.model.electrodes)).tolist()
 
-    def see(self, volts: np.ndarray, currents: np.ndarray, chosen: np.ndarray) -> list[Contact]:
+    def second_step(self, volts: np.ndarray, currents: np.ndarray, chosen: np.ndarray) -> list[Contact]:
         """The contacts of the image of both scans, or of the second one alone."""
         pattern = self.cycle.pattern(chosen)
         second = Difference(pattern, currents[pattern.measurements[:, 0]], volts)
@@ -490,7 +490,7 @@ def test_compiled_choice_is_eq_7(seed: int) -> None:
     anchors = rng.uniform(0.01, 0.19, (rng.integers(1, 4), 1, 2)) + rng.normal(size=(1, 3, 2)) * 2e-3
     chosen = np.empty(11, np.int64)
     choose(GRID.positions, all_pairs(16), np.inf, anchors, np.empty((len(anchors), 120)), chosen)
-    expected = take_turns(np.array([pair_weights(GRID.positions, a) for a in anchors]), 11)
+    expected = round_robin(np.array([pair_weights(GRID.positions, a) for a in anchors]), 11)
     assert chosen.tolist() == expected.tolist()
 
 
@@ -526,8 +526,8 @@ def test_touches_from_the_table_are_those_of_refactorised_models(places: list[in
 
 def test_a_touch_has_fewer_modes_than_nodes() -> None:
     nodes = np.array([len(np.unique(mesh().elements[place])) for place in places_touched()])
-    assert (table()._felt < nodes).all()
-    assert (table()._felt[1:3] < 0.8 * nodes[1:3]).all()  # away from the rim and electrodes
+    assert (table()._measured < nodes).all()
+    assert (table()._measured[1:3] < 0.8 * nodes[1:3]).all()  # away from the rim and electrodes
 
 
 def test_many_scenes_are_the_scenes_one_by_one_on_any_number_of_threads() -> None:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from ohmskin.evaluate.policies.adaptivity import PRESSURES, Gain, Sensitivity
-from ohmskin.evaluate.policies.trouble import INTERFERENCE, NONE, Bench, Drifting, Loop, Troubled
+from ohmskin.evaluate.policies.interference import INTERFERENCE, NONE, Drifting, FaultyDevice, LoopUnderTest, Troubled
 from ohmskin.scan import adjacent
 
 
 def test_each_interference_changes_what_is_read_and_a_mend_undoes_it() -> None:
-    bench = Bench(3)
+    bench = FaultyDevice(3)
     pattern = adjacent(bench.virtual.skin.electrodes.rings[:1])
     sound = bench.scan(pattern).voltages
     limit = 10 * bench.virtual.skin.converter.noise
@@ -34,7 +34,7 @@ def test_an_electrode_opens_in_the_loop_and_is_well_again() -> None:
 
 
 def test_a_press_that_is_not_shown_as_one_has_no_error() -> None:
-    loop = Loop("16P", 1)
+    loop = LoopUnderTest("16P", 1)
     with loop.engine:
         at = np.array([0.12, 0.09])
         assert loop.error(at) < 2e-3

@@ -16,10 +16,10 @@ from ohmskin.engine import Engine
 from ohmskin.engine.notices import Notices
 from ohmskin.errors import ModelError
 from ohmskin.inverse import Image
-from ohmskin.inverse.estimators import Estimator, FrameWise, Settings, gauss_newton
+from ohmskin.inverse.estimators import Estimator, EstimatorSettings, FrameWise, gauss_newton
 from ohmskin.scan import Difference, Frame
 from ohmskin.skin import Fault, Mode, Skin, VirtualSkin
-from ohmskin.view.session import Session
+from ohmskin.view.session import PageSession
 from ohmskin.view.wire import check_setup, read_command
 
 AS_USUAL = {"estimator": "gauss-newton", "prior": "paper", "rule": "physical"}
@@ -40,7 +40,7 @@ class Slow:
         return image
 
 
-def slow(settings: Settings) -> Estimator:
+def slow(settings: EstimatorSettings) -> Estimator:
     """Slow."""
     usual = gauss_newton(settings)
     assert isinstance(usual, FrameWise)
@@ -75,7 +75,7 @@ class Page:
 class Looker:
     """Somebody at the page of a virtual skin."""
 
-    def __init__(self, session: Session, device: DirectDevice) -> None:
+    def __init__(self, session: PageSession, device: DirectDevice) -> None:
         self.session, self.device = session, device
         self.page: Page = session.view  # type: ignore[assignment]
 
@@ -100,7 +100,7 @@ def calibrated() -> Iterator[Looker]:
         skin = Skin.load("paper")
         skin = replace(skin, imaging=replace(skin.imaging, bipolar=True))
         device = DirectDevice(VirtualSkin(skin, seed=3))
-        with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", Page(), False) as session:
+        with Engine(lambda: device, skin) as engine, PageSession(engine, "virtual:", Page(), False) as session:
             session.calibrate()
             yield Looker(session, device)
 
@@ -181,7 +181,7 @@ def test_presses_of_known_weights_are_saved_with_the_skin_as_newtons(
     monkeypatch.chdir(tmp_path)
     paper = Skin.load("paper")
     device = DirectDevice(VirtualSkin(paper, seed=3))
-    with Engine(lambda: device, paper) as engine, Session(engine, "", Page(), False) as session:
+    with Engine(lambda: device, paper) as engine, PageSession(engine, "", Page(), False) as session:
         looker = Looker(session, device)
         looker.send("mode", mode="16O")
         session.calibrate()
@@ -205,7 +205,7 @@ def test_presses_of_known_weights_are_saved_with_the_skin_as_newtons(
 
 def test_a_lost_device_takes_no_new_press_and_gets_those_it_had_again() -> None:
     device = DirectDevice(VirtualSkin(Skin.load("paper"), seed=3))
-    with Engine(lambda: device, Skin.load("paper")) as engine, Session(engine, "", Page(), False) as session:
+    with Engine(lambda: device, Skin.load("paper")) as engine, PageSession(engine, "", Page(), False) as session:
         session.calibrate()
         looker = Looker(session, device)
         press = {"x": PLACE[0], "y": PLACE[1], "radius": 8e-3, "pressure": 2e4}
@@ -246,7 +246,7 @@ def test_frames_without_any_image_do_not_end_the_loop(looker: Looker, monkeypatc
 def test_electrodes_that_were_bad_at_the_calibration_are_told_with_their_words(monkeypatch: pytest.MonkeyPatch) -> None:
     skin = Skin.load("paper")
     device = DirectDevice(VirtualSkin(skin, seed=3, faults=[Fault.parse("open 6")]))
-    with Engine(lambda: device, skin) as engine, Session(engine, "virtual:", Page(), False) as session:
+    with Engine(lambda: device, skin) as engine, PageSession(engine, "virtual:", Page(), False) as session:
         session.calibrate()
         finding = Looker(session, device).send("lift_all")[-1]["findings"][0]
     assert finding["electrodes"] == [6]

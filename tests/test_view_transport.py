@@ -16,7 +16,7 @@ from ohmskin.engine import State
 from ohmskin.errors import ViewError
 from ohmskin.mcap import RecordingReader, Role
 from ohmskin.recording import Player, Recorder
-from ohmskin.view.session import Session
+from ohmskin.view.session import PageSession
 from ohmskin.view.wire import CommandError, check_setup, read_command
 
 CYCLES = 30
@@ -62,7 +62,7 @@ class Paper:
 class Viewer:
     """Somebody who leads a recording from the page."""
 
-    def __init__(self, path: Path, engine: ohm.Engine, device: ReplayDevice, session: Session) -> None:
+    def __init__(self, path: Path, engine: ohm.Engine, device: ReplayDevice, session: PageSession) -> None:
         with RecordingReader(path) as reader:
             self.times = reader.times[reader.roles == Role.BASE]
         self.engine, self.device, self.page = engine, device, session.view
@@ -93,7 +93,7 @@ class Viewer:
 @pytest.fixture
 def viewer(path: Path) -> Iterator[Viewer]:
     device = ReplayDevice(f"replay:{path}", speed=np.inf, loop=False)
-    with ohm.Engine(lambda: device, SKIN) as engine, Session(engine, device.url, Paper(), False) as session:
+    with ohm.Engine(lambda: device, SKIN) as engine, PageSession(engine, device.url, Paper(), False) as session:
         yield Viewer(path, engine, device, session)
 
 

@@ -15,7 +15,7 @@ from test_protocol import DOC, PATTERN, answer
 from ohmskin.device import Capabilities, Feature
 from ohmskin.device.instrument import SharedInstrument
 from ohmskin.device.messages import Ack, FrameData, Hello, Message, Scan, SetPattern
-from ohmskin.device.protocol import Decoder, encode
+from ohmskin.device.protocol import PacketDecoder, encode
 from ohmskin.device.session import Session
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.device.wire import WireDevice
@@ -60,7 +60,7 @@ class Line:
 
     def write(self, data: bytes) -> None:
         self.came.append((self.now, len(data)))
-        for packet in Decoder().feed(data):
+        for packet in PacketDecoder().feed(data):
             if reply := self._tell(packet.message):
                 self._replies.append(encode(reply, packet.sequence))
 
@@ -73,7 +73,7 @@ class Line:
 
 
 def test_a_driver_takes_the_documented_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = [Decoder().feed(packet)[0].message for _, _, packet in documented()]
+    told = [PacketDecoder().feed(packet)[0].message for _, _, packet in documented()]
 
     def tell(request: Message) -> Message:
         if request == Hello():

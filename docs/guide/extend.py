@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import ohmskin as ohm
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed
 from ohmskin.forward import TransferModel
-from ohmskin.inverse import ESTIMATORS, PRIORS, Estimator, FrameWise, Prior, Settings
+from ohmskin.inverse import ESTIMATORS, PRIORS, Estimator, EstimatorSettings, FrameWise, Prior
 from ohmskin.scan import all_pairs, measure_others
 
 
@@ -39,7 +39,7 @@ class BackProjection:
         return ohm.Image(weights @ volts[known], lambda e: noise * np.linalg.norm(weights[np.atleast_1d(e)], axis=1))
 
 
-def back_projection(s: Settings) -> Estimator:
+def back_projection(s: EstimatorSettings) -> Estimator:
     """Back-projection."""
     return FrameWise(BackProjection(s.model), s.model.mesh)
 

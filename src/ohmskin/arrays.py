@@ -35,7 +35,7 @@ def real(given: ArrayLike, what: str, error: type[Exception]) -> Floats:
         raise error(f"{what} of type {type(given).__name__}; give real numbers") from None
 
 
-def unsignalled(values: NDArray[Any]) -> Floats:
+def quiet_nans(values: NDArray[Any]) -> Floats:
     """Numbers from outside as floats of their own: a signalling NaN, which would warn wherever it goes, is quiet."""
     with np.errstate(invalid="ignore"):
         return np.asarray(values.astype(float) * 1.0)

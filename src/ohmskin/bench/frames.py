@@ -36,7 +36,8 @@ def changing(effort: Effort) -> Iterator[Figure]:
         quiet = estimator.model.voltages(pattern)
         image = partial(pyeit_alone.image, theirs, *peers.numbers(pattern), 1.01 * quiet, quiet)
         slow = float(np.median([seconds_of(image) for _ in range(1 if effort.quick else 3)]))
-        jobs: dict[str, Job] = {"ours": lambda cycle=cycle, fresh=fresh: cycle.second_step(*next(fresh))}  # type: ignore[misc]
+        step = partial(lambda cycle, fresh: cycle.second_step(*next(fresh)), cycle, fresh)
+        jobs: dict[str, Job] = {"ours": step}
         quick = in_turns(jobs, effort.seconds)["ours"]
         yield ratio(name, slow, quick, least=least, note="48 x 48 pixels, 16 new injections")
 

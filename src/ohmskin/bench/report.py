@@ -13,7 +13,7 @@ import scipy
 from ohmskin.bench.figure import Figure
 from ohmskin.bench.run import GROUPS
 from ohmskin.errors import OhmskinError
-from ohmskin.plot.report import Image, Picture, Section, Table
+from ohmskin.plot.report import ReportImage, ReportPicture, Section, Table
 from ohmskin.plot.report import write_report as write_sections
 
 _PREFACE = (
@@ -76,7 +76,7 @@ def _sections(found: Mapping[str, Sequence[Figure]], quick: bool, plots: Sequenc
         head = ("figure", "value", "spread", "target", "", "from")
         sections.append(Section(title, [Table(head, [figure.row(figure.verdict) for figure in group])]))
     caption = "CPU seconds of the set-up against the number of triangles"
-    pictures = [Image(caption, Picture(plot.stem, plot, f"{caption}, one thread.")) for plot in plots]
+    pictures = [ReportImage(caption, ReportPicture(plot.stem, plot, f"{caption}, one thread.")) for plot in plots]
     return [*sections, *([Section("Cost against size", pictures)] if pictures else [])]
 
 

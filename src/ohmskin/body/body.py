@@ -12,7 +12,7 @@ from ohmskin.client.contacts import MOST_PATCHES, Patch
 from ohmskin.errors import OhmskinError, SkinError
 from ohmskin.sensing import mode_named
 from ohmskin.skin import Skin, shipped_skins
-from ohmskin.skin.checks import beside, check_names, is_number, read_text, read_toml
+from ohmskin.skin.checks import check_names, is_number, read_text, read_toml, sibling_path
 
 _LARGEST_FILE = 2**20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
@@ -86,7 +86,7 @@ def _body(data: Mapping[str, Any], folder: Path) -> Body:
     joints = data.get("joints", {})
     if not isinstance(joints, dict) or (joints and "urdf" not in data):
         raise SkinError(f"joints is {joints!r}; it must be a table of positions of the joints of a URDF file")
-    robot = Robot.load(beside(folder, data["urdf"], "urdf", "body file"), joints) if "urdf" in data else None
+    robot = Robot.load(sibling_path(folder, data["urdf"], "urdf", "body file"), joints) if "urdf" in data else None
     links = None if robot is None else tuple(robot.links)
     skins: dict[str, Skin] = {}
     patches = tuple(_placed(entry, number, folder, links, skins) for number, entry in enumerate(entries, start=1))
@@ -121,7 +121,7 @@ def _placed(
 
 def _skin(folder: Path, source: str) -> Skin:
     if source.endswith(".toml"):
-        return Skin.load(beside(folder, source, "skin", "body file"))
+        return Skin.load(sibling_path(folder, source, "skin", "body file"))
     if source not in shipped_skins():  # not even if there is such a file somewhere
         raise SkinError(f"no skin named {source!r}; give a .toml file beside it or one of {', '.join(shipped_skins())}")
     return Skin.load(source)
@@ -136,7 +136,7 @@ def _device(folder: Path, address: str) -> str:
         return "virtual:"
     if kind == "replay":
         name, mark, settings = rest.partition("?")
-        return f"replay:{beside(folder, name, 'device', 'body file')}{mark}{settings}"
+        return f"replay:{sibling_path(folder, name, 'device', 'body file')}{mark}{settings}"
     return address
 
 

@@ -14,7 +14,17 @@ from ohmskin.body.posture import Posture
 from ohmskin.body.replay import BodyReplay
 from ohmskin.child import Child
 from ohmskin.client.board import Board, BoardReader
-from ohmskin.client.contacts import LARGEST, Contact, Contacts, Patch, PatchState, merged, pack, patches_from, unpack
+from ohmskin.client.contacts import (
+    LARGEST,
+    Contacts,
+    Patch,
+    PatchState,
+    PlacedContact,
+    merged,
+    pack,
+    patches_from,
+    unpack,
+)
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
 from ohmskin.outlets.joints import JointsProcess
@@ -220,7 +230,7 @@ class Merger(Closing):
         self._patches = tuple(patches)
         self._readers = [BoardReader(board) for board in boards]
         self._seen = [PatchState(patch.name, patch.frame) for patch in patches]
-        self._contacts: list[tuple[Contact, ...]] = [()] * len(patches)
+        self._contacts: list[tuple[PlacedContact, ...]] = [()] * len(patches)
         self._sequence = 0
         self._board = Board(name, {"patches": [asdict(patch) for patch in patches], "boards": list(boards)}, LARGEST)
 
@@ -242,7 +252,7 @@ class Merger(Closing):
         if not news:
             return None
         self._sequence += 1
-        contacts: Sequence[Contact] = [contact for own in self._contacts for contact in own]
+        contacts: Sequence[PlacedContact] = [contact for own in self._contacts for contact in own]
         if self._posture is not None:
             contacts = self._posture.with_self_touch(contacts)
         newest = merged(self._sequence, self._seen, contacts, self._board.boot)

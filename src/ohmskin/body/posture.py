@@ -10,7 +10,7 @@ import numpy as np
 from ohmskin.body.body import Body
 from ohmskin.body.self_touch import SelfTouch
 from ohmskin.client.board import Board, BoardReader
-from ohmskin.client.contacts import Contact
+from ohmskin.client.contacts import PlacedContact
 from ohmskin.closing import Closing
 from ohmskin.errors import SkinError
 
@@ -52,7 +52,7 @@ class Posture(Closing):
                 self._reported = str(error)
                 self._report(f"joint states are ignored: {error}")
 
-    def with_self_touch(self, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
+    def with_self_touch(self, contacts: Sequence[PlacedContact]) -> tuple[PlacedContact, ...]:
         """Contacts with their `self_touch`; None while the joint states are not known."""
         if time.monotonic() - self._time > _STALE:
             return tuple(replace(contact, self_touch=None) for contact in contacts)

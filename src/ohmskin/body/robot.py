@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
-from ohmskin.client.contacts import Contact
+from ohmskin.client.contacts import PlacedContact
 from ohmskin.errors import SkinError
 from ohmskin.skin.checks import is_number
 from ohmskin.skin.urdf import numbers_of, pose_of, read_urdf
@@ -115,7 +115,7 @@ class Robot:
         """
         return replace(self, links=_links(list(self.links), self.joints, joints), positions=dict(joints))
 
-    def place(self, contacts: Sequence[Contact], frame: str = "") -> tuple[Contact, ...]:
+    def place(self, contacts: Sequence[PlacedContact], frame: str = "") -> tuple[PlacedContact, ...]:
         """Contacts on its links in the frame of one link, that of the root unless given.
 
         Raises:

@@ -10,7 +10,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.body.body import Body
 from ohmskin.body.robot import Robot
-from ohmskin.client.contacts import Contact
+from ohmskin.client.contacts import PlacedContact
 from ohmskin.errors import SkinError
 
 _GAP = 6e-3  # m between a skin and what touches it: a skin's thickness, and what the shapes of links leave out
@@ -38,7 +38,7 @@ class SelfTouch:
         self._body, self._rigid = body, _rigid(body.robot)
         self._sure = not body.robot.unseen
 
-    def with_self_touch(self, robot: Robot, contacts: Sequence[Contact]) -> tuple[Contact, ...]:
+    def with_self_touch(self, robot: Robot, contacts: Sequence[PlacedContact]) -> tuple[PlacedContact, ...]:
         """The same contacts, with their `self_touch` determined.
 
         It is None where nothing is near, but a link has a mesh, whose shape is not known here.

@@ -9,13 +9,11 @@ from ohmskin.calibrate.presses import GRAVITY, PressGuide, PressStep, press_plan
 from ohmskin.calibrate.quiet import calibrate_quiet
 from ohmskin.calibrate.self_test import SelfTest, self_test
 from ohmskin.calibrate.sheet import SheetFit, fit_sheet
-from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
+from ohmskin.calibrate.wiring import WiringDiagnosis, WiringFinding, diagnose, terminal_pattern
 
 __all__ = [
     "GRAVITY",
     "ChannelJudgement",
-    "Diagnosis",
-    "Finding",
     "ForceCurve",
     "ForceSampler",
     "LoadCell",
@@ -25,6 +23,8 @@ __all__ = [
     "PressStep",
     "SelfTest",
     "SheetFit",
+    "WiringDiagnosis",
+    "WiringFinding",
     "calibrate_quiet",
     "diagnose",
     "fit_auxiliary",

@@ -30,7 +30,7 @@ def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple
     """
     curve = fit_force(presses.samples)
     found = fit_auxiliary(presses.samples, known.quiet.rest, curve.put_into(found))
-    layer, why = _layer(PressFitter(known), _felt(presses))
+    layer, why = _layer(PressFitter(known), _detected(presses))
     words = [
         f"force {curve.forces[0]:.2f} to {curve.forces[-1]:.2f} N in mode {found.mode}: "
         f"error {curve.error:.2g} N rms, hysteresis {100 * curve.hysteresis:.2g} %, "
@@ -63,7 +63,7 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
     return None, f"note: {told}, would leave {left} unexplained; the described layer is kept"
 
 
-def _felt(presses: Presses) -> list[KnownPress]:
+def _detected(presses: Presses) -> list[KnownPress]:
     """The presses that were detected; those that eased off only where one that rose was, too."""
     felt, risen = list[KnownPress](), None
     for one, peak in zip(presses.samples, presses.peaks, strict=True):

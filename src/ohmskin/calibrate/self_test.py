@@ -11,7 +11,7 @@ import numpy as np
 
 from ohmskin.arrays import as_plain
 from ohmskin.calibrate import measures
-from ohmskin.calibrate.wiring import Diagnosis, Finding, diagnose, terminal_pattern
+from ohmskin.calibrate.wiring import WiringDiagnosis, WiringFinding, diagnose, terminal_pattern
 from ohmskin.device import Device
 from ohmskin.errors import DeviceError
 from ohmskin.scan.quality import in_words
@@ -38,7 +38,7 @@ class SelfTest:
     skin: str
     device: str
     date: str
-    diagnosis: Diagnosis
+    diagnosis: WiringDiagnosis
     noise: measures.Noise | None = None
     offset: measures.Offset | None = None
     linearity: measures.Linearity | None = None
@@ -47,7 +47,7 @@ class SelfTest:
     rates: measures.Rates | None = None
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[WiringFinding, ...]:
         """The faults of the wiring, in words; empty if there are none."""
         return self.diagnosis.findings
 

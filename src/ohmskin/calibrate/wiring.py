@@ -35,7 +35,7 @@ _UNEVEN = 150.0  # share by which conductivity close to an electrode may be off,
 
 
 @dataclass(frozen=True)
-class Finding:
+class WiringFinding:
     """A fault of the wiring.
 
     Args:
@@ -55,7 +55,7 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class WiringDiagnosis:
     """Diagnosis of wiring and sheet from a scan of all pairs.
 
     Args:
@@ -68,7 +68,7 @@ class Diagnosis:
         contradiction: Root mean square voltage that no resistive network explains, as a share of the signal.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[WiringFinding, ...]
     pair_resistances: Floats
     modelled: Floats
     conductivity: float
@@ -85,7 +85,7 @@ def terminal_pattern(n_elec: int) -> DrivePattern:
     return DrivePattern(pairs, np.column_stack([which, others.ravel(), np.repeat(pairs[:, 1], n_elec - 1)]))
 
 
-def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
+def diagnose(skin: Skin, frame: Frame) -> WiringDiagnosis:
     """Diagnose faults of the wiring of an untouched skin.
 
     Args:
@@ -101,21 +101,21 @@ def diagnose(skin: Skin, frame: Frame) -> Diagnosis:
     findings = _unreached(frame, skin)
     nothing, nowhere, nan = np.full(n_pairs(n_elec), np.nan), np.full(n_elec, np.nan), float("nan")
     if findings and findings[0].kind == "silent":
-        return Diagnosis(findings, nothing, nothing, nan, nowhere, nan, nan)
+        return WiringDiagnosis(findings, nothing, nothing, nan, nowhere, nan, nan)
     findings = (*findings, *_out_of_range(frame, [e for f in findings for e in f.electrodes], n_elec))
     contradicting, measured, contradiction = _network(frame, [e for f in findings for e in f.electrodes], n_elec)
     findings = (*findings, *contradicting)
     useless = sorted(e for f in findings for e in f.electrodes)
     alive = np.array([e for e in range(n_elec) if e not in useless])
     if len(alive) < 4 or contradiction > _NONSENSE:
-        return Diagnosis(findings, measured, nothing, nan, nowhere, nan, contradiction)
+        return WiringDiagnosis(findings, measured, nothing, nan, nowhere, nan, contradiction)
     usable = np.isin(all_pairs(n_elec), alive).all(axis=1)
     fit = WiringSearch(skin, alive, measured[usable]).best()
     findings = tuple(sorted((*findings, *_misplaced(fit, alive)), key=lambda finding: finding.electrodes))
     modelled, series = nothing.copy(), nowhere.copy()
     modelled[usable], series[alive] = fit.predicted, fit.series
     conductivity = skin.sheet.conductivity / fit.scale
-    return Diagnosis(findings, measured, modelled, conductivity, series, fit.misfit, contradiction)
+    return WiringDiagnosis(findings, measured, modelled, conductivity, series, fit.misfit, contradiction)
 
 
 def potentials(frame: Frame, n_elec: int) -> Floats:
@@ -126,7 +126,7 @@ def potentials(frame: Frame, n_elec: int) -> Floats:
     return volts
 
 
-def _unreached(frame: Frame, skin: Skin) -> tuple[Finding, ...]:
+def _unreached(frame: Frame, skin: Skin) -> tuple[WiringFinding, ...]:
     """Electrodes that give no current to any other: driving them, all the rest of the sheet is at one potential."""
     injections, n_elec = frame.pattern.injections, len(skin.electrodes)
     signal = np.full(len(injections), np.nan)
@@ -142,9 +142,9 @@ def _unreached(frame: Frame, skin: Skin) -> tuple[Finding, ...]:
     best = np.array([np.nanmax(signal[(injections == e).any(axis=1)], initial=0.0) for e in range(n_elec)])
     if best.max() <= 0 or (best < _SILENT * best.max()).mean() > 0.5:
         words = "almost no voltage on any electrode: check the source, the multiplexers and the plug of the skin"
-        return (Finding("silent", tuple(range(n_elec)), words),)
+        return (WiringFinding("silent", tuple(range(n_elec)), words),)
     return tuple(
-        Finding("open", (e,), f"electrode {e} is open")
+        WiringFinding("open", (e,), f"electrode {e} is open")
         for e in np.flatnonzero(best < _SILENT * np.median(best)).tolist()
     )
 
@@ -157,7 +157,7 @@ def _described_current(skin: Skin) -> float:
     return min(source.amplitude / (typical_resistance(skin) + source.resistance), limit)
 
 
-def _out_of_range(frame: Frame, useless: list[int], n_elec: int) -> Iterator[Finding]:
+def _out_of_range(frame: Frame, useless: list[int], n_elec: int) -> Iterator[WiringFinding]:
     """Electrodes that leave the converter's range whenever they are driven."""
     volts, injections = potentials(frame, n_elec), frame.pattern.injections
     clipped = ~np.isfinite(volts[np.arange(len(injections)), injections[:, 0]])
@@ -166,17 +166,17 @@ def _out_of_range(frame: Frame, useless: list[int], n_elec: int) -> Iterator[Fin
     for e, own in shares.items():
         if own.size and own.mean() > 0.9:
             words = f"electrode {e} leaves the converter's range whenever it is driven"
-            yield Finding("out of range", (e,), f"{words}: a very poor contact, or too large a current")
+            yield WiringFinding("out of range", (e,), f"{words}: a very poor contact, or too large a current")
 
 
-def _network(frame: Frame, useless: list[int], n_elec: int) -> tuple[list[Finding], Floats, float]:
+def _network(frame: Frame, useless: list[int], n_elec: int) -> tuple[list[WiringFinding], Floats, float]:
     """The pair resistances (n_pairs,) of the best resistive network, what contradicts it, and the share left."""
     pattern = frame.pattern
     currents = frame.measurement_currents
     known = np.isfinite(frame.voltages) & np.isfinite(currents) & (currents > 0)
     volts = np.where(known, frame.voltages, 0.0)
     rows = pattern.combination(n_elec)
-    findings: list[Finding] = []
+    findings: list[WiringFinding] = []
     out = list(useless)
 
     def fit(left_out: list[int]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -199,14 +199,14 @@ def _network(frame: Frame, useless: list[int], n_elec: int) -> tuple[list[Findin
         worst = min(alive, key=lambda e: float(np.mean(without[e] ** 2)))
         if np.mean(without[worst] ** 2) > EXPLAINS * rms**2:
             words = f"all voltages contradict each other by {100 * rms / signal:.2g} %"
-            finding = Finding("contradicts", (), f"{words}: does something touch the skin, or move it?")
+            finding = WiringFinding("contradicts", (), f"{words}: does something touch the skin, or move it?")
             return [*findings, finding], resistances, rms / signal
         words = f"electrode {worst} measures voltages that contradict all others, though it carries current"
-        findings.append(Finding("contradicts", (worst,), f"{words}: check its sense wire"))
+        findings.append(WiringFinding("contradicts", (worst,), f"{words}: check its sense wire"))
         out.append(worst)
 
 
-def _misplaced(fit: WiringFit, alive: NDArray[np.int64]) -> Iterator[Finding]:
+def _misplaced(fit: WiringFit, alive: NDArray[np.int64]) -> Iterator[WiringFinding]:
     """Exchanged wires, bridges and poor contacts; `alive` (n,) names the electrodes of the fit."""
     order = fit.wiring.order
     count, cycle_of = connected_components(sp.eye_array(len(order), format="csr")[list(order)])
@@ -219,7 +219,7 @@ def _misplaced(fit: WiringFit, alive: NDArray[np.int64]) -> Iterator[Finding]:
         else:
             goes = ", ".join(f"wire {alive[k]} is on electrode {alive[order[k]]}" for k in cycle)
             words = f"electrodes {', '.join(map(str, names))} are mixed up: {goes}"
-        yield Finding("swapped", names, words)
+        yield WiringFinding("swapped", names, words)
     typical = float(np.median(fit.unbridged))
     shorted: set[int] = set()  # through a short, the contacts of both are seen in parallel
     for (a, b), ohms, own_ohms in fit.bridges:
@@ -228,9 +228,11 @@ def _misplaced(fit: WiringFit, alive: NDArray[np.int64]) -> Iterator[Finding]:
         if ohms < _SHORT * typical:
             shorted |= {a, b}
         if ohms < _SHORT * own_ohms:
-            yield Finding("shorted", names, f"{words} shorted together", ohms)
+            yield WiringFinding("shorted", names, f"{words} shorted together", ohms)
         else:
-            yield Finding("bridged", names, f"{words} bridged by about {ohms:.2g} ohm: moisture, a stray strand?", ohms)
+            yield WiringFinding(
+                "bridged", names, f"{words} bridged by about {ohms:.2g} ohm: moisture, a stray strand?", ohms
+            )
     # conductivity close to an electrode acts like its contact, the more so the more of the resistance lies there
     above, own = fit.series - np.median(fit.series), fit.series / fit.around
     own = own - np.median(own)
@@ -238,4 +240,4 @@ def _misplaced(fit: WiringFit, alive: NDArray[np.int64]) -> Iterator[Finding]:
     for t in np.flatnonzero((above > _POOR * typical) & (own > least)).tolist():
         if t not in shorted:
             words = f"electrode {alive[t]} has a poor contact: about {above[t]:.2g} ohm more than the others"
-            yield Finding("high", (int(alive[t]),), words, float(above[t]))
+            yield WiringFinding("high", (int(alive[t]),), words, float(above[t]))

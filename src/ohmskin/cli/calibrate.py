@@ -100,7 +100,7 @@ def calibrate(
                         _listen(engine, sampler, force_from, force_topic)
                     else:
                         guide = asked = PressGuide(plan)
-                        _walk(engine, asked, calibrated)
+                        _run_plan(engine, asked, calibrated)
                     known, mode = engine.known, engine.mode.name
         if known is not None:
             found, curve, words = fit_newtons(replace(found, mode=mode), guide, known)
@@ -183,7 +183,7 @@ def _listen(engine: Engine, sampler: ForceSampler, source: str, topic: str) -> N
         end()
 
 
-def _walk(engine: Engine, guide: PressGuide, skin: Skin) -> None:
+def _run_plan(engine: Engine, guide: PressGuide, skin: Skin) -> None:
     """Press, or have someone press, all that the guide asks for."""
     virtual = engine.device.capabilities.virtual
     while (step := guide.step) is not None:

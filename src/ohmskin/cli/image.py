@@ -115,7 +115,7 @@ def _print_report(
     if as_lines:
         contacts = [as_json(contact) for contact in percept.detections]
         classes = {
-            name: {"area": areas[name], "there": one.there, "lost": one.lost, "needed": one.needed}
+            name: {"area": areas[name], "there": one.significant, "lost": one.unexplained, "needed": one.needed}
             for name, one in ((CLASSES[sign], one) for sign, one in (found.evidence if found else {}).items())
         }
         print(json_module.dumps({"contacts": contacts, "classes": classes, "picture": str(target)}))
@@ -128,6 +128,8 @@ def _print_report(
     if not percept.detections:
         print(f"no contact; noise +-{100 * noise_of(percept.image):.2g} %")
     for sign, one in found.evidence.items() if found else ():
-        share = f"without it {100 * one.lost:.2g} % more of the change is unexplained, {100 * one.needed:.2g} % needed"
-        print(f"{CLASSES[sign]}: {f'{1e4 * areas[CLASSES[sign]]:.1f} cm2' if one.there else 'none'}; {share}")
+        more, needed = 100 * one.unexplained, 100 * one.needed
+        share = f"without it {more:.2g} % more of the change is unexplained, {needed:.2g} % needed"
+        area = f"{1e4 * areas[CLASSES[sign]]:.1f} cm2" if one.significant else "none"
+        print(f"{CLASSES[sign]}: {area}; {share}")
     print(f"picture: {target}")

@@ -34,7 +34,7 @@ from ohmskin.engine import Engine, State, Touch
 from ohmskin.outlets.commands import CommandServer
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.view.live import LiveView
-from ohmskin.view.session import Session
+from ohmskin.view.session import PageSession
 
 _ROWS_PER_SECOND = 5
 
@@ -102,7 +102,7 @@ def live(
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
             return
-        with Session(engine, device, view, demo) as session:
+        with PageSession(engine, device, view, demo) as session:
             if address := getattr(engine.device, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
             say(f"{engine.mode.label}; calibrating: keep the skin untouched")

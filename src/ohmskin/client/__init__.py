@@ -14,7 +14,17 @@ Imports the standard library only.
 from ohmskin.client.board import Board, BoardReader
 from ohmskin.client.client import Client
 from ohmskin.client.commands import Commands
-from ohmskin.client.contacts import Contact, Contacts, Patch, PatchState
+from ohmskin.client.contacts import Contacts, Patch, PatchState, PlacedContact
 from ohmskin.client.joints import JointStates
 
-__all__ = ["Board", "BoardReader", "Client", "Commands", "Contact", "Contacts", "JointStates", "Patch", "PatchState"]
+__all__ = [
+    "Board",
+    "BoardReader",
+    "Client",
+    "Commands",
+    "Contacts",
+    "JointStates",
+    "Patch",
+    "PatchState",
+    "PlacedContact",
+]

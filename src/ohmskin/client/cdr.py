@@ -9,31 +9,31 @@ _HEADER = b"\0\1\0\0"  # little-endian, no options; alignment counts from behind
 _SIZES = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}
 
 
-class Encoder:
+class CdrEncoder:
     """Writes one message, field by field in the order of its definition."""
 
     def __init__(self) -> None:
         self._data = bytearray(_HEADER)
 
-    def put(self, kinds: str, *values: float) -> "Encoder":
+    def put(self, kinds: str, *values: float) -> "CdrEncoder":
         """Numbers, one `struct` letter for each."""
         for kind, value in zip(kinds, values, strict=True):
             self._align(_SIZES[kind])
             self._data += struct.pack("<" + kind, value)
         return self
 
-    def stamp(self, nanoseconds: int) -> "Encoder":
+    def stamp(self, nanoseconds: int) -> "CdrEncoder":
         """`builtin_interfaces/msg/Time` of ns since 1970."""
         return self.put("iI", *divmod(nanoseconds, 10**9))
 
-    def text(self, value: str) -> "Encoder":
+    def text(self, value: str) -> "CdrEncoder":
         """A string; a NUL, which would end it early for a reader in C, becomes a blank."""
         encoded = value.replace("\0", " ").encode(errors="replace") + b"\0"
         self.put("I", len(encoded))
         self._data += encoded
         return self
 
-    def array(self, values: Any) -> "Encoder":
+    def array(self, values: Any) -> "CdrEncoder":
         """A sequence of numbers from a NumPy array, of its own type."""
         self.put("I", values.size)
         if values.size:
@@ -49,7 +49,7 @@ class Encoder:
         self._data += b"\0" * (-(len(self._data) - len(_HEADER)) % size)
 
 
-class Decoder:
+class CdrDecoder:
     """Reads one message, field by field; no length in it is believed before the bytes are counted.
 
     Raises:

@@ -60,8 +60,8 @@ class Patch:
         x, y, normal = (self.turn(*axis) for axis in axes)
         return replace(self, position=self.place(*point), axes=(x, y, normal))
 
-    def contact(self, contact: Any) -> "Contact":
-        """A contact on the sheet (`ohmskin.contacts.Contact`) in the frame."""
+    def contact(self, contact: Any) -> "PlacedContact":
+        """A contact on the sheet (`ohmskin.contacts.PlacedContact`) in the frame."""
         velocity, flat = contact.velocity, contact.covariance
         covariance = None
         if flat is not None:
@@ -71,7 +71,7 @@ class Patch:
                 tuple(xx * (u[i] * u[j]) + yy * (v[i] * v[j]) + xy * (u[i] * v[j] + u[j] * v[i]) for j in range(3))
                 for i in range(3)
             )
-        return Contact(
+        return PlacedContact(
             id=contact.id,
             patch=self.name,
             frame=self.frame,
@@ -97,7 +97,7 @@ class Patch:
 
 
 @dataclass(frozen=True)
-class Contact:
+class PlacedContact:
     """One place where the robot is touched.
 
     Args:
@@ -148,7 +148,7 @@ class Contact:
         squares = sum(entry * entry for row in self.covariance for entry in row)
         return sqrt(trace / 2 + sqrt(max(0.0, 2 * squares - trace * trace)) / 2)
 
-    def moved(self, pose: Sequence[Sequence[float]], frame: str) -> "Contact":
+    def moved(self, pose: Sequence[Sequence[float]], frame: str) -> "PlacedContact":
         """The same contact in another frame.
 
         Args:
@@ -211,7 +211,7 @@ class Contacts:
     time: float
     stamp: int
     patches: tuple[PatchState, ...]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[PlacedContact, ...]
     boot: int = 0
 
     @property
@@ -220,13 +220,13 @@ class Contacts:
         return time.monotonic() - self.time
 
 
-def merged(sequence: int, patches: Sequence[PatchState], contacts: Sequence[Contact], boot: int = 0) -> Contacts:
+def merged(sequence: int, patches: Sequence[PatchState], contacts: Sequence[PlacedContact], boot: int = 0) -> Contacts:
     """The contacts of all patches together, as old as the oldest of them."""
     oldest = min(patches, key=lambda state: state.time)
     return Contacts(sequence, oldest.time, oldest.stamp, tuple(patches), tuple(contacts), boot)
 
 
-def wrench(contacts: Sequence[Contact]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def wrench(contacts: Sequence[PlacedContact]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """The force (N) that contacts push a link with, and its torque about the origin of their frame (N m).
 
     Args:
@@ -276,9 +276,9 @@ def unpack(record: bytes, patches: Sequence[Patch], boot: int = 0) -> Contacts:
     return Contacts(sequence, at, stamp, tuple(states), contacts, boot)
 
 
-def contact_from(patch: Patch, own: Sequence[float]) -> Contact:
+def contact_from(patch: Patch, own: Sequence[float]) -> PlacedContact:
     """A contact of a patch, from its numbers in the order of `fields.components(3)`."""
-    return Contact(patch=patch.name, frame=patch.frame, **attributes(dict(zip(_COMPONENTS, own, strict=True)), 3))
+    return PlacedContact(patch=patch.name, frame=patch.frame, **attributes(dict(zip(_COMPONENTS, own, strict=True)), 3))
 
 
 def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:

@@ -61,7 +61,7 @@ struct Patch {
 };
 
 // One place where the robot is touched; `patch` and `frame` are there as long as the client is.
-struct Contact {
+struct PlacedContact {
     std::int32_t id;                         // stays while the contact lasts; counted by each patch for itself
     std::string_view patch, frame;           // name of the patch; the frame of all vectors here
     Vector position, normal;                 // m; outward
@@ -92,7 +92,7 @@ struct Contacts {
     double time = 0;                 // the last sample of the patch heard of longest ago (s, as now())
     std::int64_t stamp = 0;          // the same by the calendar (ns since 1970)
     std::vector<PatchState> patches; // how fresh each patch is
-    std::vector<Contact> contacts;   // those of a patch strongest first
+    std::vector<PlacedContact> contacts;   // those of a patch strongest first
     // Seconds since then, now: a silent patch makes all of it old.
     double age() const { return now() - time; }
 };
@@ -312,12 +312,12 @@ class Client {
         for (std::uint32_t i = 0; i < n[1]; ++i) newest_.contacts.push_back(contact(at));
         return true;
     }
-    Contact contact(const char*& at) {
+    PlacedContact contact(const char*& at) {
         const Patch& patch = patch_lists_.back()[detail::read<std::uint32_t>(at)];
         const auto id = detail::read<std::int32_t>(at);
         const auto v = detail::read<std::array<double, 25>>(at);  // in the order of `ohmskin.client.fields`
         const auto maybe = [&v](int i) { return std::isnan(v[i]) ? std::nullopt : std::optional(v[i]); };
-        Contact c{};
+        PlacedContact c{};
         c.id = id, c.patch = patch.name, c.frame = patch.frame;
         c.position = {v[0], v[1], v[2]}, c.normal = {v[3], v[4], v[5]};
         c.extent = v[6], c.strength = v[7], c.confidence = v[8], c.peak = v[9], c.radius = maybe(10);

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ohmskin.client.board import check_name
-from ohmskin.client.cdr import Decoder
+from ohmskin.client.cdr import CdrDecoder
 from ohmskin.client.contacts import Contacts, Patch, PatchState, contact_from
 from ohmskin.client.fields import components
 from ohmskin.errors import DataError, PublishError
@@ -149,7 +149,7 @@ def decode_contacts(data: bytes, offset: float) -> Contacts:
     Raises:
         DataError: If it is not such a message.
     """
-    decoder = Decoder(data)
+    decoder = CdrDecoder(data)
     stamp = decoder.stamp()
     decoder.text()
     boot, sequence = (int(value) for value in decoder.take("QQ"))

@@ -28,18 +28,18 @@ class Evidence:
     """Evidence for a class: the increase of the residual without it.
 
     Args:
-        lost: Share of the data's power that is not explained any more where the class is ruled out (1).
+        unexplained: Share of the data's power that is not explained any more where the class is ruled out (1).
         needed: What the class has to explain to be there (1): more than noise does at the stated rate, and more than
             the errors of a linear model.
     """
 
-    lost: float
+    unexplained: float
     needed: float
 
     @property
-    def there(self) -> bool:
+    def significant(self) -> bool:
         """Whether the class is there."""
-        return self.lost > self.needed
+        return self.unexplained > self.needed
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def segments(
         fraction, dip: Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
     """
     labels = np.zeros(len(image.values), np.int32)
-    for sign in (sign for sign, one in found.items() if one.there):
+    for sign in (sign for sign, one in found.items() if one.significant):
         contrast = sign * image.contrast
         top = float(contrast.max())
         for region in find_regions(contrast, cells, fraction * top / 2, dip) if top > 0 else ():

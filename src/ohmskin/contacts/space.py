@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ohmskin.client.contacts import Contact as ContactInFrame
-from ohmskin.client.contacts import Patch
+from ohmskin.client.contacts import Patch, PlacedContact
 from ohmskin.contacts.finder import Contact
 from ohmskin.geometry import Chart
 
@@ -27,7 +26,7 @@ def on_skin(contacts: Sequence[Contact], chart: Chart) -> tuple[Contact, ...]:
     )
 
 
-def in_frame(contacts: Sequence[Contact], chart: Chart, patch: Patch) -> list[ContactInFrame]:
+def in_frame(contacts: Sequence[Contact], chart: Chart, patch: Patch) -> list[PlacedContact]:
     """`contacts` on the map (`chart`) of a patch's skin, in the frame of the `patch`."""
     if not contacts:
         return []

@@ -3,7 +3,7 @@
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
 from ohmskin.device.instrument import Instrument
-from ohmskin.device.press import Press
+from ohmskin.device.press import PressCommand
 from ohmskin.device.registry import connect, drivers
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.wire import Link
@@ -15,7 +15,7 @@ __all__ = [
     "Feature",
     "Instrument",
     "Link",
-    "Press",
+    "PressCommand",
     "connect",
     "drivers",
 ]

@@ -19,8 +19,8 @@ from ohmskin.arrays import Floats, Ints
 from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.instrument import MOST_PRESSES
 from ohmskin.device.layout import LAYOUTS as PROTOCOL
-from ohmskin.device.layout import Kind as ProtocolKind
-from ohmskin.device.layout import Layout
+from ohmskin.device.layout import MessageKind as ProtocolKind
+from ohmskin.device.layout import PacketLayout
 from ohmskin.device.virtual import twin_capabilities
 from ohmskin.errors import DeviceRefused, ProtocolError, SkinError
 from ohmskin.scan import DrivePattern, Frame
@@ -32,7 +32,7 @@ _CURRENT_LIMIT = 2  # as BOARD_CURRENT_LIMIT in the firmware's board.h
 _FIRMWARE = MOST_PRESSES  # numbers of presses that come through the firmware begin here
 
 
-class Kind(IntEnum):
+class AnalogueKind(IntEnum):
     """What the firmware asks of its analogue side."""
 
     DESCRIBE = 1  # what are you?
@@ -42,20 +42,20 @@ class Kind(IntEnum):
 
 
 LAYOUTS = {
-    Kind.DESCRIBE: (
-        Layout(""),
-        Layout(
+    AnalogueKind.DESCRIBE: (
+        PacketLayout(""),
+        PacketLayout(
             "serial:u32 boot:u32 features:u32 excitation:f32 full_scale:f32 settle_time:f32 conversion_time:f32 "
             "volts_per_code:f32 amperes_per_code:f32 volts_zero:u16 amperes_zero:u16 code_max:u16 averages:u16 "
             "electrodes:u16 name:text<=32"
         ),
     ),
-    Kind.SAMPLE: (
-        Layout("elapsed:u16 source:u8 sink:u8 count:u8 pairs:u8[count][2]"),
-        Layout("current:u16 flags:u8 count:u8 codes:u16[count]"),
+    AnalogueKind.SAMPLE: (
+        PacketLayout("elapsed:u16 source:u8 sink:u8 count:u8 pairs:u8[count][2]"),
+        PacketLayout("current:u16 flags:u8 count:u8 codes:u16[count]"),
     ),
-    Kind.PRESS: (PROTOCOL[ProtocolKind.PRESS], Layout("text:text<=100")),
-    Kind.LIFT: (Layout(""), Layout("")),
+    AnalogueKind.PRESS: (PROTOCOL[ProtocolKind.PRESS], PacketLayout("text:text<=100")),
+    AnalogueKind.LIFT: (PacketLayout(""), PacketLayout("")),
 }
 
 
@@ -170,29 +170,29 @@ class AnalogueSide:
         Raises:
             ProtocolError: If it cannot be read.
         """
-        if len(packet) < 2 or packet[0] not in set(Kind):
+        if len(packet) < 2 or packet[0] not in set(AnalogueKind):
             raise ProtocolError(f"no request of the firmware: {packet[:8].hex()}")
-        kind = Kind(packet[0])
+        kind = AnalogueKind(packet[0])
         ask, tell = LAYOUTS[kind]
         return bytes([kind | REPLY, packet[1]]) + tell.pack(self._obey(kind, ask.unpack(packet[2:])))
 
-    def _obey(self, kind: Kind, asked: dict[str, Any]) -> dict[str, Any]:
+    def _obey(self, kind: AnalogueKind, asked: dict[str, Any]) -> dict[str, Any]:
         match kind:
-            case Kind.DESCRIBE:
+            case AnalogueKind.DESCRIBE:
                 return self.describe()
-            case Kind.SAMPLE:
+            case AnalogueKind.SAMPLE:
                 count = len(self.skin.electrodes)
                 if max(asked["source"], asked["sink"], asked["pairs"].max(initial=0)) >= count:
                     raise ProtocolError(f"the firmware names an electrode beyond {count - 1}")
                 current, codes, limited = self.sample(*(asked[name] for name in ("source", "sink", "elapsed", "pairs")))
                 return {"current": current, "flags": _CURRENT_LIMIT * limited, "codes": codes}
-            case Kind.PRESS:
+            case AnalogueKind.PRESS:
                 try:
                     self.press(**asked | {"number": asked["number"] + _FIRMWARE})
                 except DeviceRefused as error:
                     return {"text": str(error)}
                 return {"text": ""}
-            case Kind.LIFT:
+            case AnalogueKind.LIFT:
                 for number, press in self._virtual.presses.items():
                     if number >= _FIRMWARE:
                         self.press(number, *press.position, press.radius, 0.0)
@@ -210,7 +210,7 @@ class AnalogueSide:
                     except (ProtocolError, cobs.DecodeError):
                         continue  # the end of what a reset cut off
                     line.sendall(cobs.encode(reply) + b"\0")
-                    if reply[0] == Kind.DESCRIBE | REPLY:
+                    if reply[0] == AnalogueKind.DESCRIBE | REPLY:
                         self.described.set()
         except OSError:
             return  # the emulator has gone

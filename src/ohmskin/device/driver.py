@@ -7,7 +7,7 @@ from typing import final
 
 from ohmskin.closing import Closing
 from ohmskin.device.capabilities import Capabilities
-from ohmskin.device.press import Press
+from ohmskin.device.press import PressCommand
 from ohmskin.errors import DeviceError, DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
 
@@ -87,7 +87,7 @@ class Device(Closing):
             DeviceLost: If the device does not answer.
             DeviceError: If it was closed.
         """
-        press = Press(number, *at, radius, pressure)
+        press = PressCommand(number, *at, radius, pressure)
         if not self.capabilities.virtual:
             raise DeviceRefused(f"device {self.capabilities.name!r} is not virtual; press it with a finger")
         with self._lock:
@@ -114,6 +114,6 @@ class Device(Closing):
     def _close(self) -> None:
         """Close; called once."""
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: PressCommand) -> None:
         """Put, move or lift a touch."""
         raise DeviceRefused(f"device {self.capabilities.name!r} takes no presses")

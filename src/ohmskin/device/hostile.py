@@ -19,9 +19,9 @@ from ohmskin.closing import Closing
 from ohmskin.device.capabilities import Capabilities
 from ohmskin.device.conformance import Check
 from ohmskin.device.instrument import Instrument, SharedInstrument
-from ohmskin.device.layout import LAYOUTS, MAX_PACKET, VERSION, Kind
+from ohmskin.device.layout import LAYOUTS, MAX_PACKET, VERSION, MessageKind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Message, Refusal, kind_of, to_fields
-from ohmskin.device.protocol import DELIMITER, Decoder, Unreadable, encode, sealed
+from ohmskin.device.protocol import DELIMITER, PacketDecoder, Unreadable, encode, sealed
 from ohmskin.device.server import listen
 from ohmskin.device.session import Session
 from ohmskin.device.transport import SocketTransport
@@ -86,7 +86,7 @@ def _fields(change: Callable[[Any, int], dict[str, Any]]) -> Inject:
 
 def _error(code: int, text: bytes) -> Inject:
     def inject(reply: Reply) -> Iterator[bytes]:
-        yield reply.sealed(struct.pack("<H", code) + text, Kind.ERROR)
+        yield reply.sealed(struct.pack("<H", code) + text, MessageKind.ERROR)
 
     return inject
 
@@ -168,9 +168,9 @@ PROTOCOL_FAULTS: dict[str, ProtocolFault] = {
     "payloads with more behind": (FrameData, _bytes(lambda r: r.sealed(r.payload() + b"more"))),
     "counts beyond the packet": (FrameData, _bytes(lambda r: r.sealed(r.payload()[:20] + 4 * b"\xff"))),
     "an acknowledgement for a frame": (FrameData, _bytes(lambda r: encode(Ack(0), r.sequence))),
-    "a request for a reply": (FrameData, _bytes(lambda r: r.sealed(b"", Kind.HELLO))),
+    "a request for a reply": (FrameData, _bytes(lambda r: r.sealed(b"", MessageKind.HELLO))),
     "an unknown kind": (FrameData, _bytes(lambda r: r.sealed(b"", 0xEE))),
-    "another protocol version": (FrameData, _bytes(lambda r: r.sealed(b"", Kind.ERROR, VERSION + 1))),
+    "another protocol version": (FrameData, _bytes(lambda r: r.sealed(b"", MessageKind.ERROR, VERSION + 1))),
     "no answer": (FrameData, _bytes(lambda _: b"")),
     "one byte at a time": (FrameData, _slowly(1e-4)),
     "one byte a second": (FrameData, _slowly(1.0)),
@@ -314,7 +314,7 @@ class HostileDevice(Closing):
 
     def _answer(self, packet: bytes) -> None:
         honest = self._session.feed(packet)
-        if not (replies := Decoder().feed(honest)):
+        if not (replies := PacketDecoder().feed(honest)):
             self._unsound += 1
             return
         (reply,) = replies

@@ -5,7 +5,7 @@ import time
 from typing import Protocol
 
 from ohmskin.device.capabilities import Capabilities
-from ohmskin.device.press import Press
+from ohmskin.device.press import PressCommand
 from ohmskin.errors import DeviceRefused
 from ohmskin.scan import DrivePattern, Frame
 
@@ -61,7 +61,7 @@ class SharedInstrument:
         """For how long no touch is taken (s): after one that took long, as long again, which others get."""
         return max(self._rested - time.monotonic(), 0.0)
 
-    def press(self, host: object, press: Press) -> None:
+    def press(self, host: object, press: PressCommand) -> None:
         """Put, move or lift a touch of a host.
 
         Raises:

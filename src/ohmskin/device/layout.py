@@ -22,7 +22,7 @@ HEADER = struct.Struct("<BBH")  # protocol version, kind, sequence: the same in 
 CHECKSUM = struct.Struct("<I")  # CRC-32 (zlib) of header and payload: the same in every protocol version
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """What a message is. Requests are below 0x80, replies above."""
 
     HELLO = 0x01
@@ -40,7 +40,7 @@ _TOKEN = re.compile(r"(?P<name>\w+):(?P<kind>\w+?)(?:<=(?P<limit>\d+)|\[(?P<coun
 
 
 @dataclass(frozen=True)
-class Field:
+class PacketField:
     """One scalar, one array of `count` (the name of a scalar) rows of `width`, or one text of at most `limit` bytes."""
 
     name: str
@@ -65,7 +65,7 @@ class Field:
         return self.kind + (f"[{self.count}]" if self.count else "") + (f"[{self.width}]" if self.width > 1 else "")
 
 
-class Layout:
+class PacketLayout:
     """Packs and unpacks one kind of payload.
 
     Args:
@@ -82,7 +82,7 @@ class Layout:
             if match is None:
                 raise ProtocolError(f"layout {token!r}; need name:kind, name:kind[count][width] or name:text<=bytes")
             width, limit = int(match["width"] or 1), int(match["limit"] or 0)
-            fields.append(Field(match["name"], match["kind"], match["count"] or "", width, limit))
+            fields.append(PacketField(match["name"], match["kind"], match["count"] or "", width, limit))
         self.scalars = tuple(field for field in fields if not field.count and not field.limit)
         self.tail = tuple(fields[len(self.scalars) :])
         self._struct = struct.Struct("<" + "".join(_CODES[field.kind] for field in self.scalars))
@@ -145,18 +145,20 @@ class Layout:
 
 
 LAYOUTS = {
-    Kind.HELLO: Layout(""),
-    Kind.PATTERN: Layout("slot:u16 n_inj:u16 n_meas:u16 injections:u16[n_inj][2] measurements:u16[n_meas][3]"),
-    Kind.SCAN: Layout("digest:u32 slot:u16"),
-    Kind.PRESS: Layout("x:f32 y:f32 radius:f32 pressure:f32 number:u16"),
-    Kind.CAPABILITIES: Layout(
+    MessageKind.HELLO: PacketLayout(""),
+    MessageKind.PATTERN: PacketLayout(
+        "slot:u16 n_inj:u16 n_meas:u16 injections:u16[n_inj][2] measurements:u16[n_meas][3]"
+    ),
+    MessageKind.SCAN: PacketLayout("digest:u32 slot:u16"),
+    MessageKind.PRESS: PacketLayout("x:f32 y:f32 radius:f32 pressure:f32 number:u16"),
+    MessageKind.CAPABILITIES: PacketLayout(
         "serial:u32 boot:u32 features:u32 excitation:f32 full_scale:f32 settle_time:f32 conversion_time:f32 "
         "n_electrodes:u16 max_injections:u16 max_measurements:u16 pattern_slots:u8 "
         "firmware_major:u8 firmware_minor:u8 firmware_patch:u8 name:text<=32"
     ),
-    Kind.ACK: Layout("value:u32"),
-    Kind.FRAME: Layout(
+    MessageKind.ACK: PacketLayout("value:u32"),
+    MessageKind.FRAME: PacketLayout(
         "digest:u32 number:u32 time:u64 flags:u32 n_inj:u16 n_meas:u16 currents:f32[n_inj] voltages:f32[n_meas]"
     ),
-    Kind.ERROR: Layout("code:u16 text:text<=120"),
+    MessageKind.ERROR: PacketLayout("code:u16 text:text<=120"),
 }

@@ -6,10 +6,10 @@ from typing import Any, Self, get_args
 
 import numpy as np
 
-from ohmskin.arrays import Floats, unsignalled
+from ohmskin.arrays import Floats, quiet_nans
 from ohmskin.device.capabilities import Capabilities, Feature
-from ohmskin.device.layout import Kind
-from ohmskin.device.press import Press
+from ohmskin.device.layout import MessageKind
+from ohmskin.device.press import PressCommand
 from ohmskin.errors import ProtocolError
 from ohmskin.scan import DrivePattern, Frame, FrameFlag
 
@@ -106,20 +106,20 @@ class FrameData:
                 f"the device drove a pattern with digest, injections, measurements = {told}; asked for {asked}. "
                 "Its firmware must refuse such a scan; update it"
             )
-        values = unsignalled(np.concatenate([self.currents, self.voltages]))
+        values = quiet_nans(np.concatenate([self.currents, self.voltages]))
         currents, voltages = values[: pattern.n_inj], values[pattern.n_inj : pattern.n_inj + pattern.n_meas]
         beside = float(values[-1]) if auxiliary else None
         return Frame(pattern, voltages, currents, self.time * 1e-6, self.number, FrameFlag(self.flags), None, beside)
 
 
-Message = Hello | SetPattern | Scan | Press | Capabilities | Ack | FrameData | Refusal
+Message = Hello | SetPattern | Scan | PressCommand | Capabilities | Ack | FrameData | Refusal
 
-_TYPES: dict[Kind, Any] = dict(zip(Kind, get_args(Message), strict=True))  # in the same order
+_TYPES: dict[MessageKind, Any] = dict(zip(MessageKind, get_args(Message), strict=True))  # in the same order
 _KINDS = {known: kind for kind, known in _TYPES.items()}
 _FIRMWARE = ("firmware_major", "firmware_minor", "firmware_patch")
 
 
-def kind_of(message: Message) -> Kind:
+def kind_of(message: Message) -> MessageKind:
     """The number of this kind of message."""
     return _KINDS[type(message)]
 
@@ -135,16 +135,16 @@ def to_fields(message: Message) -> dict[str, Any]:
             return vars(message)
 
 
-def from_fields(kind: Kind, fields: dict[str, Any]) -> Message:
+def from_fields(kind: MessageKind, fields: dict[str, Any]) -> Message:
     """The message that the fields of `layout.LAYOUTS` carry.
 
     Raises:
         PatternError, ProtocolError, DeviceRefused: If they make no valid message.
     """
     match kind:
-        case Kind.PATTERN:
+        case MessageKind.PATTERN:
             return SetPattern(fields["slot"], DrivePattern(fields["injections"], fields["measurements"]))
-        case Kind.CAPABILITIES:
+        case MessageKind.CAPABILITIES:
             firmware = tuple(fields.pop(name) for name in _FIRMWARE)
             return Capabilities(**{**fields, "features": Feature(fields["features"]), "firmware": firmware})
         case _:

@@ -11,7 +11,7 @@ _UNITS = {"x": "m", "y": "m", "radius": "m", "pressure": "Pa"}
 
 
 @dataclass(frozen=True)
-class Press:
+class PressCommand:
     """A round touch; pressing the same number again moves it.
 
     Args:

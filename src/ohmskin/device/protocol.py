@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cobs import cobs
 
-from ohmskin.device.layout import CHECKSUM, HEADER, LAYOUTS, MAX_PACKET, VERSION, Kind
+from ohmskin.device.layout import CHECKSUM, HEADER, LAYOUTS, MAX_PACKET, VERSION, MessageKind
 from ohmskin.device.messages import Message, from_fields, kind_of, to_fields
 from ohmskin.errors import OhmskinError, ProtocolError
 
@@ -73,7 +73,7 @@ class Tally:
         return self.bad_cobs + self.bad_crc + self.overlong
 
 
-class Decoder:
+class PacketDecoder:
     """Finds packets in a stream of bytes. Nothing that arrives makes it raise."""
 
     def __init__(self) -> None:
@@ -127,5 +127,7 @@ def _read(version: int, kind: int, payload: bytes) -> Message:
     if version != VERSION:
         raise ProtocolError(f"protocol version {version}; this side speaks {VERSION}")
     if kind not in LAYOUTS:
-        raise ProtocolError(f"message kind 0x{kind:02x} is unknown; known are {', '.join(f'0x{k:02x}' for k in Kind)}")
-    return from_fields(Kind(kind), LAYOUTS[Kind(kind)].unpack(payload))
+        raise ProtocolError(
+            f"message kind 0x{kind:02x} is unknown; known are {', '.join(f'0x{k:02x}' for k in MessageKind)}"
+        )
+    return from_fields(MessageKind(kind), LAYOUTS[MessageKind(kind)].unpack(payload))

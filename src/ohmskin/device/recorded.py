@@ -35,7 +35,7 @@ class SteadyFrames:
 RecordedFrames = RecordingReader | SteadyFrames  # frames in order, with what is known of each
 
 
-class QuietFrames:
+class RecordedQuietFrames:
     """The quiet frames of a recording's calibrations, given round and round in the order they were scanned.
 
     Args:

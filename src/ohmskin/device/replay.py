@@ -10,7 +10,7 @@ import numpy as np
 
 from ohmskin.device import recorded as parts
 from ohmskin.device.driver import Device
-from ohmskin.device.recorded import QuietFrames, RecordedFrames, SteadyFrames
+from ohmskin.device.recorded import RecordedFrames, RecordedQuietFrames, SteadyFrames
 from ohmskin.drive import Drive
 from ohmskin.errors import DataError, DeviceError, PatternError
 from ohmskin.importers import read_recording
@@ -64,7 +64,7 @@ class ReplayDevice(Device):
             if reader is None or reader.metadata.get("device", {}).get("reference", "0") != "0":
                 self.reference = tuple(self.recording.quiet)
                 self.default_skin = self.recording.skin
-            self._quiet = QuietFrames(self._reel)
+            self._quiet = RecordedQuietFrames(self._reel)
             self._run = parts.whole_cycles(self._reel, np.flatnonzero(self._reel.roles != Role.QUIET))
             if not len(self._run):
                 raise DataError(f"{path} holds a calibration only; it has no frames to replay")

@@ -3,15 +3,15 @@
 import logging
 
 from ohmskin.device.instrument import SharedInstrument
-from ohmskin.device.layout import VERSION, Kind
+from ohmskin.device.layout import VERSION, MessageKind
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern, kind_of
-from ohmskin.device.press import Press
-from ohmskin.device.protocol import Decoder, Packet, Unreadable, encode
+from ohmskin.device.press import PressCommand
+from ohmskin.device.protocol import Packet, PacketDecoder, Unreadable, encode
 from ohmskin.errors import DeviceRefused, PatternError
 from ohmskin.scan import DrivePattern
 
 _LOG = logging.getLogger(__name__)
-_REQUESTS = tuple(kind for kind in Kind if kind < 0x80)
+_REQUESTS = tuple(kind for kind in MessageKind if kind < 0x80)
 
 
 class Session:
@@ -19,7 +19,7 @@ class Session:
 
     def __init__(self, instrument: SharedInstrument) -> None:
         self._instrument = instrument
-        self._decoder = Decoder()
+        self._decoder = PacketDecoder()
         self._patterns: dict[int, DrivePattern] = {}
 
     def feed(self, data: bytes) -> bytes:
@@ -57,7 +57,7 @@ class Session:
                 return self._remember(slot, pattern)
             case Scan(slot, digest):
                 return self._scan(slot, digest)
-            case Press():
+            case PressCommand():
                 if not self._instrument.capabilities.virtual:
                     return Refusal(ErrorCode.NOT_SUPPORTED, "this skin is real; press it with a finger")
                 if request.pressure > 0 and (rest := self._instrument.rest):
@@ -95,4 +95,6 @@ def _no(request: Unreadable) -> Refusal:
     if request.kind not in _REQUESTS:
         known = ", ".join(f"0x{kind:02x}" for kind in _REQUESTS)
         return Refusal(ErrorCode.UNKNOWN_KIND, f"0x{request.kind:02x} is not a request; requests are {known}")
-    return Refusal(ErrorCode.BAD_PATTERN if request.kind == Kind.PATTERN else ErrorCode.BAD_REQUEST, request.reason)
+    return Refusal(
+        ErrorCode.BAD_PATTERN if request.kind == MessageKind.PATTERN else ErrorCode.BAD_REQUEST, request.reason
+    )

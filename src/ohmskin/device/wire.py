@@ -12,8 +12,8 @@ from ohmskin.device.capabilities import Capabilities, Feature
 from ohmskin.device.driver import Device
 from ohmskin.device.layout import VERSION
 from ohmskin.device.messages import Ack, ErrorCode, FrameData, Hello, Message, Refusal, Scan, SetPattern
-from ohmskin.device.press import Press
-from ohmskin.device.protocol import DELIMITER, Decoder, Packet, Unreadable, encode
+from ohmskin.device.press import PressCommand
+from ohmskin.device.protocol import DELIMITER, Packet, PacketDecoder, Unreadable, encode
 from ohmskin.device.transport import Transport, open_transport
 from ohmskin.errors import DeviceLost, DeviceRefused, ProtocolError
 from ohmskin.scan import DrivePattern, Frame
@@ -24,7 +24,7 @@ _BACKOFF = 1.5  # each further wait is longer, so that a slow device is not buri
 _LATE = 5.0  # s beyond that at most, before which a device is given as long again as it says
 _MOST_ATTEMPTS = 40
 _PRESS_TIMEOUT = 10.0  # a press on all of a virtual skin takes seconds
-_REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameData, Press: Ack}
+_REPLIES: dict[type, type] = {Hello: Capabilities, SetPattern: Ack, Scan: FrameData, PressCommand: Ack}
 
 
 @dataclass
@@ -72,7 +72,7 @@ class WireDevice(Device):
     def __init__(self, url: str, timeout: float = 3.0) -> None:
         self.link = Link()
         self._peer = url
-        self._decoder = Decoder()
+        self._decoder = PacketDecoder()
         self._slots: OrderedDict[DrivePattern, int] = OrderedDict()  # least recently used first
         self._numbers = itertools.count(random.randrange(0x10000))  # replies meant for an earlier host match nothing
         self._transport: Transport = open_transport(url)
@@ -106,7 +106,7 @@ class WireDevice(Device):
             self._slots.move_to_end(pattern)
             return frame
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: PressCommand) -> None:
         self._ask([press], time.monotonic() + _PRESS_TIMEOUT)
 
     def _close(self) -> None:

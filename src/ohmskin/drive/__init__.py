@@ -5,7 +5,7 @@ from ohmskin.drive.design import Candidates, Search, Selection, exchange, greedy
 from ohmskin.drive.drive import Drive, Exploration, Fixed, SecondScan, Target, TwoScans, WithDriven
 from ohmskin.drive.drives import DRIVES, DriveSettings
 from ohmskin.drive.layout import LayoutSearch, arranged
-from ohmskin.drive.optimal import LocalDrive, OptimalDrive, pair_weights, take_turns
+from ohmskin.drive.optimal import LocalDrive, OptimalDrive, pair_weights, round_robin
 from ohmskin.drive.patterns import base_pattern, candidate_pairs, candidate_pattern, complete_pattern, part_of
 from ohmskin.drive.position import PositionDrive, Ranking, TrackingDrive
 
@@ -41,5 +41,5 @@ __all__ = [
     "pair_weights",
     "part_of",
     "position_bound",
-    "take_turns",
+    "round_robin",
 ]

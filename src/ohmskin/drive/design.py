@@ -96,7 +96,7 @@ class Candidates:
 
         More rows than unknowns are reduced to as many, with the same information.
         """
-        rows = self._seen(columns)
+        rows = self._whitened(columns)
         return rows if rows.shape[-2] <= columns.shape[-1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
     def problem(self, columns: Floats, covariance: Floats, goal: Floats) -> tuple[Floats, Floats, Floats]:
@@ -113,7 +113,7 @@ class Candidates:
         driven, ends = np.unique(self.pattern.injections, return_inverse=True)
         d, n_elec, ends = columns.shape[-1], len(driven), ends.reshape(-1, 2)
         whole = covariance.shape[-1] + n_elec
-        own = replace(self, weights=weights)._seen(columns)
+        own = replace(self, weights=weights)._whitened(columns)
         series = (weights @ (contacts * in_series(driven.tolist(), self.pairs))).reshape(len(self), -1, n_elec)
         series = np.take_along_axis(series, ends[:, None], axis=2)  # others are not in their voltages
         seen = np.concatenate([own, np.broadcast_to(series, (*own.shape[:-1], 2))], axis=-1)
@@ -125,7 +125,7 @@ class Candidates:
         padded = np.concatenate([goal, np.zeros((*goal.shape[:-1], n_elec))], axis=-1)
         return rows, np.asarray(block_diag(covariance, np.eye(n_elec))), padded
 
-    def _seen(self, columns: Floats) -> Floats:
+    def _whitened(self, columns: Floats) -> Floats:
         """What the voltages (..., n, m, d) of each injection see of a state's columns (..., n_pairs, d)."""
         lead, d = columns.shape[:-2], columns.shape[-1]
         flat = np.moveaxis(columns, -2, 0).reshape(columns.shape[-2], -1)
@@ -184,7 +184,7 @@ class Search:
         self.covariance: Floats = np.array(np.broadcast_to(covariance, shape), float)
         self._goal = None if goal is None else goal.reshape(-1, *goal.shape[-2:])
         self._repeats = repeats
-        self._seen = self._rows @ self.covariance[:, None]
+        self._whitened = self._rows @ self.covariance[:, None]
         self._information = np.zeros(len(self._rows))
         self.chosen: list[int] = []
 
@@ -199,7 +199,7 @@ class Search:
         """By how much each candidate would change the sums (n, n_cases, n_goals): less variance, more information."""
         goals, k, d = (0, 1, self._rows.shape[-1]) if self._goal is None else self._goal.shape
         goal = np.zeros((0, d)) if self._goal is None else self._goal.reshape(-1, d)
-        information, less = _gains(self._rows, self._seen, _flat(self._seen) @ goal.T)
+        information, less = _gains(self._rows, self._whitened, _flat(self._whitened) @ goal.T)
         if self._goal is None:
             return np.asarray(information.T[..., None])
         return np.asarray(np.moveaxis(less.reshape(*less.shape[:2], goals, k).sum(axis=-1), 1, 0))
@@ -229,14 +229,14 @@ class Search:
         self.chosen.remove(number)
 
     def _update(self, number: int, sign: float) -> None:
-        rows, seen = self._rows[:, number], self._seen[:, number].copy()
+        rows, seen = self._rows[:, number], self._whitened[:, number].copy()
         inner = np.eye(rows.shape[-2]) + sign * seen @ rows.swapaxes(-1, -2)
         gain = sign * np.linalg.solve(inner, seen)
         if self._goal is None:
             self._information += 0.5 * np.linalg.slogdet(inner)[1]
         across = seen.swapaxes(-1, -2)
         self.covariance -= across @ gain
-        self._seen -= (_flat(self._rows) @ across @ gain).reshape(self._seen.shape)
+        self._whitened -= (_flat(self._rows) @ across @ gain).reshape(self._whitened.shape)
 
 
 def _flat(rows: Floats) -> Floats:

@@ -56,7 +56,7 @@ def pair_weights(
 BEYOND = 1e9  # m: the area of a pair beyond reach, over its distance
 
 
-def take_turns(weights: ArrayLike, count: int) -> Ints:
+def round_robin(weights: ArrayLike, count: int) -> Ints:
     """The numbers (count,) of the pairs with the largest weights (n_regions, n_pairs), regions choosing in turn."""
     ranked = np.argsort(-np.atleast_2d(weights), axis=1, kind="stable")
     in_turn = ranked.T.ravel()  # first choices of all regions, then second choices, ...
@@ -79,7 +79,7 @@ class OptimalDrive(SecondScan):
     def choose(self, regions: Sequence[Floats]) -> Ints:
         given = self.period, self.complete.injections, self.reach
         weights = [pair_weights(self.electrodes.positions, anchors, *given) for anchors in regions]
-        return take_turns(np.array(weights), self.pairs)
+        return round_robin(np.array(weights), self.pairs)
 
 
 class LocalDrive(SecondScan):
@@ -112,4 +112,4 @@ class LocalDrive(SecondScan):
             [anchors[0] + shortest(anchors - anchors[0], self.period).mean(axis=0) for anchors in regions]
         )
         distance = np.linalg.norm(shortest(self._middle - centres[:, None], self.period), axis=2)
-        return take_turns(-np.where(self._long, np.inf, distance), self.pairs)
+        return round_robin(-np.where(self._long, np.inf, distance), self.pairs)

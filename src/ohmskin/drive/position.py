@@ -236,7 +236,7 @@ class PositionDrive(SecondScan):
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
         """The pattern for wherever `targets` may be: at their estimated places, and one standard deviation around."""
-        places = [place for target in targets for place in _wherever(target)]
+        places = [place for target in targets for place in _sigma_points(target)]
         return part_of(self.complete, self.ranking.in_turn(places, self.pairs, turn=0))
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
@@ -257,7 +257,7 @@ def _ranking(
     return Ranking(table, candidates, depth, known, prior, size=size)
 
 
-def _wherever(target: Target) -> list[tuple[float, float]]:
+def _sigma_points(target: Target) -> list[tuple[float, float]]:
     """Where a contact is believed to be, and a standard deviation off along both axes of its ellipse (m)."""
     (x, y), ((xx, xy), (_, yy)) = target.position.tolist(), target.covariance.tolist()
     half, middle = hypot((xx - yy) / 2, xy), (xx + yy) / 2

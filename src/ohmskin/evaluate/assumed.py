@@ -15,7 +15,7 @@ from ohmskin.evaluate.methods import METHODS
 from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.resolution import limits
 from ohmskin.evaluate.result import Outcome
-from ohmskin.evaluate.statistics import Estimate, median, ratio_of_means
+from ohmskin.evaluate.statistics import ConfidenceInterval, median, ratio_of_means
 from ohmskin.evaluate.verdict import NO, OPEN, SURE, YES, above, ladder
 
 MERITS = ("AR", "PE", "SD", "RNG")
@@ -47,9 +47,9 @@ class Assumed:
     orders: Mapping[str, str]
     steps: Mapping[str, int]
     decibels: float
-    adjacent: Estimate
-    adaptive: Estimate
-    ratio: Estimate
+    adjacent: ConfidenceInterval
+    adaptive: ConfidenceInterval
+    ratio: ConfidenceInterval
     distances: tuple[float, float]
     fig8: str
 

@@ -15,7 +15,7 @@ from ohmskin.evaluate.plan import SEVERAL, SINGLE, Settings
 from ohmskin.evaluate.resolution import limits
 from ohmskin.evaluate.result import Outcome
 from ohmskin.evaluate.shapes import SHAPES
-from ohmskin.evaluate.statistics import Estimate, median, ratio_of_means
+from ohmskin.evaluate.statistics import ConfidenceInterval, median, ratio_of_means
 from ohmskin.evaluate.verdict import NO, OPEN, SURE, YES, Claim, above, ladder, ordered
 from ohmskin.evaluate.worlds import WORLDS
 
@@ -83,7 +83,7 @@ def _fig4(done: Done) -> Iterator[Claim]:
         placed = np.where(np.isfinite(result["error"]), result["error"], 0.1).mean(axis=0)
         for best in ADAPTIVE:
             theirs, ours = _of(("16I", best), right).values()
-            ratio = ratio_of_means(ours, theirs) if theirs.any() else Estimate(0, 0, 0)
+            ratio = ratio_of_means(ours, theirs) if theirs.any() else ConfidenceInterval(0, 0, 0)
             text = f"{best} finds the right number of touches at least as often as adjacent drive"
             here = f"16I {100 * theirs.mean():.0f} %, {best} {100 * ours.mean():.0f} %; ratio {ratio.text()}"
             yield Claim("fig4", world, f"{text} (all {len(SEVERAL)} cases)", _SHOWN, here, above(ratio, 1.0))

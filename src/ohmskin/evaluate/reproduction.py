@@ -20,7 +20,7 @@ from ohmskin.evaluate.statistics import median
 from ohmskin.evaluate.study import Study
 from ohmskin.evaluate.verdict import NO, OPEN, YES, Claim
 from ohmskin.evaluate.worlds import CURRENT, WORLD_NAMES, described
-from ohmskin.plot.report import Block, Folded, Image, Picture, Section, Table
+from ohmskin.plot.report import Block, Folded, ReportImage, ReportPicture, Section, Table
 
 SHOWN = {
     "fig3": ("Fig. 3", "Single touches", images.single),
@@ -45,7 +45,7 @@ INTRODUCTION = (
 Done = Outcome[Settings]
 
 
-def sections(done: Done, claims: Sequence[Claim], pictures: Mapping[str, Sequence[Picture]]) -> list[Section]:
+def sections(done: Done, claims: Sequence[Claim], pictures: Mapping[str, Sequence[ReportPicture]]) -> list[Section]:
     """The report: what it comes to, how it was done, and a section for each figure."""
     opening = Section("The paper, reproduced", [INTRODUCTION], "#")
     short = [Section("In short", _short(done, claims))] if claims else []
@@ -89,12 +89,12 @@ def _method(done: Done) -> list[Block]:
     ]
 
 
-def _figure(done: Done, figure: str, claims: Sequence[Claim], pictures: Sequence[Picture]) -> Section:
+def _figure(done: Done, figure: str, claims: Sequence[Claim], pictures: Sequence[ReportPicture]) -> Section:
     label, title, _ = SHOWN[figure]
     own = paper.TESTED_ON.get(figure, "")
     other = "pressed" if own == "discs" else "discs"
     mine = [c for c in claims if c.figure == figure]
-    shown: list[Block] = [Image(label, picture) for picture in pictures]
+    shown: list[Block] = [ReportImage(label, picture) for picture in pictures]
     apart = 1 if figure in ("fig3", "fig4") else len(shown)  # there, one picture per world
     tables = {"table1": _merits, "fig7": _errors, "assumptions": _assumptions}
     aside = _merits(done, other) if figure == "table1" else []

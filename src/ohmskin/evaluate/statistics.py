@@ -14,7 +14,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ConfidenceInterval:
     """A value, usually a median, with the limits of its 95 % interval (percentile bootstrap over seeds)."""
 
     value: float
@@ -26,11 +26,11 @@ class Estimate:
         return f"{self.value * scale:.3g} ({self.low * scale:.3g} to {self.high * scale:.3g})"
 
 
-def median(values: ArrayLike) -> Estimate:
+def median(values: ArrayLike) -> ConfidenceInterval:
     """The median of values (n_seeds,) and its interval; infinite and missing values count as the largest."""
     values = np.where(np.isfinite(v := np.asarray(values, float)), v, np.inf)
     if not len(values) or not np.isfinite(values).any():
-        return Estimate(np.nan, np.nan, np.nan)
+        return ConfidenceInterval(np.nan, np.nan, np.nan)
     drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
     middles = np.quantile(values[drawn], 0.5, axis=1, method="nearest")
     with np.errstate(invalid="ignore"):  # between two that are infinite
@@ -38,10 +38,10 @@ def median(values: ArrayLike) -> Estimate:
     return _estimate(middle, middles, "nearest")
 
 
-def _estimate(value: float, resampled: Floats, method: Literal["linear", "nearest"] = "linear") -> Estimate:
+def _estimate(value: float, resampled: Floats, method: Literal["linear", "nearest"] = "linear") -> ConfidenceInterval:
     """A value with its interval, from values resampled."""
     low, high = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], method=method)
-    return Estimate(float(value), float(low), float(high))
+    return ConfidenceInterval(float(value), float(low), float(high))
 
 
 def fewer(a: ArrayLike, b: ArrayLike) -> float:
@@ -51,7 +51,7 @@ def fewer(a: ArrayLike, b: ArrayLike) -> float:
     return float(np.mean(np.median(a[drawn], axis=1) < np.median(b[drawn], axis=1)))
 
 
-def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
+def ratio_of_means(a: ArrayLike, b: ArrayLike) -> ConfidenceInterval:
     """The mean of a over the mean of b, and its interval; shapes as for `mean`, seeds and places drawn in pairs."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     ours, theirs = _means(a), _means(b)
@@ -59,7 +59,7 @@ def ratio_of_means(a: ArrayLike, b: ArrayLike) -> Estimate:
     return _estimate(a.mean() / b.mean(), ratios, "linear" if np.isfinite(ratios).all() else "nearest")
 
 
-def mean(values: ArrayLike) -> Estimate:
+def mean(values: ArrayLike) -> ConfidenceInterval:
     """The mean of values and its interval, over seeds (n_seeds,), or over seeds and places (n_seeds, n_places)."""
     values = np.asarray(values, float)
     return _estimate(values.mean(), _means(values))
@@ -75,9 +75,9 @@ def _means(values: Floats) -> Floats:
     return np.asarray(drawn)
 
 
-def share(count: int, total: int) -> Estimate:
+def share(count: int, total: int) -> ConfidenceInterval:
     """The share of `count` in `total` independent trials, and its exact interval (Clopper and Pearson)."""
     tail = (1 - LEVEL) / 2
     low = float(beta.ppf(tail, count, total - count + 1)) if count else 0.0
     high = float(beta.isf(tail, count + 1, total - count)) if count < total else 1.0
-    return Estimate(count / total, low, high)
+    return ConfidenceInterval(count / total, low, high)

@@ -11,11 +11,11 @@ from ohmskin.evaluate.cache import Cache, describe, fingerprint
 from ohmskin.evaluate.figures.drawing import Drawn, save_pictures
 from ohmskin.evaluate.result import Experiment, Groups, Outcome, Progress, plain
 from ohmskin.evaluate.runner import run_experiments
-from ohmskin.plot.report import Picture, Section, write_report
+from ohmskin.plot.report import ReportPicture, Section, write_report
 
 S = TypeVar("S")
 V = TypeVar("V")
-Pictures = Mapping[str, Sequence[Picture]]
+Pictures = Mapping[str, Sequence[ReportPicture]]
 
 
 def assign(experiments: Groups) -> dict[Experiment, str]:

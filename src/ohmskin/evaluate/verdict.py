@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.evaluate.statistics import Estimate, fewer, median
+from ohmskin.evaluate.statistics import ConfidenceInterval, fewer, median
 
 YES, NO, OPEN = "confirmed", "not confirmed", "undecided"
 MET, MISSED = "met", "missed"
@@ -60,7 +60,7 @@ class Goal:
     text: str
     limit: float
     at_most: bool
-    measured: Estimate
+    measured: ConfidenceInterval
     unit: str
     data: str
     note: str = ""
@@ -115,7 +115,7 @@ def _costs(values: Sequence[Floats], lower_is_better: bool) -> list[Floats]:
     return [np.where(np.isfinite(v), v if lower_is_better else -v, np.inf) for v in values]
 
 
-def ladder(values: Sequence[Floats], lower_is_better: bool = True) -> tuple[str, list[Estimate]]:
+def ladder(values: Sequence[Floats], lower_is_better: bool = True) -> tuple[str, list[ConfidenceInterval]]:
     """The verdict on "each is better than the one before", from values (n_seeds,) of each, and their medians."""
     middles = [median(v) for v in values]
     if not ordered(values, lower_is_better):
@@ -124,7 +124,7 @@ def ladder(values: Sequence[Floats], lower_is_better: bool = True) -> tuple[str,
     return YES if sure >= SURE else OPEN, middles
 
 
-def above(estimate: Estimate, limit: float) -> str:
+def above(estimate: ConfidenceInterval, limit: float) -> str:
     """The verdict on "it is at least this"."""
     if not estimate.value >= limit:
         return NO

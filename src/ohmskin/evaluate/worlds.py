@@ -40,7 +40,7 @@ Contacts = tuple[Shape, ...]
 
 
 @dataclass(frozen=True)
-class Sheet:
+class SimulatedSheet:
     """One touched sheet with one electrode layout.
 
     Args:
@@ -54,7 +54,7 @@ class Sheet:
     touched: Callable[[Contacts], Floats]
 
 
-def _discs(skin: Skin, finer: float = 0.48) -> Sheet:
+def _discs(skin: Skin, finer: float = 0.48) -> SimulatedSheet:
     """Discs of raised conductivity on a sheet with point electrodes; where discs overlap their changes add up."""
     mesh = mesh_domain(skin.domain, finer * skin.imaging.mesh_size, skin.electrodes.positions)
 
@@ -67,10 +67,10 @@ def _discs(skin: Skin, finer: float = 0.48) -> Sheet:
             change += contact.strength * share / mesh.measures
         return TransferModel(mesh, skin.electrodes, skin.sheet.conductivity * (1 + change)).transfer_resistance
 
-    return Sheet(mesh, touched(()), touched)
+    return SimulatedSheet(mesh, touched(()), touched)
 
 
-def _pressed(skin: Skin) -> Sheet:
+def _pressed(skin: Skin) -> SimulatedSheet:
     """Contacts pressed on the contact-layer twin; the foam spreads their edges, and pressures add up."""
     twin, spread = PressedSheet(skin), max(skin.contact_layer.foam_spread, 1e-12)
 
@@ -84,7 +84,7 @@ def _pressed(skin: Skin) -> Sheet:
     def touched(contacts: Contacts) -> Floats:
         return twin.under(load(contact) for contact in contacts)
 
-    return Sheet(twin.mesh, twin.untouched, touched)
+    return SimulatedSheet(twin.mesh, twin.untouched, touched)
 
 
 def skin_of(world: str, layout: str) -> Skin:
@@ -94,7 +94,7 @@ def skin_of(world: str, layout: str) -> Skin:
 
 
 @lru_cache(maxsize=8)
-def sheet(world: str, layout: str, wear: float = 1.0, same_mesh: bool = False) -> Sheet:
+def sheet(world: str, layout: str, wear: float = 1.0, same_mesh: bool = False) -> SimulatedSheet:
     """The sheet of a world with an electrode layout; made once per process.
 
     Args:

@@ -18,7 +18,7 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Disc, Domain, Rectangle
-from ohmskin.geometry.holes import Hole, pierced
+from ohmskin.geometry.holes import Hole, with_holes
 
 _FINE = 2001  # places along a profile
 _MOST_UNEVEN = 4.0  # of the largest scale of a map over the smallest
@@ -97,7 +97,7 @@ class RevolutionChart:
         profile: (n, 2) distance from the axis and height z (m), in the order of the map's y; first the pole of a cap,
             at distance 0. The outward normal is to the right of its direction, of a cap to the left.
         angle: Part of a turn (rad), up to 2 pi; of a cap all of it.
-        holes: Cut into it, see `pierced`; places are on the map.
+        holes: Cut into it, see `with_holes`; places are on the map.
 
     Raises:
         GeometryError: If the profile has less than two points or meets the axis, the map would be too uneven, or a hole
@@ -147,7 +147,7 @@ class RevolutionChart:
         self.flat = bool(np.ptp(scale) < 1e-9)
         self._scale, self._profile = CubicSpline(along, scale), CubicSpline(along, fine)
         self._along, self._fine, self._tree = along, fine, cKDTree(fine)
-        self.domain = pierced(self.domain, holes, self.scale)
+        self.domain = with_holes(self.domain, holes, self.scale)
 
     def __repr__(self) -> str:
         return f"RevolutionChart({self.domain})"

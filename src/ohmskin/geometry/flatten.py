@@ -13,7 +13,7 @@ from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.chart import check_even
 from ohmskin.geometry.domain import Domain
-from ohmskin.geometry.holes import Hole, Holed, pierced
+from ohmskin.geometry.holes import Hole, Holed, with_holes
 from ohmskin.geometry.mesh import Mesh, folded, shortest
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import node_means
@@ -36,7 +36,7 @@ class MeshChart:
 
     Args:
         surface: Triangles in space, counterclockwise seen from outside.
-        holes: More holes, see `pierced`; places are on the map.
+        holes: More holes, see `with_holes`; places are on the map.
 
     Attributes:
         flat: Whether lengths on the map are lengths on the skin, to a thousandth.
@@ -92,7 +92,7 @@ class MeshChart:
             )
         self.flat = bool(max(abs(self._scale - 1).max(), self.sheared - 1) < 1e-3)
         self._triangles = Triangles(self._surface.nodes, self._surface.elements)
-        self.domain: Domain = pierced(_outline(self._flat), holes, self.scale)
+        self.domain: Domain = with_holes(_outline(self._flat), holes, self.scale)
 
     def __repr__(self) -> str:
         return f"MeshChart({self.domain})"

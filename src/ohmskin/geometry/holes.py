@@ -106,7 +106,7 @@ class Holed:
         return self.base.arc(points)
 
 
-def pierced(domain: Domain, holes: Sequence[Hole], scale: Callable[[ArrayLike], Floats] | None = None) -> Domain:
+def with_holes(domain: Domain, holes: Sequence[Hole], scale: Callable[[ArrayLike], Floats] | None = None) -> Domain:
     """A map with holes, or itself if there are none.
 
     Args:
@@ -135,8 +135,8 @@ def pierced(domain: Domain, holes: Sequence[Hole], scale: Callable[[ArrayLike], 
     return Holed(domain, outlines)
 
 
-def whole(domain: Domain) -> Domain:
-    """The shape without the holes that were cut into it by `pierced`."""
+def without_holes(domain: Domain) -> Domain:
+    """The shape without the holes that were cut into it by `with_holes`."""
     return domain.base if isinstance(domain, Holed) else domain
 
 

@@ -11,7 +11,7 @@ from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Disc, Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
-from ohmskin.geometry.holes import Holed, whole
+from ohmskin.geometry.holes import Holed, without_holes
 from ohmskin.geometry.mesh import Mesh, folded, shortest, tree, unrolled
 from ohmskin.geometry.polygon import Polygon
 
@@ -167,7 +167,7 @@ def checked_mesh(nodes: Floats, triangles: Ints, domain: Domain, size: float) ->
         mesh = Mesh(nodes, triangles, period=domain.period)
         start, end = nodes[mesh.boundary].swapaxes(0, 1)
         off_rim = np.abs(domain.depth(start + shortest(end - start, domain.period) / 2)).max()
-        sagitta = size**2 / (4 * disc.radius) if isinstance(disc := whole(domain), Disc) else 0.0
+        sagitta = size**2 / (4 * disc.radius) if isinstance(disc := without_holes(domain), Disc) else 0.0
         off_area = abs(mesh.measures.sum() - domain.area) - sagitta * domain.perimeter
         if off_area <= 1e-9 * domain.area and off_rim - sagitta < 1e-9 * domain.perimeter:
             return mesh

@@ -9,7 +9,7 @@ from ohmskin.geometry.band import Band
 from ohmskin.geometry.chart import Chart
 from ohmskin.geometry.domain import Domain, Rectangle
 from ohmskin.geometry.flatten import flat_patch, stiffness_matrix
-from ohmskin.geometry.holes import Holed, whole
+from ohmskin.geometry.holes import Holed, without_holes
 from ohmskin.geometry.mesh import Mesh, folded
 from ohmskin.geometry.meshing import mesh_domain
 from ohmskin.geometry.raster import node_means
@@ -30,10 +30,10 @@ class Wrap:
     """
 
     def __init__(self, chart: Chart) -> None:
-        domain = whole(chart.domain)
+        domain = without_holes(chart.domain)
         self._mesh = mesh_domain(cut_open(domain), float(np.sqrt(domain.area)) / _FINE)
         surface, self._period = self._mesh.mapped(chart.points), chart.domain.period
-        self._values: Floats = node_stretches(self._mesh, surface, laid_flat(surface))
+        self._values: Floats = node_stretches(self._mesh, surface, flattened(surface))
 
     def log_stretch(self, places: Floats) -> Floats:
         """Logarithm (n, 2, 2) of the stretch at places (n, 2) of the map, along its x and y; positive: it is longer."""
@@ -43,7 +43,7 @@ class Wrap:
 
 def cut_open(domain: Domain, seam: float = 0.0) -> Domain:
     """The domain itself; of a sleeve the rectangle that it is when it is cut open where x is `seam`, in no hole (m)."""
-    if isinstance(sleeve := whole(domain), Band):
+    if isinstance(sleeve := without_holes(domain), Band):
         sheet = Rectangle(sleeve.circumference, sleeve.height)
         if not isinstance(domain, Holed):
             return sheet
@@ -73,7 +73,7 @@ def seam_of(domain: Domain) -> float:
     return float(seams[best])
 
 
-def laid_flat(surface: Mesh) -> Floats:
+def flattened(surface: Mesh) -> Floats:
     """Places (n_nodes, 2) of a surface's nodes on the flat elastic sheet that it takes least energy to wrap on it (m).
 
     The energy is that of a Hookean sheet, its strains measured from the surface. Begins with a map true to angles; then

@@ -19,7 +19,7 @@ _QUIET = 0.4  # s after it, without contacts
 
 
 @dataclass(frozen=True)
-class Finger:
+class SimulatedFinger:
     """One finger of a gesture.
 
     Args:
@@ -43,14 +43,14 @@ class Finger:
         return place, float(np.interp(share, np.linspace(0, 1, len(self.force)), self.force))
 
 
-def fingers(gesture: str, size: float, random: np.random.Generator) -> list[Finger]:
+def fingers(gesture: str, size: float, random: np.random.Generator) -> list[SimulatedFinger]:
     """What the fingers of a gesture do, on a square sheet of that side (m)."""
     margin = 0.1 * size
     at = random.uniform(margin, size - margin, 2)
     drift = 0.1 * random.normal(size=2) * 10e-3
     if gesture == "tap":
         lasted = random.uniform(0.05, 0.3)
-        return [Finger(0.0, lasted, at + np.outer([0, 1], drift), np.sin(np.linspace(0.3, np.pi - 0.3, 9)))]
+        return [SimulatedFinger(0.0, lasted, at + np.outer([0, 1], drift), np.sin(np.linspace(0.3, np.pi - 0.3, 9)))]
     if gesture == "stroke":
         length = random.uniform(0.15, 0.7) * size
         length = max(length, 25e-3)
@@ -62,13 +62,13 @@ def fingers(gesture: str, size: float, random: np.random.Generator) -> list[Fing
         low, high = path.min(axis=0), path.max(axis=0)
         path += random.uniform(0.03 * size - low, np.maximum(0.97 * size - high, 0.03 * size - low + 1e-6))
         force = 1 + 0.25 * random.normal(size=6)
-        return [Finger(0.0, length / speed, path, np.clip(force, 0.4, 2.0))]
+        return [SimulatedFinger(0.0, length / speed, path, np.clip(force, 0.4, 2.0))]
     ramp, hold = random.uniform(0.1, 1.0), random.uniform(0.5, 3.5)
     n = 40
     times = np.linspace(0, ramp + hold, n)
     rise = np.clip(times / ramp, 0.15, 1.0) * (1 + random.uniform(-0.2, 0.4) * times / times[-1])
     if gesture == "push":
-        return [Finger(0.0, ramp + hold, at + np.outer([0, 1], 2 * drift), rise)]
+        return [SimulatedFinger(0.0, ramp + hold, at + np.outer([0, 1], 2 * drift), rise)]
     count, apart = int(random.integers(2, 5)), random.uniform(28e-3, max(min(0.09, 0.4 * size), 30e-3))
     turns = random.uniform(0, 2 * np.pi) + np.arange(count) * 2 * np.pi / count + 0.3 * random.normal(size=count)
     radius = apart / (2 * np.sin(np.pi / count))
@@ -76,12 +76,12 @@ def fingers(gesture: str, size: float, random: np.random.Generator) -> list[Fing
     places = at + radius * np.column_stack([np.cos(turns), np.sin(turns)])
     strengths = random.uniform(0.6, 1.4, count)
     return [
-        Finger(random.uniform(0, 0.15), ramp + hold, place + np.outer([0, 1], drift), strength * rise)
+        SimulatedFinger(random.uniform(0, 0.15), ramp + hold, place + np.outer([0, 1], drift), strength * rise)
         for place, strength in zip(np.clip(places, 0.02 * size, 0.98 * size), strengths, strict=True)
     ]
 
 
-def as_seen(pressing: Sequence[Finger], random: np.random.Generator) -> Stream:
+def as_seen(pressing: Sequence[SimulatedFinger], random: np.random.Generator) -> Stream:
     """The contacts that a skin reports of fingers, frame by frame, with noise."""
     period = 1 / np.exp(random.uniform(np.log(15), np.log(120)))
     noise, uneven = np.exp(random.uniform(np.log(0.3e-3), np.log(5e-3))), random.uniform(0.02, 0.25)

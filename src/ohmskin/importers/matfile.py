@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ohmskin.arrays import Floats, unsignalled
+from ohmskin.arrays import Floats, quiet_nans
 from ohmskin.errors import DataError
 
 _LARGEST = 256 * 2**20  # bytes, unpacked
@@ -86,7 +86,7 @@ def numbers(value: Any, what: str, largest: int = 2**24) -> Floats:
         kind = f"an array of shape {shape}" if shape else f"of type {type(value).__name__}"
         raise DataError(f"{what} is {kind}; need a matrix of numbers with at most {largest} entries")
     if isinstance(value, np.ndarray):
-        return unsignalled(value)
+        return quiet_nans(value)
     starts, rows = value.starts.astype(np.int64), value.rows.astype(np.int64)
     whole = len(starts) == shape[1] + 1 and starts[0] == 0 and (np.diff(starts) >= 0).all()
     if not whole or not starts[-1] <= min(len(rows), len(value.values)):
@@ -95,7 +95,7 @@ def numbers(value: Any, what: str, largest: int = 2**24) -> Floats:
     if len(rows) and not (rows.min() >= 0 and rows.max() < shape[0]):
         raise DataError(f"{what} is a damaged sparse matrix: rows {rows.min()}..{rows.max()} of {shape[0]}")
     dense = np.zeros(shape)
-    np.add.at(dense, (rows, np.repeat(np.arange(shape[1]), np.diff(starts))), unsignalled(values))
+    np.add.at(dense, (rows, np.repeat(np.arange(shape[1]), np.diff(starts))), quiet_nans(values))
     return dense
 
 

@@ -56,7 +56,7 @@ class Order:
         a, b, c, d = self.quadruples.T
         return np.asarray((a != c) & (a != d) & (b != c) & (b != d))
 
-    def likeness(self, sizes: Floats) -> float:
+    def similarity(self, sizes: Floats) -> float:
         """How sizes (n,) of voltages follow those of a round even sheet (1): the correlation of their logarithms, less
         where they vary more or less than there."""
         n_elec = self.quadruples.max() + 1
@@ -90,7 +90,7 @@ def likeliest(values: Floats) -> tuple[Order | None, str]:
     known = orders(values.shape[1])
     if not known:
         return None, ""
-    likenesses = [one.likeness(_sizes(one.volts(values))) for one in known]
+    likenesses = [one.similarity(_sizes(one.volts(values))) for one in known]
     best = int(np.argmax(likenesses))
     if likenesses[best] < likenesses[0] + _BETTER:
         best = 0
@@ -104,7 +104,7 @@ def _sizes(volts: Floats) -> Floats:
     return np.asarray(np.sqrt(np.nanmean(volts**2, axis=0)))
 
 
-def _order(n_elec: int, skipped: tuple[int, ...], turning: bool, single: bool, told: str) -> Order:
+def _order(n_elec: int, skipped: tuple[int, ...], turning: bool, single: bool, note: str) -> Order:
     """Values of each injection from the electrode behind the sink on (`turning`), or in the order of their numbers."""
     rows, plus, minus, column = [], [], [], 0
     for source in range(n_elec):
@@ -121,4 +121,4 @@ def _order(n_elec: int, skipped: tuple[int, ...], turning: bool, single: bool, t
         column += len(taken)
     kind = "against a common electrode" if single else "between neighbours"
     begins = "from the driven electrodes on" if turning else "in the order of their numbers"
-    return Order(f"voltages {kind} ({told}), {begins}", np.array(rows), np.array(plus), np.array(minus))
+    return Order(f"voltages {kind} ({note}), {begins}", np.array(rows), np.array(plus), np.array(minus))

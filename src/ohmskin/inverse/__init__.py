@@ -13,7 +13,7 @@ from ohmskin.inverse.choice import (
     physical,
 )
 from ohmskin.inverse.eidors import EIDORS_PRIORS, ReconstructionMatrix, eidors_one_step
-from ohmskin.inverse.estimators import ESTIMATORS, Estimate, Estimator, FrameWise, Settings, image_of
+from ohmskin.inverse.estimators import ESTIMATORS, Estimate, Estimator, EstimatorSettings, FrameWise, image_of
 from ohmskin.inverse.gauss_newton import GaussNewton
 from ohmskin.inverse.greit import Greit
 from ohmskin.inverse.image import Image
@@ -34,6 +34,7 @@ __all__ = [
     "Choice",
     "Estimate",
     "Estimator",
+    "EstimatorSettings",
     "FrameWise",
     "GaussNewton",
     "Greit",
@@ -47,7 +48,6 @@ __all__ = [
     "Pixels",
     "Prior",
     "ReconstructionMatrix",
-    "Settings",
     "SparseBayes",
     "TotalVariation",
     "choose",

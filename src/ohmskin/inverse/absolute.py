@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ohmskin.arrays import Floats
 from ohmskin.forward import TransferModel
 from ohmskin.inverse.image import Image
-from ohmskin.inverse.modes import System, check_positive, check_share, pair_system
+from ohmskin.inverse.modes import DataSystem, check_positive, check_share, pair_system
 from ohmskin.inverse.positivity import noise_gain, penalised
 from ohmskin.inverse.priors import Prior, paper_laplacian, penalty_of, triangle_means
 from ohmskin.inverse.variation import Variation
@@ -113,7 +113,7 @@ class AbsoluteGaussNewton:
         data = pair_system(self.model.pairs, *(self._as_absolute(frame) for frame in frames))
         start = np.zeros(self._to_image.shape[1])
         change = self._at(start, data, self.noise).left
-        noise = System(data.rows, change).noise(self.noise, self.model_error)
+        noise = DataSystem(data.rows, change).noise(self.noise, self.model_error)
         point = self._at(start, data, noise)
         costs = [point.cost]
         while True:
@@ -141,18 +141,18 @@ class AbsoluteGaussNewton:
         currents = frame.measurement_currents
         return Difference(frame.pattern, currents, frame.voltages - currents * offset)
 
-    def _at(self, w: Floats, data: System, noise: float) -> _Point:
+    def _at(self, w: Floats, data: DataSystem, noise: float) -> _Point:
         changed = self.model.conductivity * np.exp(self._to_image @ w)
         model = self.model.with_conductivity(changed) if w.any() else self.model
         left = data.volts - data.rows @ model.pair_resistances
         return _Point(w, model, left, float(left @ left) / noise**2 + self._cost(w))
 
-    def _jacobian(self, point: _Point, data: System) -> Floats:
+    def _jacobian(self, point: _Point, data: DataSystem) -> Floats:
         """By the unknowns: (n_meas, n_unknowns) in volts."""
         by_log = point.model.pair_sensitivity * point.model.conductivity
         return np.asarray(data.rows @ (by_log if self._means is None else by_log @ self._means))
 
-    def _search(self, point: _Point, wanted: Floats, data: System, noise: float) -> _Point | None:
+    def _search(self, point: _Point, wanted: Floats, data: DataSystem, noise: float) -> _Point | None:
         """The first point on the way to `wanted`, each step half the last, where the cost falls; None if nowhere."""
         way = wanted - point.w
         step = min(1.0, 3.0 / max(float(np.abs(way).max()), 1e-300))  # a factor of twenty in conductivity at most
@@ -163,7 +163,7 @@ class AbsoluteGaussNewton:
             step /= 2
         return None
 
-    def _image(self, point: _Point, data: System, noise: float) -> Image:
+    def _image(self, point: _Point, data: DataSystem, noise: float) -> Image:
         ratio = np.exp(self._to_image @ point.w)
 
         def noise_std(elements: ArrayLike) -> Floats:

@@ -163,7 +163,7 @@ class ByRule:
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class EstimatorSettings:
     """Arguments of an estimator.
 
     Args:
@@ -193,7 +193,7 @@ class Settings:
             raise ModelError(f"no rule {self.rule!r} for the regularisation parameter; choose from {', '.join(RULES)}")
 
 
-def gauss_newton(s: Settings) -> Estimator:
+def gauss_newton(s: EstimatorSettings) -> Estimator:
     """One-step Gauss-Newton; the prior `pixels` makes the image of pixels instead of triangles."""
     pixels = Pixels.over(s.model.mesh) if s.prior == "pixels" else None
     model_error = s.model_error
@@ -201,7 +201,7 @@ def gauss_newton(s: Settings) -> Estimator:
     return FrameWise(_by_rule(s, one_step, one_step.with_amplitude), one_step.cells)
 
 
-def _by_rule(s: Settings, own: Reconstructor, made_with: Callable[[float], Reconstructor]) -> Reconstructor:
+def _by_rule(s: EstimatorSettings, own: Reconstructor, made_with: Callable[[float], Reconstructor]) -> Reconstructor:
     """The estimator, its amplitude chosen by the rule where that is not the usual one."""
     if s.rule == "physical":
         return own
@@ -209,14 +209,14 @@ def _by_rule(s: Settings, own: Reconstructor, made_with: Callable[[float], Recon
     return ByRule(own if isinstance(own, GaussNewton) else one_step, s.rule, made_with)
 
 
-def _without_rule(s: Settings, name: str) -> None:
+def _without_rule(s: EstimatorSettings, name: str) -> None:
     """Raise ModelError if a rule is asked for that an estimator without a quadratic prior of that amplitude lacks."""
     if s.rule != "physical":
         takes = "gauss-newton, positive and absolute take one"
         raise ModelError(f"estimator {name!r} chooses no parameter by the rule {s.rule!r}; {takes}, or use 'physical'")
 
 
-def _without_prior(s: Settings, name: str) -> None:
+def _without_prior(s: EstimatorSettings, name: str) -> None:
     """Raise ModelError if a prior or rule is asked for that an estimator with a prior of its own has no use for."""
     _without_rule(s, name)
     if s.prior != "paper":
@@ -226,7 +226,7 @@ def _without_prior(s: Settings, name: str) -> None:
         )
 
 
-def positive(s: Settings) -> Estimator:
+def positive(s: EstimatorSettings) -> Estimator:
     """One-step Gauss-Newton, nowhere negative."""
     if s.bipolar:
         advice = "choose another, or set imaging.bipolar = false"
@@ -235,40 +235,40 @@ def positive(s: Settings) -> Estimator:
     return FrameWise(_by_rule(s, own, own.with_amplitude), s.model.mesh)
 
 
-def kalman(s: Settings) -> Estimator:
+def kalman(s: EstimatorSettings) -> Estimator:
     """Kalman filter on images."""
     _without_rule(s, "kalman")
     prior = {"amplitude": s.amplitude, "model_error": s.model_error}
     return Recursive(Kalman(s.model, s.noise, s.prior, time_constant=_MEMORY, **prior), s.model.mesh)
 
 
-def greit(s: Settings) -> Estimator:
+def greit(s: EstimatorSettings) -> Estimator:
     """GREIT."""
     _without_prior(s, "greit")
     return FrameWise(Greit(s.model, s.noise), s.model.mesh)
 
 
-def total_variation(s: Settings) -> Estimator:
+def total_variation(s: EstimatorSettings) -> Estimator:
     """Total variation."""
     _without_prior(s, "total-variation")
     own = TotalVariation(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
 
-def sparse_bayes(s: Settings) -> Estimator:
+def sparse_bayes(s: EstimatorSettings) -> Estimator:
     """Sparse Bayesian learning."""
     _without_prior(s, "sparse-bayes")
     own = SparseBayes(s.model, s.noise, amplitude=0.5, model_error=s.model_error, positive=not s.bipolar)
     return FrameWise(own, s.model.mesh)
 
 
-def absolute(s: Settings) -> Estimator:
+def absolute(s: EstimatorSettings) -> Estimator:
     """Iterated Gauss-Newton on absolute voltages."""
     own = AbsoluteGaussNewton(s.model, s.noise, s.prior, amplitude=s.amplitude, model_error=s.model_error)
     return FrameWise(_by_rule(s, own, lambda amplitude: replace(own, amplitude=amplitude)), s.model.mesh)
 
 
-def absolute_variation(s: Settings) -> Estimator:
+def absolute_variation(s: EstimatorSettings) -> Estimator:
     """Iterated Gauss-Newton on absolute voltages with total variation."""
     _without_prior(s, "absolute-variation")
     outline = 0.1 * float(np.ptp(s.model.mesh.nodes, axis=0).max())
@@ -277,7 +277,7 @@ def absolute_variation(s: Settings) -> Estimator:
 
 
 _ESTIMATORS = (gauss_newton, positive, kalman, greit, total_variation, sparse_bayes, absolute, absolute_variation)
-ESTIMATORS: Registry[Callable[[Settings], Estimator]] = Registry(
+ESTIMATORS: Registry[Callable[[EstimatorSettings], Estimator]] = Registry(
     "estimator", "ohmskin.estimators", {make.__name__.replace("_", "-"): make for make in _ESTIMATORS}, ModelError
 )
 """Estimators by name."""

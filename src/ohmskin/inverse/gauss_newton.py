@@ -24,8 +24,8 @@ from ohmskin.forward import TransferModel
 from ohmskin.geometry import Cells
 from ohmskin.inverse.image import Image, NoiseStd, Reconstructor
 from ohmskin.inverse.modes import (
+    DataSystem,
     ImageModes,
-    System,
     check_positive,
     check_share,
     finite_system,
@@ -114,7 +114,7 @@ class GaussNewton(Reconstructor):
         unknowns, _ = solve_modes(self.modes, system, weight, self.noise)
         return system.volts, system.volts - system.rows @ unknowns
 
-    def _system(self, *differences: Difference) -> tuple[System, float]:
+    def _system(self, *differences: Difference) -> tuple[DataSystem, float]:
         """The equations of scans in the modes, and the weight of the penalty."""
         modes, system = self.modes, self.modes.system(*differences)
         weight = system.noise(self.noise, self.model_error) / self.amplitude
@@ -134,7 +134,7 @@ class GaussNewton(Reconstructor):
         return self.model.pair_sensitivity * self.model.conductivity
 
 
-def solve_modes(modes: ImageModes, system: System, weight: float, noise: float) -> tuple[Floats, NoiseStd]:
+def solve_modes(modes: ImageModes, system: DataSystem, weight: float, noise: float) -> tuple[Floats, NoiseStd]:
     """The u of least |volts - rows u|^2 + weight^2 |u|^2, and the standard deviation of its image from noise (V)."""
     rows, volts, free = system.rows, system.volts, int(modes.free_mean)
     size = float(np.linalg.norm(rows[:, :free])) or 1.0

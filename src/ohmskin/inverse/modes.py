@@ -23,7 +23,7 @@ _KEPT_ROWS = 64  # adaptive patterns come and go; the fixed ones are cheap to ma
 
 
 @dataclass(frozen=True)
-class System:
+class DataSystem:
     """Linear equations: volts = rows u + noise.
 
     Args:
@@ -38,12 +38,12 @@ class System:
         """Standard deviation (V) of data with this noise (V) and a model error as a share of their root mean square."""
         return float(np.hypot(noise, model_error * np.sqrt(np.mean(self.volts**2))))
 
-    def compressed(self) -> "System":
+    def compressed(self) -> "DataSystem":
         """The same least squares problem in no more equations than unknowns."""
         if len(self.rows) <= self.rows.shape[1]:
             return self
         basis, triangle = np.linalg.qr(self.rows)
-        return System(triangle, basis.T @ self.volts)
+        return DataSystem(triangle, basis.T @ self.volts)
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class ImageModes:
             self._rows[pattern] = combined(terms_of(pattern, self.pairs), self.mixing)
         return self._rows[pattern]
 
-    def system(self, *differences: Difference) -> System:
+    def system(self, *differences: Difference) -> DataSystem:
         """The equations of one scan, or of several fused; arguments and errors as of `GaussNewton.reconstruct`."""
 
         def rows(d: Difference) -> Floats:
@@ -118,7 +118,7 @@ def combined(terms: Ints, pairs: Floats) -> Floats:
     return rows
 
 
-def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Difference, ...]) -> System:
+def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Difference, ...]) -> DataSystem:
     """The equations of scans with known rows (n_meas, n_unknowns) in volts per ampere, but for channels not finite.
 
     Raises:
@@ -135,10 +135,10 @@ def finite_system(rows_of: Callable[[Difference], Floats], differences: tuple[Di
         stacked, volts = stacked[known], volts[known]
     if not len(volts):
         raise DataError("no finite measurement in the frame; check the device, or that the voltages do not clip")
-    return System(stacked, volts)
+    return DataSystem(stacked, volts)
 
 
-def pair_system(pairs: Pairs | int, *differences: Difference) -> System:
+def pair_system(pairs: Pairs | int, *differences: Difference) -> DataSystem:
     """The equations of scans in the two-terminal resistances (n_pairs,), no more of them than pairs.
 
     Raises:

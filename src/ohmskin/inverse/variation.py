@@ -12,7 +12,7 @@ from ohmskin.forward import TransferModel
 from ohmskin.forward.assembly import stiffness
 from ohmskin.geometry import Mesh
 from ohmskin.inverse.image import Image, Reconstructor
-from ohmskin.inverse.modes import System, check_positive, check_share, pair_system
+from ohmskin.inverse.modes import DataSystem, check_positive, check_share, pair_system
 from ohmskin.inverse.positivity import noise_gain, penalised
 from ohmskin.inverse.priors import triangle_means
 from ohmskin.scan import Difference
@@ -108,7 +108,7 @@ class TotalVariation(Reconstructor):
     def reconstruct(self, *differences: Difference) -> Image:
         pairs = pair_system(self.model.pairs, *differences)
         noise = pairs.noise(self.noise, self.model_error)
-        system = System(pairs.rows @ self._relative, pairs.volts)
+        system = DataSystem(pairs.rows @ self._relative, pairs.volts)
         w = np.zeros(self.model.mesh.n_nodes)
         if self.outline is not None:
             variation = Variation(self.model.mesh, self.amplitude, self.outline)
@@ -124,7 +124,7 @@ class TotalVariation(Reconstructor):
 
         return Image(self._means @ w, noise_std)
 
-    def _by_discrepancy(self, system: System, noise: float, w: Floats) -> tuple[Floats, Variation]:
+    def _by_discrepancy(self, system: DataSystem, noise: float, w: Floats) -> tuple[Floats, Variation]:
         """Bisection over the logarithm of the outline; each image starts from the last."""
         extent = float(np.ptp(self.model.mesh.nodes, axis=0).max())
         low, high = np.log(1e-6 * extent), np.log(1e1 * extent)
@@ -139,7 +139,7 @@ class TotalVariation(Reconstructor):
                 high = middle
         return w, variation
 
-    def _solve(self, system: System, noise: float, variation: Variation, w: Floats) -> Floats:
+    def _solve(self, system: DataSystem, noise: float, variation: Variation, w: Floats) -> Floats:
         free = np.ones(len(w), bool)
         for _ in range(self.rounds):
             matrix = variation.matrix(w)

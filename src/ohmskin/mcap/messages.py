@@ -11,8 +11,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from ohmskin.arrays import Floats, unsignalled
-from ohmskin.client.cdr import Decoder, Encoder
+from ohmskin.arrays import Floats, quiet_nans
+from ohmskin.client.cdr import CdrDecoder, CdrEncoder
 from ohmskin.client.fields import attributes, components, numbers
 from ohmskin.contacts import Contact
 from ohmskin.errors import DataError, PatternError
@@ -97,7 +97,7 @@ def encode_pattern(pattern: DrivePattern) -> bytes:
     if max(int(pattern.injections.max()), int(pattern.measurements[:, 1:].max())) > _LARGEST_INDEX:
         raise DataError(f"a recording numbers electrodes up to {_LARGEST_INDEX}; the pattern names a higher one")
     injections, measurements = pattern.injections.astype("<u2").ravel(), pattern.measurements.astype("<u4").ravel()
-    return Encoder().put("I", pattern.digest).array(injections).array(measurements).done()
+    return CdrEncoder().put("I", pattern.digest).array(injections).array(measurements).done()
 
 
 def decode_pattern(data: bytes) -> DrivePattern:
@@ -106,7 +106,7 @@ def decode_pattern(data: bytes) -> DrivePattern:
     Raises:
         DataError: If it is none.
     """
-    decoder = Decoder(data)
+    decoder = CdrDecoder(data)
     decoder.take("I")
     injections, measurements = read_array(decoder, "u2"), read_array(decoder, "u4")
     if injections.size % 2 or measurements.size % 3:
@@ -143,10 +143,10 @@ def decode_frame(data: bytes) -> FrameRecord:
     """
     try:
         seconds, nanoseconds, at, arrived, *numbers, role, n_meas = _FRAME_START.unpack_from(data)
-        voltages = unsignalled(np.frombuffer(data, "<f8", n_meas, _FRAME_START.size))
+        voltages = quiet_nans(np.frombuffer(data, "<f8", n_meas, _FRAME_START.size))
         start = _FRAME_START.size + voltages.nbytes
         (n_inj,) = _LENGTH.unpack_from(data, start)
-        currents = unsignalled(np.frombuffer(data, "<f8", n_inj, start + _COUNT.size))
+        currents = quiet_nans(np.frombuffer(data, "<f8", n_inj, start + _COUNT.size))
         start += _COUNT.size + currents.nbytes
         (length,) = _LENGTH.unpack_from(data, start)
     except (struct.error, ValueError) as error:
@@ -168,7 +168,7 @@ def encode_touch(
     sequence: int, at: float, stamp: int, mode: str, frames: Sequence[int], contacts: Sequence[Contact]
 ) -> bytes:
     """`ohmskin_msgs/msg/Touch`."""
-    encoder = Encoder().stamp(stamp).put("Qd", sequence, at).text(mode)
+    encoder = CdrEncoder().stamp(stamp).put("Qd", sequence, at).text(mode)
     encoder.array(np.array(frames, "u8")).put("I", len(contacts))
     for c in contacts:
         encoder.put(_CONTACT, *numbers(c, 2))
@@ -182,7 +182,7 @@ def decode_touch(data: bytes, names: Sequence[str] = components(2)) -> TouchReco
         data: The message.
         names: The numbers of its contacts in order, the id (int32) first: an older recording has fewer.
     """
-    decoder = Decoder(data)
+    decoder = CdrDecoder(data)
     stamp = decoder.stamp()
     sequence, at = decoder.take("Qd")
     mode, frames = decoder.text(), read_array(decoder, "u8")

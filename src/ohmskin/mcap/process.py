@@ -22,7 +22,7 @@ def main() -> None:
         return
     answer(ready=True)
 
-    def tell(**more: object) -> None:
+    def report(**more: object) -> None:
         answer(
             written=writer.disk.written,
             frames=writer.disk.frames,
@@ -31,7 +31,7 @@ def main() -> None:
             **more,
         )
 
-    told = time.monotonic()
+    reported = time.monotonic()
     buffer = bytearray()
     while True:
         ready, _, _ = select.select([0], [], [], writer.wait)
@@ -53,11 +53,11 @@ def main() -> None:
             writer.flush()
         elif writer.disk.trouble:
             writer.disk.commit()
-        if time.monotonic() - told > 0.2:
-            told = time.monotonic()
-            tell()
+        if time.monotonic() - reported > 0.2:
+            reported = time.monotonic()
+            report()
     writer.close()
-    tell(closed=True)
+    report(closed=True)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from importlib import import_module
 from math import isfinite
 
 from ohmskin.child import Child, begin
-from ohmskin.client.cdr import Decoder
+from ohmskin.client.cdr import CdrDecoder
 from ohmskin.client.joints import JointStates
 from ohmskin.closing import Closing
 from ohmskin.errors import OhmskinError, PublishError
@@ -55,7 +55,7 @@ class JointMerger:
                 log.warning("joint states are ignored: %s", error)
 
     def _decoded(self, message: bytes, since: float) -> dict[str, tuple[float, float]]:
-        decoder = Decoder(message)
+        decoder = CdrDecoder(message)
         age = time.time() - since - decoder.stamp() * 1e-9
         at = time.monotonic() - (age if 0 < age < _OTHER_CLOCK else 0.0)
         decoder.text()

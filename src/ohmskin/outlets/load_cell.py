@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import serial
 
-from ohmskin.client.cdr import Decoder
+from ohmskin.client.cdr import CdrDecoder
 from ohmskin.errors import DataError, DeviceLost, PublishError
 from ohmskin.outlets.joints import subscribe
 from ohmskin.outlets.outlet import check_outlet
@@ -38,7 +38,7 @@ def open_load_cell(source: str, topic: str, report: Callable[[float], None]) -> 
 
     def take(message: bytes) -> None:
         try:
-            decoder = Decoder(message)
+            decoder = CdrDecoder(message)
             decoder.stamp()
             decoder.text()
             report(math.hypot(*decoder.take("ddd")))

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
-from ohmskin.client.cdr import Encoder
-from ohmskin.client.contacts import Contact, Contacts, wrench
+from ohmskin.client.cdr import CdrEncoder
+from ohmskin.client.contacts import Contacts, PlacedContact, wrench
 from ohmskin.client.fields import components, numbers
 
 _FLOAT32 = 7  # of sensor_msgs/PointField
@@ -19,7 +19,11 @@ def encode_contacts(merged: Contacts) -> bytes:
     frames = {patch.frame for patch in merged.patches}
     frame = frames.pop() if len(frames) == 1 else ""
     encoder = (
-        Encoder().stamp(merged.stamp).text(frame).put("QQ", merged.boot, merged.sequence).put("I", len(merged.patches))
+        CdrEncoder()
+        .stamp(merged.stamp)
+        .text(frame)
+        .put("QQ", merged.boot, merged.sequence)
+        .put("I", len(merged.patches))
     )
     for patch in merged.patches:
         encoder.text(patch.patch).text(patch.frame).stamp(patch.stamp).put("Q", patch.sequence).text(patch.mode)
@@ -30,7 +34,7 @@ def encode_contacts(merged: Contacts) -> bytes:
     return encoder.done()
 
 
-def encode_wrench(contacts: Sequence[Contact], frame: str, stamp: int) -> bytes:
+def encode_wrench(contacts: Sequence[PlacedContact], frame: str, stamp: int) -> bytes:
     """`geometry_msgs/msg/WrenchStamped`: what contacts push their link with, and the torque about the link's origin.
 
     Args:
@@ -39,12 +43,12 @@ def encode_wrench(contacts: Sequence[Contact], frame: str, stamp: int) -> bytes:
         stamp: ns since 1970.
     """
     force, torque = wrench(contacts)
-    return Encoder().stamp(stamp).text(frame).put("dddddd", *force, *torque).done()
+    return CdrEncoder().stamp(stamp).text(frame).put("dddddd", *force, *torque).done()
 
 
 def encode_joints(positions: Mapping[str, float], stamp: int) -> bytes:
     """`sensor_msgs/msg/JointState`: positions alone (rad, m)."""
-    encoder = Encoder().stamp(stamp).text("").put("I", len(positions))
+    encoder = CdrEncoder().stamp(stamp).text("").put("I", len(positions))
     for name in positions:
         encoder.text(name)
     for values in (list(positions.values()), [], []):
@@ -55,7 +59,7 @@ def encode_joints(positions: Mapping[str, float], stamp: int) -> bytes:
 def encode_transforms(root: str, poses: Mapping[str, Sequence[float]], stamp: int) -> bytes:
     """`tf2_msgs/msg/TFMessage`: the poses (16,) of links in the frame of the root, row by row (m)."""
     links = {name: np.reshape(pose, (4, 4)) for name, pose in poses.items() if name != root}
-    encoder = Encoder().put("I", len(links))
+    encoder = CdrEncoder().put("I", len(links))
     for name, pose in links.items():
         turn = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True)
         encoder.stamp(stamp).text(root).text(name).put("ddddddd", *pose[:3, 3], *turn)
@@ -73,7 +77,7 @@ def encode_cloud(pixels: Floats, places: Floats, frame: str, stamp: int) -> byte
     """
     inside = np.isfinite(pixels)
     points = np.column_stack([places[inside], pixels[inside]]).astype("<f4")
-    encoder = Encoder().stamp(stamp).text(frame).put("II", 1, len(points)).put("I", 4)
+    encoder = CdrEncoder().stamp(stamp).text(frame).put("II", 1, len(points)).put("I", 4)
     for number, name in enumerate(("x", "y", "z", "change")):
         encoder.text(name).put("IBI", 4 * number, _FLOAT32, 1)
     encoder.put("?II", False, 16, 16 * len(points)).array(points.view("u1").ravel())

@@ -13,8 +13,8 @@ import numpy as np
 
 from ohmskin.child import begin
 from ohmskin.client.board import BoardReader
-from ohmskin.client.cdr import Decoder
-from ohmskin.client.contacts import Contact, Contacts, Patch, SharedMemory
+from ohmskin.client.cdr import CdrDecoder
+from ohmskin.client.contacts import Contacts, Patch, PlacedContact, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.client.remote import prefix
 from ohmskin.errors import OhmskinError
@@ -89,7 +89,7 @@ class Relay:
         self._due = now + picture_every
         for board in self._health:
             if (told := board.newest()) is not None:
-                self._send(_DIAGNOSTICS, Decoder(told).stamp(), told)
+                self._send(_DIAGNOSTICS, CdrDecoder(told).stamp(), told)
         if merged.contacts or self._marked:
             self._send(self._markers, merged.stamp, encode_markers(merged.contacts, patches, merged.stamp))
             self._marked = bool(merged.contacts)
@@ -122,7 +122,7 @@ class Relay:
 
 def wrenches(
     merged: Contacts, patches: Sequence[Patch], links: Iterable[str]
-) -> Iterator[tuple[str, int, list[Contact]]]:
+) -> Iterator[tuple[str, int, list[PlacedContact]]]:
     """Links, with the time (ns) and all the contacts that push them: none when nothing does; no link of which that is
     not known."""
     telling = {patch.name for patch in patches if patch.newtons}

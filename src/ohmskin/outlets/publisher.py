@@ -11,14 +11,13 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.client.board import Board
-from ohmskin.client.contacts import LARGEST, Contacts, Patch, PatchState, merged, pack
-from ohmskin.client.contacts import Contact as Placed
+from ohmskin.client.contacts import LARGEST, Contacts, Patch, PatchState, PlacedContact, merged, pack
 from ohmskin.closing import Closing
 from ohmskin.contacts import in_frame
 from ohmskin.engine import Touch
 from ohmskin.errors import DataError, PublishError
 from ohmskin.geometry import Disc, Polygon, Raster
-from ohmskin.geometry.holes import Holed, clipped, whole
+from ohmskin.geometry.holes import Holed, clipped, without_holes
 from ohmskin.mcap.standard import encode_health
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.relay import RelayProcess
@@ -87,7 +86,7 @@ class Publisher(Closing):
             self._health.write(encode_health(*told))
         self._relay.wake()
 
-    def repeat(self, seen: PatchState, contacts: Sequence[Placed]) -> None:
+    def repeat(self, seen: PatchState, contacts: Sequence[PlacedContact]) -> None:
         """Publish contacts of before, `seen` then."""
         self._board.write(pack(merged(seen.sequence, [seen], contacts, self._board.boot), [self.patch]))
 
@@ -126,7 +125,7 @@ def check_settings(token: str | None, images: float) -> None:
 
 def describe_domain(skin: Skin) -> dict[str, Any]:
     """The sheet's outline as boards and pages have it (m)."""
-    domain, shape = skin.domain, whole(skin.domain)
+    domain, shape = skin.domain, without_holes(skin.domain)
     holes = [hole.vertices for hole in shape.holes] if isinstance(shape, Polygon) else []
     for hole in domain.cutouts if isinstance(domain, Holed) else ():
         corners, period = hole.polygon.vertices, domain.period  # round a band, in two parts where it lies on the seam

@@ -14,7 +14,7 @@ from ohmskin.errors import DataError
 from ohmskin.geometry import Mesh, mesh_domain
 from ohmskin.geometry.mesh import folded
 from ohmskin.geometry.surface import closed_walks
-from ohmskin.geometry.wrap import cut_open, laid_flat, node_stretches, seam_of
+from ohmskin.geometry.wrap import cut_open, flattened, node_stretches, seam_of
 from ohmskin.plot.colours import SIGNED
 from ohmskin.skin import Skin
 
@@ -60,7 +60,7 @@ class Pattern:
         stretch, laid = np.ones((mesh.n_nodes, 2)), mesh
         if not chart.flat:
             surface = mesh.mapped(lambda nodes: chart.points(nodes + shift))
-            unrolled = laid_flat(surface)
+            unrolled = flattened(surface)
             stretch = np.exp(np.linalg.eigvalsh(node_stretches(mesh, surface, unrolled)))
             unrolled = unrolled * np.sqrt(domain.area / surface.measures.sum())  # triangles are chords
             z, map_ = (nodes - nodes.mean(axis=0) for nodes in (unrolled, mesh.nodes))

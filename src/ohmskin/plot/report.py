@@ -20,7 +20,7 @@ _PROSE = 40  # characters from which on a cell is a sentence, which may take sev
 
 
 @dataclass(frozen=True)
-class Picture:
+class ReportPicture:
     """A picture and the caption that makes it stand alone."""
 
     name: str
@@ -38,11 +38,11 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Image:
+class ReportImage:
     """A picture with its caption; `label` stands before the caption, or for the picture where that cannot be seen."""
 
     label: str
-    picture: Picture
+    picture: ReportPicture
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Folded:
 
 
 # a text is a paragraph of Markdown: *emphasis*, **strong**, `code`, > quotation, ### heading
-Block = str | Table | Image | Folded
+Block = str | Table | ReportImage | Folded
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _html(block: Block) -> str:
         table = f"<table class='{kind}'><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
         label = escape(f"Table: {', '.join(filter(None, block.head))}", quote=True)
         return f"<div class='wide' tabindex='0' role='group' aria-label='{label}'>{table}</div>"  # keys scroll it
-    if isinstance(block, Image):
+    if isinstance(block, ReportImage):
         data, caption = base64.b64encode(block.picture.path.read_bytes()).decode(), escape(block.picture.caption)
         image = f"<img alt='{escape(block.picture.caption, quote=True)}' src='data:image/png;base64,{data}'>"
         return f"<figure>{image}<figcaption><b>{block.label}.</b> {caption}</figcaption></figure>"
@@ -157,7 +157,7 @@ def _markdown_section(section: Section, folder: Path) -> Iterable[str]:
         if isinstance(block, Table):
             lines = [block.head, ["---"] * len(block.head), *block.rows]
             yield "\n".join("| " + " | ".join(map(_markdown_cell, line)) + " |" for line in lines)
-        elif isinstance(block, Image):
+        elif isinstance(block, ReportImage):
             yield f"![{block.label}]({os.path.relpath(block.picture.path, folder)})\n\n*{block.picture.caption}*"
         elif isinstance(block, Folded):
             raise TypeError("Markdown has no folded blocks; give the blocks themselves")

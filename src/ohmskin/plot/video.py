@@ -19,12 +19,12 @@ from ohmskin.sensing import Percept
 _INCHES, _DPI = (6.4, 5.6), 100
 
 
-def side_by_side(seen: Mapping[str, tuple[TransferModel, Percept]]) -> Figure:
+def side_by_side(percepts: Mapping[str, tuple[TransferModel, Percept]]) -> Figure:
     """Images with their contacts, each under its title, each with colours of its own."""
-    figure = Figure(figsize=(1 + 4.2 * len(seen), 4.2), layout="constrained")
+    figure = Figure(figsize=(1 + 4.2 * len(percepts), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, (title, (model, percept)) in zip(
-        figure.subplots(1, len(seen), squeeze=False)[0], seen.items(), strict=True
+        figure.subplots(1, len(percepts), squeeze=False)[0], percepts.items(), strict=True
     ):
         limit = full_scale(percept)
         shown = draw_image(axes, model.mesh, percept.image.values, model.electrodes, percept.detections, limit)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.body import Body, SelfTouch
-from ohmskin.client.contacts import Contact
+from ohmskin.client.contacts import PlacedContact
 from ohmskin.contacts import in_frame
 from ohmskin.device import connect
 from ohmskin.engine import Engine, Touch
@@ -47,7 +47,7 @@ class Sensed:
 
     patch: int
     place: tuple[float, float]
-    contact: Contact
+    contact: PlacedContact
     push: Push | None
 
     @property
@@ -100,11 +100,9 @@ class Demonstration:
         if strategy not in STRATEGIES:
             raise ModelError(f"no strategy {strategy!r}; choose from {', '.join(STRATEGIES)}")
         self.body, self.engines, self.strategy, self.computing = body, tuple(engines), STRATEGIES[strategy], computing
-        untold = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
-        if self.strategy.needs_force and untold:
-            raise ModelError(
-                f"strategy {strategy!r} needs newtons; calibrate skin {untold[0]!r} with `ohmskin calibrate`"
-            )
+        uncalibrated = [placed.patch.name for placed in body.patches if not placed.patch.newtons]
+        if self.strategy.needs_force and uncalibrated:
+            raise ModelError(f"{strategy!r} needs newtons; calibrate skin {uncalibrated[0]!r} with `ohmskin calibrate`")
         self.simulation = RobotSimulation(body)
         self._self_touch = SelfTouch(body)
         self._links = {placed.patch.name: placed.patch.frame for placed in body.patches}
@@ -311,7 +309,7 @@ class Demonstration:
         return sum(engine.device.capabilities.scan_time(frame.pattern) for frame in touch.percept.frames)
 
     def _command(self, sensed: Sequence[Sensed]) -> None:
-        """Answer where others touch, by the robot's strategy; without newtons a place that gives way withdraws."""
+        """Answer where others touch, by its strategy; without newtons a place that gives way withdraws."""
         touched = [one for one in sensed if not one.contact.self_touch]
         if self.strategy.returns is not None:
             self._offset *= np.exp(-self._elapsed / self.strategy.returns)

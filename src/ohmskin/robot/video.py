@@ -51,7 +51,7 @@ class SkinMap:
         truth: dict[str, Any] = {"color": _TRUE, "markersize": 26 * size}
         felt: dict[str, Any] = {"markersize": 22 * size}
         (self._truth,) = axes.plot([], [], "o", fillstyle="none", label="true contact", **truth)
-        (self._felt,) = axes.plot([], [], "+w", markeredgewidth=5 * size, label="sensed contact", **felt)
+        (self._sensed,) = axes.plot([], [], "+w", markeredgewidth=5 * size, label="sensed contact", **felt)
         if alone:
             axes.set_xlabel("mm")
             look: dict[str, Any] = {"labelcolor": "white", "facecolor": "black", "markerscale": 0.4}
@@ -73,7 +73,7 @@ class SkinMap:
         truth = [1e3 * push.place for push in moment.pushes if push.patch == number]
         felt = [1e3 * np.array(one.place) for one in moment.sensed if one.patch == number]
         self._truth.set_data(*np.reshape(truth, (-1, 2)).T)
-        self._felt.set_data(*np.reshape(felt, (-1, 2)).T)
+        self._sensed.set_data(*np.reshape(felt, (-1, 2)).T)
 
     def coloured(self, simulation: RobotSimulation, link: str) -> Iterator[tuple[Floats, Floats]]:
         """Points (3,) of the skin in the world where it feels something, and their colours (RGBA)."""

@@ -74,7 +74,9 @@ def assess(quiet: Sequence[Frame], frames: Sequence[Frame] = ()) -> Quality:
     )
 
 
-def _blame(pattern: DrivePattern, squares: Floats, factor: float, floor: float) -> tuple[dict[int, float], float]:
+def _inconsistent_electrodes(
+    pattern: DrivePattern, squares: Floats, factor: float, floor: float
+) -> tuple[dict[int, float], float]:
     """Electrodes whose rms is above `factor` times that of the rest and above `floor`, with their rms; and the rest's.
 
     `squares` (n_meas,) are independent of each other, such as the variances of repeated measurements.
@@ -92,22 +94,22 @@ def _blame(pattern: DrivePattern, squares: Floats, factor: float, floor: float) 
         out.append(worst)
         kept = rest
     core = float(np.sqrt(np.mean(squares[kept]))) if kept.any() else 0.0
-    guilty = {}
+    inconsistent = {}
     for e in reversed(out):  # the least guilty first
         own = known & involved[e] & ~pattern.uses([other for other in out if other != e])
         level = float(np.sqrt(np.mean(squares[own]))) if own.any() else 0.0
         if level > max(factor * core, floor):
-            guilty[e] = level
+            inconsistent[e] = level
         else:
             out.remove(e)
-    return guilty, core
+    return inconsistent, core
 
 
 def _unmeasured(group: Repeats) -> Iterator[Verdict]:
     """Electrodes most of whose values are NaN or infinite."""
     volts = np.stack([frame.voltages for frame in group.frames])
-    guilty, _ = _blame(group.pattern, (~np.isfinite(volts)).mean(axis=0) ** 2, 0.0, _MISSING)
-    for e in guilty:
+    inconsistent, _ = _inconsistent_electrodes(group.pattern, (~np.isfinite(volts)).mean(axis=0) ** 2, 0.0, _MISSING)
+    for e in inconsistent:
         own = volts[:, group.pattern.uses(e)]
         clipped, missing = np.isinf(own).mean(), np.isnan(own).mean()
         kind, what = ("clipped", "at the end of the converter's range") if clipped > missing else ("missing", "missing")
@@ -179,8 +181,8 @@ def _scatter(group: Repeats) -> Iterator[Verdict]:
     if len(group.frames) < 2:
         return
     floor = FLOOR * rms(group.voltages)
-    guilty, core = _blame(group.pattern, group.scatter, _SCATTER, _SCATTER * floor)
-    for e, scatter in guilty.items():
+    inconsistent, core = _inconsistent_electrodes(group.pattern, group.scatter, _SCATTER, _SCATTER * floor)
+    for e, scatter in inconsistent.items():
         excess = scatter / max(core, floor)
         words = f"its values scatter by {in_words(scatter)} at rest, {excess:.0f} times the others'"
         if scatter > NOISE_SHARE * rms(group.voltages[:, group.pattern.uses(e)]):
@@ -199,8 +201,8 @@ def _drift(group: Repeats) -> Iterator[Verdict]:
     change = known_mean(volts[-third:]) - known_mean(volts[:third])
     noise = 2 * group.scatter / third  # of such a change squared, were there only noise
     floor = FLOOR * rms(volts)
-    guilty, core = _blame(group.pattern, change**2, _SCATTER, _SCATTER * floor)
-    for e, wander in guilty.items():
+    inconsistent, core = _inconsistent_electrodes(group.pattern, change**2, _SCATTER, _SCATTER * floor)
+    for e, wander in inconsistent.items():
         if wander <= _SCATTER * rms(np.sqrt(noise[group.pattern.uses(e)])):
             continue  # a noisy electrode, not a drifting one
         excess = wander / max(core, floor)

@@ -25,7 +25,7 @@ _SIGNS = np.array([0.5, 0.5, -0.5, -0.5])
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentErrors:
     """Errors of an instrument.
 
     Args:
@@ -83,7 +83,7 @@ class NetworkData:
         known: (n_meas,) which of them are finite.
     """
 
-    def __init__(self, scans: Sequence[Difference], n_elec: int, instrument: Instrument) -> None:
+    def __init__(self, scans: Sequence[Difference], n_elec: int, instrument: InstrumentErrors) -> None:
         patterns = tuple(scan.pattern for scan in scans)
         whole = joined(patterns)
         self.quadruples, self._driven = whole.quadruples, whole.driven

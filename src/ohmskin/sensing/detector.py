@@ -15,7 +15,7 @@ from scipy.special import chdtri
 
 from ohmskin.arrays import Bools, Floats, changed
 from ohmskin.scan import Difference, Frame, newest
-from ohmskin.scan.coherence import Coherence, Instrument, NetworkData
+from ohmskin.scan.coherence import Coherence, InstrumentErrors, NetworkData
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset, without_spikes
@@ -43,7 +43,7 @@ class FaultDetector:
 
     def __init__(self, known: SkinModel, window: int = 0) -> None:
         self._known, self._window, self._n_elec = known, window, len(known.skin.electrodes)
-        self._instrument = Instrument(known.white, known.gain, _MODEL)
+        self._instrument = InstrumentErrors(known.white, known.gain, _MODEL)
         self._most = int(_MOST_BAD * self._n_elec)
         # near pairs all over a large skin measure next to nothing twice, and a network of all of them takes seconds
         self._redundant = known.pairs.whole
@@ -95,7 +95,9 @@ class FaultDetector:
                 causes.add(remedy.cause)
                 repaired = _repaired(looked, remedy)
                 cleaned = cleaned if remedy.cause.electrodes else repaired[: len(scans)]
-        elif self._redundant and Cause("offset") in before.lately:  # hum is nothing twice a period: not doubted then
+        elif (
+            self._redundant and Cause("offset") in before.recent_causes
+        ):  # hum is nothing twice a period: not doubted then
             data, kept, _ = self._data(looked, before.bad)
             remedy = without_offset(data, kept, self._times(looked))
             cleaned = cleaned if remedy is None else _repaired(scans, remedy)
@@ -158,7 +160,7 @@ class FaultDetector:
         data, kept, whole = self._data(scans, before.bad)
         if before.unresolved >= _EAGER and before.unresolved % _PATIENCE:
             return None, whole.noise
-        times, hum = self._times(scans), Cause("offset") in before.lately
+        times, hum = self._times(scans), Cause("offset") in before.recent_causes
         remedy = without_offset(data, kept, times) if self._window or hum else None  # mostly it lasts
         if self._window and remedy is None:
             remedy = without_spikes(data, kept)

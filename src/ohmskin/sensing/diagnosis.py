@@ -77,14 +77,14 @@ class Diagnosis:
     without_data: float = 0.0
 
     @property
-    def lately(self) -> set[Cause]:
+    def recent_causes(self) -> set[Cause]:
         """What was wrong within the last second."""
         return {cause for cause, times in self.occurrences.items() if self.time - times[-1] < _WITHIN}
 
     @property
     def troubled(self) -> bool:
         """Whether anything was wrong lately."""
-        return bool(self.findings or self.bad or self.lately)
+        return bool(self.findings or self.bad or self.recent_causes)
 
     def with_causes(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
         """The same with the causes to report: seen several times lately, or reported before and not long gone.
@@ -101,8 +101,8 @@ class Diagnosis:
         }
         occurrences |= {cause: (*occurrences.get(cause, ())[1 - _CONFIRMED :], self.time) for cause in causes}
         before = {finding.cause for finding in self.findings} | confirmed
-        lately = {cause: times for cause, times in occurrences.items() if self.time - times[-1] < HELD}
-        causes = {cause for cause, times in lately.items() if len(times) >= _CONFIRMED or cause in before}
+        recent_causes = {cause: times for cause, times in occurrences.items() if self.time - times[-1] < HELD}
+        causes = {cause for cause, times in recent_causes.items() if len(times) >= _CONFIRMED or cause in before}
         findings = tuple(Finding(cause, self._words(cause, noise)) for cause in sorted(causes))
         return replace(self, occurrences=occurrences, findings=findings)
 

@@ -239,12 +239,12 @@ class PressFollower:
     def _stepped(self, fit: Fit, data: NormalEquations) -> list[Fit]:
         """A fit closer to the data: solved for, if that is near to where it is linear, else evaluated there."""
         fitter = self.fitter
-        cost, normal, gradient = fitter.weighed(data, fit.params, fit.caused, fit.slopes)
+        cost, normal, gradient = fitter.cost(data, fit.params, fit.caused, fit.slopes)
         step = _step(normal, gradient, fit.damping)
         if not _near(step):
             if not (after := self._evaluated(fitter.moved(fit.params, step))):
                 return []
-            trial = fitter.weighed(data, after[0].params, after[0].caused, after[0].slopes)
+            trial = fitter.cost(data, after[0].params, after[0].caused, after[0].slopes)
             if trial[0] < cost:
                 cost, normal, gradient = trial
                 fit = replace(after[0], damping=fit.damping / 8, found=fit.found, covariance=fit.covariance)
@@ -279,7 +279,7 @@ class PressFollower:
         return estimates
 
 
-class ForceCurve:
+class CalibratedForces:
     """Forces by the curve of a calibration: of what was pressed then. What is wider or narrower gets a wrong force.
 
     Args:
@@ -306,7 +306,7 @@ def forces_of(known: SkinModel, mode: Mode) -> Forces | None:
     calibration = known.skin.calibration
     if calibration.layer_conductance:
         return PressFollower(PressFitter(known), known.skin.imaging.pairs)
-    return ForceCurve(known) if calibration.forces and calibration.mode == mode.name else None
+    return CalibratedForces(known) if calibration.forces and calibration.mode == mode.name else None
 
 
 def _step(normal: Floats, gradient: Floats, damping: float) -> Floats:

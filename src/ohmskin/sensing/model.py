@@ -12,7 +12,7 @@ from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import TransferModel
 from ohmskin.inverse import GaussNewton
-from ohmskin.inverse.estimators import ESTIMATORS, Estimator, FrameWise, Settings
+from ohmskin.inverse.estimators import ESTIMATORS, Estimator, EstimatorSettings, FrameWise
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Pairs, Quality
 from ohmskin.scan.pairs import in_series, pairs_measured
 from ohmskin.sensing.quiet import QuietScans
@@ -179,7 +179,7 @@ class SkinModel:
         key = name, prior, rule
         if key not in self._estimators:
             imaging = self.skin.imaging
-            settings = Settings(
+            settings = EstimatorSettings(
                 self.model, self.noise, prior, rule, imaging.amplitude, imaging.model_error, imaging.bipolar
             )
             self._estimators[key] = ESTIMATORS[name](settings)

@@ -98,10 +98,8 @@ class FittedLayer:
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this layer."""
         stds = self.conductance_std, self.exponent_std
-        changed = replace(
-            calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds
-        )
-        return replace(changed, layer_hysteresis=self.hysteresis)
+        own = replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds)
+        return replace(own, layer_hysteresis=self.hysteresis)
 
 
 class PressFitter:
@@ -245,7 +243,7 @@ class PressFitter:
 
     def _fitted(self, data: NormalEquations, start: Floats) -> tuple[Floats, float, Floats]:
         """The parameters (4 n,) of presses near `start` that explain data best, their cost and its curvature."""
-        return _minimised(start, lambda params: self.weighed(data, params, *self.caused(params)), self.moved)
+        return _minimised(start, lambda params: self.cost(data, params, *self.caused(params)), self.moved)
 
     def moved(self, params: Floats, step: Floats) -> Floats:
         """Parameters `params` (4 n,) after a `step` (4 n,), as far as one may go."""
@@ -281,7 +279,7 @@ class PressFitter:
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
-    def weighed(
+    def cost(
         self, data: NormalEquations, params: Floats, caused: Floats, slopes: Floats
     ) -> tuple[float, Floats, Floats]:
         """Cost, curvature, downhill gradient in `data`; `params` as for `caused`, `caused` and `slopes` as of it."""

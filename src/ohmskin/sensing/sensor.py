@@ -213,7 +213,7 @@ class Sensor:
         if belief.detections and belief is not state.belief and isinstance(self.reader, DetectionReader):  # unjudged
             data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
             belief = belief.with_image_misfit(state.belief.unexplained if judged else image_misfit(self.known, data))
-        if diagnosis.lately:
+        if diagnosis.recent_causes:
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)
         if self.forces is not None and _any_known(scans):
@@ -223,7 +223,7 @@ class Sensor:
         contacts = self.total(contacts, measured.frames)
         turn = state.turn + len(measured.frames)
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
-        if _SPIKES in diagnosis.lately:  # one more may look like a light touch, for one frame
+        if _SPIKES in diagnosis.recent_causes:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
         reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
         return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis)

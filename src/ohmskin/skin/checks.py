@@ -85,7 +85,7 @@ def is_hole(given: Any) -> bool:
     return all(_is_row(2, corner) for corner in given) or _is_row(3, given)
 
 
-def beside(folder: Path, name: Any, what: str, other: str) -> Path:
+def sibling_path(folder: Path, name: Any, what: str, other: str) -> Path:
     """A file that another file names: it must lie in that one's folder.
 
     Raises:
@@ -109,32 +109,32 @@ def check_table(table: str, values: Any) -> None:
         SkinError: If one is not like that; it names the entry.
     """
     for entry in fields(values):
-        value, name, told = getattr(values, entry.name), f"{table}.{entry.name}", entry.metadata
+        value, name, bounds = getattr(values, entry.name), f"{table}.{entry.name}", entry.metadata
         expected: Any = get_origin(entry.type) or entry.type
         if expected is tuple:
-            row = told.get("row", _PLACE)
+            row = bounds.get("row", _PLACE)
             fits: Any = partial(_is_row, row.count(",", 0, row.index("]")) + 1)
             what = row
-            if "low" in told:
-                fits, what = partial(_within, told), f"numbers, each {_range(told)}"
+            if "low" in bounds:
+                fits, what = partial(_within, bounds), f"numbers, each {_range(bounds)}"
             elif row == _HOLE:
                 fits = is_hole
             if not (isinstance(value, tuple) and all(map(fits, value))):
                 raise SkinError(f"{name} must be a list of {what}")
         elif not (is_number(value) if expected is float else type(value) is expected):
             raise SkinError(f"{name} is {shown(value)}; it must be {_TYPES[expected]}")
-        elif value not in (choices := told.get("choices", (value,))):
+        elif value not in (choices := bounds.get("choices", (value,))):
             raise SkinError(f"{name} is {shown(value)}; choose from {', '.join(choices)}")
-        elif "low" in told and not _within(told, value):
-            raise SkinError(f"{name} is {shown(value)}; it must be {_range(told)}")
+        elif "low" in bounds and not _within(bounds, value):
+            raise SkinError(f"{name} is {shown(value)}; it must be {_range(bounds)}")
 
 
-def _within(told: Any, value: Any) -> bool:
-    return is_number(value) and bool(told["low"] <= value <= told["high"])  # false for nan, too
+def _within(bounds: Any, value: Any) -> bool:
+    return is_number(value) and bool(bounds["low"] <= value <= bounds["high"])  # false for nan, too
 
 
-def _range(told: Any) -> str:
-    return f"{told['low']:g} to {told['high']:g} {told['unit']}".rstrip()
+def _range(bounds: Any) -> str:
+    return f"{bounds['low']:g} to {bounds['high']:g} {bounds['unit']}".rstrip()
 
 
 def check_expense(domain: Domain, pairs: int, size: float) -> None:

@@ -10,7 +10,7 @@ from ohmskin.drive import arranged
 from ohmskin.errors import GeometryError, SkinError
 from ohmskin.geometry import Band, Chart, Domain, Electrodes, Rectangle
 from ohmskin.geometry.band import Edge
-from ohmskin.geometry.holes import whole
+from ohmskin.geometry.holes import without_holes
 from ohmskin.geometry.spread import spread
 from ohmskin.skin.checks import choice, number, places
 
@@ -52,7 +52,7 @@ class ElectrodeLayout:
             return arranged(domain, spread(domain, self.count, chart.scale))
         if self.layout == "listed":
             return arranged(domain, np.array(self.positions, float))
-        if isinstance(shape := whole(domain), Rectangle | Band) and self.layout == "grid":
+        if isinstance(shape := without_holes(domain), Rectangle | Band) and self.layout == "grid":
             return Electrodes.grid(shape, self.columns, self.rows, self.inset)
         return Electrodes.rim(domain, self.count, self.start, self.clockwise)
 
@@ -60,7 +60,7 @@ class ElectrodeLayout:
         """Raise SkinError if the layout does not fit the sheet, or positions are given that it does not take."""
         domain = chart.domain
         if self.layout == "grid":
-            if not isinstance(whole(domain), Rectangle | Band):
+            if not isinstance(without_holes(domain), Rectangle | Band):
                 told = 'electrode.layout is "grid", which needs a rectangle or a sleeve'
                 raise SkinError(f'{told}; use "rim", "even" or "listed"')
             if domain.holes:
@@ -88,12 +88,12 @@ class ElectrodeLayout:
             raise SkinError(f"electrode.positions: {error}") from None
 
 
-def _check_holes(domain: Domain, positions: Floats, told: str) -> None:
-    """Raise SkinError if one of positions (n, 2) lies in a hole; it is `told` by number and place."""
+def _check_holes(domain: Domain, positions: Floats, what: str) -> None:
+    """Raise SkinError if one of positions (n, 2) lies in a hole; it is `what` by number and place."""
     for hole in domain.holes:
         depth = np.full(len(positions), -1.0) if isinstance(hole, Edge) else hole.depth(positions)
         if depth.max(initial=-1.0) > 1e-6:
             k = int(np.argmax(depth))
             place = [round(value, 6) for value in positions[k].tolist()]
-            inside = f"{told.format(k, place)}, {depth[k]:.3g} m inside a hole"
+            inside = f"{what.format(k, place)}, {depth[k]:.3g} m inside a hole"
             raise SkinError(f'{inside}; move it or the hole, or use electrode.layout = "even", which goes round holes')

@@ -10,12 +10,12 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError, SkinError
 from ohmskin.geometry import Chart, Disc, FlatChart, MeshChart, Polygon, Rectangle, RevolutionChart
 from ohmskin.geometry.files import joined_nodes
-from ohmskin.geometry.holes import Hole, pierced
+from ohmskin.geometry.holes import Hole, with_holes
 from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.regions import read_triangles
 from ohmskin.geometry.surface import cut_off, grown, pieces
 from ohmskin.geometry.wrap import Wrap
-from ohmskin.skin.checks import beside, check_table, choice, cutouts, number, numbers, places, rows
+from ohmskin.skin.checks import check_table, choice, cutouts, number, numbers, places, rows, sibling_path
 from ohmskin.skin.surface import surface_of, surface_text
 from ohmskin.skin.urdf import link_mesh
 
@@ -87,7 +87,7 @@ class Sheet:
             SkinError: If the file cannot be read or lies elsewhere, or there is nothing left of it.
         """
         check_table("sheet", self)
-        path = beside(folder, self.file, "sheet.file", "skin file")
+        path = sibling_path(folder, self.file, "sheet.file", "skin file")
         try:
             surface = surface_text(self._cut_out(path, folder))
         except (GeometryError, SkinError) as error:
@@ -166,11 +166,11 @@ def _chart(sheet: Sheet) -> Chart:
     if sheet.shape == "mesh":
         return MeshChart(surface_of(sheet.surface), sheet.holes)
     if sheet.shape == "rectangle":
-        return FlatChart(pierced(Rectangle(sheet.width, sheet.height), sheet.holes))
+        return FlatChart(with_holes(Rectangle(sheet.width, sheet.height), sheet.holes))
     if sheet.shape == "disc":
-        return FlatChart(pierced(Disc(sheet.radius), sheet.holes))
+        return FlatChart(with_holes(Disc(sheet.radius), sheet.holes))
     if sheet.shape == "polygon":
-        return FlatChart(pierced(Polygon(sheet.outline), sheet.holes))
+        return FlatChart(with_holes(Polygon(sheet.outline), sheet.holes))
     if sheet.shape == "revolution":
         return RevolutionChart(sheet.profile, sheet.angle, sheet.holes)
     if sheet.shape in ("sphere", "ellipsoid"):

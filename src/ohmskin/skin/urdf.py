@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ohmskin.arrays import Floats
 from ohmskin.errors import SkinError
-from ohmskin.skin.checks import beside, read_text
+from ohmskin.skin.checks import read_text, sibling_path
 
 _LARGEST = 16 * 2**20
 _LISTED = 20
@@ -88,7 +88,7 @@ def link_mesh(path: Path, link: str, visual: str, folder: Path) -> LinkMesh:
     file = next((end for end in ends if end.is_file()), None)
     if file is None:
         raise SkinError(f"mesh {filename!r} of link {link!r} is not there; put it beside the skin file")
-    file = beside(folder, str(file.resolve()), "a mesh of the URDF file", "skin file")
+    file = sibling_path(folder, str(file.resolve()), "a mesh of the URDF file", "skin file")
     return LinkMesh(file, scale, pose_of(element))
 
 

@@ -12,7 +12,7 @@ from ohmskin.geometry.mesh import shortest
 
 
 @dataclass(frozen=True)
-class Track:
+class NeighbourTrack:
     """A contact followed over time: its newest sighting, how often it was seen and how often missed since."""
 
     contact: Contact
@@ -29,7 +29,7 @@ class Tracks:
         next_id: The id of the next new contact.
     """
 
-    tracks: tuple[Track, ...] = ()
+    tracks: tuple[NeighbourTrack, ...] = ()
     next_id: int = 1
 
 
@@ -68,9 +68,9 @@ class Tracker:
         for number, contact in enumerate(found):
             if number in track_of:
                 track = old[track_of[number]]
-                track = Track(changed(contact, id=track.contact.id), track.seen + 1)
+                track = NeighbourTrack(changed(contact, id=track.contact.id), track.seen + 1)
             else:
-                track = Track(contact)
+                track = NeighbourTrack(contact)
             if track.seen >= self.confirm:
                 if track.contact.id < 0:
                     track = changed(track, contact=changed(contact, id=next_id))

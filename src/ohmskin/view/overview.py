@@ -15,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from ohmskin.child import when_input_ends
 from ohmskin.client.board import BoardReader
-from ohmskin.client.contacts import Contact, Contacts, SharedMemory
+from ohmskin.client.contacts import Contacts, PlacedContact, SharedMemory
 from ohmskin.client.joints import LinkPoses
 from ohmskin.closing import Closing
 from ohmskin.errors import PublishError
@@ -192,7 +192,7 @@ class BoardsPage:
             await finger.close()
 
 
-def _shown(contact: Contact, x: float, y: float) -> dict[str, Any]:
+def _shown(contact: PlacedContact, x: float, y: float) -> dict[str, Any]:
     """A contact on its skin's map and in its link's frame."""
     names = ("id", "extent", "strength", "confidence", "normal", "force", "force_std", "self_touch")
     return {**{name: getattr(contact, name) for name in names}, "x": x, "y": y, "in": contact.position}

@@ -27,7 +27,7 @@ _LEAD = 8  # cycles seen unshown before a place that was sought; a contact is re
 _PATIENCE = 0.3  # s to wait for a browser that is to hear that the loop stands still for a while
 
 
-class Session(Closing):
+class PageSession(Closing):
     """An engine and the page that shows it.
 
     Args:
@@ -73,9 +73,9 @@ class Session(Closing):
         commands = [] if on_the_way else self.view.commands()
         for command in commands:
             try:
-                self._obey(command)
+                self._execute(command)
             except OhmskinError as error:
-                self._tell(str(error))
+                self._notify(str(error))
         if self._sought and any(command["type"] in ("seek", "step") for command in commands):
             return None
         if self._demo and self._engine.state is State.RUNNING:
@@ -100,7 +100,7 @@ class Session(Closing):
     def close(self) -> None:
         self.view.close()
 
-    def _obey(self, command: dict[str, Any]) -> None:
+    def _execute(self, command: dict[str, Any]) -> None:
         match command["type"]:
             case "press" if command["id"] in self._presses or self._engine.state is not State.LOST:
                 self._set_demo(False)
@@ -112,7 +112,7 @@ class Session(Closing):
             case "push":
                 x, y, radius = (command[name] for name in ("x", "y", "radius"))
                 per_pascal = Press((x, y), radius, 1.0).force(self._engine.skin.contact_layer.foam_spread)
-                self._obey({**command, "type": "press", "pressure": command["force"] / per_pascal})
+                self._execute({**command, "type": "press", "pressure": command["force"] / per_pascal})
             case "lift":
                 self._lift(command["id"])
             case "lift_all":
@@ -144,7 +144,7 @@ class Session(Closing):
             case "demo":
                 self._set_demo(command["on"] and self._engine.device.capabilities.virtual)
 
-    def _tell(self, note: str) -> None:
+    def _notify(self, note: str) -> None:
         self._note, self._note_until = note, time.monotonic() + _NOTE_SECONDS
 
     def _progress(self, share: float) -> None:
@@ -156,9 +156,9 @@ class Session(Closing):
         self._note_until = 0.0
         if self._engine.ready(mode):
             return
-        self._say(f"{mode.label}: estimator {mode.estimator}, prior {mode.prior}, rule {mode.rule}")
+        self._report(f"{mode.label}: estimator {mode.estimator}, prior {mode.prior}, rule {mode.rule}")
 
-    def _say(self, preparing: str) -> None:
+    def _report(self, preparing: str) -> None:
         """Say what the loop stands still for, before it does."""
         until = time.monotonic() + _PATIENCE
         while not self.view.wants_frame() and time.monotonic() < until:
@@ -169,7 +169,7 @@ class Session(Closing):
 
     def _save(self) -> None:
         """Save the newtons that guided presses say, and show the outcome on the page."""
-        self._say("newtons from the presses")
+        self._report("newtons from the presses")
         try:
             self._outcome = self._forces.save()
         except OhmskinError as error:
@@ -242,7 +242,7 @@ class Session(Closing):
                 if touch.percept.image is not touch.percept.base_image:
                     image = self._raster(touch.percept.image.values) * scale
             except ModelError as error:  # such as a rule that finds no parameter for these data
-                self._tell(str(error))
+                self._notify(str(error))
             except DataError:  # no data yet that are good for an image, such as just after a change of mode
                 pass
         self.view.publish(self._header(touch, scale), base, image)

@@ -80,17 +80,17 @@ class Discrimination(Bench):
         return self.usual_contact(*at, RADIUS, STRENGTH[self.world], times)
 
 
-def _dip(seen: View, contacts: Contacts) -> dict[str, Any]:
-    truth, places = ([contact.position for contact in each] for each in (contacts, seen.contacts))
+def _dip(view: View, contacts: Contacts) -> dict[str, Any]:
+    truth, places = ([contact.position for contact in each] for each in (contacts, view.contacts))
     return {"dip": len(places) > 1 if len(truth) == 1 else resolved(places, truth)}
 
 
-def _rates(seen: View, contacts: Contacts) -> dict[str, Any]:
+def _rates(view: View, contacts: Contacts) -> dict[str, Any]:
     truth = [contact.position for contact in contacts]
-    statistic, one, two = one_or_two(seen.setup.trusting_fitter, *seen.differences)
+    statistic, one, two = one_or_two(view.setup.trusting_fitter, *view.differences)
     caused = (one if len(truth) == 1 else two).caused
-    left = np.concatenate([d.volts - d.caused_by(caused) for d in seen.differences]) / seen.setup.noise
-    return _dip(seen, contacts) | {
+    left = np.concatenate([d.volts - d.caused_by(caused) for d in view.differences]) / view.setup.noise
+    return _dip(view, contacts) | {
         "statistic": statistic,
         "near": len(truth) == 2 and resolved(two.params[:, :2], truth),
         "chi_square": left @ left / (len(left) - 4 * len(truth)),

@@ -30,8 +30,8 @@ class Localisation(Bench):
         """Results: ``truth`` (n_places, 2) and `View.place`, ``estimate`` (n_methods, n_seeds, n_places, 2) (m)."""
         truth = places(self.side)
         cases = [(self.usual_contact(x, y),) for x, y in truth]
-        seen = self.read(self.methods, cases, self.seeds, lambda view, _: {"estimate": view.place})
-        return {"truth": truth, "estimate": np.ascontiguousarray(seen["estimate"].swapaxes(1, 2))}
+        view = self.read(self.methods, cases, self.seeds, lambda view, _: {"estimate": view.place})
+        return {"truth": truth, "estimate": np.ascontiguousarray(view["estimate"].swapaxes(1, 2))}
 
 
 @dataclass(frozen=True)

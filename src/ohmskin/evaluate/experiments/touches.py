@@ -45,11 +45,11 @@ class Touches(Bench):
         `View.place`.
         """
 
-        def look(seen: View, contacts: Contacts) -> dict[str, Any]:
-            error = matched_error(seen.contacts, contacts)
-            return {"pixels": seen.pixels, "count": len(seen.contacts), "error": error, "place": seen.place}
+        def measure(view: View, contacts: Contacts) -> dict[str, Any]:
+            error = matched_error(view.contacts, contacts)
+            return {"pixels": view.pixels, "count": len(view.contacts), "error": error, "place": view.place}
 
-        found = self.read(self.methods, self.cases, self.seeds, look)
+        found = self.read(self.methods, self.cases, self.seeds, measure)
         found = {name: np.ascontiguousarray(array.swapaxes(0, 1)) for name, array in found.items()}
         return found | {"pixels": found["pixels"][:, :, 0]}
 
@@ -82,8 +82,8 @@ class Sections(Bench):
         """
         x = self.setup("grid").raster.x
 
-        def cut(seen: View, _: Contacts) -> dict[str, Any]:
-            profile = np.array([np.interp(self.contact.position[1], seen.raster.y, line) for line in seen.pixels.T])
+        def cut(view: View, _: Contacts) -> dict[str, Any]:
+            profile = np.array([np.interp(self.contact.position[1], view.raster.y, line) for line in view.pixels.T])
             peak, at, width = peak_and_width(x, profile)
             return {"profile": profile, "peak": peak, "at": at, "width": width}
 
@@ -131,17 +131,17 @@ class Merits(Bench):
         strength = self.contact.area * (self.contact.strength if self.world == "discs" else 1.0)
         target = Target(self.contact.position, strength)
 
-        def judge(seen: View, _: Contacts) -> dict[str, Any]:
-            low, high = seen.mesh.nodes.min(axis=0), seen.mesh.nodes.max(axis=0)
+        def judge(view: View, _: Contacts) -> dict[str, Any]:
+            low, high = view.mesh.nodes.min(axis=0), view.mesh.nodes.max(axis=0)
             x, y = 2 * (np.array(self.contact.position) - low) / (high - low) - 1
             try:
-                (found,) = figures_of_merit(seen.pixels, seen.raster.x, seen.raster.y, [target])
-                theirs = astuple(eidors_figures(seen.pixels, (x, y)))[: len(EIDORS_COLUMNS)]
+                (found,) = figures_of_merit(view.pixels, view.raster.x, view.raster.y, [target])
+                theirs = astuple(eidors_figures(view.pixels, (x, y)))[: len(EIDORS_COLUMNS)]
             except DataError:
                 sizes = {"modern": len(COLUMNS), "vector": 2, "eidors": len(EIDORS_COLUMNS)}
                 return {name: np.full(n, np.nan) for name, n in sizes.items()}
             shape = (found.resolution, found.shape_deformation, found.ringing, found.peak)
-            away = np.linalg.norm(seen.place - self.contact.position)
+            away = np.linalg.norm(view.place - self.contact.position)
             modern = (found.amplitude_response, found.distance, *shape, away)
             return {"modern": modern, "vector": found.position_error, "eidors": theirs}
 
@@ -177,12 +177,12 @@ class PressedShapes:
         raster = table.setup("grid").raster
         truth = np.array([mask(contact, raster) for contact in self.contacts])
 
-        def look(seen: View, contacts: Contacts) -> dict[str, Any]:
-            above = seen.pixels >= np.nanmax(seen.pixels) / 2
+        def measure(view: View, contacts: Contacts) -> dict[str, Any]:
+            above = view.pixels >= np.nanmax(view.pixels) / 2
             inside = truth[self.contacts.index(contacts[0])]
-            return {"pixels": seen.pixels, "overlap": intersection_over_union(above, inside)}
+            return {"pixels": view.pixels, "overlap": intersection_over_union(above, inside)}
 
-        found = table.read(self.methods, [(contact,) for contact in self.contacts], self.seeds, look)
+        found = table.read(self.methods, [(contact,) for contact in self.contacts], self.seeds, measure)
         pixels, overlap = (np.ascontiguousarray(found[name].swapaxes(0, 1)) for name in ("pixels", "overlap"))
         blind = np.array([blind_overlap(contact, raster) for contact in self.contacts])
         return {"pixels": pixels[:, :, 0], "truth": truth, "overlap": overlap, "blind": blind}

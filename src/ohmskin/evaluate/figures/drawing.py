@@ -15,9 +15,9 @@ from ohmskin.arrays import Floats
 from ohmskin.evaluate.methods import METHODS
 from ohmskin.evaluate.plan import Settings
 from ohmskin.evaluate.result import Outcome
-from ohmskin.evaluate.statistics import Estimate
+from ohmskin.evaluate.statistics import ConfidenceInterval
 from ohmskin.evaluate.worlds import LAYOUTS
-from ohmskin.plot.report import Picture
+from ohmskin.plot.report import ReportPicture
 from ohmskin.skin import Skin
 
 Drawn = tuple[str, Figure, str]  # file name, figure, caption
@@ -33,16 +33,16 @@ RC |= {"grid.linewidth": 0.3, "grid.color": "0.85"}
 
 def save_pictures(
     done: Outcome[Any], painters: Mapping[str, Callable[[Outcome[Any]], Sequence[Drawn]]], folder: Path, dpi: int
-) -> dict[str, list[Picture]]:
+) -> dict[str, list[ReportPicture]]:
     """Draw the pictures of all groups whose results are there into a folder; the pictures of each group."""
-    found: dict[str, list[Picture]] = {}
+    found: dict[str, list[ReportPicture]] = {}
     with rc_context(RC):
         for group in done.results:
             found[group] = []
             for name, canvas, caption in painters[group](done) if group in painters else ():
                 FigureCanvasAgg(canvas)
                 canvas.savefig(path := folder / f"{name}.png", dpi=dpi)
-                found[group].append(Picture(name, path, caption))
+                found[group].append(ReportPicture(name, path, caption))
     return found
 
 
@@ -57,7 +57,7 @@ def panels(height: float, rows: int, columns: int, x: str = "", y: str = "", **o
     return canvas, grid
 
 
-def draw_estimates(axes: Axes, x: Sequence[float], found: Sequence[Estimate], fmt: str, **style: Any) -> None:
+def draw_estimates(axes: Axes, x: Sequence[float], found: Sequence[ConfidenceInterval], fmt: str, **style: Any) -> None:
     """Values at x with their intervals as error bars."""
     values, low, high = np.array([astuple(each) for each in found]).T
     axes.errorbar(x, values, yerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)

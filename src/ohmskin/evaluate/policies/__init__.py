@@ -12,7 +12,7 @@ import ohmskin.plot  # noqa: F401 (which says what to install if Matplotlib is m
 from ohmskin.evaluate.flaws import Flaw
 from ohmskin.evaluate.policies.comparison import compare
 from ohmskin.evaluate.policies.goals import assess, static_errors
-from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
+from ohmskin.evaluate.policies.pairs import PairDiscrimination, PairLimits
 from ohmskin.evaluate.policies.plan import SECTIONS, Settings, plan
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.policies.tracked import Detection, Moving, Quiet, moving_errors
@@ -27,8 +27,8 @@ __all__ = [
     "Goal",
     "Moving",
     "Outcome",
+    "PairDiscrimination",
     "PairLimits",
-    "Pairs",
     "Quiet",
     "Settings",
     "Setup",

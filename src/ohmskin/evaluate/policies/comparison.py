@@ -11,7 +11,7 @@ import ohmskin
 from ohmskin.arrays import Floats
 from ohmskin.drive import complete_pattern
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.policies import doubt, goals
+from ohmskin.evaluate.policies import goals, robustness
 from ohmskin.evaluate.policies.figures import PAINTERS
 from ohmskin.evaluate.policies.goals import WITHIN, Done
 from ohmskin.evaluate.policies.pairs import ideal_power
@@ -24,19 +24,19 @@ from ohmskin.evaluate.statistics import mean
 from ohmskin.evaluate.study import Study
 from ohmskin.evaluate.verdict import MET, MISSED, OPEN, Goal
 from ohmskin.evaluate.worlds import CURRENT, LAYOUTS, described
-from ohmskin.plot.report import Block, Image, Picture, Section, Table
+from ohmskin.plot.report import Block, ReportImage, ReportPicture, Section, Table
 from ohmskin.skin import Skin
 
 _TESTS = "ideal test", "ideal test, contacts uncertain"
 _ERROR = "mean error / mm (95 %)"
 
 
-def sections(done: Done, found: Sequence[Goal], pictures: Mapping[str, Sequence[Picture]]) -> list[Section]:
+def sections(done: Done, found: Sequence[Goal], pictures: Mapping[str, Sequence[ReportPicture]]) -> list[Section]:
     """The report: the goals, how it was done, and a section for each group of experiments."""
     report = _introduction(done, [goal for goal in found if goal.key])
     for section in done.results:
         title, tables = SECTIONS[section]
-        shown = [Image(title, picture) for picture in pictures[section]]
+        shown = [ReportImage(title, picture) for picture in pictures[section]]
         report.append(Section(title, [*shown, *tables(done), *_goals([g for g in found if g.section == section])]))
     return report
 
@@ -286,10 +286,10 @@ SECTIONS = {
     "moving": ("Moving contacts", _moving),
     "pairs": ("Two contacts or one", _pairs),
     "press": ("Light presses, hard presses, and force", _press),
-    "sensitivity": ("The lightest touch", doubt.sensitivity_tables),
+    "sensitivity": ("The lightest touch", robustness.sensitivity_tables),
     "detection": ("New contacts", _detection),
     "quiet": ("Nothing there", lambda done: []),
-    "trouble": ("Faults and interference", doubt.trouble_tables),
+    "trouble": ("Faults and interference", robustness.trouble_tables),
     "robust": ("With a flawed model, or a worn skin", _robust),
     "cost": ("What choosing costs", _cost),
 }

@@ -12,9 +12,9 @@ from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
 from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies import goals
-from ohmskin.evaluate.policies.doubt import gain_picture, sensitivity_picture
 from ohmskin.evaluate.policies.goals import OTHERS, WITHIN, Done
 from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
+from ohmskin.evaluate.policies.robustness import gain_picture, sensitivity_picture
 from ohmskin.evaluate.policies.schemes import NAMES
 from ohmskin.evaluate.policies.tracked import APART, NEAR, SETTLE, moving_errors
 from ohmskin.evaluate.statistics import mean

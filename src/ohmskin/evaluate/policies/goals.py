@@ -8,15 +8,15 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.policies import doubt
-from ohmskin.evaluate.policies.doubt import best_round
-from ohmskin.evaluate.policies.pairs import ALPHA, Pairs, ideal_power
+from ohmskin.evaluate.policies import robustness
+from ohmskin.evaluate.policies.pairs import ALPHA, PairDiscrimination, ideal_power
 from ohmskin.evaluate.policies.plan import OFF, POOR, TOLD, Settings
+from ohmskin.evaluate.policies.robustness import best_round
 from ohmskin.evaluate.policies.schemes import NAMES, scheme
 from ohmskin.evaluate.policies.static import Static
 from ohmskin.evaluate.policies.tracked import MISS, moving_errors
 from ohmskin.evaluate.result import Outcome, Result
-from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means, share
+from ohmskin.evaluate.statistics import ConfidenceInterval, mean, median, ratio_of_means, share
 from ohmskin.evaluate.verdict import Goal
 
 QUIET = 100_000  # frames in which no contact is to be invented
@@ -38,7 +38,11 @@ def assess(done: Done) -> list[Goal]:
         "detection": _detection,
     }
     goals |= {"quiet": _quiet, "cost": _cost}
-    goals |= {"trouble": doubt.trouble_goals, "gain": doubt.gain_goals, "sensitivity": doubt.sensitivity_goals}
+    goals |= {
+        "trouble": robustness.trouble_goals,
+        "gain": robustness.gain_goals,
+        "sensitivity": robustness.sensitivity_goals,
+    }
     return [goal for section, find in goals.items() if section in done.results for goal in find(done)]
 
 
@@ -61,7 +65,7 @@ def robust_errors(done: Done) -> dict[str, dict[tuple[str, str], Floats]]:
     return {name: {way: np.concatenate(values) for way, values in cells.items()} for name, cells in table.items()}
 
 
-def pair_groups(done: Done) -> Iterator[tuple[str, Pairs, Result, Result, Floats]]:
+def pair_groups(done: Done) -> Iterator[tuple[str, PairDiscrimination, Result, Result, Floats]]:
     """Name, experiment, results and limits of each experiment with pairs, and the power of an ideal test (2, n_schemes,
     n_distances, n_where) with its injections: if contact impedances are known, and if not."""
     for name, task, result in done.of("pairs", "told/"):
@@ -259,7 +263,7 @@ def _quiet(done: Done) -> Iterator[Goal]:
         text = f"False contacts of {mode} in {QUIET} quiet frames ({NAMES[task.world]}, {task.decibels:g} dB)"
         shown = sum(int(result["frames"]) for _, _, result in runs)
         note = f"a rate below {rate.high:.1e} a frame, with 97.5 % confidence; {shown} frames showed one by themselves"
-        estimate = Estimate(QUIET * rate.value, QUIET * low, QUIET * high)
+        estimate = ConfidenceInterval(QUIET * rate.value, QUIET * low, QUIET * high)
         yield Goal("quiet", text, 0.0, True, estimate, "", f"{frames} frames, {len(runs)} seeds", note)
 
 
@@ -272,7 +276,7 @@ def _cost(done: Done) -> Iterator[Goal]:
     note = "; ".join(f"{n} contacts: {1e6 * c:.0f} of {1e6 * (c + u):.0f} µs" for n, (c, u) in times)
     drawn = np.random.default_rng(0).integers(0, len(worst), (2000, len(worst)))
     low, high = np.quantile(np.median(worst[drawn], axis=1), [0.025, 0.975])
-    estimate = Estimate(float(np.median(worst)), float(low), float(high))
+    estimate = ConfidenceInterval(float(np.median(worst)), float(low), float(high))
     text = "Choosing the next pattern, as a share of the tracker's computing in a frame"
     data = f"median of {len(worst)} frames, the worst number of contacts"
     yield Goal("cost", text, 0.2, True, estimate, "%", data, note)

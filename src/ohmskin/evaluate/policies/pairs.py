@@ -30,7 +30,7 @@ _EXACT = 1e-2  # share of the noise to which an oracle's disc is fitted
 
 
 @dataclass(frozen=True)
-class Pairs:
+class PairDiscrimination:
     """Two discs side by side at several distances, and single ones for the rate of false twos.
 
     A single one is as large as one of the two, or has the area of both, which looks most like them.
@@ -80,7 +80,7 @@ class PairLimits:
     rate `ALPHA` of false twos follows from that distance. Contacts act linearly here, as in `ContactTable`.
 
     Args:
-        decibels, distances, where, strength: As for `Pairs`.
+        decibels, distances, where, strength: As for `PairDiscrimination`.
         schemes: Whose injections, chosen without noise.
         count: Number of injections of the best set of all.
     """
@@ -115,7 +115,7 @@ class PairLimits:
         return found
 
 
-def _pairs(task: Pairs | PairLimits, where: Setup) -> Iterator[tuple[int, int, Floats, Contacts]]:
+def _pairs(task: PairDiscrimination | PairLimits, where: Setup) -> Iterator[tuple[int, int, Floats, Contacts]]:
     """Number of the distance and of the place, the two places (2, 2), and the discs there, of all pairs."""
     spots = list(pair_places(task.where, max(task.distances), where.electrodes.positions))
     for (d, distance), (w, spot) in product(enumerate(task.distances), enumerate(spots)):

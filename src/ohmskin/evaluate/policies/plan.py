@@ -8,12 +8,12 @@ from typing import Self
 from ohmskin.errors import OhmskinError
 from ohmskin.evaluate.flaws import SOUND, Flaw
 from ohmskin.evaluate.policies.adaptivity import Gain, Sensitivity
-from ohmskin.evaluate.policies.pairs import PairLimits, Pairs
-from ohmskin.evaluate.policies.presses import Forces, PressCounts
+from ohmskin.evaluate.policies.interference import INTERFERENCE, MODES, NONE, WIRE, Drifting, Troubled
+from ohmskin.evaluate.policies.pairs import PairDiscrimination, PairLimits
+from ohmskin.evaluate.policies.presses import ForceErrors, PressCounts
 from ohmskin.evaluate.policies.schemes import INSTRUMENTS
 from ohmskin.evaluate.policies.static import Static
-from ohmskin.evaluate.policies.tracked import Cost, Detection, Moving, Quiet
-from ohmskin.evaluate.policies.trouble import INTERFERENCE, MODES, NONE, WIRE, Drifting, Troubled
+from ohmskin.evaluate.policies.tracked import Detection, FrameCost, Moving, Quiet
 from ohmskin.evaluate.result import Groups, chosen
 from ohmskin.evaluate.worlds import WORLDS
 
@@ -190,12 +190,12 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
     for decibels, strength in product(s.fine, STRENGTHS):
         name, keys = f"{decibels:g}/{strength:g}", ("best", "16O fused", "16P")
         discs = (DISTANCES, s.where, strength, keys if strength == STRENGTHS[0] else ("best", "16P"))
-        found["pairs"][f"told/{name}"] = Pairs(decibels, s.seeds, s.singles, *discs)
+        found["pairs"][f"told/{name}"] = PairDiscrimination(decibels, s.seeds, s.singles, *discs)
         found["pairs"][f"limit/{name}"] = PairLimits(decibels, *discs)
     for name, (radius, pressure) in PRESSES.items():
         found["press"][f"felt/{name}"] = PressCounts(50.0, s.seeds, radius, pressure, 2 * s.where)
     for draw in range(s.draws):
-        found["press"][f"force/{draw}"] = Forces(50.0, -(-s.where // 2), draw)
+        found["press"][f"force/{draw}"] = ForceErrors(50.0, -(-s.where // 2), draw)
     for name, flaw in FLAWS.items():
         for draw, seeds, own in _draws(flaw, s):
             first, side = draw * seeds, min(s.side, 5)
@@ -203,7 +203,7 @@ def plan(settings: Settings, only: tuple[str, ...] = ()) -> Groups:
             static = Static("pressed", s.levels[-1], seeds, frames, READ, side, 0, 0, "", own, first)
             moving = Moving("pressed", s.levels[-1], seeds, s.frames, (), (), trackers, own, first)
             found["robust"][f"static/{name}/{draw}"], found["robust"][f"moving/{name}/{draw}"] = static, moving
-    found["cost"]["tracker"] = Cost(level, frames=s.timed)
+    found["cost"]["tracker"] = FrameCost(level, frames=s.timed)
     return chosen(found, only, "section")
 
 

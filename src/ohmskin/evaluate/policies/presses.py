@@ -65,7 +65,7 @@ class PressCounts:
 
 
 @dataclass(frozen=True)
-class Forces:
+class ForceErrors:
     """Forces of presses, place, radius and pressure all unknown: of one frame of 16P and of several.
 
     Args:
@@ -96,7 +96,7 @@ class Forces:
         known = []
         for k, place in enumerate(spots):
             press = Press((float(place[0]), float(place[1])), FOOT, KNOWN[k % len(KNOWN)])
-            contacts, frames = self._seen(world, press, k)
+            contacts, frames = self._measured(world, press, k)
             known.append(KnownPress(press.force(layer.foam_spread), contacts[0], sum(frames, ())))
         found = fitters[1].fit_layer(known)
         calibrated = replace(skin, contact_layer=wrong, calibration=found.put_into(skin.calibration))
@@ -105,7 +105,7 @@ class Forces:
         for (p, pressure), (w, place) in product(
             enumerate(self.pressures), enumerate(places(self.where, 200 + self.draw, skin))
         ):
-            contacts, frames = self._seen(
+            contacts, frames = self._measured(
                 world, Press((float(place[0]), float(place[1])), self.radius, pressure), 1000 + w
             )
             for (f, fitter), (n, scans) in product(enumerate(fitters), enumerate((frames[0], sum(frames, ())))):
@@ -127,7 +127,9 @@ class Forces:
         known.skin = skin
         return PressFitter(known)
 
-    def _seen(self, world: Setup, press: Press, seed: int) -> tuple[tuple[Contact, ...], list[tuple[Difference, ...]]]:
+    def _measured(
+        self, world: Setup, press: Press, seed: int
+    ) -> tuple[tuple[Contact, ...], list[tuple[Difference, ...]]]:
         """The contacts of the first frame that shows any, and the data of all frames."""
         shape = (disc(*press.position, press.radius, press.pressure),)
         views = [world.simulate(scheme("16P", READING), shape, self.draw, seed, frame) for frame in range(self.frames)]

@@ -194,7 +194,7 @@ def near(found: list[tuple[float, float]], place: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Cost:
+class FrameCost:
     """Processor time of the tracker's frame, with several contacts that rest. Another run, or machine, has other
     figures.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ohmskin.arrays import Floats
-from ohmskin.device import Capabilities, Device, Feature, Press
+from ohmskin.device import Capabilities, Device, Feature, PressCommand
 from ohmskin.engine import Engine, Touch
 from ohmskin.evaluate.policies.tracked import near
 from ohmskin.evaluate.result import Result
@@ -52,7 +52,7 @@ INTERFERENCE: dict[str, Spoil] = {
 }
 
 
-class Bench(Device):
+class FaultyDevice(Device):
     """The paper's virtual skin, with nothing between it and the loop, with faults of its wires and frames.
 
     Args:
@@ -78,14 +78,14 @@ class Bench(Device):
     def _scan(self, pattern: DrivePattern, timeout: float) -> Frame:
         return self.spoil(replace(self.virtual.scan(pattern), time=self.time), self._random)
 
-    def _press(self, press: Press) -> None:
+    def _press(self, press: PressCommand) -> None:
         self.virtual.press(press.number, press.x, press.y, press.radius, press.pressure)
 
     def _close(self) -> None:
         pass
 
 
-class Loop:
+class LoopUnderTest:
     """The loop on a bench, calibrated.
 
     Args:
@@ -94,7 +94,7 @@ class Loop:
     """
 
     def __init__(self, mode: str, seed: int) -> None:
-        self.bench, self.random = Bench(seed), np.random.default_rng([seed, 11])
+        self.bench, self.random = FaultyDevice(seed), np.random.default_rng([seed, 11])
         self.engine = Engine(lambda: self.bench, self.bench.virtual.skin, mode)
         self.engine.calibrate()
 
@@ -148,7 +148,7 @@ class Troubled:
 
     Args:
         mode: Name of the mode.
-        troubles: What goes wrong, one after the other: see `Loop.spoil`.
+        troubles: What goes wrong, one after the other: see `LoopUnderTest.spoil`.
         frames: Quiet frames while it is wrong.
         presses: Presses of 8 mm before, while and after; after it as many slides.
         seed: Of noise and places.
@@ -164,15 +164,15 @@ class Troubled:
         """Results, of each of the troubles: ``false`` (n_troubles,) quiet frames with a contact; ``named``, seconds
         until it is reported, an open electrode by its number, infinite if it never is; ``well``, seconds from its mend
         until no electrode is left out and nothing is detected; ``sound``, ``away``, ``after`` (n_troubles, n_presses),
-        errors before, while and after (m), see `Loop.error`; ``gone`` (same), simulate `Loop.slide`, after it.
+        errors before, while and after (m), see `LoopUnderTest.error`; ``gone`` (same), simulate `Loop.slide`, after it.
         """
-        loop = Loop(self.mode, self.seed)
+        loop = LoopUnderTest(self.mode, self.seed)
         with loop.engine:
             loop.run(10)
             rows = [self._through(loop, trouble) for trouble in self.troubles]
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
-    def _through(self, loop: Loop, trouble: str) -> dict[str, object]:
+    def _through(self, loop: LoopUnderTest, trouble: str) -> dict[str, object]:
         places = [loop.place() for _ in range(self.presses)]
         sound = [loop.error(at) for at in places]
         loop.spoil(trouble)
@@ -227,7 +227,7 @@ class Drifting:
         return dict(zip(("ghosts", "lost", "away"), np.array(rows).T, strict=True))
 
     def _under(self, times: float) -> tuple[int, int, float]:
-        loop = Loop(self.mode, self.seed)
+        loop = LoopUnderTest(self.mode, self.seed)
         with loop.engine:
             skin, start, at = loop.bench.virtual.skin, loop.bench.time, loop.place()
             drift = times * skin.converter.noise * loop.random.standard_normal(n_pairs(len(skin.electrodes)))

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from ohmskin.arrays import Bools, Floats
 from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies.adaptivity import WAYS
+from ohmskin.evaluate.policies.interference import MODES, NONE, WIRE
 from ohmskin.evaluate.policies.schemes import NAMES
 from ohmskin.evaluate.policies.tracked import moving_errors
-from ohmskin.evaluate.policies.trouble import MODES, NONE, WIRE
 from ohmskin.evaluate.result import Outcome, Result
-from ohmskin.evaluate.statistics import Estimate, mean, median, ratio_of_means
+from ohmskin.evaluate.statistics import ConfidenceInterval, mean, median, ratio_of_means
 from ohmskin.evaluate.verdict import Goal
 from ohmskin.plot.colours import AMOUNT
 from ohmskin.plot.report import Block, Table
@@ -44,7 +44,7 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
         cases, wire = len(result["false"]), trouble == "an electrode opens"
         data = f"{cases} cases, {result['sound'].size} presses and slides"
         if trouble != NONE:
-            most = Estimate(*[float(result["false"].max())] * 3)
+            most = ConfidenceInterval(*[float(result["false"].max())] * 3)
             text = f"Frames with a false contact in {mode}, the worst case: {trouble}"
             quiet = next(count for name, count in frames.items() if name == trouble or (wire and name.startswith(WIRE)))
             yield Goal("trouble", text, FALSE if wire else 0, True, most, "", f"{cases} x {quiet} frames", key=True)
@@ -81,9 +81,9 @@ def trouble_goals(done: Outcome[Any]) -> Iterator[Goal]:
             )
 
 
-def _exactly(right: Bools) -> Estimate:
+def _exactly(right: Bools) -> ConfidenceInterval:
     """The share of cases that are right; of these cases, all that were asked for: there is nothing to infer."""
-    return Estimate(*[float(right.mean())] * 3)
+    return ConfidenceInterval(*[float(right.mean())] * 3)
 
 
 def trouble_tables(done: Outcome[Any]) -> list[Block]:
