@@ -34,6 +34,7 @@ _SIZES = (0.6, 1.0)  # usual radii from which a fit starts
 _MOST_HYSTERESIS = 0.5
 _NEAR = 0.04  # m; presses so far from each other change 1 to 3 % of what both cause, those half as far 6 %
 _ROUNDS, _ENOUGH = 25, 0.02  # most steps, and the gain in squared misfit below which a fit stops
+_Cost = tuple[float, Floats, Floats]  # cost, half its curvature and half its downhill gradient
 
 
 @dataclass(frozen=True)
@@ -279,16 +280,14 @@ class PressFitter:
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
-    def cost(
-        self, data: NormalEquations, params: Floats, caused: Floats, slopes: Floats
-    ) -> tuple[float, Floats, Floats]:
+    def cost(self, data: NormalEquations, params: Floats, caused: Floats, slopes: Floats) -> _Cost:
         """Cost, curvature, downhill gradient in `data`; `params` as for `caused`, `caused` and `slopes` as of it."""
         cost, normal, gradient = self._explained(data, caused, slopes)
         own, precision, pull = self._prior(params.reshape(-1, _PER_PRESS))
         return cost + own, normal + np.diag(precision), gradient + pull
 
     @staticmethod
-    def _explained(data: NormalEquations, caused: Floats, slopes: Floats) -> tuple[float, Floats, Floats]:
+    def _explained(data: NormalEquations, caused: Floats, slopes: Floats) -> _Cost:
         """Cost, curvature and downhill gradient of what is caused, up to a common error of all of it."""
         matrix, vector = data.matrix, data.vector
         left, seen = vector - matrix @ caused, matrix @ slopes
@@ -322,9 +321,7 @@ class PressFitter:
 
 
 def _minimised(
-    params: Floats,
-    evaluated: Callable[[Floats], tuple[float, Floats, Floats]],
-    moved: Callable[[Floats, Floats], Floats],
+    params: Floats, evaluated: Callable[[Floats], _Cost], moved: Callable[[Floats, Floats], Floats]
 ) -> tuple[Floats, float, Floats]:
     """Levenberg and Marquardt: parameters, cost and curvature.
 
