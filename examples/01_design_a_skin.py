@@ -19,7 +19,7 @@ from ohmskin.plot.colours import AMOUNT
 from ohmskin.sensing import drive_of
 
 
-def felt(skin: ohm.Skin, pattern: ohm.DrivePattern) -> tuple[ohm.TransferModel, np.ndarray]:
+def modelled(skin: ohm.Skin, pattern: ohm.DrivePattern) -> tuple[ohm.TransferModel, np.ndarray]:
     """What a touch of 1 cm2 that raises conductivity by 10 % changes, root mean square over the scan (V at 1 mA)."""
     model = skin.transfer_model()
     change = 1e-3 * model.sensitivity(pattern) * 0.1 * model.conductivity * 1e-4 / model.mesh.measures
@@ -32,7 +32,7 @@ def main(folder: Path) -> Path:
     wide = replace(grid, name="wide", sheet=sheet, electrode=replace(grid.electrode, columns=5, inset=0.01))
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     scans = [(grid, "12B"), (grid, "16I"), (wide, "20I")]
-    parts = [(skin, name, *felt(skin, drive_of(ohm.modes(skin)[name], skin).next([], 0))) for skin, name in scans]
+    parts = [(skin, name, *modelled(skin, drive_of(ohm.modes(skin)[name], skin).next([], 0))) for skin, name in scans]
     for axes, (skin, name, model, volts) in zip(figure.subplots(1, 3), parts, strict=True):
         raster = ohm.Raster(model.mesh, 200)
         extent = (0, 1e3 * skin.sheet.width, 0, 1e3 * skin.sheet.height)

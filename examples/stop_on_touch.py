@@ -27,14 +27,14 @@ def main(address: str = "shm:skin", seconds: float = float("inf")) -> None:
     end += seconds
     with Client(address) as skin:
         while time.monotonic() < end:
-            felt = skin.newest()  # at once, whatever the skin does
-            silent = felt is None or felt.age > OLDEST
-            free = felt is not None and not silent and not felt.contacts
+            newest = skin.newest()  # at once, whatever the skin does
+            silent = newest is None or newest.age > OLDEST
+            free = newest is not None and not silent and not newest.contacts
             if free != moving:
                 moving = free
                 touched = (
-                    f"touched at {felt.contacts[0].position}"
-                    if felt and felt.contacts and not silent
+                    f"touched at {newest.contacts[0].position}"
+                    if newest and newest.contacts and not silent
                     else "the skin is silent"
                 )
                 print("moving" if moving else f"stopped at {angle:.2f} rad: {touched}", flush=True)

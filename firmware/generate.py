@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ohmskin.device import analogue
 from ohmskin.device.capabilities import Feature
-from ohmskin.device.layout import CHECKSUM, HEADER, LAYOUTS, MAX_PACKET, VERSION, Kind, Layout
+from ohmskin.device.layout import CHECKSUM, HEADER, LAYOUTS, MAX_PACKET, VERSION, MessageKind, PacketLayout
 from ohmskin.device.messages import ErrorCode
 from ohmskin.device.press import RANGES
 from ohmskin.scan import FrameFlag
@@ -57,7 +57,7 @@ def protocol_header() -> str:
         f"#define CHECKSUM_BYTES {CHECKSUM.size}",
         '_Static_assert(sizeof(message_header_t) == HEADER_BYTES, "packed");',
         "",
-        *_enum("KIND", Kind),
+        *_enum("KIND", MessageKind),
         *_enum("ERROR", ErrorCode),
         *_enum("FEATURE", Feature),
         *_enum("FLAG", FrameFlag),
@@ -72,7 +72,7 @@ def protocol_header() -> str:
 
 def analogue_header() -> str:
     """The link between the emulated firmware and its analogue side."""
-    lines = [f"#define ANALOGUE_REPLY 0x{analogue.REPLY:02X}", "", *_enum("ANALOGUE", analogue.Kind)]
+    lines = [f"#define ANALOGUE_REPLY 0x{analogue.REPLY:02X}", "", *_enum("ANALOGUE", analogue.AnalogueKind)]
     for kind, (request, reply) in analogue.LAYOUTS.items():
         lines += _layout(f"ASK_{kind.name}", request)
         lines += _layout(f"TELL_{kind.name}", reply)
@@ -107,7 +107,7 @@ def _enum(prefix: str, members: type[IntEnum] | type[IntFlag]) -> list[str]:
     return ["enum {", *(f"    {prefix}_{name} = 0x{int(value):02X}," for name, value in named.items()), "};", ""]
 
 
-def _layout(name: str, layout: Layout) -> list[str]:
+def _layout(name: str, layout: PacketLayout) -> list[str]:
     lines = []
     size = sum(_SIZES[field.kind] for field in layout.scalars)
     if layout.scalars:

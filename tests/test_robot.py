@@ -282,7 +282,7 @@ def without_graphics(code: str, *arguments: str) -> "subprocess.CompletedProcess
 
 def test_physics_needs_no_graphics_library_and_a_picture_names_the_package(tmp_path: Path) -> None:
     code = "import numpy as np, ohmskin; from ohmskin.robot import *; from ohmskin.robot.simulation import above\n"
-    code += "worn = Wearer(arm(ohmskin.Skin.load('paper'))); at = np.array([0.1, 0.1])\n"
+    code += "worn = RobotSimulation(arm(ohmskin.Skin.load('paper'))); at = np.array([0.1, 0.1])\n"
     code += (
         "worn.bring(above(worn, 0, at, 1e-3), worn.surface(0, at)[1]); worn.advance(0.2, above(worn, 0, at, -3e-3))\n"
     )

@@ -11,7 +11,7 @@ from ohmskin.calibrate.sheet import SheetFit, _Unknowns, fit_sheet
 from ohmskin.drive import complete_pattern
 from ohmskin.errors import DataError, SkinError
 from ohmskin.evaluate import worlds
-from ohmskin.evaluate.flaws import Flaw, believed
+from ohmskin.evaluate.flaws import Flaw, assumed_model
 from ohmskin.evaluate.policies.schemes import scheme
 from ohmskin.evaluate.setup import setup
 from ohmskin.evaluate.worlds import contact
@@ -27,7 +27,7 @@ FLAW = Flaw(misplaced=2e-3, uneven=0.05)
 
 def fitted(world: str, flaw: Flaw, decibels: float = 50.0) -> SheetFit:
     """The fit to a quiet world, from a description with a flaw."""
-    electrodes, build = believed("grid", flaw)
+    electrodes, build = assumed_model("grid", flaw)
     if world == "pressed":
         electrodes = electrodes.with_discs(PAPER.electrode.radius, PAPER.electrode.contact_resistivity)
     noise = worlds.noise_volts(world, decibels) / worlds.CURRENT / np.sqrt(40)
@@ -61,7 +61,7 @@ def test_a_sound_skin_stays_as_described(world: str) -> None:
 
 def test_slopes_are_those_of_the_model() -> None:
     """Of an inner electrode, one of the rim and two waves, against differences on a fine mesh."""
-    electrodes, _ = believed()
+    electrodes, _ = assumed_model()
 
     def build(placed: Electrodes, log_conductivity: np.ndarray) -> TransferModel:
         mesh = mesh_domain(PAPER.domain, 3e-3, placed.positions)
@@ -103,7 +103,7 @@ def test_contacts_are_placed_as_on_a_sound_skin(draw: int) -> None:
     ],
 )
 def test_what_does_not_explain_the_data_is_refused(wrong, words: str) -> None:  # type: ignore[no-untyped-def]
-    electrodes, build = believed()
+    electrodes, build = assumed_model()
     measured = build(electrodes.mapped(wrong), np.zeros(1)).voltages(PATTERN)
     with pytest.raises(DataError, match=words):
         fit_sheet(PAPER.domain, electrodes, build, PATTERN, measured, 1e-2)

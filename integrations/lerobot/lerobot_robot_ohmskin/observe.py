@@ -19,7 +19,7 @@ class Contacts:
     Args:
         skin: Its name.
         most: How many there is room for.
-        max_age: Seconds, beyond which what was felt last is not given.
+        max_age: Seconds, beyond which the last contacts are not used.
     """
 
     def __init__(self, skin: str, most: int, max_age: float) -> None:
@@ -32,13 +32,13 @@ class Contacts:
         Raises:
             TimeoutError: If the skin is silent.
         """
-        felt = self._client.newest()
-        if felt is None or felt.age > self._max_age:
-            since = "has not been heard of" if felt is None else f"has been silent for {felt.age:.2g} s"
+        newest = self._client.newest()
+        if newest is None or newest.age > self._max_age:
+            since = "has not been heard of" if newest is None else f"has been silent for {newest.age:.2g} s"
             raise TimeoutError(
                 f"skin {self._skin!r} {since}; is `ohmskin live --publish shm --name {self._skin}` running?"
             )
-        return dict(zip(self.names, points(felt.contacts, self._most), strict=True))
+        return dict(zip(self.names, points(newest.contacts, self._most), strict=True))
 
     def close(self) -> None:
         self._client.close()

@@ -49,7 +49,7 @@ def together(effort: Effort) -> Iterator[Figure]:
 def _measured(process: "subprocess.Popen[bytes]", client: Client, count: int) -> tuple[list[float], float]:
     """Frames per second of each skin, once all run, and the CPU seconds of all processes meanwhile."""
     end = time.monotonic() + _PATIENCE
-    while (felt := client.newest()) is None or min(_sequences(felt)) == 0:
+    while (contacts := client.newest()) is None or min(_sequences(contacts)) == 0:
         if process.poll() is not None or time.monotonic() > end:
             return [], 0.0
         time.sleep(0.1)
@@ -63,8 +63,8 @@ def _measured(process: "subprocess.Popen[bytes]", client: Client, count: int) ->
     return [number / elapsed for number in frames], (_spent(process.pid) - spent) * _MEASURED / elapsed
 
 
-def _sequences(felt: Contacts) -> list[int]:
-    return [seen.sequence for seen in felt.patches]
+def _sequences(contacts: Contacts) -> list[int]:
+    return [seen.sequence for seen in contacts.patches]
 
 
 def _spent(root: int) -> float:

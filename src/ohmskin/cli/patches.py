@@ -84,16 +84,16 @@ class _Table:
         self._due, self._count = time.monotonic() + _TABLE_EVERY, 0
         self._newest: Contacts | None = None
 
-    def __call__(self, felt: Contacts | None) -> None:
-        self._newest, self._count = felt or self._newest, self._count + (felt is not None)
-        if (now := time.monotonic()) < self._due or (felt := self._newest) is None:
+    def __call__(self, contacts: Contacts | None) -> None:
+        self._newest, self._count = contacts or self._newest, self._count + (contacts is not None)
+        if (now := time.monotonic()) < self._due or (contacts := self._newest) is None:
             return
         HEARTBEAT.end()  # the table is one from here on
         print(f"{'patch':<16}  {'link':<16}  frames/s  latency p50/p99  contacts  age")
-        for seen in felt.patches:
+        for seen in contacts.patches:
             status = self._patches.status[seen.patch]
             latency = f"{1e3 * status.get('p50', 0):5.1f} / {1e3 * status.get('p99', 0):4.1f} ms"
-            count = sum(contact.patch == seen.patch for contact in felt.contacts)
+            count = sum(contact.patch == seen.patch for contact in contacts.contacts)
             age = f"{seen.age:.2f} s" if seen.sequence else "no frame yet"
             state = "" if status.get("state") == "running" else f"  {_state(status)}"
             patch = f"{seen.patch:<16}  {seen.frame:<16}  {status.get('rate', 0):8.0f}"
@@ -109,15 +109,15 @@ class _Changes:
         self._patches, self._arrivals = patches, Arrivals()
         self._states = dict[str, str]()
 
-    def __call__(self, felt: Contacts | None) -> None:
+    def __call__(self, contacts: Contacts | None) -> None:
         for name, status in self._patches.status.items():
             if (state := _state(status)) != self._states.get(name):
                 self._states[name] = state
                 say(f"patch {name}: {state}")
-        if felt is None:
+        if contacts is None:
             return
-        contacts = {(one.patch, one.id): one for one in felt.contacts}
-        for contact in self._arrivals.new(time.monotonic(), contacts):
+        known = {(one.patch, one.id): one for one in contacts.contacts}
+        for contact in self._arrivals.new(time.monotonic(), known):
             place = ", ".join(f"{1e3 * value:.0f}" for value in contact.position)
             say(f"contact {contact.id} of {contact.patch} at ({place}) mm in {contact.frame}")
 

@@ -43,7 +43,7 @@ SOUND = Flaw()
 Build = Callable[[Electrodes, Floats], TransferModel]
 
 
-def believed(layout: str = "grid", flaw: Flaw = SOUND) -> tuple[Electrodes, Build]:
+def assumed_model(layout: str = "grid", flaw: Flaw = SOUND) -> tuple[Electrodes, Build]:
     """Where the electrodes are believed to be, and what makes models of the untouched sheet as it is believed to be.
 
     They have electrodes where they are placed, and a factor on the conductivity as `fit_sheet` takes it.

@@ -20,7 +20,7 @@ from ohmskin.contacts import Contact, ContactFinder, ContactFitter, find_regions
 from ohmskin.drive import DRIVES, Drive, DriveSettings, complete_pattern
 from ohmskin.evaluate import worlds
 from ohmskin.evaluate.assumptions import STATED, Assumption
-from ohmskin.evaluate.flaws import SOUND, Flaw, believed
+from ohmskin.evaluate.flaws import SOUND, Flaw, assumed_model
 from ohmskin.evaluate.worlds import CURRENT, Contacts
 from ohmskin.forward import ContactTable
 from ohmskin.geometry import Mesh, Raster
@@ -113,7 +113,7 @@ class Setup:
         self.noise, skin = worlds.noise_volts(world, decibels), worlds.skin_of(world, layout)
         if amplitude is not None:
             skin = replace(skin, imaging=replace(skin.imaging, amplitude=amplitude, model_error=0.0))
-        electrodes, make = believed(layout, flaw)
+        electrodes, make = assumed_model(layout, flaw)
         self.electrodes, self.skin = electrodes, skin
         rings, complete = electrodes.rings, complete_pattern(electrodes)
         patterns = [adjacent(rings[:1]), adjacent(rings), complete]

@@ -36,7 +36,7 @@ class Cutout:
         self.corners: Floats = polygon.corners
         self._middle = sum(polygon.bounds[::2]) / 2
 
-    def _beside(self, points: ArrayLike) -> Floats:
+    def _nearest_turn(self, points: ArrayLike) -> Floats:
         """Points (n, 2) as many turns away as the hole is."""
         near = np.array(points, float)
         if self.period:
@@ -44,13 +44,13 @@ class Cutout:
         return near
 
     def depth(self, points: ArrayLike) -> Floats:
-        return self.polygon.depth(self._beside(points))
+        return self.polygon.depth(self._nearest_turn(points))
 
     def rim(self, arc: ArrayLike) -> Floats:
         return folded(self.polygon.rim(arc), self.period)
 
     def arc(self, points: ArrayLike) -> Floats:
-        return self.polygon.arc(self._beside(points))
+        return self.polygon.arc(self._nearest_turn(points))
 
 
 class Holed:

@@ -235,15 +235,15 @@ def _coherence(
 
 
 @njit(cache=True, nogil=True)
-def _without(gram: Floats, beside: Floats, inner: float, gain: float) -> None:
+def _without(gram: Floats, reference: Floats, inner: float, gain: float) -> None:
     """Takes an error of one injection's current, which looks like its quiet voltages, off the products, in place."""
     if gain > 0 and inner > 0:
-        for p in range(len(beside)):
-            if beside[p] != 0:
-                weight = beside[p] / (1 / gain**2 + inner)
-                for q in range(p, len(beside)):
-                    gram[p, q] -= weight * beside[q]
-    beside[:] = 0.0
+        for p in range(len(reference)):
+            if reference[p] != 0:
+                weight = reference[p] / (1 / gain**2 + inner)
+                for q in range(p, len(reference)):
+                    gram[p, q] -= weight * reference[q]
+    reference[:] = 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -144,7 +144,7 @@ class PressFollower:
         if state.fits:
             state = replace(state, scans=(*state.scans, *scans), elapsed=state.elapsed + elapsed)
             if sum(scan.pattern.n_inj for scan in state.scans) >= self._injections:
-                state = self._improved(self._informed(state, found))
+                state = self._improved(self._accumulated(state, found))
         pressing, foam = self._pressing(state, before.foam, elapsed)
         estimates = tuple(_with_force(contact, pressing.get(contact.id)) for contact in contacts)
         return replace(state, foam=foam), estimates
@@ -203,7 +203,7 @@ class PressFollower:
         except ModelError:  # of presses too hard for the mesh: contacts are reported all the same
             return []
 
-    def _informed(self, state: Presses, contacts: Sequence[Contact]) -> Presses:
+    def _accumulated(self, state: Presses, contacts: Sequence[Contact]) -> Presses:
         """The state with what it has gathered among its data, of which the older count less, the more so the more
         presses have changed since; where they have jumped, fits are started afresh beside those that were found."""
         exact = self.fitter.information(state.scans, 0.0)

@@ -144,9 +144,9 @@ class VirtualSkin:
         self._sequence += 1
         flags = FrameFlag(FrameFlag.CLIPPED * (clipped or too_much) | FrameFlag.CURRENT_LIMIT * limited)
         told = self._time, self._sequence, flags
-        return Frame(pattern, volts, over_shunt / shunt, *told, auxiliary=self._beside())
+        return Frame(pattern, volts, over_shunt / shunt, *told, auxiliary=self._auxiliary())
 
-    def _beside(self) -> float | None:
+    def _auxiliary(self) -> float | None:
         """What the auxiliary channel reads."""
         channel, spread = self.skin.auxiliary, self.skin.contact_layer.foam_spread
         if not channel.kind:

@@ -166,7 +166,7 @@ class BoardsPage:
         known: dict[int, int] = {}
         finger, answered = Finger(), asyncio.Semaphore(_AHEAD)
 
-        async def hear() -> None:
+        async def receive() -> None:
             try:
                 while True:
                     finger.point(self.pressed(await channel.receive_text()))
@@ -174,7 +174,7 @@ class BoardsPage:
             finally:
                 answered.release()
 
-        hearing = asyncio.create_task(hear())
+        hearing = asyncio.create_task(receive())
         try:
             while True:
                 began = time.monotonic()
