@@ -192,11 +192,11 @@ def test_what_is_believed_of_places_does_not_depend_on_the_mesh(name: str, bound
     triangles."""
 
     def change(prior: str) -> float:
-        assumed_model = []
+        believed = []
         for size in (0.009, 0.0045):
             rows = disc_means(model(size).mesh)
-            assumed_model.append(rows @ penalty_of(model(size), prior).covariance(rows.T))
-        return float(np.abs(assumed_model[1] - assumed_model[0]).max() / np.abs(assumed_model[1]).max())
+            believed.append(rows @ penalty_of(model(size), prior).covariance(rows.T))
+        return float(np.abs(believed[1] - believed[0]).max() / np.abs(believed[1]).max())
 
     assert change(name) < bound
     assert change("paper") > 0.15
