@@ -243,6 +243,14 @@ IDIOMS = (  # with what stands in their place
     ("in vain", "without success"),
     ("came out", "were"),
     ("gets nothing of", "does not receive"),
+    ("broke: [", "connection lost (reset by peer)"),
+    ("connect again; reconnecting", "reconnecting"),
+    ("The maps show this place", "Showing 2.44 s of 11.99 s"),
+    ("trace of its diagonal", "a small multiple of the identity"),
+    ("device's moods", "errors of the device"),
+    ("who started this", "the terminal"),
+    ("by who uses it", "by the caller"),
+    ("cost is not told", "not measured"),
 )
 
 
