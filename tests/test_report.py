@@ -5,12 +5,15 @@ import base64
 import re
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from playwright.sync_api import Browser
 
 from ohmskin.bench import Figure
 from ohmskin.bench.report import write_report
+from ohmskin.evaluate.figures.drawing import RC, panels
 from ohmskin.plot import colours
 from ohmskin.plot.report import Section, Table
 from ohmskin.plot.report import write_report as write_page
@@ -92,3 +95,18 @@ def test_more_is_always_darker_and_on_dark_ground_brighter() -> None:
         light = shades(np.linspace(0, 1, 256))[:, :3] ** 2.2 @ weights
         assert (way * np.diff(light) > -1e-3).all()
         assert way * (light[-1] - light[0]) > 0.5
+
+
+def test_labels_lie_within_pictures() -> None:
+    """Those of narrow panels, too, as at the right of Fig. 5."""
+    with matplotlib.rc_context(RC):
+        canvas, ((wide, _, narrow),) = panels(2.3, 1, 3, width_ratios=[2.1, 1, 1])
+        wide.set(xlabel="x / mm", ylabel="relative change of conductivity")
+        narrow.set(xlabel="width / mm", xlim=(0, 30))
+        FigureCanvasAgg(canvas).draw()
+    for axes in canvas.axes:
+        for label in (axes.xaxis.label, axes.yaxis.label):
+            (x0, y0), (x1, y1) = label.get_window_extent().get_points()
+            assert x0 >= 0 <= y0
+            assert x1 <= canvas.bbox.width
+            assert y1 <= canvas.bbox.height

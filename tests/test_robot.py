@@ -16,15 +16,16 @@ import mujoco
 import numpy as np
 import pytest
 from command_line import ohmskin
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from ohmskin.body import Body
 from ohmskin.errors import ModelError
 from ohmskin.robot import Demonstration, Encounter, RobotSimulation, SelfTouchTrial, arm, engines, summary
-from ohmskin.robot.demonstration import Sensed
+from ohmskin.robot.demonstration import Moment, Sensed
 from ohmskin.robot.scene import FINGER
 from ohmskin.robot.simulation import above
-from ohmskin.robot.video import snapshot
+from ohmskin.robot.video import SkinMap, snapshot
 from ohmskin.skin import Calibration, Skin
 
 SKIN = Skin.load("paper")
@@ -218,6 +219,22 @@ def test_a_snapshot_is_a_png_whatever_its_name_and_says_where_it_cannot_be_writt
     assert (tmp_path / "arm.picture").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ModelError, match="cannot write"), snapshot(tmp_path, film) as show:
         show(moment)
+
+
+def test_the_brightest_place_of_the_picture_is_at_the_contact() -> None:
+    body, away = arm(SKIN), list[float]()
+    drawn = SkinMap(body.patches[0], Figure().add_subplot(), alone=True)
+    places = np.stack(np.meshgrid(drawn.raster.x, drawn.raster.y), axis=-1)[drawn.raster.inside]
+
+    def show(moment: Moment) -> None:
+        if moment.sensed and moment.sensed[0].push is not None:
+            drawn.draw(0, moment)
+            away.append(float(np.linalg.norm(places[drawn.values.argmax()] - moment.sensed[0].push.place)))
+
+    with engines(body, seed=2, mode="16O") as loops:
+        assert len(list(Demonstration(body, loops, seed=4).pokes(1, show))) == 1
+    assert len(away) > 20
+    assert np.median(away) < 12e-3  # as `errors`, of which it is the image
 
 
 def test_what_cannot_be_worn_is_refused() -> None:

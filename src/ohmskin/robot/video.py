@@ -41,10 +41,10 @@ class SkinMap:
 
     def __init__(self, placed: PlacedSkin, axes: Axes, alone: bool) -> None:
         skin = placed.skin
-        self._raster, self.values = Raster(skin.mesh(), 64 if alone else 48), np.zeros(0)
-        x, y, half = self._raster.x, self._raster.y, self._raster.pitch / 2
+        self.raster, self.values = Raster(skin.mesh(), 64 if alone else 48), np.zeros(0)
+        x, y, half = self.raster.x, self.raster.y, self.raster.pitch / 2
         extent = (1e3 * (x[0] - half), 1e3 * (x[-1] + half), 1e3 * (y[0] - half), 1e3 * (y[-1] + half))
-        empty = np.zeros(self._raster.inside.shape)
+        empty = np.zeros(self.raster.inside.shape)
         self._picture = axes.imshow(empty, origin="lower", extent=extent, cmap=GLOWING, vmin=0)
         axes.plot(*(1e3 * skin.electrodes.positions.T), ".", color="#9aa5b5", markersize=7 if alone else 3)
         size = 1.0 if alone else 0.5
@@ -59,15 +59,15 @@ class SkinMap:
         else:
             axes.set_title(placed.patch.name.replace("_", " "), fontsize=9, pad=3)
             axes.set(xticks=[], yticks=[])
-        places = np.stack(np.meshgrid(x, y), axis=-1)[self._raster.inside]
+        places = np.stack(np.meshgrid(x, y), axis=-1)[self.raster.inside]
         chart = skin.chart
         self._points = np.array([placed.patch.place(*point) for point in chart.points(places).tolist()])
-        self.size = 0.75 * self._raster.pitch * np.sqrt(float(np.median(chart.scale(places)) ** 2))
+        self.size = 0.75 * self.raster.pitch * np.sqrt(float(np.median(chart.scale(places)) ** 2))
 
     def draw(self, number: int, moment: Moment) -> None:
         """Draw what it feels on its map."""
-        pixels = np.nan_to_num(self._raster(moment.touches[number].percept.image.values))
-        self.values = pixels[self._raster.inside]
+        pixels = np.nan_to_num(self.raster(moment.touches[number].percept.image.values))
+        self.values = pixels[self.raster.inside]
         self._picture.set_data(pixels)
         self._picture.set_clim(0, max(_SCALE, float(pixels.max())))
         truth = [1e3 * push.place for push in moment.pushes if push.patch == number]
