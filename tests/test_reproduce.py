@@ -146,6 +146,14 @@ def test_the_report_opens_with_a_tally_and_the_key_claims_best_first(report: Pat
     assert listed == sorted(listed, key=[YES, OPEN, NO].index)
 
 
+def test_a_quantity_has_one_name(report: Path) -> None:
+    """The paper's R and SR are RNG and RES, in tables, captions and claims."""
+    page = re.sub("<[^>]+>", "\n", report.read_text(encoding="utf-8"))
+    assert {"RNG", "RES"} <= set(re.findall(r"\b[A-Z]{2,3}\b", page))
+    assert "RES and RNG are the paper's SR and R." in page
+    assert not re.search(r"\bSR\b|\n *R *\n", page.replace("RES and RNG are the paper's SR and R.", ""))
+
+
 def test_every_number_is_there_as_json(report: Path) -> None:
     for figure, group in plan(TINY).items():
         data = json.loads((report.parent / "data" / f"{figure}.json").read_text())
