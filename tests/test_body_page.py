@@ -42,7 +42,7 @@ def boards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # --- what the page is told --------------------------------------------------------------------------------------------
 
 
-class PublishedSkin:
+class Published:
     """One patch that is not really there: its boards, which a test writes, and a virtual skin that notes presses."""
 
     def __init__(self, placed: PlacedSkin, board: str, stack: ExitStack) -> None:
@@ -94,14 +94,13 @@ class PublishedSkin:
 
 
 @pytest.fixture
-def half() -> Iterator[tuple[Body, dict[str, PublishedSkin], Merger]]:
+def half() -> Iterator[tuple[Body, dict[str, Published], Merger]]:
     """The example: two sleeves and a dome, of which tests say what they feel."""
     body = Body.load(EXAMPLE)
     with ExitStack() as stack:
         names = [f"half.{placed.patch.name}" for placed in body.patches]
         patches = {
-            placed.patch.name: PublishedSkin(placed, name, stack)
-            for placed, name in zip(body.patches, names, strict=True)
+            placed.patch.name: Published(placed, name, stack) for placed, name in zip(body.patches, names, strict=True)
         }
         merger = stack.enter_context(Merger("half", [placed.patch for placed in body.patches], names))
         yield body, patches, merger
@@ -163,9 +162,7 @@ def test_a_browser_that_talks_nonsense_is_refused(half: Any, answer: str) -> Non
 # --- in a browser -----------------------------------------------------------------------------------------------------
 
 
-def pixel(
-    page: Any, robot: Robot, felt: PublishedSkin, inner: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def pixel(page: Any, robot: Robot, felt: Published, inner: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """The place on a patch's map that faces the camera most, and where that is on the page (px)."""
     camera = np.array(page.evaluate("ohmskin.body.camera.position.toArray()"))
     x0, y0, x1, y1 = felt.chart.domain.bounds
@@ -348,7 +345,7 @@ def test_clicking_the_skin_of_a_robot_is_felt_there(tmp_path: Path, chromium: An
         page.goto(url)
         with Client("shm:half") as robot, ExitStack() as stack:
             until(lambda: page.evaluate("ohmskin.frame?.patches.every((p) => p.virtual && p.age < 0.5)"), 300)
-            told = PublishedSkin(PlacedSkin(sleeve.patch, sleeve.skin, "", ""), "beside", stack)  # where its places are
+            told = Published(PlacedSkin(sleeve.patch, sleeve.skin, "", ""), "beside", stack)  # where its places are
             place, at = pixel(page, body.robot, told, 0.5)
             page.mouse.move(*at)
             page.mouse.down()
