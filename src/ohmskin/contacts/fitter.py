@@ -340,7 +340,7 @@ class ContactFitter(DiscFitter):
         return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > _APART for gap in gaps)
 
     def gain_of(self, nominal: Information, few: Solution, many: Solution) -> float:
-        """By how much `many` contacts explain data better than `few` (noise's variance), less the model's error."""
+        """By how much `many` contacts explain `nominal` data better than `few` (noise's variance), less model error."""
         return (few.cost - many.cost) / self.allowance(nominal) - (self.model_error * nominal.norm(few.caused)) ** 2
 
     def _distance(self, pair: Floats) -> float:

@@ -22,7 +22,7 @@ def pressed(
     untouched: Floats, first: Ints, touching: Ints, conductance: Floats, corners: Ints, weights: Floats,
     caused: Floats, green: Floats, slots: Ints, own: Ints, near: Ints, missed: Floats, out: Floats,
 ) -> None:  # fmt: skip
-    """Transfer resistances `out` (n, n_elec, n_elec) in ohms of n scenes.
+    """Transfer resistances `out` (n, n_elec, n_elec) in ohms of n cases.
 
     Args:
         untouched: (n_elec, n_elec) of the untouched skin (ohm).

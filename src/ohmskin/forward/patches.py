@@ -134,7 +134,7 @@ class FloatingPatches:
         return after, currents / joint[touching, None]
 
     def many(self, cases: Sequence[tuple[Ints, Floats]]) -> Floats:
-        """(n, n_elec, n_elec) transfer resistances in ohms of n scenes, several times as quick as one by one.
+        """(n, n_elec, n_elec) transfer resistances in ohms of n `cases`, several times as quick as one by one.
 
         Args:
             cases: Of each the distinct numbers of the `points` that touch (m,), and their conductances (m,) (siemens).

@@ -95,7 +95,7 @@ class TouchTable:
         return np.asarray(self.many(np.atleast_1d(places)[None], np.atleast_1d(changes)[None])[0])
 
     def many(self, places: ArrayLike, changes: ArrayLike, threads: int = 1) -> Floats:
-        """(n, n_elec, n_elec) transfer resistances in ohms of n scenes of up to k touches each.
+        """(n, n_elec, n_elec) transfer resistances in ohms of n cases of up to k touches each.
 
         Args:
             places: (n, k) numbers of places; -1 where a scene has fewer touches.

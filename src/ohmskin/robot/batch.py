@@ -25,7 +25,7 @@ class BatchSkin(VirtualSkin):
         self.sheet.many([[]])  # compiles
 
     def scans(self, cases: Sequence[Iterable[Press]], pattern: DrivePattern) -> list[Frame]:
-        """A scan of each of n scenes, one after the other.
+        """A scan of each of n cases, one after the other.
 
         Args:
             cases: What presses in each; of a press off the sheet only what is on it counts.

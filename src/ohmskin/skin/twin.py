@@ -133,7 +133,7 @@ class PressedSheet:
         return self.under(self._loads(presses))
 
     def many(self, cases: Sequence[Iterable[Press]]) -> Floats:
-        """(n, n_elec, n_elec) `transfer_resistance` of n scenes of presses, in one compiled pass."""
+        """(n, n_elec, n_elec) `transfer_resistance` of n `cases` of presses, in one compiled pass."""
         closed = [self._closed(self._loads(presses)) for presses in cases]
         return np.array([_against_last(one) for one in self._patches.many(closed)])
 
