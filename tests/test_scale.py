@@ -3,8 +3,10 @@
 Sizes are small; the benchmark has the large ones.
 """
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from ohmskin.bench import Figure, run
 from ohmskin.bench.clock import in_turns, ratio, read
-from ohmskin.bench.report import write_report
+from ohmskin.bench.report import last_seconds, write_report
 from ohmskin.bench.sheets import CONDUCTIVITY, electrodes, grid, mesh, square
 from ohmskin.drive import DRIVES, DriveSettings
 from ohmskin.errors import OhmskinError
@@ -122,9 +124,9 @@ def test_ratios_are_medians_over_turns() -> None:
 
 
 def test_a_run_writes_what_it_measured(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    seen: list[str] = []
-    found = run(quick=True, only=("accuracy",), report=lambda name, figure: seen.append(figure.name))
-    assert seen == [found["accuracy"][0].name]
+    seen: list[tuple[str, str]] = []
+    found = dict(run(quick=True, only=("accuracy",), report=lambda *told: seen.append(told)))
+    assert seen == [("accuracy", ""), ("accuracy", found["accuracy"][0].name)]
     assert found["accuracy"][0].verdict == "pass"
     found["scale"] = [Figure("growth", 1.1, "power of n", most=1.2, data={
         "triangles": [2_000, 10_000, 100_000], "seconds": [0.01, 0.03, 0.4],
@@ -140,3 +142,25 @@ def test_a_run_writes_what_it_measured(tmp_path) -> None:  # type: ignore[no-unt
     (tmp_path / "file").write_text("")
     with pytest.raises(OhmskinError, match="--output"):
         write_report(found, tmp_path / "file", quick=True)
+
+
+def test_a_killed_benchmark_keeps_the_parts_it_measured(tmp_path: Path) -> None:
+    code = """if True:
+        import os, sys
+        from pathlib import Path
+        from ohmskin.bench import GROUPS, Figure
+        from ohmskin.cli.bench import bench
+        GROUPS["machine"] = lambda effort: iter([Figure("reading", 1.0, "GB/s", least=0.5)])
+        GROUPS["setup"] = lambda effort: os.kill(os.getpid(), 9)
+        bench(output=Path(sys.argv[1]), only=("machine", "setup", "fields"))
+        """
+    done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == -9, done.stderr
+    assert "setup: part 2 of 3\n" in done.stdout
+    kept = json.loads((tmp_path / "benchmarks.json").read_text())
+    assert list(kept["groups"]) == ["machine"]
+    assert kept["missing"] == ["setup", "fields"]
+    for name in ("benchmarks.html", "benchmarks.md"):
+        assert "1 targets met, 0 short, 0 not run; not measured yet: setup, fields." in (tmp_path / name).read_text()
+    assert last_seconds(tmp_path, quick=False)["machine"] < 10
+    assert last_seconds(tmp_path, quick=True) == {}

@@ -13,11 +13,11 @@ import scipy
 from ohmskin.bench.figure import Figure
 from ohmskin.bench.run import GROUPS
 from ohmskin.errors import OhmskinError
-from ohmskin.plot.report import ReportImage, ReportPicture, Section, Table
+from ohmskin.plot.report import ReportImage, ReportPicture, Section, Table, write_whole
 from ohmskin.plot.report import write_report as write_sections
 
 _PREFACE = (
-    "Made by `ohmskin bench`; run it to see these figures on your own machine (`--quick` takes two minutes).",
+    "Made by `ohmskin bench`; run it for these figures of your own machine (`--quick`: smaller sizes, fewer rounds).",
     "Everything is measured in one run, in turns, on one thread, in CPU time unless a wall clock is named. A "
     "value is the median over the rounds, the spread its quartiles. Unless a figure names another, and but for "
     "the live loop, which has the paper's skin as it ships, the sheet is the paper's square with 12 electrodes on "
@@ -31,8 +31,23 @@ _PREFACE = (
 _TALLY = {"pass": "targets met", "short": "short", "not run": "not run"}
 
 
-def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: bool) -> list[Path]:
+def write_report(
+    found: Mapping[str, Sequence[Figure]],
+    folder: Path,
+    quick: bool,
+    missing: Sequence[str] = (),
+    seconds: Mapping[str, float] | None = None,
+) -> list[Path]:
     """Write benchmarks.json, benchmarks.html, benchmarks.md and, where sizes were measured, images/scale.png.
+
+    Each file is there as it was or as it is now, never in part, so that a run may write what it has at any time.
+
+    Args:
+        found: Figures by group.
+        folder: Where to.
+        quick: Whether sizes were small and rounds few.
+        missing: Groups that are still to be measured.
+        seconds: How long groups took (s).
 
     Raises:
         OhmskinError: If the folder cannot be written.
@@ -41,15 +56,24 @@ def write_report(found: Mapping[str, Sequence[Figure]], folder: Path, quick: boo
         (folder / "images").mkdir(parents=True, exist_ok=True)
         written = [folder / "benchmarks.json"]
         groups = {name: [figure.as_dict() for figure in figures] for name, figures in found.items()}
-        content = json.dumps({"machine": _machine(), "quick": quick, "groups": groups}, indent=1)
-        written[0].write_text(content + "\n", encoding="utf-8")
+        run = {"machine": _machine(), "quick": quick, "missing": list(missing), "seconds": dict(seconds or {})}
+        write_whole(written[0], json.dumps({**run, "groups": groups}, indent=1) + "\n")
         grown = [figure for figure in found.get("scale", ()) if figure.data]
         plots = [_plot(figure, folder / "images" / "scale.png") for figure in grown[:1]]
-        sections = _sections(found, quick, plots)
+        sections = _sections(found, quick, missing, plots)
         written += [write_sections(sections, folder / f"benchmarks.{kind}") for kind in ("html", "md")] + plots
     except OSError as error:
         raise OhmskinError(f"cannot write the report to {folder}: {error}; choose another with --output") from error
     return written
+
+
+def last_seconds(folder: Path, quick: bool) -> dict[str, float]:
+    """How long each group took (s) in the run whose report is in a `folder`, if that was as `quick`; else nothing."""
+    try:
+        run = json.loads((folder / "benchmarks.json").read_text(encoding="utf-8"))
+        return {name: float(value) for name, value in run["seconds"].items()} if run["quick"] == quick else {}
+    except (OSError, ValueError, TypeError, LookupError, AttributeError):  # none yet, of an earlier version, or edited
+        return {}
 
 
 def _machine() -> dict[str, str]:
@@ -65,12 +89,15 @@ def _machine() -> dict[str, str]:
     }
 
 
-def _sections(found: Mapping[str, Sequence[Figure]], quick: bool, plots: Sequence[Path]) -> list[Section]:
+def _sections(
+    found: Mapping[str, Sequence[Figure]], quick: bool, missing: Sequence[str], plots: Sequence[Path]
+) -> list[Section]:
     told = _machine()
     machine = f"Machine: {told['processor']}, {told['cores']} cores, {told['system']}; {told['versions']}."
     verdicts = [figure.verdict for group in found.values() for figure in group]
     counted = ", ".join(f"{verdicts.count(name)} {words}" for name, words in _TALLY.items())
-    sections = [Section("Benchmarks", [*_PREFACE, machine, f"{counted}{'; --quick' if quick else ''}."], "#")]
+    counted += f"{'; --quick' if quick else ''}{'; not measured yet: ' if missing else ''}{', '.join(missing)}."
+    sections = [Section("Benchmarks", [*_PREFACE, machine, counted], "#")]
     for name, group in found.items():
         title = (GROUPS[name].__doc__ or name).splitlines()[0].rstrip(".")
         head = ("figure", "value", "spread", "target", "", "from")

@@ -214,24 +214,27 @@ GROUPS: dict[str, Group] = {
 
 
 def run(
-    quick: bool = False, only: Sequence[str] = (), report: Callable[[str, Figure], None] = lambda _, __: None
-) -> dict[str, list[Figure]]:
-    """Measure, group by group.
+    quick: bool = False, only: Sequence[str] = (), report: Callable[[str, str], None] = lambda _, __: None
+) -> Iterator[tuple[str, list[Figure]]]:
+    """Measure, group by group: the name and the figures of each, once it is done.
 
     Args:
-        quick: Smaller sizes and fewer rounds: two minutes instead of about ten.
+        quick: Smaller sizes and fewer rounds.
         only: Names of groups; all of `GROUPS` unless given.
-        report: Called with each group's name and figure as it comes.
+        report: Called with a group's name and an empty text when it begins, and with the name of each of its figures.
 
     Raises:
         OhmskinError: If there is no such group; the message lists those there are.
     """
     if unknown := [name for name in only if name not in GROUPS]:
         raise OhmskinError(f"no benchmark {unknown[0]!r}; choose from {', '.join(GROUPS)}")
-    effort = Effort(0.6 if quick else 3.0, quick)
-    found: dict[str, list[Figure]] = {}
-    for name in only or GROUPS:
-        for figure in GROUPS[name](effort):
-            found.setdefault(name, []).append(figure)
-            report(name, figure)
-    return found
+    return ((name, _measured(name, Effort(0.6 if quick else 3.0, quick), report)) for name in only or GROUPS)
+
+
+def _measured(name: str, effort: Effort, report: Callable[[str, str], None]) -> list[Figure]:
+    report(name, "")
+    figures = []
+    for figure in GROUPS[name](effort):
+        figures.append(figure)
+        report(name, figure.name)
+    return figures

@@ -92,8 +92,15 @@ def write_report(sections: Sequence[Section], path: Path) -> Path:
             page = page.replace("{{" + name + "}}", text)
     else:
         page = "\n\n".join(part for section in sections for part in _markdown_section(section, path.parent)) + "\n"
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, page)
     return path
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Put a `text` into a file (`path`): whoever looks finds all of it, or what was there before."""
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
 
 
 def _html_section(section: Section) -> str:
