@@ -50,13 +50,17 @@ class DiscFitter:
 
     # --- what is measured ---------------------------------------------------------------------------------------------
 
-    def information(self, *scans: Difference) -> tuple[Information, Information]:
+    def information(self, *scans: Difference, drift: Floats | None = None) -> tuple[Information, Information]:
         """Information of one scan, or of several fused; and the same with the model's error as noise.
+
+        Args:
+            scans: As measured.
+            drift: (n_pairs,) known change of two-terminal resistances beside contacts (ohm).
 
         Raises:
             DataError: If no finite datum is left.
         """
-        return Information.of(self.table.pairs, self.errors, scans)
+        return Information.of(self.table.pairs, self.errors, scans, drift)
 
     def allowance(self, data: Information) -> float:
         """How much data count when contacts are fitted: less than by their noise, as the model errs, too (1)."""

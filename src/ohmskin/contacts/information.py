@@ -74,8 +74,11 @@ class Information:
     known: Floats | None = None
 
     @classmethod
-    def of(cls, pairs: Pairs | int, errors: Errors, scans: Sequence[Difference]) -> tuple["Information", "Information"]:
-        """Information of scans with the same contacts, with nominal noise, and inflated by the model's error.
+    def of(
+        cls, pairs: Pairs | int, errors: Errors, scans: Sequence[Difference], drift: Floats | None = None
+    ) -> tuple["Information", "Information"]:
+        """Information of scans with the same contacts, with nominal noise, and inflated by the model's error; less a
+        known `drift` (n_pairs,) of the two-terminal resistances (ohm).
 
         Channels that are not finite are left out. Data of driven electrodes count as much less as their larger changes
         are modelled worse.
@@ -85,20 +88,18 @@ class Information:
             PatternError: If a pattern names an electrode that is not there.
         """
         pairs = Pairs.all(pairs)
-        nominal, inflated, white, count = whitened.likelihood(*arguments(pairs, errors, scans))
+        drift = np.zeros(len(pairs)) if drift is None else drift
+        _, nominal, inflated, white, count = whitened.likelihood(*arguments(pairs, errors, scans), drift, 0.0)
         if not count:
             raise DataError(NO_DATA)
-        return cls.pair(nominal, inflated, white, count)
+        alone = QuadraticMisfit(*white)
+        return cls.made(nominal, alone, count), cls.made(inflated, alone, count)
 
     @classmethod
-    def pair(
-        cls, nominal: Quadratic, inflated: Quadratic, white: Quadratic, count: int
-    ) -> tuple["Information", "Information"]:
-        """Information of `count` data with nominal noise, and inflated, from what compiled steps return."""
-        errors, alone = len(nominal[1]), QuadraticMisfit(*white)
-        return cls(QuadraticMisfit(*nominal, errors), alone, count), cls(
-            QuadraticMisfit(*inflated, errors), alone, count
-        )
+    def made(cls, part: Quadratic, white: QuadraticMisfit, count: int) -> "Information":
+        """Information of `count` data from what compiled steps return: the squared misfit with all errors (`part`), and
+        with `white` noise alone."""
+        return cls(QuadraticMisfit(*part, len(part[1])), white, count)
 
     @classmethod
     def combined(cls, parts: Sequence["Information"]) -> "Information":
@@ -129,10 +130,9 @@ class Information:
 
     def reduced_to(self, left: Reduced, known: Floats | None = None) -> "Information":
         """What a compiled step has left of it, once changes (n_pairs + 1,) are known; None: nothing is."""
-        downdates, vector, constant = left
-        return changed(
-            self, misfit=changed(self.misfit, downdates=downdates, vector=vector, constant=constant), known=known
-        )
+        own = self.misfit
+        misfit = QuadraticMisfit(own.rows, *left, own.errors, own.powers)
+        return Information(misfit, self.white, self.count, known)
 
     def marginalised(self, directions: Floats) -> "Information":
         """The information, with changes (n_pairs or n, k) as errors, each with a standard deviation of one."""

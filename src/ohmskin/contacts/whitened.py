@@ -216,15 +216,19 @@ def without_drift(scan: Scan, drift: Floats, common: float) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def likelihood(scan: Scan, errors: ErrorTerms) -> tuple[Quadratic, Quadratic, Quadratic, int]:
-    """Squared misfits of scans, as `marginalise_errors` returns them, and how many of their data are finite."""
+def likelihood(
+    scan: Scan, errors: ErrorTerms, drift: Floats, common: float
+) -> tuple[Floats, Quadratic, Quadratic, Quadratic, int]:
+    """Voltages (n_meas,) of scans less known changes, see `without_drift`; their squared misfits, as
+    `marginalise_errors` returns them; and how many of their data are finite."""
     noise, gain, model, contacts = errors
-    four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded = scan
+    four, which, driven, amperes, _, quiet, loading, numbers, injections, loaded = scan
+    volts = without_drift(scan, drift, common)
     rows, data = whiten(
         four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded, noise, model
     )  # fmt: skip
     nominal, inflated, white = marginalise_errors(rows, data, contacts, gain, model)
-    return nominal, inflated, white, len(data)
+    return volts, nominal, inflated, white, len(data)
 
 
 @njit(cache=True, nogil=True)

@@ -85,6 +85,8 @@ class PacketLayout:
             fields.append(PacketField(match["name"], match["kind"], match["count"] or "", width, limit))
         self.scalars = tuple(field for field in fields if not field.count and not field.limit)
         self.tail = tuple(fields[len(self.scalars) :])
+        self._names = [field.name for field in self.scalars]
+        self._counts = {field.count: field.name for field in self.tail if field.count}
         self._struct = struct.Struct("<" + "".join(_CODES[field.kind] for field in self.scalars))
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
@@ -93,9 +95,9 @@ class PacketLayout:
         Raises:
             ProtocolError: If a value does not fit its field.
         """
-        values = {**values, **{field.count: len(values[field.name]) for field in self.tail if field.count}}
+        values = {**values, **{count: len(values[name]) for count, name in self._counts.items()}}
         try:
-            parts = [self._struct.pack(*(values[field.name] for field in self.scalars))]
+            parts = [self._struct.pack(*[values[name] for name in self._names])]
         except (struct.error, OverflowError) as error:
             given = {field.name: values[field.name] for field in self.scalars}
             wanted = ", ".join(f"{field.name} {field.kind}" for field in self.scalars)
@@ -124,8 +126,7 @@ class PacketLayout:
         offset = self._struct.size
         if len(payload) < offset:
             raise ProtocolError(f"payload has {len(payload)} bytes; need at least {offset}")
-        names = [field.name for field in self.scalars]
-        values: dict[str, Any] = dict(zip(names, self._struct.unpack_from(payload), strict=True))
+        values: dict[str, Any] = dict(zip(self._names, self._struct.unpack_from(payload), strict=True))
         for field in self.tail:
             if field.limit:
                 if len(payload) - offset > field.limit:

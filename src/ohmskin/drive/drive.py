@@ -249,7 +249,7 @@ class Exploration:
         pairs = base_pattern(electrodes, period).injections if drives is None else np.asarray(drives)
         if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.min() < 0 or pairs.max() >= n_elec:
             raise PatternError(f"drives of shape {pairs.shape}; give (n, 2) numbers of the {n_elec} electrodes")
-        self.drives = numbers_of(self.complete, pairs)
+        self.drives: list[int] = numbers_of(self.complete, pairs).tolist()
 
     def _set_injections(self, count: int) -> None:
         if not 1 <= count <= self.complete.n_inj:
@@ -275,6 +275,6 @@ class Exploration:
         """The next injections of the round."""
         return part_of(self.complete, self.numbers(turn, self.injections))
 
-    def numbers(self, turn: int, count: int) -> Ints:
+    def numbers(self, turn: int, count: int) -> list[int]:
         """The numbers in `complete` of the next `count`, if each of the `turn` frames before took as many."""
-        return np.asarray(self.drives[(turn * count + np.arange(count)) % len(self.drives)])
+        return [self.drives[(turn * count + k) % len(self.drives)] for k in range(count)]

@@ -150,8 +150,8 @@ class Engine(Closing):
         dropped = self._dropped_before + self.device.dropped
         health = self._monitor.cycle(time.monotonic(), self._sampled, dropped, self.known.baseline.noise)
         self._notices.pace(self.mode, self.sensor.seconds, health.rate)
-        gesture = self._gestures(self._sampled, percept.contacts)
-        return Touch(self._sequence, self._sampled, self.mode, percept, percept.contacts, health, gesture)
+        gestures = self._gestures.after(self._sampled, percept.contacts)
+        return Touch(self._sequence, self._sampled, self.mode, percept, percept.contacts, health, gestures)
 
     def touches(self) -> Iterator[Touch]:
         """All cycles, endlessly."""

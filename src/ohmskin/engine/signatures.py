@@ -76,7 +76,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.refit:split_gains", (_T4, _FLOAT64_1, _FLOAT64, _T1, _T3)),
     ("contacts.regions:join_peaks", (_FLOAT32_1, _INT32_2, _INT64_1, _FLOAT64, _INT32_1, _INT32_1)),
     ("contacts.solution:inverse", (_FLOAT64_2,)),
-    ("contacts.whitened:likelihood", (_T5, _T6)),
+    ("contacts.whitened:likelihood", (_T5, _T6, _FLOAT64_1, _FLOAT64)),
     ("contacts.whitened:powers", (_T2, _FLOAT32_2)),
     ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
     (

@@ -5,7 +5,7 @@ from enum import Enum
 
 from ohmskin.contacts import Contact
 from ohmskin.engine.health import Health
-from ohmskin.gestures import Gesture
+from ohmskin.gestures import Gesture, GestureState
 from ohmskin.sensing import Percept
 from ohmskin.skin import Mode
 
@@ -30,7 +30,7 @@ class Touch:
         percept: Frames and images behind it.
         contacts: Contacts to report, strongest first.
         health: Rate, latency and losses.
-        gesture: What the contacts do over time; None while nothing touches.
+        gestures: What the contacts do over time.
     """
 
     sequence: int
@@ -39,4 +39,9 @@ class Touch:
     percept: Percept
     contacts: tuple[Contact, ...]
     health: Health
-    gesture: Gesture | None = None
+    gestures: GestureState
+
+    @property
+    def gesture(self) -> Gesture | None:
+        """What the contacts do over time, classified when it is first asked for; None while nothing touches."""
+        return self.gestures.gesture

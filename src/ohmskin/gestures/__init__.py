@@ -2,6 +2,15 @@
 
 from ohmskin.gestures.episode import Episode
 from ohmskin.gestures.model import GESTURES, UNKNOWN, GestureModel
-from ohmskin.gestures.reader import Gesture, GestureFollower, GestureReader
+from ohmskin.gestures.reader import Gesture, GestureFollower, GestureReader, GestureState
 
-__all__ = ["GESTURES", "UNKNOWN", "Episode", "Gesture", "GestureFollower", "GestureModel", "GestureReader"]
+__all__ = [
+    "GESTURES",
+    "UNKNOWN",
+    "Episode",
+    "Gesture",
+    "GestureFollower",
+    "GestureModel",
+    "GestureReader",
+    "GestureState",
+]

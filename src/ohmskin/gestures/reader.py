@@ -1,7 +1,8 @@
 """Classifies gestures of contacts as they come."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from ohmskin.gestures.episode import ContactLike, Episode
@@ -36,10 +37,25 @@ class Gesture:
 
 @dataclass(frozen=True, eq=False)
 class GestureState:
-    """The episode that is under way, or the last one, and its gesture."""
+    """The episode that is under way, or the last one, and its gesture.
+
+    Args:
+        episode: The episode; None before anything touched.
+        model: The classifier.
+        shown: Whether its gesture is still told.
+    """
 
     episode: Episode | None = None
-    gesture: Gesture | None = None
+    model: GestureModel | None = field(default=None, repr=False)
+    shown: bool = False
+
+    @cached_property
+    def gesture(self) -> Gesture | None:
+        """The gesture, classified when it is first asked for; None where nothing has touched for half a second."""
+        if self.episode is None or self.model is None or not self.shown:
+            return None
+        name, confidence = self.model.classify(self.episode.features)
+        return Gesture(name, confidence, self.episode.began, self.episode.duration, self.episode.ended)
 
 
 class GestureReader:
@@ -67,25 +83,18 @@ class GestureReader:
             time: When the frame was taken (s).
             contacts: The contacts of the frame; may be empty.
         """
-        episode, gesture = state.episode, state.gesture
+        episode = state.episode
         if episode is not None and time < episode.last:  # a recording that was wound back
-            episode = gesture = None
+            episode = None
         if contacts:
             if episode is None or episode.ended or time - episode.last > _APART:
                 episode = Episode(began=time, last=time)
-            episode = episode.after(time, contacts)
-            return GestureState(episode, self._classified(episode))
+            return GestureState(episode.after(time, contacts), self.model, shown=True)
         if episode is None:
-            return state
+            return self.start()
         if not episode.ended and time - episode.last > _APART:
             episode = replace(episode, ended=True)
-            gesture = self._classified(episode)
-        shown = gesture if not episode.ended or time - episode.last <= _APART + _SHOWN else None
-        return GestureState(episode, shown)
-
-    def _classified(self, episode: Episode) -> Gesture:
-        name, confidence = self.model.classify(episode.features)
-        return Gesture(name, confidence, episode.began, episode.duration, episode.ended)
+        return GestureState(episode, self.model, not episode.ended or time - episode.last <= _APART + _SHOWN)
 
 
 class GestureFollower:
@@ -106,5 +115,9 @@ class GestureFollower:
             time: When the frame was taken (s).
             contacts: The contacts of the frame; may be empty.
         """
+        return self.after(time, contacts).gesture
+
+    def after(self, time: float, contacts: Sequence[Felt]) -> GestureState:
+        """The state after one more frame; arguments as for a call."""
         self._state = self._reader.update(self._state, time, contacts)
-        return self._state.gesture
+        return self._state

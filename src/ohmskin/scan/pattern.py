@@ -65,12 +65,12 @@ class DrivePattern(ReadOnly):
             object.__setattr__(pattern, name, array)
         return pattern
 
-    @property
+    @cached_property
     def n_inj(self) -> int:
         """Number of injections."""
         return len(self.injections)
 
-    @property
+    @cached_property
     def n_meas(self) -> int:
         """Number of measurements."""
         return len(self.measurements)

@@ -15,7 +15,7 @@ from ohmskin.scan import Difference
 from ohmskin.sensing.confidence import fit_confidence
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.places import Placement, placement_of
-from ohmskin.sensing.readers import Belief, FitReader, fit, undriven
+from ohmskin.sensing.readers import Belief, FitReader, estimated, fit
 from ohmskin.tracking import Tracks
 
 
@@ -55,9 +55,7 @@ class LearnedReader:
             belief = self.physics.update(before, new, recent, elapsed)
             return changed(belief, novel=before.novel + elapsed if belief.detections else 0.0)
         assert isinstance(before.tracks, Tracks)
-        lately = undriven(cleaned)
-        fresh = lately if len(new) == len(recent) else undriven(before.without_drift(new, pairs))
-        estimate = self.estimator.update(before.estimate, fresh, lately, elapsed)
+        estimate = estimated(self.estimator, before.estimate, len(new), cleaned, elapsed)
         tracks, contacts = self.physics.tracker.update(before.tracks, [found])
         unlearned = before.unlearned + elapsed
         return Belief(estimate, (found,), contacts, tracks, before.drift, unlearned, explains=True)

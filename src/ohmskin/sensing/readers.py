@@ -6,6 +6,7 @@ Other packages add theirs with an entry point of the group ``ohmskin.readers``: 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +17,7 @@ from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import nothing
 from ohmskin.drive import Target
 from ohmskin.inverse import Image
-from ohmskin.inverse.estimators import Estimate, Estimator
+from ohmskin.inverse.estimators import Estimate, Estimator, FrameWise, Made
 from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.confidence import fit_confidence, image_confidence, scaled_confidence
@@ -125,6 +126,34 @@ def undriven(scans: Sequence[Difference]) -> list[Difference]:
     return [scan.undriven for scan in scans]
 
 
+def _steady(drift: Floats, pairs: Pairs, scans: Sequence[Difference]) -> list[Difference]:
+    return undriven([scan.minus(drift, pairs) for scan in scans])
+
+
+def estimated(
+    estimator: Estimator,
+    before: Estimate,
+    count: int,
+    recent: Sequence[Difference],
+    elapsed: float,
+    ready: Callable[[Sequence[Difference]], list[Difference]] = undriven,
+) -> Estimate:
+    """The estimate after one more frame. One without memory makes its scans ready when its image is first asked for.
+
+    Args:
+        estimator: Estimator of the image.
+        before: The last estimate.
+        count: Scans of the frame, the first of the recent ones.
+        recent: As for `Estimator.update`.
+        elapsed: Time since the last frame (s).
+        ready: Makes of scans what images are made of.
+    """
+    if isinstance(estimator, FrameWise) and recent:
+        return Made(lambda: estimator.estimator.reconstruct(*ready(recent)))
+    scans = ready(recent)
+    return estimator.update(before, scans[:count], scans, elapsed)
+
+
 @dataclass(frozen=True, eq=False)
 class DetectionReader:
     """A `Reader` that finds contacts in the image of every frame, and tracks them by nearest neighbours.
@@ -186,13 +215,9 @@ class FitReader:
         always, beside the contacts."""
         assert isinstance(before.tracks, Tracks)
         drift, errors, pairs = before.drift, self.fitter.errors, self.fitter.table.pairs
-        if drift is not None:
-            less = {
-                id(scan): scan.minus(drift, pairs) for scan in {id(scan): scan for scan in (*new, *recent)}.values()
-            }
-            new, recent = ([less[id(scan)] for scan in scans] for scans in (new, recent))
-        estimate = self.estimator.update(before.estimate, undriven(new), undriven(recent), elapsed)
-        nominal, inflated = self.fitter.information(*recent)
+        ready = undriven if drift is None else partial(_steady, drift, pairs)
+        estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed, ready)
+        nominal, inflated = self.fitter.information(*recent, drift=drift)
         unlearned, searched = before.unlearned + elapsed, before.searched + elapsed
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
         solution = self.fitter.fit_information(nominal, inflated, before=known)
@@ -269,8 +294,8 @@ class FilterReader:
             state = self.filter.update(state, scan, 0.0 if number else elapsed)
         contacts = scaled_confidence(state.contacts, fit_confidence(state.unexplained))
         suspects = tuple(suspected & set(state.suspects))  # twice in a row: several at once contradict one, too
-        corrected = undriven(state.recent(self.injections))
-        estimate = self.estimator.update(before.estimate, corrected[: len(new)], corrected, elapsed)
+        recent = state.recent(self.injections)
+        estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed)
         belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
         search_targets = () if state.possible is None else (Target.possible(state.possible, self.fitter.table.radius),)
         return changed(belief, explains=self.filter.explains(state), search_targets=search_targets)

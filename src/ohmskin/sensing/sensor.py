@@ -166,7 +166,7 @@ class Sensor:
         self.known, self.drive, self.reader, self.locator = known, drive, reader, locator
         self.thresholds, self.fuse, self.window, self.forces = thresholds, fuse, window, forces
         self.detector, self.total = FaultDetector(known, window), TotalForce(known)
-        self._placement = placement_of(known)
+        self._placement, self._chart = placement_of(known), known.skin.chart
         self.implementation: Implementation | None = None
         self.seconds = 0.0
 
@@ -215,7 +215,7 @@ class Sensor:
             belief = belief.with_image_misfit(state.belief.unexplained if judged else image_misfit(self.known, data))
         if diagnosis.recent_causes:
             belief = belief.with_drift_of(state.belief)
-        presses, contacts = state.presses, on_skin(belief.contacts, self.known.skin.chart)
+        presses, contacts = state.presses, on_skin(belief.contacts, self._chart)
         if self.forces is not None and _any_known(scans):
             presses, contacts = self.forces.update(
                 presses, contacts, belief.without_drift(scans, self.known.pairs), elapsed

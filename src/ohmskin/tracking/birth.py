@@ -45,11 +45,12 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         common: Share of the noise's variance that is the same in all frames: it does not average out.
         speed: Standard deviation of a contact's velocity (m/s).
     """
-    state = changed(state, possible=None)
+    possible = None
     while len(state.pressing) < fitter.most:
         count, place, height = _most_significant(state.history, fitter, common)
         if height < bar:
-            return changed(state, possible=fitter.places[place] if height > _POSSIBLE else None)
+            possible = fitter.places[place] if height > _POSSIBLE else None
+            break
         used = state.history[:count]
         found = _added(used, fitter)
         if (alone := _from_one_electrode(state, fitter, found, used)) is not None:
@@ -74,7 +75,7 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         state = changed(
             state, history=tuple(_updated(residuals, fitter, found.params, variance) for residuals in state.history)
         )
-    return state
+    return changed(state, possible=possible)
 
 
 def _most_significant(history: Sequence[Residuals], fitter: ContactFitter, common: float) -> tuple[int, int, float]:

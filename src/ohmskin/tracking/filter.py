@@ -13,7 +13,7 @@ import numpy as np
 from ohmskin.arrays import changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.fitter import ContactFitter
-from ohmskin.contacts.information import NO_DATA, Information, arguments
+from ohmskin.contacts.information import NO_DATA, arguments
 from ohmskin.errors import DataError, ModelError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
@@ -82,9 +82,8 @@ class ContactFilter:
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
         fitter, motion = self.fitter, self.motion
         before = moved(state, fitter, motion, elapsed)
-        under = set(fitter.covered(before.params[before.pressing]))
-        before = changed(before, suspects=(), covered=tuple(e for e in state.covered if e in under))
-        state = self._updated(before, difference, elapsed)
+        under = fitter.covered(before.params[before.pressing]) if state.covered else []
+        state = self._updated(before, tuple(e for e in state.covered if e in under), difference, elapsed)
         newest = state.history[0]
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
         if state.history[0] is not newest:
@@ -107,31 +106,29 @@ class ContactFilter:
         data = newest.observation.data
         return not self.fitter.poor(data, newest.residual.misfit.constant * self.fitter.allowance(data))
 
-    def _updated(self, before: TrackState, difference: Difference, elapsed: float) -> TrackState:
+    def _updated(
+        self, before: TrackState, covered: tuple[int, ...], difference: Difference, elapsed: float
+    ) -> TrackState:
         """The state after a frame, its contacts being those that it holds, and the frame among its history.
 
-        What resistances of electrodes under contacts do is left out.
+        What resistances of `covered` electrodes, under contacts, do is left out.
         """
         pairs = self.fitter.table.pairs
         mean, covariance = before.mean.copy(), before.covariance.copy()
         scan, errors = arguments(pairs, self.fitter.errors, [difference])
-        covered = np.ascontiguousarray(in_series(before.covered, pairs).T)
+        unknown = np.ascontiguousarray(in_series(covered, pairs).T) if covered else np.empty((0, len(pairs)))
         found = kernels.updated(
-            scan, errors, covered, before.drift, before.common_drift, mean, covariance, *self.fitter.compiled
+            scan, errors, unknown, before.drift, before.common_drift, mean, covariance, *self.fitter.compiled
         )
         if not found.likelihood[-1]:
             raise DataError(NO_DATA)
-        data, inflated = Information.pair(*found.likelihood)
+        observation = Observation(changed(difference, volts=found.volts), found)
+        data = observation.data
         known = found.predicted if before.tracks else None
         # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
         energy = max(found.energy, before.recent_energy * exp(-2 * elapsed / self.motion.creep_time))
         newest = Residuals(
-            Observation(
-                changed(difference, volts=found.volts),
-                data,
-                data.reduced_to(found.nominal),
-                inflated.reduced_to(found.inflated),
-            ),
+            observation,
             data.reduced_to(found.innovation, known),
             data.reduced_to(found.residual, found.caused),
             energy,
@@ -149,6 +146,8 @@ class ContactFilter:
             history=(newest, *before.history[: LONGEST - 1]),
             recent_energy=energy,
             turn=before.turn + 1,
+            suspects=(),
+            covered=covered,
             unexplained=data.share_unexplained(*found.signals),
         )
 

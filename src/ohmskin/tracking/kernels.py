@@ -10,7 +10,7 @@ from ohmskin.contacts.kernels import SQUARE_STD, all_onto, refined
 from ohmskin.contacts.misfit import COMMON, norms, subtract
 from ohmskin.contacts.refit import flat_prior, marginalised, scores, shapes_of
 from ohmskin.contacts.solution import inverse
-from ohmskin.contacts.whitened import ErrorTerms, Quadratic, Reduced, Scan, add, dot, likelihood, without_drift
+from ohmskin.contacts.whitened import ErrorTerms, Quadratic, Reduced, Scan, add, dot, likelihood
 from ohmskin.forward.splines import Grid, Spline
 
 _ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
@@ -120,11 +120,7 @@ def updated(
         candidates: (n_pairs + 1, n_places) what those do that are looked for.
     """
     radius, least, smallest, largest, error = settings[:5]
-    four, which, driven, amperes, _, quiet, loading, numbers, injections, loaded = scan
-    volts = without_drift(scan, drift, common[0])
-    nominal, inflated, white, count = likelihood(
-        (four, which, driven, amperes, volts, quiet, loading, numbers, injections, loaded), errors
-    )  # fmt: skip
+    volts, nominal, inflated, white, count = likelihood(scan, errors, drift, common[0])
     if len(covered):
         unknown = flat_prior(white, covered)
         nominal, inflated, white = (

@@ -47,12 +47,10 @@ class Motion:
 def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
     """The state some time later (s): contacts go on, ever more slowly, and are known less and less well."""
     common_drift = (state.common_drift[0], state.common_drift[1] + motion.common_walk**2 * elapsed)
-    state = changed(state, common_drift=common_drift, time=state.time + elapsed)
-    if not state.tracks:
-        return state
     mean, covariance, radius = state.mean.copy(), state.covariance.copy(), fitter.table.radius
-    pressing = np.array([not track.lifted for track in state.tracks])
-    scales = np.array([radius, motion.speed, motion.effect_walk, _LEAST_EFFECT * np.pi * radius**2])
-    times = np.array([motion.velocity_time, motion.radius_time])
-    advanced(mean, covariance, pressing, elapsed, times, scales, fitter.table.sheet)
-    return changed(state, mean=mean, covariance=covariance)
+    if state.tracks:
+        pressing = np.array([not track.lifted for track in state.tracks])
+        scales = np.array([radius, motion.speed, motion.effect_walk, _LEAST_EFFECT * np.pi * radius**2])
+        times = np.array([motion.velocity_time, motion.radius_time])
+        advanced(mean, covariance, pressing, elapsed, times, scales, fitter.table.sheet)
+    return changed(state, common_drift=common_drift, time=state.time + elapsed, mean=mean, covariance=covariance)

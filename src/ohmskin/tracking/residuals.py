@@ -1,12 +1,15 @@
 """Residuals: the last frames, the information of each, and how well the contacts known explain it."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from ohmskin.arrays import Floats, Singles
 from ohmskin.contacts.information import Information
+from ohmskin.contacts.misfit import QuadraticMisfit
 from ohmskin.scan import Difference
+from ohmskin.tracking.kernels import Update
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,15 +18,28 @@ class Observation:
 
     Args:
         difference: The frame.
-        data: Its information, a common change of all resistances included.
-        nominal: Its information marginalised over that change, as far as it is not known.
-        inflated: The same with noise inflated by the model's error.
+        update: What a compiled step made of it.
     """
 
     difference: Difference
-    data: Information
-    nominal: Information
-    inflated: Information
+    update: Update
+
+    @cached_property
+    def data(self) -> Information:
+        """Its information, a common change of all resistances included."""
+        nominal, _, white, count = self.update.likelihood
+        return Information.made(nominal, QuadraticMisfit(*white), count)
+
+    @cached_property
+    def nominal(self) -> Information:
+        """Its information marginalised over that change, as far as it is not known."""
+        return self.data.reduced_to(self.update.nominal)
+
+    @cached_property
+    def inflated(self) -> Information:
+        """The same with noise inflated by the model's error."""
+        _, inflated, _, count = self.update.likelihood
+        return Information.made(inflated, self.data.white, count).reduced_to(self.update.inflated)
 
 
 @dataclass(frozen=True, eq=False)
