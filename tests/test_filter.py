@@ -128,6 +128,18 @@ def products(misfit: QuadraticMisfit) -> Floats:
 
 
 @pytest.mark.parametrize("source_loading", [False, True])
+def test_known_drift_is_taken_off_scans_in_the_compiled_pass(source_loading: bool) -> None:
+    scans = [random_difference(base_pattern(SKIN.electrodes).with_driven, seed, source_loading) for seed in (1, 2)]
+    errors = Errors(0.3, gain=0.2, contacts=np.random.default_rng(5).normal(0, 100.0, (120, 16)), model=0.05)
+    drift = np.random.default_rng(6).normal(size=120)
+    steady = Information.of(16, errors, [scan.less(drift) for scan in scans])
+    for one, other in zip(Information.of(16, errors, scans, drift), steady, strict=True):
+        assert np.array_equal(one.misfit.vector, other.misfit.vector)
+        assert np.array_equal(one.misfit.lost, other.misfit.lost)
+        assert one.misfit.constant == other.misfit.constant
+
+
+@pytest.mark.parametrize("source_loading", [False, True])
 def test_what_scans_say_is_what_dense_algebra_says(source_loading: bool) -> None:
     """With gaps, driven electrodes, errors of currents and contacts, and a common change of all resistances."""
     scans = [

@@ -110,14 +110,18 @@ def test_training_makes_a_model_that_tells_most() -> None:
     assert np.mean(right) > 0.7  # of 25, chance, and 95 of the model that ships, trained on six times as many
 
 
-def test_the_loop_tells_a_gesture() -> None:
-    skin = Skin.load("paper-rim16")
+def test_the_loop_tells_a_gesture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It classifies it when somebody asks."""
+    skin, asked, tell = Skin.load("paper-rim16"), list[str](), GestureModel.tell
+    monkeypatch.setattr(GestureModel, "tell", lambda *given: asked.append("") or tell(*given))
     with Engine(lambda: DirectDevice(VirtualSkin(skin, seed=1)), skin, "16B") as engine:
         engine.calibrate()
         engine.press(1, at=(0.1, 0.1), radius=8e-3, pressure=20e3)
         touches = [engine.step() for _ in range(6)]
     assert touches[-1] is not None
+    assert not asked
     assert touches[-1].gesture is not None
     assert touches[-1].gesture.name in (*GESTURES, UNKNOWN)
     assert set(touches[-1].gesture.as_json()) == {"name", "confidence", "began", "duration", "ended"}
     assert replace(touches[-1].gesture, name="tap").as_json()["name"] == "tap"
+    assert len(asked) == 1
