@@ -132,10 +132,10 @@ def test_known_drift_is_taken_off_scans_in_the_compiled_pass(source_loading: boo
     scans = [random_difference(base_pattern(SKIN.electrodes).with_driven, seed, source_loading) for seed in (1, 2)]
     errors = Errors(0.3, gain=0.2, contacts=np.random.default_rng(5).normal(0, 100.0, (120, 16)), model=0.05)
     drift = np.random.default_rng(6).normal(size=120)
-    steady = Information.of(16, errors, [scan.less(drift) for scan in scans])
+    steady = Information.of(16, errors, [scan.minus(drift) for scan in scans])
     for one, other in zip(Information.of(16, errors, scans, drift), steady, strict=True):
         assert np.array_equal(one.misfit.vector, other.misfit.vector)
-        assert np.array_equal(one.misfit.lost, other.misfit.lost)
+        assert np.array_equal(one.misfit.downdates, other.misfit.downdates)
         assert one.misfit.constant == other.misfit.constant
 
 

@@ -112,8 +112,8 @@ def test_training_makes_a_model_that_tells_most() -> None:
 
 def test_the_loop_tells_a_gesture(monkeypatch: pytest.MonkeyPatch) -> None:
     """It classifies it when somebody asks."""
-    skin, asked, tell = Skin.load("paper-rim16"), list[str](), GestureModel.tell
-    monkeypatch.setattr(GestureModel, "tell", lambda *given: asked.append("") or tell(*given))
+    skin, asked, classify = Skin.load("paper-rim16"), list[str](), GestureModel.classify
+    monkeypatch.setattr(GestureModel, "classify", lambda *given: asked.append("") or classify(*given))
     with Engine(lambda: DirectDevice(VirtualSkin(skin, seed=1)), skin, "16B") as engine:
         engine.calibrate()
         engine.press(1, at=(0.1, 0.1), radius=8e-3, pressure=20e3)

@@ -117,7 +117,7 @@ class GestureFollower:
         """
         return self.after(time, contacts).gesture
 
-    def after(self, time: float, contacts: Sequence[Felt]) -> GestureState:
+    def after(self, time: float, contacts: Sequence[ContactLike]) -> GestureState:
         """The state after one more frame; arguments as for a call."""
         self._state = self._reader.update(self._state, time, contacts)
         return self._state

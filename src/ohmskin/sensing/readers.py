@@ -17,7 +17,7 @@ from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import nothing
 from ohmskin.drive import Target
 from ohmskin.inverse import Image
-from ohmskin.inverse.estimators import Estimate, Estimator, FrameWise, Made
+from ohmskin.inverse.estimators import Estimate, Estimator, FrameWise, LazyEstimate
 from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.confidence import fit_confidence, image_confidence, scaled_confidence
@@ -149,7 +149,7 @@ def estimated(
         ready: Makes of scans what images are made of.
     """
     if isinstance(estimator, FrameWise) and recent:
-        return Made(lambda: estimator.estimator.reconstruct(*ready(recent)))
+        return LazyEstimate(lambda: estimator.estimator.reconstruct(*ready(recent)))
     scans = ready(recent)
     return estimator.update(before, scans[:count], scans, elapsed)
 
