@@ -15,6 +15,7 @@ from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.solution import PER_CONTACT, Solution, effect_std, nothing
 from ohmskin.forward import ContactTable
 from ohmskin.scan import Difference
+from ohmskin.scan.pairs import in_series
 
 _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the usual one; the table ends there
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
@@ -107,10 +108,22 @@ class DiscFitter:
         """The electrodes under contacts (n, 4)."""
         return list(kernels.covering(params, self.table.electrodes, self.table.period).tolist())
 
+    def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
+        """Data of which nothing that the resistances of some electrodes do is taken to be known."""
+        return data.excluding(in_series(covered, self.table.pairs)) if covered else data
+
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
         """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would
         stand out, given what remains to be explained beside all contacts."""
         return refit.split_gains(left.misfit.part, one, self.table.radius, self.table.sheet, self.table.spline)
+
+    def gain_of(self, nominal: Information, few: Solution, many: Solution) -> float:
+        """By how much `many` contacts explain `nominal` data better than `few` (noise's variance), less model error."""
+        return (few.cost - many.cost) / self.allowance(nominal) - (self.model_error * nominal.norm(few.caused)) ** 2
+
+    def _distance(self, pair: Floats) -> float:
+        """Of two contacts (2, 4), over the sum of their radii (1)."""
+        return float(np.linalg.norm(self.table.offsets(*pair[:, :2])) / np.sqrt(pair[:, 3]).sum())
 
     # --- one contact more? --------------------------------------------------------------------------------------------
 

@@ -160,6 +160,7 @@ class ContactFitter(DiscFitter):
                 nominal, inflated = (self._uncovered(one, covered) for one in everything)
                 if everything is not whole or len(found.params) > 1:
                     found = self.refine(inflated, found.params, *self.prior(found.params))
+        covered, found = self._beside_electrodes(everything[1], found, covered)
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
         known = None if before is None else self._refitted(*given, found)
         return found if known is None else changed(found, doubts=known[0].doubts)
@@ -204,13 +205,9 @@ class ContactFitter(DiscFitter):
             search and self.table.pairs.whole,
             allowed,
         )
-        if state == refit.INVALID or (before.covered and not {*before.covered} <= {*self.covered(params)}):
+        if state == refit.INVALID or {*before.covered} != {*self.covered(params)}:
             return None
         return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T, doubts), state == VALID
-
-    def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
-        """Data of which nothing that the resistances of some electrodes do is taken to be known."""
-        return data.excluding(in_series(covered, self.table.pairs)) if covered else data
 
     def _price(self, found: Solution, covered: int) -> float:
         """What a fit leaves unexplained, and what its contacts and the electrodes covered cost (noise's variance)."""
@@ -249,6 +246,19 @@ class ContactFitter(DiscFitter):
                 ):
                     tried.append((under, nominal, inflated, one))
         return min(tried, key=lambda each: self._price(each[3], 0), default=None)
+
+    def _beside_electrodes(
+        self, data: Information, found: Solution, covered: tuple[int, ...]
+    ) -> tuple[tuple[int, ...], Solution]:
+        """The electrodes under contacts, and the contacts with nothing taken to be known of the resistances of these.
+
+        Those that no contact lies on any more, once that is not known, are not counted.
+        """
+        under = (*covered, *(number for number in self.covered(found.params) if number not in covered))
+        if under == covered:
+            return covered, found
+        beside = self.refine(self._uncovered(data, under), found.params, *self.prior(found.params))
+        return (under, beside) if {*under} <= {*self.covered(beside.params)} else (covered, found)
 
     def _likely(self, data: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:
         """The electrode that one contact more most likely covers, if there is one that promises a contact at all.
@@ -338,11 +348,3 @@ class ContactFitter(DiscFitter):
         `bar` and `share` as for `are_two`."""
         gaps = (self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1))
         return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > _APART for gap in gaps)
-
-    def gain_of(self, nominal: Information, few: Solution, many: Solution) -> float:
-        """By how much `many` contacts explain `nominal` data better than `few` (noise's variance), less model error."""
-        return (few.cost - many.cost) / self.allowance(nominal) - (self.model_error * nominal.norm(few.caused)) ** 2
-
-    def _distance(self, pair: Floats) -> float:
-        """Of two contacts (2, 4), over the sum of their radii (1)."""
-        return float(np.linalg.norm(self.table.offsets(*pair[:, :2])) / np.sqrt(pair[:, 3]).sum())

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import ContactFitter
 from ohmskin.errors import DataError, ModelError
-from ohmskin.forward import TransferModel
+from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.inverse import GaussNewton
 from ohmskin.inverse.estimators import ESTIMATORS, Estimator, EstimatorSettings, FrameWise
 from ohmskin.scan import Baseline, Difference, DrivePattern, Frame, Pairs, Quality
@@ -207,15 +207,36 @@ class SkinModel:
         Raises:
             ModelError: If the sheet is not flat.
         """
-        table = self.skin.contact_table(self._described).scaled(self._table_scale)
         return ContactFitter(
-            table,
+            self._table,
             self.white,
             self.skin.imaging.contact_error,
             bipolar=self.skin.imaging.bipolar,
             gain=self.gain,
             contacts=self.contact_changes,
         )
+
+    @cached_property
+    def _table(self) -> ContactTable:
+        """The responses of contacts, with electrodes of their real size: a point's is singular under a contact.
+
+        Where there are no contact impedances, electrodes are points.
+        """
+        model, scale = self._described, self._table_scale
+        if self.impedances.any() and model.mesh.nodes.shape[1] == 2 and not model.electrodes.are_areas.any():
+            model = self._of_real_size(model)
+            scale = self._scale(model)
+        return self.skin.contact_table(model).scaled(scale)
+
+    def _of_real_size(self, model: TransferModel) -> TransferModel:
+        """A model with point electrodes as one with discs, on a mesh that resolves them."""
+        if model is self.skin.transfer_model():
+            return self.skin.electrode_model()
+        discs = self.skin.discs
+        electrodes = model.electrodes.with_discs(discs.extents, discs.contact_impedances)
+        mesh = self.skin.mesh_for(electrodes)
+        values = model.tensors[model.mesh.closest_elements(mesh.centroids, 1).ravel()]
+        return TransferModel(mesh, electrodes, values).over(self.pairs)
 
     @cached_property
     def contact_changes(self) -> Floats:

@@ -340,7 +340,7 @@ def _design(skin: Skin, driven: bool) -> tuple[ContactTable, Candidates]:
     candidates = candidate_pattern(skin.electrodes, skin.domain.period)
     contacts = float(skin.contact_change(skin.electrode.contact_impedance)) if driven else None
     currents = skin.pair_currents()
-    table = skin.contact_table(skin.transfer_model())
+    table = skin.contact_table(skin.electrode_model())
     return table, Candidates.at_currents(candidates, skin.pairs, skin.noise, currents, contacts)
 
 
