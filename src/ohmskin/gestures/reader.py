@@ -118,6 +118,6 @@ class GestureFollower:
         return self.after(time, contacts).gesture
 
     def after(self, time: float, contacts: Sequence[ContactLike]) -> GestureState:
-        """The state after one more frame; arguments as for a call."""
+        """The state after one more frame, taken at a `time` (s), with `contacts`, which may be none."""
         self._state = self._reader.update(self._state, time, contacts)
         return self._state
