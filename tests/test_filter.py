@@ -421,15 +421,14 @@ def test_contacts_are_found_within_three_frames_and_known_as_well_as_is_said(wor
 
 @pytest.mark.parametrize("decibels", [40, 50])
 def test_another_contact_is_found_while_one_is_tracked(decibels: int) -> None:
-    """At all places, three seeds. At 40 dB the one 27 mm away is taken for a part of the first (guide/tracking.md)."""
+    """At all places, three seeds; at 40 dB one 27 mm away is found in half of the cases only (guide/tracking.md)."""
     misses = []
     for seed, (number, at) in product(range(3), enumerate(PLACES)):
         rig, first = Rig("discs", decibels, 10 * number + seed), press("discs", (0.125, 0.09))
         (known,) = rig.run(12, first).contacts
-        second = press("discs", at)
         if decibels == 40 and at == (0.1, 0.1):
-            assert len(rig.run(24, first, second).contacts) == 1
             continue
+        second = press("discs", at)
         lag = next(k for k in range(1, 9) if len(rig.frame(first, second).contacts) == 2)
         assert lag <= 3, at
         after = rig.run(16, first, second)
@@ -437,6 +436,23 @@ def test_another_contact_is_found_while_one_is_tracked(decibels: int) -> None:
         misses.append(miss(after, at))
     assert np.mean(misses) < (4e-3 if decibels == 40 else 2e-3)
     assert np.max(misses) < (15e-3 if decibels == 40 else 8e-3)
+
+
+def test_a_tracked_contact_does_not_grow_to_explain_a_new_one_beside_it() -> None:
+    """On the layer of patches at 40 dB, 25 to 32 mm apart, at 24 places: most are found within three frames."""
+    random, found, grown = np.random.default_rng(21), [], []
+    for number in range(24):
+        middle, angle = random.uniform(0.04, 0.16, 2), random.uniform(0, np.pi)
+        half = random.uniform(12.5e-3, 16e-3) * np.array([np.cos(angle), np.sin(angle)])
+        one, other = (press("pressed", tuple(middle + side * half)) for side in (1, -1))
+        rig = Rig("pressed", 40, 100 + number, ContactFilter(fitter("pressed", 40, model_error=0.07)))
+        (known,) = rig.run(12, one).contacts
+        states = [rig.frame(one, other) for _ in range(3)]
+        found.append(any(len(state.contacts) == 2 for state in states))
+        after = next(contact for contact in states[0].contacts if contact.id == known.id)
+        grown.append(after.strength / known.strength)
+    assert np.mean(found) >= 0.8
+    assert np.median(grown) < 1.3
 
 
 @pytest.mark.parametrize("world", ["discs", "pressed"])

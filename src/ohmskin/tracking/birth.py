@@ -9,12 +9,11 @@ from ohmskin.arrays import Floats, changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
-from ohmskin.tracking.kernels import energy_of, most_significant
+from ohmskin.tracking.kernels import POSSIBLE, energy_of, most_significant
 from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
 
 _WINDOWS = np.array([1, 2, 3, 4, 6, 8, 12])  # frames over which new contacts are looked for
-_POSSIBLE = 4.0  # standard deviations from which on one more contact may be there, and is looked for
 _ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without an electrode, and share that then lacks
 _BLAMED = 3  # of the newest frames in which one electrode alone shows a contact, from which on its wire is loose
 _NOTHING = 1e-9  # share of the power that a frame keeps whose score counts for nothing
@@ -49,7 +48,7 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
     while len(state.pressing) < fitter.most:
         count, place, height = _most_significant(state.history, fitter, common)
         if height < bar:
-            possible = fitter.places[place] if height > _POSSIBLE else None
+            possible = fitter.places[place] if height > POSSIBLE else None
             break
         used = state.history[:count]
         found = _added(used, fitter)

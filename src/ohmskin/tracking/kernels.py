@@ -15,6 +15,8 @@ from ohmskin.forward.splines import Grid, Spline
 
 _ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
 _BALANCE = 1e-12  # share of a variance added to it, so that rounding cannot make a covariance indefinite
+POSSIBLE = 4.0  # standard deviations from which on one more contact may be there
+_RESTING = 0.5  # share of the model's error of contacts known that may change from one frame to the next, if they rest
 _OTHERWISE = 2.0  # times the signal marginalised over all errors by which a contact's model errs at most
 
 
@@ -106,6 +108,9 @@ def updated(
 ) -> Update:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and scores for others.
 
+    Where one more contact is possible, those known are corrected by what the frame says beside it, whatever its effect:
+    otherwise the closest one would move and grow to explain it.
+
     Args:
         scan: The frame.
         errors: How it errs.
@@ -119,7 +124,7 @@ def updated(
         spline: What they do.
         candidates: (n_pairs + 1, n_places) what those do that are looked for.
     """
-    radius, least, smallest, largest, error = settings[:5]
+    radius, error = settings[0], settings[4]
     volts, nominal, inflated, white, count = likelihood(scan, errors, drift, common[0])
     if len(covered):
         unknown = flat_prior(white, covered)
@@ -133,26 +138,32 @@ def updated(
     direction[0, pairs] = np.sqrt(common[1])
     own, wide = marginalised(nominal, direction), marginalised(inflated, direction)
     caused, predicted, innovation, left = np.zeros(pairs + 1), np.zeros(pairs + 1), nominal, white[3]
-    params = mean[:, :4].copy()
-    if n:
-        before = _parameters(covariance)
-        known, start = inverse(before), params.copy().ravel()
-        _, normal, caused[:pairs], slopes = refined(
-            params, wide[0], wide[1], wide[2], wide[3], start, known, np.int64(_ROUNDS), radius, least,
-            smallest, largest, sheet, spline, np.inf,
+    before, start, spread, params = _parameters(covariance), mean.copy(), covariance.copy(), mean[:, :4].copy()
+    evidence = wide
+    for again in range(2):
+        if n:
+            mean[:], covariance[:] = start, spread
+            params, caused[:pairs], predicted[:pairs], slopes = _corrected(
+                mean, covariance, before, evidence, settings, sheet, spline
+            )
+            vector, constant = subtract(nominal[0], nominal[1], nominal[2], nominal[3], predicted)
+            innovation = marginalised((nominal[0], nominal[1], vector, constant), _spread(before, slopes))
+            left = subtract(white[0], white[1], white[2], white[3], predicted)[1]
+        shapes = shapes_of(params, radius, error, spline)
+        marginal_innovation = marginalised(marginalised(innovation, direction), shapes)
+        score, power = scores(marginal_innovation, candidates)
+        energy = energy_of(nominal, white, caused[:pairs])
+        if again or not n:
+            break
+        _, place, height = most_significant(
+            score.reshape((1, -1)), power.reshape((1, -1)), np.array([energy]), np.ones(1, np.int64), 0.0,
+            _RESTING * error, settings[7] > 0.0,
         )  # fmt: skip
-        change = params.ravel() - start
-        _condition(mean, covariance, before, known, normal, params, change)
-        for p in range(pairs):
-            predicted[p] = caused[p]
-            for i in range(4 * n):
-                predicted[p] -= slopes[i, p] * change[i]
-        vector, constant = subtract(nominal[0], nominal[1], nominal[2], nominal[3], predicted)
-        innovation = marginalised((nominal[0], nominal[1], vector, constant), _spread(before, slopes))
-        left = subtract(white[0], white[1], white[2], white[3], predicted)[1]
-    marginal_innovation = marginalised(marginalised(innovation, direction), shapes_of(params, radius, error, spline))
-    score, power = scores(marginal_innovation, candidates)
-    energy, signals = energy_of(nominal, white, caused[:pairs]), (0.0, 0.0)
+        if height < POSSIBLE:
+            break
+        more = candidates[:pairs, place].astype(np.float64).reshape((1, -1))
+        evidence = marginalised(wide, flat_prior(white, more))
+    signals = 0.0, 0.0
     if n:
         direction[0, pairs] = COMMON
         alone = marginalised(nominal, direction)
@@ -164,6 +175,35 @@ def updated(
         _reduced(marginal_innovation),
         (nominal[1], vector, constant), caused, predicted, common, energy, signals, score, power,
     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _corrected(
+    mean: Floats, covariance: Floats, before: Floats, evidence: Quadratic, settings: Floats, sheet: Grid, spline: Spline
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Contacts and their covariance, in place, once a frame is known; see `updated`.
+
+    Args:
+        mean, covariance: Of the contacts, as they were predicted.
+        before: The covariance (4 n, 4 n) of what a frame depends on.
+        evidence: The frame's likelihood.
+        settings, sheet, spline: See `updated`.
+
+    Returns:
+        What they are (n, 4) and cause (n_pairs,), what they were predicted to cause, and their slopes (4 n, n_pairs).
+    """
+    radius, least, smallest, largest = settings[:4]
+    params = mean[:, :4].copy()
+    known, start = inverse(before), params.copy().ravel()
+    _, normal, caused, slopes = refined(
+        params, evidence[0], evidence[1], evidence[2], evidence[3], start, known, np.int64(_ROUNDS), radius, least,
+        smallest, largest, sheet, spline, np.inf,
+    )  # fmt: skip
+    change, predicted = params.ravel() - start, caused.copy()
+    _condition(mean, covariance, before, known, normal, params, change)
+    for i in range(len(change)):
+        add(-change[i], slopes[i], predicted)
+    return params, caused, predicted, slopes
 
 
 @njit(cache=True, nogil=True)

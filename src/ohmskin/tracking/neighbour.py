@@ -61,8 +61,8 @@ class Tracker:
         if old and found:
             last, now = (np.array([c.position for c in some]) for some in ([t.contact for t in old], found))
             distance = np.linalg.norm(shortest(last[:, None] - now[None], self.period), axis=2)
-            pair_products = zip(*linear_sum_assignment(np.minimum(distance, 2 * self.reach)), strict=True)
-            track_of = {int(c): int(t) for t, c in pair_products if distance[t, c] <= self.reach}
+            assigned = zip(*linear_sum_assignment(np.minimum(distance, 2 * self.reach)), strict=True)
+            track_of = {int(c): int(t) for t, c in assigned if distance[t, c] <= self.reach}
         next_id = state.next_id
         tracks, reported = [], []
         for number, contact in enumerate(found):
