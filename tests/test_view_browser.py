@@ -563,7 +563,7 @@ def test_a_recording_is_led_from_the_page_and_all_browsers_agree(chromium: Brows
         expect(page.get_by_label("Speed")).to_have_value("3")  # as the command line set it
         expect(page.locator("#pause")).to_be_hidden()
         page.click("#play")
-        expect(page.locator("#play")).to_have_text("Inject")
+        expect(page.locator("#play")).to_have_text("Play")
         box = seek.bounding_box()
         assert box is not None
         middle = box["y"] + box["height"] / 2

@@ -421,7 +421,7 @@ def test_a_recording_is_known_by_its_file_and_has_an_end(chromium: Browser) -> N
     expect(page.locator("#notice")).to_have_text("Paused. Showing 2.44 s of 12.00 s.")
     loop.header["recording"] |= {"position": 12.0, "ended": True}
     expect(page.locator("#state")).to_have_text("end")
-    expect(page.locator("#notice")).to_have_text("End of the recording. Inject begins again.")
+    expect(page.locator("#notice")).to_have_text("End of the recording. Play begins again.")
     loop.header["state"] = "calibrating"
     expect(page.locator("#notice")).to_have_text("Reading the calibration of the recording.")
     expect(page.get_by_text("untouched")).to_have_count(0)

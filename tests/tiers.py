@@ -173,6 +173,7 @@ LONG = {
     "test_recorder.py::test_the_guides_example": "the recorder it calls",
     "test_replay.py::test_pictures_and_films": "the replay, and pictures of single images",
     "test_reproduce.py::test_a_killed_run": "results kept and found again",
+    "test_reproduce.py::test_a_quantity": "the experiments in test_evaluate_*.py",
     "test_reproduce.py::test_a_second_run": "results kept and found again",
     "test_reproduce.py::test_every_number": "the experiments in test_evaluate_*.py",
     "test_reproduce.py::test_pictures_are_large": "the experiments in test_evaluate_*.py",
