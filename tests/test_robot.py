@@ -300,7 +300,8 @@ def without_graphics(code: str, *arguments: str) -> "subprocess.CompletedProcess
 def test_physics_needs_no_graphics_library_and_a_picture_names_the_package(tmp_path: Path) -> None:
     code = "import numpy as np, ohmskin; from ohmskin.robot import *; from ohmskin.robot.simulation import above\n"
     code += "worn = RobotSimulation(arm(ohmskin.Skin.load('paper'))); at = np.array([0.1, 0.1])\n"
-    code += "worn.place_hand(above(worn, 0, at, 1e-3), worn.surface(0, at)[1]); worn.advance(0.2, above(worn, 0, at, -3e-3))\n"
+    code += "worn.place_hand(above(worn, 0, at, 1e-3), worn.surface(0, at)[1])\n"
+    code += "worn.advance(0.2, above(worn, 0, at, -3e-3))\n"
     code += "print(worn.pushes()[0].force)\nimport ohmskin.cli; ohmskin.cli.main()"
     done = without_graphics(code, "robot", "--picture", str(tmp_path / "arm.png"))
     assert float(done.stdout) > 1
