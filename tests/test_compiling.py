@@ -1,8 +1,10 @@
 """What is compiled once on a machine is told while that goes on."""
 
+import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -69,9 +71,13 @@ def run(script: str, *arguments: str, cache: Path | None = None) -> "subprocess.
 @pytest.fixture
 def partly(tmp_path: Path) -> Path:
     """A folder of compiled functions, but for those of one package that every loop calls."""
-    kept, ours = tmp_path / "numba", Path(os.environ["NUMBA_CACHE_DIR"])
-    if ours.exists():
-        shutil.copytree(ours, kept, ignore=shutil.ignore_patterns("*.tmp.*", "inverse_*"))
+    return without("inverse_*", tmp_path / "numba")
+
+
+def without(functions: str, kept: Path) -> Path:
+    """A folder of compiled functions, but for some."""
+    if (ours := Path(os.environ["NUMBA_CACHE_DIR"])).exists():
+        shutil.copytree(ours, kept, ignore=shutil.ignore_patterns("*.tmp.*", functions))
     return kept
 
 
@@ -85,6 +91,28 @@ def test_a_loop_has_it_as_its_message_while_it_lasts(partly: Path) -> None:
     *told, then = run(LOOP, cache=partly).stdout.splitlines()
     assert any(line.startswith("compiling, once on this machine") for line in told)
     assert then == "then ''"
+
+
+def test_the_skin_is_felt_while_the_default_mode_is_compiled_which_follows_by_itself(tmp_path: Path) -> None:
+    run(TOUCHED, "16P")  # compiles what is missed by nobody below
+    kept = without("*whitened*", tmp_path / "numba")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(kept)}
+    modes, said = list[str](), list[str]()
+    command = [sys.executable, "-m", "ohmskin", "live", "--json", "--seconds", "300"]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            touch = json.loads(line)
+            said += touch["messages"]
+            modes += [touch["mode"]] if touch.get("mode") not in modes else []
+            if "16P" in modes:
+                process.send_signal(signal.SIGINT)
+    assert modes == ["16O", "16P"]
+    assert any(one.startswith("compiling, once on this machine; Adaptive, as in the paper (16O) until") for one in said)
+    assert "Adaptive, most precise (16P) from here on" in said
+    second = run(COMMAND.replace('"--mode", "12B", ', ""), cache=kept)
+    assert "compiling" not in second.stdout + second.stderr
+    assert json.loads(second.stdout.splitlines()[0])["mode"] == "16P"
 
 
 @pytest.mark.parametrize("mode", ["16P", "16T", "16O", "12B"])

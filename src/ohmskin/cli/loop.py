@@ -4,7 +4,7 @@ import gc
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TextIO
@@ -14,7 +14,7 @@ from ohmskin.device import Device
 from ohmskin.device.demo import demo_finger
 from ohmskin.device.replay import ReplayDevice
 from ohmskin.engine import Engine, Touch
-from ohmskin.engine.compiling import compile_ahead, prepare
+from ohmskin.engine.compiling import Compilation, compile_ahead, prepare
 from ohmskin.errors import OhmskinError
 from ohmskin.mcap import Progress
 from ohmskin.recording.player import Player
@@ -116,19 +116,17 @@ def open_loop(
     loop, and which share of it.
     """
 
+    apart = not mode and record is None  # else the mode that was asked for is awaited
+    compilations: list[Compilation] = []
+
     def meanwhile(description: Skin) -> None:
-        if not mode or mode_named(description, mode).reader != "centroid":
+        if apart:
+            compilations.append(stack.enter_context(Compilation()))
+        elif mode_named(description, mode).reader != "centroid":
             compile_ahead(starting)
         starting("starting the virtual skin", None)
-        prepare(description, mode)
-
-    opened, description = open_skin(device, skin, meanwhile=meanwhile)
-    first = [opened]
-    try:
-        recorder = Recorder(record, description, images) if record is not None else None
-    except BaseException:
-        opened.close()
-        raise
+        if not any(one.under_way for one in compilations):
+            prepare(description, mode)
 
     def open_device() -> Device:
         found = first.pop() if first else open_skin(device, skin)[0]
@@ -139,18 +137,28 @@ def open_loop(
             recorder.note(sentence)
         notify(sentence)
 
-    try:
-        with Engine(open_device, description, mode, report, **asdict(imaging)) as engine:
-            if recorder:
-                recorder.watch(engine)
-            player = Player(engine, mode, notify) if isinstance(opened, ReplayDevice) else None
-            sinks: list[Callable[[Touch], None]] = (
-                [recorder.publish, ProgressReport(recorder, quiet)] if recorder else []
-            )
-            yield Loop(engine, player, sinks, notify)
-    finally:
+    def summarise(made: Recorder) -> None:
+        print(_summary(made.path, made.close()), file=out, flush=True)
+
+    with ExitStack() as stack:
+        opened, description = open_skin(device, skin, meanwhile=meanwhile)
+        first = [opened]
+        recorder = None
+        if record is not None:
+            try:
+                recorder = Recorder(record, description, images)
+            except BaseException:
+                opened.close()
+                raise
+            stack.callback(summarise, recorder)
+        if apart and not compilations and not isinstance(opened, ReplayDevice):
+            compilations.append(stack.enter_context(Compilation()))
+        engine = stack.enter_context(Engine(open_device, description, mode, report, *compilations, **asdict(imaging)))
         if recorder:
-            print(_summary(recorder.path, recorder.close()), file=out, flush=True)
+            recorder.watch(engine)
+        player = Player(engine, mode, notify) if isinstance(opened, ReplayDevice) else None
+        sinks: list[Callable[[Touch], None]] = [recorder.publish, ProgressReport(recorder, quiet)] if recorder else []
+        yield Loop(engine, player, sinks, notify)
 
 
 def refuse_existing(file: Path) -> None:

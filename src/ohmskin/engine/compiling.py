@@ -2,14 +2,15 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 
 import numpy as np
 from numba.core import event
 from numba.core.errors import NumbaError
 
-from ohmskin.closing import every
+from ohmskin.child import Child
+from ohmskin.closing import Closing, every
 from ohmskin.drive import Target
 from ohmskin.engine.signatures import SIGNATURES
 from ohmskin.sensing import drive_of, mode_named
@@ -68,12 +69,55 @@ def compile_ahead(report: Callable[[str, float], None]) -> None:
     """
     listener = _Listener(lambda words: report(words, min(1.0, listener.count / _FUNCTIONS)))
     with event.install_listener("numba:compile", listener), every(_REPORT_EVERY / 4, listener.report):
-        for name, arguments in SIGNATURES:
-            module, _, function = name.partition(":")
-            try:
-                getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
-            except (AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
-                continue
+        compile_all()
+
+
+class Compilation(Closing):
+    """Compiles what a loop that fits contacts will call, in a process of its own; nothing if it was compiled before."""
+
+    def __init__(self) -> None:
+        self._child = None if _loaded() else Child.module("ohmskin.engine.process", "the compiling process", {})
+
+    @property
+    def under_way(self) -> bool:
+        """Whether something is being compiled still."""
+        return self._child is not None and self._child.process.poll() is None
+
+    def close(self) -> None:
+        """End the process; what it had compiled is kept. Safe to call twice."""
+        if self._child is not None:
+            self._child.close(0.0)
+
+
+class _Missing(Exception):
+    """A function was not compiled on this machine."""
+
+
+class _Refusal(event.Listener):
+    def on_start(self, event: event.Event) -> None:
+        if _own(event):
+            raise _Missing
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+def _loaded() -> bool:
+    """Load what was compiled before; whether that is all."""
+    try:
+        with event.install_listener("numba:compile", _Refusal()):
+            compile_all()
+    except _Missing:
+        return False
+    return True
+
+
+def compile_all() -> None:
+    """Compile, or load, what a loop that fits contacts will call."""
+    for name, arguments in SIGNATURES:
+        module, _, function = name.partition(":")
+        with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
+            getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
 
 
 def prepare(skin: Skin, mode: str = "") -> None:

@@ -10,15 +10,16 @@ from ohmskin.calibrate.measures import check_fit
 from ohmskin.closing import Closing
 from ohmskin.device import Capabilities, Device
 from ohmskin.drive import Drive, Fixed
-from ohmskin.engine.compiling import compiling
+from ohmskin.engine.compiling import Compilation, compiling
 from ohmskin.engine.health import HealthMonitor
-from ohmskin.engine.notices import Notices
+from ohmskin.engine.notices import Notices, lost
 from ohmskin.engine.quiet import QuietFrames, check_usable
+from ohmskin.engine.sensors import Sensors
 from ohmskin.engine.touch import State, Touch
 from ohmskin.errors import LINK_ERRORS, DataError, DeviceError, DeviceLost, ModelError, OhmskinError, PatternError
 from ohmskin.gestures import GestureFollower
 from ohmskin.scan import DrivePattern, Frame, assess, needed
-from ohmskin.sensing import Belief, Sensor, SensorState, SkinModel, build, default_mode, drive_of, modes, recorded_mode
+from ohmskin.sensing import Belief, Sensor, SensorState, SkinModel, default_mode, drive_of, modes, recorded_mode
 from ohmskin.skin import Mode, Skin
 
 _RETRY_AFTER = 0.5  # seconds between attempts to reach a lost device
@@ -35,6 +36,7 @@ class Engine(Closing):
         skin: What the device is.
         mode: Name of the mode; the one of least measured error unless given.
         report: Called with every message for the user.
+        compilation: What is under way: until it is over, a mode that waits for it is stood in for by one that does not.
         estimator, prior, rule: Names of others than the modes have, of `ESTIMATORS`, `PRIORS` and `RULES`.
 
     Attributes:
@@ -53,6 +55,7 @@ class Engine(Closing):
         skin: Skin,
         mode: str = "",
         report: Callable[[str], None] = lambda _: None,
+        compilation: Compilation | None = None,
         *,
         estimator: str = "",
         prior: str = "",
@@ -65,9 +68,10 @@ class Engine(Closing):
         self._recorded: Drive | None = Fixed(recorded[0].pattern) if recorded else None
         found = {"recorded": recorded_mode(skin)} if recorded else modes(skin)
         self.modes = {name: one.using(estimator, prior, rule) for name, one in found.items()}
+        self._sensors = Sensors(self._drive_of, compilation)
         try:
             begins = self.device.default_mode if self.device.default_mode in self.modes else default_mode(skin)
-            self.mode = self._named(mode or begins)
+            self.mode = self._chosen(mode or begins)
         except PatternError:
             self.device.close()
             raise
@@ -76,8 +80,6 @@ class Engine(Closing):
         self.known: SkinModel | None = None
         self.sensor: Sensor | None = None
         self._sensed: SensorState
-        self._sensors: dict[Mode, Sensor] = {}
-        self._drives: dict[Mode, Drive] = {}
         self._beliefs: dict[str, Belief] = {}  # the last one of each reader
         self._monitor, self._gestures = HealthMonitor(), GestureFollower()
         self._sequence, self._sampled, self._retry_at, self._dropped_before = 0, 0.0, 0.0, 0
@@ -114,14 +116,14 @@ class Engine(Closing):
                 check_usable(quality)
             with compiling(compiles, threaded=False):
                 known = SkinModel(self.skin, self._sheet, quiet, quality if quality and quality.verdicts else None)
-                sensors = {self.mode: build(self.mode, known, self.drive(self.mode))}  # others when they are asked for
+                self._sensors.renew(self.mode, known)
         except DeviceLost as error:
             self._lose(error)
             raise
         except BaseException:  # what was learned before still holds
             self.state, self._notices.message = before, message
             raise
-        self.known, self._sensors = known, sensors
+        self.known = known
         self._notices.calibrated(notes, "; ".join(quality.findings) if quality else "")
         self.forget()
         self.state = State.RUNNING
@@ -137,6 +139,9 @@ class Engine(Closing):
             return None
         self.scans_made = 0
         try:
+            if due := self._sensors.due():
+                self.set_mode(due)
+                self._notices.awaited("", f"{self.mode.label} from here on")
             self._sensed, percept = self.sensor.step(self._sensed, self._scan)
         except LINK_ERRORS as error:  # a new connection may help
             self._lose(error)
@@ -166,7 +171,7 @@ class Engine(Closing):
             PatternError: If it is not one of `modes`; the message lists them.
             ModelError: If its estimator, prior or rule is unknown, or does not go with the skin.
         """
-        self._switch(self._named(name))
+        self._switch(self._chosen(name))
 
     def ready(self, mode: Mode) -> bool:
         """Whether the sensor of a mode is built already; building one takes a while."""
@@ -180,7 +185,7 @@ class Engine(Closing):
         """
         changed = {name: mode.using(estimator, prior, rule) for name, mode in self.modes.items()}
         if self.known is not None:
-            self._sensor(changed[self.mode.name])
+            self._sensors.sensor(changed[self.mode.name], self.known)
         self.modes = changed
         self._switch(changed[self.mode.name])
 
@@ -199,10 +204,10 @@ class Engine(Closing):
         if not low <= count <= high:
             raise PatternError(f"{count} injections per frame; mode {mode.name} takes {low} to {high} on this device")
         changed = replace(mode, injections=count)
-        self._drives[changed] = self.drive(self.mode).with_injections(count)
-        if self.sensor is not None:
-            self.sensor = self._sensors[changed] = self.sensor.with_drive(self._drives[changed])
+        self._sensors.adjust(mode, changed)
         self.mode = self.modes[changed.name] = changed
+        if self.known is not None:
+            self.sensor = self._sensors.sensor(changed, self.known)
 
     def injection_limits(self, mode: Mode) -> tuple[int, int]:
         """Smallest and largest number of injections per frame of a mode whose drive allows any number.
@@ -222,15 +227,13 @@ class Engine(Closing):
 
     def drive(self, mode: Mode) -> Drive:
         """The drive of a mode."""
-        if mode not in self._drives:
-            self._drives[mode] = self._recorded or drive_of(mode, self.skin, self.device.capabilities.driven)
-        return self._drives[mode]
+        return self._sensors.drive(mode)
 
     def forget(self) -> None:
         """Drop all tracks, because the next frame is of another time."""
         self._beliefs.clear()
         if self.known is not None:
-            self.sensor = self._sensor(self.mode)
+            self.sensor = self._sensors.sensor(self.mode, self.known)
             self._sensed = self.sensor.start()
 
     def pause(self, paused: bool) -> None:
@@ -255,10 +258,18 @@ class Engine(Closing):
         self.device.close()
         self._threads.restore_original_limits()
 
-    def _named(self, name: str) -> Mode:
+    def _chosen(self, name: str) -> Mode:
+        """The mode of that name, or the one that stands in for it, which is said."""
         if name not in self.modes:
             raise PatternError(f"mode {name!r} is not possible with this skin; choose from {', '.join(self.modes)}")
-        return self.modes[name]
+        wanted = self.modes[name]
+        chosen = self._sensors.stand_in(wanted, self.modes)
+        if self._sensors.awaited:
+            self._notices.awaited(f"compiling, once on this machine; {chosen.label} until {wanted.label} is ready")
+        return chosen
+
+    def _drive_of(self, mode: Mode) -> Drive:
+        return self._recorded or drive_of(mode, self.skin, self.device.capabilities.driven)
 
     def _opened(self, before: Capabilities | None = None) -> Device:
         able = (device := self._open_device()).capabilities
@@ -271,18 +282,11 @@ class Engine(Closing):
             raise
         return device
 
-    def _sensor(self, mode: Mode) -> Sensor:
-        """The sensor of a mode; made when it is first asked for."""
-        assert self.known is not None
-        if mode not in self._sensors:
-            self._sensors[mode] = build(mode, self.known, self.drive(mode))
-        return self._sensors[mode]
-
     def _switch(self, mode: Mode) -> None:
         """Sense in another mode, with the names and the drift that its reader knew last."""
-        if mode != self.mode and self.sensor is not None:
+        if mode != self.mode and self.sensor is not None and self.known is not None:
             self._beliefs[self.mode.reader] = self._sensed.belief
-            self.sensor = self._sensor(mode)
+            self.sensor = self._sensors.sensor(mode, self.known)
             self._sensed = self.sensor.start(self._beliefs.get(mode.reader))
         self.mode = mode
 
@@ -292,7 +296,7 @@ class Engine(Closing):
             try:
                 patterns |= dict.fromkeys(self.drive(mode).patterns)
             except PatternError as error:  # go without it, unless it is the one wanted
-                if mode == self.mode:
+                if mode.name in (self.mode.name, self._sensors.awaited):
                     raise
                 del self.modes[mode.name]
                 self._notices.say(f"mode {mode.name} is not possible: {error}")
@@ -312,7 +316,7 @@ class Engine(Closing):
         self.state, self._retry_at = State.LOST, time.monotonic() + _RETRY_AFTER
         self._dropped_before += self.device.dropped
         self.device.close()
-        self._notices.say(_lost(error))
+        self._notices.say(lost(error))
 
     def _seek(self) -> None:
         if (wait := self._retry_at - time.monotonic()) > 0:
@@ -323,10 +327,10 @@ class Engine(Closing):
         try:
             self.device = self._opened(before)
         except DeviceLost as error:  # still away
-            self._notices.message = _lost(error)
+            self._notices.message = lost(error)
             return
         except DeviceError as error:
-            self._notices.say(_lost(error))
+            self._notices.say(lost(error))
             return
         self._monitor.reconnected()
         self.state = State.RUNNING if self.known else State.CALIBRATING
@@ -342,9 +346,3 @@ class Engine(Closing):
             except OhmskinError as error:  # what is known is of another device
                 self.known = self.sensor = None
                 self._lose(error)
-
-
-def _lost(error: OhmskinError) -> str:
-    """The message for a lost device, to which the loop reconnects by itself."""
-    why = str(error).removesuffix("; connect again")
-    return f"device lost: {why} Reconnecting" if why.endswith("?") else f"device lost: {why}; reconnecting"

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+from ohmskin.errors import OhmskinError
 from ohmskin.sensing import Cause, Finding
 from ohmskin.skin import Mode
 
@@ -20,7 +21,7 @@ class Notices:
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report, self.message = report, ""
-        self._unread, self._standing = False, ""
+        self._unread, self._faults, self._awaited = False, "", ""
         self._slow: Mode | None = None
         self._found: list[Cause] = []
 
@@ -34,7 +35,15 @@ class Notices:
         """Report the outcome of a calibration: what was done, and the faults that remain."""
         for sentence in [*notes, *([standing] if standing else [])]:
             self._report(sentence)
-        self.message = self._standing = standing
+        self._faults = standing
+        self.message = self._standing
+
+    def awaited(self, what: str, then: str = "") -> None:
+        """Report what is waited for, which holds until it is empty, `then` with what comes of it."""
+        if what or then:
+            self._report(what or then)
+        self._awaited = what
+        self.message = self._standing
 
     def findings(self, findings: Sequence[Finding]) -> None:
         """Report faults of the data when they begin, and when none is left."""
@@ -64,3 +73,13 @@ class Notices:
             )
         elif self._slow not in (None, mode):
             self._slow, self.message = None, ""
+
+    @property
+    def _standing(self) -> str:
+        return "; ".join(part for part in (self._faults, self._awaited) if part)
+
+
+def lost(error: OhmskinError) -> str:
+    """The message for a lost device, to which the loop reconnects by itself."""
+    why = str(error).removesuffix("; connect again")
+    return f"device lost: {why} Reconnecting" if why.endswith("?") else f"device lost: {why}; reconnecting"

@@ -56,13 +56,14 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
     return WithDriven(drive) if driven else drive
 
 
-def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
+def build(mode: Mode, known: SkinModel, drive: Drive | None = None, fast: bool = True) -> Sensor:
     """The sensor of a mode.
 
     Args:
         mode: Names drive, reader, estimator and prior.
         known: What is known of the quiet skin.
         drive: A drive that is there already, such as the recorded pattern.
+        fast: Whether it may have a compiled implementation, which takes a while on a machine that never compiled it.
 
     Raises:
         PatternError: If there is no such drive, or the skin does not allow it, or its quiet frames do not cover it.
@@ -88,7 +89,7 @@ def build(mode: Mode, known: SkinModel, drive: Drive | None = None) -> Sensor:
     middle = known.model.mesh.centroids[:, :2].mean(axis=0)
     drive.next([Target(middle, 1e-6 * np.eye(2), 1e-4, imaging.mesh_size)], 1)  # makes its tables, if it has any, now
     sensor = Sensor(known, drive, reader, locator, thresholds, mode.fuse, window, forces_of(known, mode))
-    sensor.implementation, sensor.seconds = compiled(sensor, mode), seconds
+    sensor.implementation, sensor.seconds = compiled(sensor, mode) if fast else None, seconds
     _rehearse(sensor)
     return sensor
 

@@ -1,0 +1,21 @@
+"""The process that compiles what a loop will call while the loop runs already; it gives way to it."""
+
+import os
+
+from ohmskin.child import begin, when_input_ends
+from ohmskin.engine.compiling import compile_all
+
+_LESS_URGENT = 10  # niceness
+
+
+def main() -> None:
+    """Compile all, or until standard input ends."""
+    begin()
+    when_input_ends(lambda: os._exit(0))
+    if hasattr(os, "nice"):
+        os.nice(_LESS_URGENT)
+    compile_all()
+
+
+if __name__ == "__main__":
+    main()

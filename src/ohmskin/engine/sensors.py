@@ -1,0 +1,83 @@
+"""The sensors of an engine's modes, each made when it is first asked for, and the mode that stands in for another."""
+
+from collections.abc import Callable, Mapping
+
+from ohmskin.drive import Drive
+from ohmskin.engine.compiling import Compilation
+from ohmskin.sensing import Sensor, SkinModel, build
+from ohmskin.skin import Mode
+
+
+class Sensors:
+    """Drives and sensors by mode.
+
+    Args:
+        drive_of: Makes the drive of a mode.
+        compilation: What sensors that fit contacts wait for.
+
+    Attributes:
+        awaited: Name of the mode that follows once it is compiled; empty if none does.
+    """
+
+    def __init__(self, drive_of: Callable[[Mode], Drive], compilation: Compilation | None) -> None:
+        self._drive_of, self._compilation, self.awaited = drive_of, compilation, ""
+        self._drives: dict[Mode, Drive] = {}
+        self._sensors: dict[Mode, Sensor] = {}
+
+    def __contains__(self, mode: Mode) -> bool:
+        """Whether the sensor of a mode is built already."""
+        return mode in self._sensors
+
+    def drive(self, mode: Mode) -> Drive:
+        """The drive of a mode."""
+        if mode not in self._drives:
+            self._drives[mode] = self._drive_of(mode)
+        return self._drives[mode]
+
+    def sensor(self, mode: Mode, known: SkinModel) -> Sensor:
+        """The sensor of a mode, as it was built first."""
+        if mode not in self._sensors:
+            self._sensors[mode] = build(mode, known, self.drive(mode), fast=not self._compiling)
+        return self._sensors[mode]
+
+    def renew(self, mode: Mode, known: SkinModel) -> None:
+        """Build the sensor of a mode for a skin newly learned; others when they are asked for. What was there is kept
+        if that fails."""
+        before, self._sensors = self._sensors, {}
+        try:
+            self.sensor(mode, known)
+        except BaseException:
+            self._sensors = before
+            raise
+
+    def adjust(self, mode: Mode, changed: Mode) -> None:
+        """Let a mode have another number of injections: a sensor that is there takes the new drive."""
+        self._drives[changed] = self.drive(mode).with_injections(changed.injections)
+        if mode in self._sensors:
+            self._sensors[changed] = self._sensors[mode].with_drive(self._drives[changed])
+
+    def stand_in(self, mode: Mode, modes: Mapping[str, Mode]) -> Mode:
+        """The mode to sense in: the one wanted, or while that is compiled one without fits, adaptive if there is one.
+
+        The one wanted is `awaited` then.
+        """
+        self.awaited = ""
+        if mode.reader == "centroid" or not self._compiling:
+            return mode
+        plain = [one for one in modes.values() if one.reader == "centroid"]
+        if not plain:
+            return mode
+        self.awaited = mode.name
+        return next((one for one in plain if one.drive == "eq7"), plain[0])
+
+    def due(self) -> str:
+        """Name of the mode that was awaited and can begin now; empty if none can."""
+        if not self.awaited or self._compiling:
+            return ""
+        name, self.awaited = self.awaited, ""
+        self._sensors.clear()  # those built meanwhile are the slow ones
+        return name
+
+    @property
+    def _compiling(self) -> bool:
+        return self._compilation is not None and self._compilation.under_way
