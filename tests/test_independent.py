@@ -136,6 +136,20 @@ def test_one_press_is_one_contact(loop: Loop, mode: str) -> None:
     assert np.mean(np.array(counts) == 1) > 0.99
 
 
+def test_a_press_just_after_another_was_lifted_is_tracked_soon(loop: Loop) -> None:
+    """At 28 of 30 places within nine frames, 6 mm at most from the truth."""
+    device, engine = loop
+    engine.set_mode("16T")
+    soon = []
+    for place in np.random.default_rng(4).uniform(0.02, 0.18, (30, 2)).tolist():
+        device.sheet.touch({0: (*place, PRESSURE)})
+        soon.append(any(errors(touch, tuple(place))[0] < 6e-3 for touch in felt(engine, 20)[:9]))
+        device.sheet.touch({})
+        felt(engine, 8)
+    engine.set_mode("16P")
+    assert sum(soon) >= 28
+
+
 @pytest.mark.parametrize("mode", ["16P", "16T"])
 def test_presses_are_felt_under_hum(loop: Loop, mode: str) -> None:
     device, engine = loop

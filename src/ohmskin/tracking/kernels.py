@@ -104,12 +104,13 @@ def advanced(
 @njit(cache=True, nogil=True)
 def updated(
     scan: Scan, errors: ErrorTerms, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
-    covariance: Floats, settings: Floats, sheet: Grid, spline: Spline, candidates: Singles,
+    covariance: Floats, pressing: bool, settings: Floats, sheet: Grid, spline: Spline, candidates: Singles,
 ) -> Update:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and scores for others.
 
-    Where one more contact is possible, those known are corrected by what the frame says beside it, whatever its effect:
-    otherwise the closest one would move and grow to explain it.
+    Where one more contact is possible beside some that all press, these are corrected by what the frame says beside it,
+    whatever its effect: otherwise the closest one would move and grow to explain it. A lifted one is free to move: it
+    may be what has come elsewhere, which its model's error would hide from a search for new contacts.
 
     Args:
         scan: The frame.
@@ -119,6 +120,7 @@ def updated(
         common: Common relative change of all resistances, as far as it is known, and its variance (1).
         mean: Contacts as predicted.
         covariance: Of all of them together.
+        pressing: Whether none of them is lifted.
         settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1).
         sheet: Where contacts may be.
         spline: What they do.
@@ -153,7 +155,7 @@ def updated(
         marginal_innovation = marginalised(marginalised(innovation, direction), shapes)
         score, power = scores(marginal_innovation, candidates)
         energy = energy_of(nominal, white, caused[:pairs])
-        if again or not n:
+        if again or not (n and pressing):
             break
         _, place, height = most_significant(
             score.reshape((1, -1)), power.reshape((1, -1)), np.array([energy]), np.ones(1, np.int64), 0.0,
