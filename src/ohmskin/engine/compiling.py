@@ -2,16 +2,15 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from importlib import import_module
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 from numba.core import event
-from numba.core.errors import NumbaError
 
 from ohmskin.child import Child
 from ohmskin.closing import Closing, every
 from ohmskin.drive import Target
+from ohmskin.engine.functions import compile_all
 from ohmskin.engine.signatures import SIGNATURES
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
@@ -110,14 +109,6 @@ def _loaded() -> bool:
     except _Missing:
         return False
     return True
-
-
-def compile_all() -> None:
-    """Compile, or load, what a loop that fits contacts will call."""
-    for name, arguments in SIGNATURES:
-        module, _, function = name.partition(":")
-        with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
-            getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
 
 
 def prepare(skin: Skin, mode: str = "") -> None:

@@ -3,7 +3,7 @@
 import os
 
 from ohmskin.child import begin, when_input_ends
-from ohmskin.engine.compiling import compile_all
+from ohmskin.engine.functions import compile_all
 
 _LESS_URGENT = 10  # niceness
 
