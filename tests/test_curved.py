@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from direct import DirectDevice
+from scipy.spatial import cKDTree
 
 import ohmskin as ohm
 from ohmskin.arrays import Floats
@@ -124,7 +125,8 @@ def test_patches_that_overlap_are_refused() -> None:
 @pytest.mark.parametrize("name", ["half-cylinder", "sleeve", "cone", "vase"])
 def test_patches_are_of_one_size_on_the_skin_whatever_the_scale_of_its_map(name: str) -> None:
     layer, chart = ContactLayer(), SHEETS[name].chart
-    middles, sides = layer.patches(chart)
+    patches = layer.patches(chart)
+    middles, sides = patches.middles, patches.sides
     assert sides * chart.scale(middles)[:, None] == pytest.approx(layer.patch, rel=0.03)  # whole numbers of them fit
     assert sides.prod(axis=1).sum() == pytest.approx(0.81 * chart.domain.area, rel=0.02)
     apart = np.abs(shortest(middles[:, None] - middles, chart.domain.period))
@@ -132,12 +134,36 @@ def test_patches_are_of_one_size_on_the_skin_whatever_the_scale_of_its_map(name:
     assert gaps[~np.eye(len(sides), dtype=bool)].min() > 0.05 * layer.patch
 
 
-def test_patches_of_a_cap_are_equal_on_its_map() -> None:
-    layer, chart = ContactLayer(), SHEETS["cap"].chart
-    middles, sides = layer.patches(chart)
-    assert (sides == layer.patch).all()
-    inside = chart.domain.depth(middles) > 0
-    assert (inside.sum() / 0.81 * layer.patch**2) == pytest.approx(chart.domain.area, rel=0.03)
+@pytest.mark.parametrize("name", ["cap", "ellipsoid", "capsule"])
+def test_patches_of_a_cap_are_rings_about_its_pole_of_one_size_on_the_skin(name: str) -> None:
+    layer, chart = ContactLayer(), SHEETS[name].chart
+    patches = layer.patches(chart)
+    sides = patches.sides * chart.scale(patches.middles)[:, None]
+    assert sides == pytest.approx(layer.patch, rel=0.08)  # whole numbers of rings, and of patches in each, fit
+    assert sides.prod(axis=1) == pytest.approx(layer.patch**2, rel=0.12)
+    assert np.median(sides.prod(axis=1)) == pytest.approx(layer.patch**2, rel=0.02)
+    assert (chart.domain.depth(patches.middles) > 0).all()
+    assert len(sides) == pytest.approx(0.81 * chart.domain.area / layer.patch**2, rel=0.01)
+
+
+def test_parts_of_patches_in_rings_cover_them_and_leave_the_gaps() -> None:
+    chart = SHEETS["cap"].chart
+    patches = ContactLayer().patches(chart)
+    places, sides = patches.divided(np.linspace(-0.5, 0.5, 9))
+    assert places.shape == (len(patches.middles), 64, 2)
+    assert np.linalg.det(sides).sum(axis=1) == pytest.approx(patches.sides.prod(axis=1), rel=1e-9)
+    assert np.sum(sides[..., 0, :] * sides[..., 1, :], axis=-1) == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.det(sides).sum() == pytest.approx(0.81 * chart.domain.area, rel=1e-3)
+    whole = cKDTree(places.reshape(-1, 2))
+    close = whole.query(places.reshape(-1, 2), 2)[1][:, 1] // 64 == np.repeat(np.arange(len(places)), 64)
+    assert close.mean() > 0.99  # of its own patch, but at the tips at the pole
+
+
+def test_patches_are_equal_on_a_map_whose_scale_follows_no_row_or_ring() -> None:
+    chart = SHEETS["cap"].chart
+    patches = ContactLayer(columns=20, rows=20).patches(chart)
+    assert patches.centre is None
+    assert (patches.sides == ContactLayer().patch).all()
 
 
 # --- closed bands -----------------------------------------------------------------------------------------------------

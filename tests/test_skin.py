@@ -88,7 +88,8 @@ def test_what_is_written_is_read_back(skin: Skin) -> None:
 def test_nothing_given_is_the_sensor_of_the_paper() -> None:
     assert Skin.parse("") == PAPER == Skin.load("paper")
     assert (PAPER.sheet.width, PAPER.sheet.height, PAPER.sheet.conductivity) == (0.2, 0.2, 1.83e-3)
-    middles, sides = PAPER.contact_layer.patches(PAPER.chart)
+    patches = PAPER.contact_layer.patches(PAPER.chart)
+    middles, sides = patches.middles, patches.sides
     assert middles.shape == (24 * 24, 2)
     assert sides == pytest.approx(np.full((24 * 24, 2), 7.5e-3))
 

@@ -41,11 +41,13 @@ class FloatingPatches:
         points: (n_points, dim) middles of the contacts between patches and skin (m). Those off the mesh are left out,
             see `kept`.
         patches: (n_points,) number of the patch that each contact belongs to.
-        sizes: (n_points, 2) sides of each contact along x and y (m), on a flat sheet; points of the mesh unless given.
+        sizes: (n_points, 2) sides of each contact along x and y, or (n_points, 2, 2) two sides of each as rows (m), on
+            a flat sheet; points of the mesh unless given.
 
     Attributes:
         kept: (n_points,) which of the points lie on the mesh; in space, within a quarter of an edge of its surface.
-        points, patches, sizes: Those points, their patches, and their sides.
+        points, patches: Those points, and their patches.
+        sizes: (n_points, 2, 2) their sides as rows (m).
         update: The local update it makes.
 
     Raises:
@@ -71,8 +73,7 @@ class FloatingPatches:
         self._corners: Ints = np.searchsorted(self.update.nodes, corners)
         self._weights: Floats = np.ascontiguousarray(weights[self.kept])
         self._caused: Floats = np.einsum("pk,pke->pe", self._weights, self.update.caused[self._corners])
-        sides = np.broadcast_to(0.0 if sizes is None else np.asarray(sizes, float), (len(where), 2))
-        self.sizes: Floats = sides[self.kept]
+        self.sizes: Floats = _as_rows(0.0 if sizes is None else sizes, len(where))[self.kept]
         self._near: _NearField | None = None
         if sizes is not None:
             self._near = _NearField(model, self.points, self.patches, self.sizes, corners, self._weights)
@@ -176,6 +177,16 @@ def _on_skin(mesh: Mesh, points: Floats) -> tuple[Ints, Floats, Bools]:
     return nodes, weights, distance <= edge / 4
 
 
+def _as_rows(sizes: ArrayLike, count: int) -> Floats:
+    """Two sides of contacts as rows (count, 2, 2), of lengths (count, 2) along x and y or of such rows."""
+    given = np.asarray(sizes, float)
+    if given.ndim < 3:
+        given = np.broadcast_to(given, (count, 2))[:, :, None] * np.eye(2)
+    if given.shape != (count, 2, 2):
+        raise ModelError(f"sizes have shape {given.shape}; give ({count}, 2) or ({count}, 2, 2)")
+    return given
+
+
 @njit(cache=True, nogil=True)
 def _interpolated(green: Floats, corners: Ints, weights: Floats) -> Floats:
     """(n, n) from values at nodes (m, m) to values at points, each with its nodes and weights (n, k)."""
@@ -260,7 +271,7 @@ class _NearField:
         even = self._even(self._element[own[0]])
         turn = np.linalg.inv(even).T
         places, points = (shortest(some - middle, mesh.period) @ turn for some in (mesh.nodes, self.points))
-        sides = self.sizes[own, :, None] * turn
+        sides = self.sizes[own] @ turn
         reach = 2 * self._half + _NEAR * self._edge
         near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, reach))])
         inside = np.zeros(mesh.n_nodes, bool)

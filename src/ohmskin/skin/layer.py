@@ -5,14 +5,11 @@ from math import exp, log, log1p
 
 import numpy as np
 
-from ohmskin.arrays import Floats
 from ohmskin.errors import SkinError
 from ohmskin.geometry import Chart
 from ohmskin.skin.checks import number
+from ohmskin.skin.patches import COVERED, Patches, rings, rows
 
-_COVERED = 0.9  # share of a layer's length that patches cover, unless described otherwise
-_ALONG = 1.1  # by which the scale of a map may change along a row of patches of one size
-_FINE = 128  # places along each side of a map at which its scale is looked at
 _STRETCH = 0.6  # of the logarithm of pressure, in which hysteresis has turned to 1/e; above its largest gap
 _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
 
@@ -22,8 +19,9 @@ class ContactLayer:
     """Floating conductive patches on foam that short the sheet where they are pressed on it.
 
     There are `columns` x `rows` of them, equal on the skin's map, or, where these are 0, as many as leave gaps of a
-    tenth. Then they are as large as `patch` on the skin where the scale of its map changes in one direction alone, as
-    on a cone; where it changes in both, as on a cap, they are equal on the map, and on the skin in the mean. The
+    tenth. Then they are as large as `patch` on the skin: in rows where the scale of its map changes in one direction
+    alone, as on a cone, and in rings about the middle where it changes with the distance from there alone, as on a cap.
+    On all other maps they are equal on the map, and on the skin in the mean. The
     conductance per area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has
     a memory: when a press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting
     press what acts grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure falls to 0
@@ -60,9 +58,8 @@ class ContactLayer:
         """
         return int(np.prod(self._counts(chart)))
 
-    def patches(self, chart: Chart) -> tuple[Floats, Floats]:
-        """Middles (n, 2) of the patches on a map, and their sides (n, 2) along x and y there (m); some may be off the
-        sheet.
+    def patches(self, chart: Chart) -> Patches:
+        """The patches on a map; some may be off the sheet.
 
         Args:
             chart: The map of the skin.
@@ -72,23 +69,9 @@ class ContactLayer:
         """
         if chart.flat or self.columns or self.rows:
             return self._regular(chart)
-        x0, y0, x1, y1 = chart.domain.bounds
-        x, y = (low + (high - low) * (np.arange(_FINE) + 0.5) / _FINE for low, high in ((x0, x1), (y0, y1)))
-        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        scale = chart.scale(grid).reshape(_FINE, _FINE)
-        inside = np.where(chart.domain.depth(grid).reshape(_FINE, _FINE) > 0, scale, np.nan)
-        inside[np.isnan(inside).all(axis=1)] = scale.mean()
-        if (np.nanmax(inside, axis=1) > _ALONG * np.nanmin(inside, axis=1)).any():
-            return self._regular(chart)
-        cells = [
-            ((left + right) / 2, (low + high) / 2, right - left, high - low)
-            for low, high in self._divided(y0, y1, np.nanmean(inside, axis=1))
-            for left, right in self._divided(x0, x1, scale[np.argmin(np.abs(y - (low + high) / 2))])
-        ]
-        middles, sides = np.split(np.array(cells), 2, axis=1)
-        return middles, _COVERED * sides
+        return rows(chart, self.patch) or rings(chart, self.patch) or self._regular(chart)
 
-    def _regular(self, chart: Chart) -> tuple[Floats, Floats]:
+    def _regular(self, chart: Chart) -> Patches:
         """Patches in columns and rows, equal on the map."""
         (columns, rows), (x0, y0, x1, y1) = self._counts(chart), chart.domain.bounds
         if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
@@ -97,25 +80,13 @@ class ContactLayer:
         x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
         y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
         middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return middles, np.full(middles.shape, self.patch)
+        return Patches(middles, np.full(middles.shape, self.patch))
 
     def _counts(self, chart: Chart) -> tuple[int, int]:
         """Columns and rows of patches that are equal on the map."""
         x0, y0, x1, y1 = chart.domain.bounds
-        columns, rows = (max(1, round(_COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0))
+        columns, rows = (max(1, round(COVERED * length / self.patch)) for length in (x1 - x0, y1 - y0))
         return self.columns or columns, self.rows or rows
-
-    def _divided(self, low: float, high: float, scale: Floats) -> Floats:
-        """Ends (n, 2) of the parts of a length of the map that are as long on the skin as a patch and its gap.
-
-        Args:
-            low, high: Its ends (m).
-            scale: (n,) metres on the skin for a metre on the map, at the middles of as many equal parts of it.
-        """
-        along = np.append(0.0, np.cumsum(scale)) * (high - low) / len(scale)
-        count = max(1, round(_COVERED * float(along[-1]) / self.patch))
-        ends = np.interp(along[-1] * np.arange(count + 1) / count, along, np.linspace(low, high, len(along)))
-        return np.stack([ends[:-1], ends[1:]], axis=1)
 
     @property
     def remembers(self) -> bool:

@@ -104,13 +104,14 @@ class PressedSheet:
         self.skin, self.mesh = skin, model.mesh
         self._patches = FloatingPatches(model, *self._contacts(contacts))
         scale = skin.chart.scale(self._patches.points)
-        self._areas: Floats = self._patches.sizes.prod(axis=1) * scale**2
+        a, b = self._patches.sizes.transpose(1, 2, 0)
+        self._areas: Floats = (a[0] * b[1] - a[1] * b[0]) * scale**2
         places = ((np.arange(_PLACES) + 0.5) / _PLACES - 0.5)[:, None] * np.ones(_PLACES)
         offsets = np.stack([places.T.ravel(), places.ravel()], axis=1)
-        self._places: Floats = self._patches.points[:, None] + offsets * self._patches.sizes[:, None]
+        self._places: Floats = self._patches.points[:, None] + offsets @ self._patches.sizes
         self._tree = tree(self._patches.points, skin.domain.period)
         self._unprepared = iter(np.unique(self._patches.patches)[:_PREPARED].tolist())
-        self._reach = float(np.linalg.norm(self._patches.sizes, axis=1).max()) / 2
+        self._reach = float(np.linalg.norm(self._patches.sizes, axis=(1, 2)).max()) / 2
         self.untouched: Floats = _against_last(model.transfer_resistance)
         # compile now: a device that compiles at its first touch is taken for one that is lost
         # at one place and not by a press, which foam may spread over all patches
@@ -118,15 +119,12 @@ class PressedSheet:
         self.under([((x, y), 0.0, lambda places: np.ones(places.shape[:-1]))])
 
     def _contacts(self, count: int) -> tuple[Floats, Ints, Floats]:
-        """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, and its sides (n, 2)."""
-        middles, widths = self.skin.contact_layer.patches(self.skin.chart)
+        """Middles (n, 2) of the contacts between patches and sheet, the patch (n,) of each, its sides (n, 2, 2)."""
         even = np.arange(count + 1) / count
         ends = (1 - _GRADED) * (even - 0.5) - _GRADED / 2 * np.cos(np.pi * even)
-        middle, side = (ends[1:] + ends[:-1]) / 2, np.diff(ends)
-        offsets, sizes = (np.stack(np.meshgrid(one, one), axis=-1).reshape(-1, 2) for one in (middle, side))
-        points, sides = (widths[:, None] * one for one in (offsets, sizes))
-        numbers = np.repeat(np.arange(len(middles)), len(offsets))
-        return (middles[:, None] + points).reshape(-1, 2), numbers, sides.reshape(-1, 2)
+        points, sides = self.skin.contact_layer.patches(self.skin.chart).divided(ends)
+        numbers = np.repeat(np.arange(len(points)), count * count)
+        return points.reshape(-1, 2), numbers, sides.reshape(-1, 2, 2)
 
     def transfer_resistance(self, presses: Iterable[Press]) -> Floats:
         """(n_elec, n_elec) transfer resistances in ohms under presses; the last electrode is the reference."""
