@@ -21,6 +21,8 @@ _LEAST, _MOST = 0.1, 9.0  # squared radius that a fit may take, as shares of the
 _STARTS, _PROMISE = 3, 0.7  # places from which a fit starts, and the share of the best score that makes one worth it
 _ALIKE = 1 / 3  # of their sum, by which the effects of two contacts differ that may be one
 NEAR = 4.0  # radii, within which two contacts may be one
+APART = 1.15  # of the sum of their radii, from which on no shape of one contact looks like two
+_SIZES = 0.7, 1.0, 1.6  # usual radii, from which the fit of one contact in place of two starts
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
 cost_of = attrgetter("cost")
 
@@ -111,6 +113,35 @@ class DiscFitter:
     def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
         return data.excluding(in_series(covered, self.table.pairs)) if covered else data
+
+    def joined(
+        self, nominal: Information, inflated: Information, found: Solution, covered: tuple[int, ...]
+    ) -> Solution:
+        """The contacts, one in place of two over an electrode where it leaves no more than is usual.
+
+        Patches over an electrode reach beyond it, on one side further than on the other. No disc does that, but two do,
+        one on each side: over an electrode, what the model gets wrong of one contact looks like two.
+
+        Args:
+            nominal: What is measured.
+            inflated: The same, with the model's error as noise.
+            found: The contacts.
+            covered: The electrodes under them.
+        """
+        ends = np.argwhere(np.triu(np.ones((len(found.params),) * 2, bool), 1)) if covered else ()
+        for both in sorted(ends, key=lambda both: self._distance(found.params[both])):
+            pair, others = found.params[both], np.delete(found.params, both, axis=0)
+            if self._distance(pair) > APART or not {*self.covered(pair)} & {*covered}:
+                continue
+            share = abs(pair[1, 2]) / np.abs(pair[:, 2]).sum()
+            middle = self.onto(pair[:1, :2] + share * self.table.offsets(pair[1:, :2], pair[:1, :2]))[0]
+            squares = ((size * self.table.radius) ** 2 for size in _SIZES)
+            starts = np.array([np.vstack([others, [*middle, pair[:, 2].sum(), square]]) for square in squares])
+            left, usual = (self._uncovered(one, covered) for one in (inflated, nominal))
+            one = self.refine(left, starts, *self.prior(starts[0]))
+            if {*covered} <= {*self.covered(one.params)} and not self.poor(usual, one.cost):
+                return self.joined(nominal, inflated, one, covered)
+        return found
 
     def pairs(self, left: Information, one: Floats) -> tuple[Floats, Floats]:
         """Axes (n, 2) (m) along which a contact (4,) may be a small pair, and by how many deviations (n,) it would

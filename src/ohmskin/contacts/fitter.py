@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import refit
-from ohmskin.contacts.discs import NEAR, DiscFitter, cost_of, similarity_prior
+from ohmskin.contacts.discs import APART, NEAR, DiscFitter, cost_of, similarity_prior
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.misfit import pair_products
@@ -26,7 +26,6 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 
 _OVERLAP = 1 / 2  # of the sum of their radii, closer than which two contacts are one
-_APART = 1.15  # of it, from which on no shape of one contact looks like them
 _LOST = 0.7  # share of the data that contacts leave which explain little
 _COVERED = 0.25  # cost of an electrode with a flat prior, as a share of a contact's
 _WIDEST = 2.0  # usual radii of a contact beyond which a pair must be as far apart as it is wide
@@ -161,6 +160,7 @@ class ContactFitter(DiscFitter):
                 if everything is not whole or len(found.params) > 1:
                     found = self.refine(inflated, found.params, *self.prior(found.params))
         covered, found = self._beside_electrodes(everything[1], found, covered)
+        found = self.joined(*everything, found, covered)
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
         known = None if before is None else self._refitted(*given, found)
         return found if known is None else changed(found, doubts=known[0].doubts)
@@ -323,7 +323,7 @@ class ContactFitter(DiscFitter):
         starts = np.array([np.vstack([others, pair]) for pair in pairs])
         best = self.refine(inflated, starts, mean, information, _FEW)
         two = self.refine(inflated, best.params, mean, information)
-        least = _OVERLAP if own < _WIDEST * usual else _APART
+        least = _OVERLAP if own < _WIDEST * usual else APART
         return two if self._distance(two.params[-2:]) > least and self.are_two(nominal, found, two, bar) else None
 
     def are_two(self, nominal: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
@@ -347,4 +347,4 @@ class ContactFitter(DiscFitter):
         """Whether the last of `many` contacts is apart from the others and explains most of what `few` leave, one less;
         `bar` and `share` as for `are_two`."""
         gaps = (self._distance(many.params[[k, -1]]) for k in range(len(many.params) - 1))
-        return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > _APART for gap in gaps)
+        return few.cost > max(share * CLEAR, 1) * max(many.cost, bar) and all(gap > APART for gap in gaps)
