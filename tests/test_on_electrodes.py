@@ -14,8 +14,8 @@ NOISE = 0.8e-3  # V, 50 dB below the largest voltage of the paper's base scan
 REACH = 8e-3  # m on the skin, from the middle of an electrode
 
 
-def errors(skin: Skin, seed: int, per_electrode: int = 4) -> Floats:
-    """Errors (n,) (m) of presses of 8 mm and 15 kPa on the electrodes inside a skin, in its default mode.
+def errors(skin: Skin, seed: int, per_electrode: int = 4, reach: float = REACH) -> Floats:
+    """Errors (n,) (m) of presses of 8 mm and 15 kPa within `reach` of electrodes inside a skin, in its default mode.
 
     NaN where there is not one contact.
     """
@@ -24,7 +24,7 @@ def errors(skin: Skin, seed: int, per_electrode: int = 4) -> Floats:
     sensor, found = build(mode, SkinModel(skin, skin.transfer_model(), quiet)), []
     for electrode in np.repeat(skin.electrodes.positions[len(skin.electrodes.rings[0]) :], per_electrode, axis=0):
         angle, scale = random.uniform(0, 2 * np.pi), float(skin.chart.scale([electrode])[0])
-        away = REACH / scale * np.sqrt(random.uniform()) * np.array([np.cos(angle), np.sin(angle)])
+        away = reach / scale * np.sqrt(random.uniform()) * np.array([np.cos(angle), np.sin(angle)])
         place = electrode + away
         twin.reset(seed, [Press((float(place[0]), float(place[1])), 8e-3, 15e3)])
         state = sensor.start()
@@ -41,6 +41,15 @@ def test_a_press_on_an_inner_electrode_is_located_about_as_well_as_beside_it(nam
     skin = Skin.load(name)
     skin = replace(skin, converter=replace(skin.converter, noise=NOISE))
     found = np.concatenate([errors(skin, seed) for seed in SEEDS])
-    assert np.isnan(found).sum() <= 2  # of 48 and 72; one over an electrode of the dome may be two
+    assert np.isnan(found).sum() <= 1  # of 48 and 72
     assert np.nanmean(found) < mean
     assert np.nanmax(found) < 5e-3
+
+
+def test_a_press_right_on_an_inner_electrode_is_one_contact() -> None:
+    """Of these 72, 16 had not been one, and one was 6.3 mm off."""
+    dome = Skin.load("dome")
+    dome = replace(dome, converter=replace(dome.converter, noise=NOISE))
+    found = np.concatenate([errors(dome, seed, reach=2e-3) for seed in SEEDS])
+    assert np.isnan(found).sum() <= 2
+    assert np.nanmax(found) < 4e-3
