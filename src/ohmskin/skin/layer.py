@@ -8,7 +8,7 @@ import numpy as np
 from ohmskin.errors import SkinError
 from ohmskin.geometry import Chart
 from ohmskin.skin.checks import number
-from ohmskin.skin.patches import COVERED, Patches, rings, rows
+from ohmskin.skin.patches import COVERED, PatchLayout, rings, rows
 
 _STRETCH = 0.6  # of the logarithm of pressure, in which hysteresis has turned to 1/e; above its largest gap
 _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
@@ -58,7 +58,7 @@ class ContactLayer:
         """
         return int(np.prod(self._counts(chart)))
 
-    def patches(self, chart: Chart) -> Patches:
+    def patches(self, chart: Chart) -> PatchLayout:
         """The patches on a map; some may be off the sheet.
 
         Args:
@@ -71,8 +71,8 @@ class ContactLayer:
             return self._regular(chart)
         return rows(chart, self.patch) or rings(chart, self.patch) or self._regular(chart)
 
-    def _regular(self, chart: Chart) -> Patches:
-        """Patches in columns and rows, equal on the map."""
+    def _regular(self, chart: Chart) -> PatchLayout:
+        """PatchLayout in columns and rows, equal on the map."""
         (columns, rows), (x0, y0, x1, y1) = self._counts(chart), chart.domain.bounds
         if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
             over = f"{columns} x {rows} patches of {self.patch:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
@@ -80,7 +80,7 @@ class ContactLayer:
         x = x0 + (np.arange(columns) + 0.5) * (x1 - x0) / columns
         y = y0 + (np.arange(rows) + 0.5) * (y1 - y0) / rows
         middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return Patches(middles, np.full(middles.shape, self.patch))
+        return PatchLayout(middles, np.full(middles.shape, self.patch))
 
     def _counts(self, chart: Chart) -> tuple[int, int]:
         """Columns and rows of patches that are equal on the map."""

@@ -13,7 +13,7 @@ _FINE = 128  # places along each side of a map at which its scale is looked at
 
 
 @dataclass(frozen=True)
-class Patches:
+class PatchLayout:
     """Patches on a map: rectangles along x and y, or sectors of rings about a centre.
 
     Args:
@@ -51,7 +51,7 @@ class Patches:
         return places, lengths[..., None] * np.stack([outwards, onwards], axis=-2)
 
 
-def rows(chart: Chart, patch: float) -> Patches | None:
+def rows(chart: Chart, patch: float) -> PatchLayout | None:
     """Rows along x of patches that are as large as `patch` (m) on the skin, if the map's scale is even along each.
 
     Args:
@@ -69,10 +69,10 @@ def rows(chart: Chart, patch: float) -> Patches | None:
         for left, right in _divided(x0, x1, scale[np.argmin(np.abs(y - (low + high) / 2))], patch)
     ]
     middles, sides = np.split(np.array(cells), 2, axis=1)
-    return Patches(middles, COVERED * sides)
+    return PatchLayout(middles, COVERED * sides)
 
 
-def rings(chart: Chart, patch: float) -> Patches | None:
+def rings(chart: Chart, patch: float) -> PatchLayout | None:
     """Rings about the map's middle of patches that are as large as `patch` (m) on the skin, if its scale is even along
     each.
 
@@ -96,7 +96,7 @@ def rings(chart: Chart, patch: float) -> Patches | None:
         angle = 2 * np.pi * (np.arange(count) + 0.5) / count
         middles.append(np.array(centre) + middle * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
         sides.append(np.tile([high - low, around / count], (count, 1)))
-    return Patches(np.concatenate(middles), COVERED * np.concatenate(sides), centre)
+    return PatchLayout(np.concatenate(middles), COVERED * np.concatenate(sides), centre)
 
 
 def _along(chart: Chart, lines: Floats) -> tuple[Floats, Floats | None]:
