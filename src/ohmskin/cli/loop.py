@@ -122,6 +122,8 @@ def open_loop(
     def meanwhile(description: Skin) -> None:
         if apart:
             compilations.append(stack.enter_context(Compilation()))
+            if compilations[0].under_way:
+                compile_ahead(starting, fits=False)
         elif mode_named(description, mode).reader != "centroid":
             compile_ahead(starting)
         starting("starting the virtual skin", None)

@@ -10,13 +10,14 @@ from numba.core import event
 from ohmskin.child import Child
 from ohmskin.closing import Closing, every
 from ohmskin.drive import Target
-from ohmskin.engine.functions import compile_all
+from ohmskin.engine.functions import compile_functions
 from ohmskin.engine.signatures import SIGNATURES
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
 _REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
 _FUNCTIONS = 2 * len(SIGNATURES)  # as each has some that only it calls
+_FUNCTIONS_WITHOUT_FITS = 12
 
 
 class _Listener(event.Listener):
@@ -60,19 +61,21 @@ def compiling(report: Callable[[str], None], threaded: bool = True) -> Iterator[
         yield
 
 
-def compile_ahead(report: Callable[[str, float], None]) -> None:
-    """Compile what a loop that fits contacts will call, such as while a device starts.
+def compile_ahead(report: Callable[[str, float], None], fits: bool = True) -> None:
+    """Compile what a loop will call, such as while a device starts.
 
     Args:
         report: Gets what is done and which share of it, 0 to 1, if anything is to be compiled.
+        fits: Whether it fits contacts.
     """
-    listener = _Listener(lambda words: report(words, min(1.0, listener.count / _FUNCTIONS)))
+    count = _FUNCTIONS if fits else _FUNCTIONS_WITHOUT_FITS
+    listener = _Listener(lambda words: report(words, min(1.0, listener.count / count)))
     with event.install_listener("numba:compile", listener), every(_REPORT_EVERY / 4, listener.report):
-        compile_all()
+        compile_functions(None if fits else False)
 
 
 class Compilation(Closing):
-    """Compiles what a loop that fits contacts will call, in a process of its own; nothing if it was compiled before."""
+    """Compiles what fits call, in a process of its own; nothing if all that a loop calls was compiled before."""
 
     def __init__(self) -> None:
         self._child = None if _loaded() else Child.module("ohmskin.engine.process", "the compiling process", {})
@@ -105,7 +108,7 @@ def _loaded() -> bool:
     """Load what was compiled before; whether that is all."""
     try:
         with event.install_listener("numba:compile", _Refusal()):
-            compile_all()
+            compile_functions()
     except _Missing:
         return False
     return True

@@ -7,10 +7,13 @@ from numba.core.errors import NumbaError
 
 from ohmskin.engine.signatures import SIGNATURES
 
+_WITHOUT_FITS = {"contacts.regions", "forward.sensitivity", "inverse.modes", "scan.coherence", "sensing.soundness"}
 
-def compile_all() -> None:
-    """Compile, or load, what a loop that fits contacts will call."""
+
+def compile_functions(fits: bool | None = None) -> None:
+    """Compile, or load, what a loop calls: all unless said, what only `fits` call, or what loops without them call."""
     for name, arguments in SIGNATURES:
         module, _, function = name.partition(":")
-        with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
-            getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
+        if fits is None or fits == (module not in _WITHOUT_FITS):
+            with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed; compiled when called
+                getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)

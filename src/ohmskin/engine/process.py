@@ -3,18 +3,18 @@
 import os
 
 from ohmskin.child import begin, when_input_ends
-from ohmskin.engine.functions import compile_all
+from ohmskin.engine.functions import compile_functions
 
 _LESS_URGENT = 10  # niceness
 
 
 def main() -> None:
-    """Compile all, or until standard input ends."""
+    """Compile what fits call, or until standard input ends."""
     begin()
     when_input_ends(lambda: os._exit(0))
     if hasattr(os, "nice"):
         os.nice(_LESS_URGENT)
-    compile_all()
+    compile_functions(fits=True)
 
 
 if __name__ == "__main__":
