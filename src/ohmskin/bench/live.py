@@ -44,7 +44,7 @@ def _in_mode(mode: str, least: int, effort: Effort) -> Iterator[Figure]:
         device: Any = engine.device
         wire, sensor, step = device._transport, engine.sensor, timed("frame", engine.step)
         wire.read, device.scan = timed("wait", wire.read), timed("scan", device.scan)
-        sensor.step = timed("see", sensor.step)  # type: ignore[union-attr, method-assign]
+        sensor.step = timed("step", sensor.step)  # type: ignore[union-attr, method-assign]
         count = 1000 if effort.quick else 5000
         rows, felt = [], 0
         for k in range(_WARM + count):
@@ -56,7 +56,7 @@ def _in_mode(mode: str, least: int, effort: Effort) -> Iterator[Figure]:
             spent.clear()
             touch = step()
             if k >= _WARM:
-                rows.append([spent[name] for name in ("wait", "scan", "see", "frame")])
+                rows.append([spent[name] for name in ("wait", "scan", "step", "frame")])
                 felt += touch is not None and len(touch.contacts) == 1
         gc.unfreeze()
     parts = np.diff(rows, axis=1, prepend=0.0)  # each lies within the next one

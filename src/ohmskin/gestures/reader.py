@@ -9,7 +9,7 @@ from ohmskin.gestures.episode import ContactLike, Episode
 from ohmskin.gestures.model import UNKNOWN, GestureModel
 
 _APART = 0.2  # s without a contact, after which an episode has ended
-_SHOWN = 0.5  # s for which an ended gesture is still told
+_SHOWN = 0.5  # s for which an ended gesture is still reported
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class GestureState:
     Args:
         episode: The episode; None before anything touched.
         model: The classifier.
-        shown: Whether its gesture is still told.
+        shown: Whether its gesture is still reported.
     """
 
     episode: Episode | None = None

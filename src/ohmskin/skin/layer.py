@@ -72,7 +72,7 @@ class ContactLayer:
         return rows(chart, self.patch) or rings(chart, self.patch) or self._regular(chart)
 
     def _regular(self, chart: Chart) -> PatchLayout:
-        """PatchLayout in columns and rows, equal on the map."""
+        """Patches in columns and rows, equal on the map."""
         (columns, rows), (x0, y0, x1, y1) = self._counts(chart), chart.domain.bounds
         if min((x1 - x0) / columns, (y1 - y0) / rows) < self.patch * (1 - 1e-9) and columns * rows > 1:
             over = f"{columns} x {rows} patches of {self.patch:.4g} m overlap on {x1 - x0:.4g} x {y1 - y0:.4g} m"
