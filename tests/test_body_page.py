@@ -237,7 +237,7 @@ def test_a_finger_on_the_page_presses_where_it_points_and_contacts_are_arrows(ha
         felt["places"] = [place]
         until(lambda: there(f"{labels}.includes('#1 · uncalibrated')"))
         until(lambda: there(f"{colours.format(1)} > 20"))
-        assert there("!document.getElementById('fixed').hidden && document.getElementById('newtons').hidden")
+        until(lambda: there("!document.getElementById('fixed').hidden && document.getElementById('newtons').hidden"))
         felt["known"] = {"force": 7.34, "force_std": 0.2}
         until(lambda: there(f"{labels}.includes('#1 · 7.3 ±0.2 N')"))
         felt["known"]["confidence"] = 0.6
