@@ -279,7 +279,7 @@ def test_a_command_leaves_signals_as_they_were() -> None:
 
 def test_headless_json_is_a_line_per_frame_with_the_press_in_it() -> None:
     with serving("--seed", "1") as (address, _):
-        command = [sys.executable, "-m", "ohmskin", "live", "--json", "--device", address]
+        command = [sys.executable, "-m", "ohmskin", "live", "--json", "--mode", "16P", "--device", address]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as sensed:
             assert sensed.stdout is not None
             try:

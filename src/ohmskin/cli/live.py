@@ -85,7 +85,9 @@ def live(
                 say(f"port {page.port} is in use; taking the next free one")
             page.open(view.url)
         loop = stack.enter_context(
-            open_loop(device, skin, mode, imaging, notify, record, quiet=True, out=out, starting=starting)
+            open_loop(
+                device, skin, mode, imaging, notify, record, quiet=True, out=out, starting=starting, at_once=not publish
+            )
         )
         engine = lines.engine = loop.engine
         commands = dict[str, Callable[..., None]](tare=engine.calibrate, set_mode=engine.set_mode)

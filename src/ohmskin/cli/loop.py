@@ -108,15 +108,17 @@ def open_loop(
     quiet: bool = False,
     out: TextIO | None = None,
     starting: Callable[[str, float | None], None] = lambda *_: None,
+    at_once: bool = False,
 ) -> Iterator[Loop]:
     """A loop on a device, recorded if there is a file to `record` to; the options are those of `ohmskin record`.
 
     Messages of the engine go to `notify`, a summary of the recording to `out` at the end, standard output unless given.
     While all goes well, a `quiet` one reports nothing of the recording. `starting` gets what is done before there is a
-    loop, and which share of it.
+    loop, and which share of it. A loop without a `mode` and a recording may begin `at_once`, in another mode than the
+    default one while that is compiled.
     """
 
-    apart = not mode and record is None  # else the mode that was asked for is awaited
+    apart = at_once and not mode and record is None
     compilations: list[Compilation] = []
 
     def meanwhile(description: Skin) -> None:
