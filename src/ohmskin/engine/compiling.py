@@ -10,14 +10,12 @@ from numba.core import event
 from ohmskin.child import Child
 from ohmskin.closing import Closing, every
 from ohmskin.drive import Target
-from ohmskin.engine.functions import compile_functions
-from ohmskin.engine.signatures import SIGNATURES
+from ohmskin.engine.functions import chosen, compile_functions
 from ohmskin.sensing import drive_of, mode_named
 from ohmskin.skin import Skin
 
 _REPORT_EVERY = 1.5  # s, sooner than signs of life on the command line
-_FUNCTIONS = 2 * len(SIGNATURES)  # as each has some that only it calls
-_FUNCTIONS_WITHOUT_FITS = 12
+_EACH = 2  # functions compiled for each one that a loop calls, as most have some that only they call
 
 
 class _Listener(event.Listener):
@@ -68,10 +66,11 @@ def compile_ahead(report: Callable[[str, float], None], fits: bool = True) -> No
         report: Gets what is done and which share of it, 0 to 1, if anything is to be compiled.
         fits: Whether it fits contacts.
     """
-    count = _FUNCTIONS if fits else _FUNCTIONS_WITHOUT_FITS
+    which = None if fits else False
+    count = _EACH * len(chosen(which))
     listener = _Listener(lambda words: report(words, min(1.0, listener.count / count)))
     with event.install_listener("numba:compile", listener), every(_REPORT_EVERY / 4, listener.report):
-        compile_functions(None if fits else False)
+        compile_functions(which)
 
 
 class Compilation(Closing):

@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from importlib import import_module
+from typing import Any
 
 from numba.core.errors import NumbaError
 
@@ -12,8 +13,12 @@ _WITHOUT_FITS = {"contacts.regions", "forward.sensitivity", "inverse.modes", "sc
 
 def compile_functions(fits: bool | None = None) -> None:
     """Compile, or load, what a loop calls: all unless said, what only `fits` call, or what loops without them call."""
-    for name, arguments in SIGNATURES:
+    for name, arguments in chosen(fits):
         module, _, function = name.partition(":")
-        if fits is None or fits == (module not in _WITHOUT_FITS):
-            with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed; compiled when called
-                getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
+        with suppress(AttributeError, ImportError, TypeError, NumbaError):  # it has changed since; compiled when called
+            getattr(import_module(f"ohmskin.{module}"), function).compile(arguments)
+
+
+def chosen(fits: bool | None = None) -> list[tuple[str, tuple[Any, ...]]]:
+    """Those of `SIGNATURES` that `compile_functions` compiles."""
+    return [one for one in SIGNATURES if fits is None or fits == (one[0].partition(":")[0] not in _WITHOUT_FITS)]
