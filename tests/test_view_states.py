@@ -250,6 +250,36 @@ def test_labels_avoid_electrodes_contacts_and_each_other(reader: Reader) -> None
             assert x + w <= 460
 
 
+def test_labels_stay_off_the_colour_of_contacts_and_where_they_are(reader: Reader) -> None:
+    script = """
+        const { drawContacts } = await import("/static/contacts.js");
+        const { Field } = await import("/static/field.js");
+        const { Frame } = await import("/static/frame.js");
+        const { INK } = await import("/static/ink.js");
+        const c = document.createElement("canvas").getContext("2d");
+        const frame = new Frame({ kind: "rectangle", width: 0.2, height: 0.2 }, 460, 476);
+        const field = new Field({ x0: 0.0025, y0: 0.0025, pitch: 0.005, nx: 40, ny: 40 });
+        const drawn = (id, x, y, reach) => {
+            const values = Array.from({ length: 1600 }, (_, i) => {
+                const [u, v] = [0.0025 + 0.005 * (i % 40), 0.0025 + 0.005 * Math.floor(i / 40)];
+                return 2 * Math.exp(-Math.log(4) * ((u - x) ** 2 + (v - y) ** 2) / reach ** 2); // 0.5 at its reach
+            });
+            field.set(Float32Array.from(values));
+            const contacts = [{ id, x, y, extent: 2e-4, strength: 2e-4, confidence: 1 }];
+            const taken = [];
+            drawContacts(c, frame, 460, 460, { contacts, field, threshold: 0.5 }, taken, INK.dark);
+            const [[cx, cy, size], [px, py, w, h]] = taken;
+            const near = [Math.max(px, Math.min(px + w, cx + size / 2)), Math.max(py, Math.min(py + h, cy + size / 2))];
+            return Math.hypot(near[0] - cx - size / 2, near[1] - cy - size / 2) / frame.scale;
+        };
+        return [drawn(1, 0.06, 0.1, 0.02), drawn(1, 0.061, 0.1, 0.018), drawn(2, 0.061, 0.1, 0.008)];
+    """
+    wide, slightly_less, narrow = run(reader.page, script)
+    assert wide > 0.019  # where the colour ends, 20 mm from the contact
+    assert slightly_less == pytest.approx(wide)
+    assert narrow < 0.013
+
+
 def test_the_scale_takes_what_is_a_scale(reader: Reader) -> None:
     page, entry = reader.page, reader.page.locator("#range")
     page.get_by_label("auto").uncheck()
@@ -421,7 +451,7 @@ def test_a_recording_is_known_by_its_file_and_has_an_end(chromium: Browser) -> N
     expect(page.locator("#notice")).to_have_text("Paused. Showing 2.44 s of 12.00 s.")
     loop.header["recording"] |= {"position": 12.0, "ended": True}
     expect(page.locator("#state")).to_have_text("end")
-    expect(page.locator("#notice")).to_have_text("End of the recording. Play begins again.")
+    expect(page.locator("#notice")).to_have_text("End of the recording. “Play” starts it again.")
     loop.header["state"] = "calibrating"
     expect(page.locator("#notice")).to_have_text("Reading the calibration of the recording.")
     expect(page.get_by_text("untouched")).to_have_count(0)

@@ -42,8 +42,9 @@ for contact in felt:
     arrow = np.array(contact.position) + np.outer([0.03, 0.002], contact.normal)
     axes.plot(*1e3 * arrow.T, "k", linewidth=2)
 axes.set(title="on the arm, with normals", xticks=[-40, 0, 40], yticks=[-40, 0, 40])
+axes.tick_params(labelsize=8, pad=0)
 axes.view_init(25, -35)
-axes.set_box_aspect((90, 90, 142), zoom=0.85)  # mm, with room for the labels
+axes.set_box_aspect((90, 90, 142), zoom=0.8)  # mm, with room for the labels
 figure.colorbar(shown, ax=figure.axes, label="relative change of conductivity", shrink=0.8)
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else ".") / "curved.png"

@@ -34,14 +34,14 @@ def main(picture: Path) -> list[str]:
     quality = assess(quiet, [touched])
     print("\n".join(quality.report()))
 
-    figure = Figure(figsize=(8.2, 3.7), layout="constrained")
+    figure = Figure(figsize=(8.6, 3.7), layout="constrained")
     model = skin.transfer_model()
     for axes, judge, title in zip(figure.subplots(1, 2), (None, quality), ("as measured", "assessed"), strict=True):
         seen = ohm.perceive(ohm.SkinModel(skin, model, quiet, judge), touched)
         shown = draw_image(axes, model.mesh, seen.image.values, skin.electrodes, seen.detections)
         axes.plot(60, 130, "x", color="limegreen", markersize=10, markeredgewidth=2)
         axes.set_title(title, fontsize=10)
-        figure.colorbar(shown, ax=axes, shrink=0.8)
+        figure.colorbar(shown, ax=axes, shrink=0.8, label="relative conductivity change")
     figure.savefig(picture, dpi=110)
     return quality.report()
 

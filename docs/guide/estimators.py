@@ -52,7 +52,7 @@ for contact in contacts:
     print(f"contact at {x:.1f} +- {sx:.1f}, {y:.1f} +- {sy:.1f} mm, {1e6 * contact.strength:.0f} mm2 of conductivity")
 
 figure = Figure(figsize=(14.5, 7.2), layout="constrained")
-fitted = "contacts fitted, over Gauss-Newton"
+fitted = "contacts fitted"
 images[fitted] = images["Gauss-Newton"]
 for axes, (name, image) in zip(figure.subplots(2, 4).flat, images.items(), strict=True):
     draw_image(axes, model.mesh, image.values, model.electrodes, contacts if name == fitted else ())

@@ -22,7 +22,7 @@ touched = baseline.difference(device.scan(pattern))
 model = skin.transfer_model()
 estimator = GaussNewton(model, baseline.noise, "matern", amplitude=0.1, model_error=0.02)
 figure = Figure(figsize=(15, 7.2), layout="constrained")
-curves, pictures = figure.subplots(2, len(RULES))
+curves, pictures = figure.subplots(2, len(RULES), height_ratios=[1.4, 1])
 for rule, curve, shown in zip(RULES, curves, pictures, strict=True):
     choice = choose(rule, estimator, touched)
     if rule == "l-curve":
@@ -35,6 +35,7 @@ for rule, curve, shown in zip(RULES, curves, pictures, strict=True):
         curve.loglog(choice.amplitudes, values)
         curve.axvline(choice.amplitude, color="black", linewidth=1)
         curve.set(xlabel="prior amplitude")
+        curve.set_ylabel(choice.meaning.partition(";")[0], fontsize=8)
     curve.set_title(f"{rule}: {choice.amplitude:.3g}", fontsize=10)
     image = estimator.with_amplitude(choice.amplitude).reconstruct(touched)
     draw_image(shown, model.mesh, image.values, model.electrodes)

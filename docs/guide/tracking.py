@@ -31,7 +31,7 @@ for frame in range(150):
         fingers.append((0.145 - 0.0002 * frame, 0.055))
     for number, at in enumerate(fingers, 1):
         device.press(number, *at, radius=8e-3, pressure=20e3)
-        axes.plot(*(1e3 * np.array(at)), ".", color="0.4", markersize=3)
+        axes.plot(*(1e3 * np.array(at)), ".", color="0.2", markersize=3, zorder=3)
     state, percept = sensor.step(state, device.scan)
     for contact in percept.contacts:
         size, axis = np.linalg.eigh(np.array(contact.covariance))
@@ -41,9 +41,10 @@ for frame in range(150):
         axes.add_patch(
             Ellipse(place, width, height, angle=tilt, fill=False, color=f"C{contact.id % 10}", linewidth=0.8)
         )
-axes.set(
-    xlim=(-5, 205), ylim=(-5, 205), xlabel="x / mm", ylabel="y / mm", aspect="equal", title="Four injections a frame"
-)
+axes.plot([], [], ".", color="0.2", markersize=3, label="where the fingers are")
+axes.plot([], [], "o", color="0.4", fillstyle="none", label="95 % ellipses of the tracked contacts, a colour for each")
+axes.set(xlim=(-5, 205), ylim=(-5, 205), xlabel="x / mm", ylabel="y / mm", aspect="equal")
+figure.legend(loc="outside upper center", ncols=3, frameon=False, fontsize=8, columnspacing=1)
 for contact in percept.contacts:
     x, y = contact.position
     print(f"contact {contact.id}: ({1e3 * x:.1f}, {1e3 * y:.1f}) mm, radius {1e3 * (contact.radius or 0):.0f} mm")

@@ -9,6 +9,7 @@ from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats
@@ -66,7 +67,8 @@ def draw_image(
     for number, place in enumerate(1e3 * electrodes.positions):
         away = place - middle
         place = place + away / max(float(np.linalg.norm(away)), 1e-9) * 0.045 * size
-        axes.annotate(str(number), place, ha="center", va="center", fontsize=7, annotation_clip=False)
+        told = axes.annotate(str(number), place, ha="center", va="center", fontsize=7, annotation_clip=False)
+        told.set_path_effects([withStroke(linewidth=1.6, foreground="white", alpha=0.8)])  # read over a contact, too
     for contact in contacts:
         centre = (1e3 * contact.position[0], 1e3 * contact.position[1])
         axes.add_patch(Circle(centre, 1e3 * np.sqrt(contact.extent / np.pi), fill=False, color="black", linewidth=1.2))

@@ -6,6 +6,11 @@ import { FONT } from "./ink.js";
 const SURE = 0.9; // confidence below which a contact looks doubtful
 const KEPT = 1.2; // how much stronger another contact must be to count as the strongest in its place
 const SMALL = 260; // px of width, below which a map has no room for labels of two lines
+const COVERED = 0.1; // px that a label may be farther away for each px² less of the image that it covers
+const STAYS = 20; // px by which another place must be better than the one where a label is
+const REACH = 3; // radii of a contact within which its colour is kept free
+
+const labelled = new WeakMap(); // of each canvas, where the label of each contact is
 
 /** Contacts with their uncertainty, and labels that avoid each other and the boxes that are `taken`. */
 export function drawContacts(c, f, width, height, scene, taken, ink) {
@@ -29,7 +34,30 @@ export function drawContacts(c, f, width, height, scene, taken, ink) {
     return [f.x(contact.x) - radius, f.y(contact.y) - radius, 2 * radius, 2 * radius];
   });
   taken.push(...circles);
-  scene.contacts.forEach((contact, i) => drawLabel(c, contact, circles[i], taken, width, height, ink));
+  const shown = scene.contacts.map((contact, i) => visible(f, scene, contact, circles[i][2] / (2 * f.scale)));
+  const [before, room] = [labelled.get(c), { taken, shown, right: width, bottom: height }];
+  const places = scene.contacts.map((contact, i) => {
+    const place = (size) => freePlace(circles[i], size, room, before?.get(contact.id));
+    return [contact.id, drawLabel(c, contact, circles[i], place, taken, width, ink)];
+  });
+  labelled.set(c, new Map(places));
+}
+
+// The box [x, y, width, height] within which a contact of a radius (m) colours the map.
+function visible(f, { field, threshold }, { x, y }, radius) {
+  const step = field?.values ? radius / 8 : Infinity;
+  const [right, left, up, down] = [
+    [1, 0],
+    [-1, 0],
+    [0, 1],
+    [0, -1],
+  ].map(([dx, dy]) => {
+    const coloured = (at) => Math.abs(field.at(x + dx * at, y + dy * at)) > threshold;
+    let to = radius;
+    while (to + step < REACH * radius && coloured(to + step)) to += step;
+    return to;
+  });
+  return [f.x(x - left), f.y(y + up), f.scale * (left + right), f.scale * (up + down)];
 }
 
 /** The contact that changed most, or the one of id `kept` while it is nearly as strong; null if there is none. */
@@ -86,8 +114,8 @@ export function force(contact) {
   return `${number(contact.force, 1)}${sure}`;
 }
 
-// The longest label that covers nothing taken: place and effect, place alone, or the number alone.
-function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
+// The longest label that covers nothing taken: place and effect, place alone, or the number alone. Where it is.
+function drawLabel(c, contact, circle, place, taken, width, ink) {
   const id = `#${contact.id}`;
   const sure = contact.covariance ? ` ±${number(1000 * ellipse(contact.covariance).major, 1)}` : "";
   const where = `${number(1000 * contact.x, 0)}, ${number(1000 * contact.y, 0)}${sure} mm`;
@@ -103,12 +131,13 @@ function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
     ...(doubt ? [] : [[where, "", wide]]),
     ["", "", -6],
   ].map(([first, rest, across]) => ({ first, rest, w: lead + across + 12, h: rest ? 34 : 20 }));
-  const places = forms.map(({ w, h }) => freePlace([x, y, size, size], [w, h], taken, width, height));
+  const places = forms.map(({ w, h }) => place([w, h]));
   const free = places.findIndex(({ covered }) => !covered);
   const k = free < 0 ? forms.length - 1 : free;
   const { first, rest, w, h } = forms[k];
   const [px, py] = places[k].at;
   taken.push([px, py, w, h]);
+  drawLeader(c, circle, [px, py, w, h], ink);
   c.fillStyle = ink.pill;
   c.beginPath();
   c.roundRect(px, py, w, h, 5);
@@ -118,15 +147,36 @@ function drawLabel(c, contact, [x, y, size], taken, width, height, ink) {
   c.fillText(id, px + 6, py + 14);
   c.font = `11px ${FONT}`;
   c.fillText(first, px + 6 + lead, py + 14);
-  if (!rest) return;
+  if (!rest) return places[k].side;
   c.fillStyle = ink.quiet;
   c.fillText(rest, px + 6 + lead, py + 28);
   c.fillStyle = ink.doubt;
   c.fillText(doubt, px + 6 + lead + second, py + 28);
+  return places[k].side;
 }
 
-// Where beside a box a label of [w, h] covers least of what is taken, and how much; near the box rather than far.
-function freePlace([x, y, width, height], [w, h], taken, right, bottom) {
+// A line from a circle in the box [x, y, size, size] to its label, if that is some way off.
+function drawLeader(c, [x, y, size], [px, py, w, h], ink) {
+  const [cx, cy] = [x + size / 2, y + size / 2];
+  const [dx, dy] = [Math.max(px, Math.min(px + w, cx)) - cx, Math.max(py, Math.min(py + h, cy)) - cy];
+  const [far, from] = [Math.hypot(dx, dy), size / 2 + 2];
+  if (far < from + 8) return;
+  c.beginPath();
+  c.moveTo(cx + (dx * from) / far, cy + (dy * from) / far);
+  c.lineTo(cx + dx, cy + dy);
+  for (const [colour, weight] of [
+    [ink.halo, 3],
+    [ink.contact, 1],
+  ]) {
+    c.lineWidth = weight;
+    c.strokeStyle = colour;
+    c.stroke();
+  }
+}
+
+// Where beside a box a label of [w, h] covers least of what is taken, and how much; near the box rather than far, off
+// the colour of contacts, and where it was before.
+function freePlace([x, y, width, height], [w, h], { taken, shown, right, bottom }, before) {
   const [cx, cy] = [x + width / 2, y + height / 2];
   let [best, least] = [null, Infinity];
   for (const gap of [6, 18, 32]) {
@@ -145,8 +195,11 @@ function freePlace([x, y, width, height], [w, h], taken, right, bottom) {
       const py = cy + dy * ry - ((1 - dy) * h) / 2;
       const across = Math.max(0, 2 - px) + Math.max(0, px + w + 2 - right);
       const off = across + Math.max(0, 2 - py) + Math.max(0, py + h + 2 - bottom);
-      const covered = 50 * off + taken.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
-      if (gap + covered < least) [best, least] = [{ at: [px, py], covered }, gap + covered];
+      const over = (boxes) => boxes.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
+      const [covered, side] = [50 * off + over(taken), `${gap} ${dx} ${dy}`];
+      const stays = side === before ? -STAYS : 0;
+      const cost = gap * Math.hypot(dx, dy) + COVERED * over(shown) + (covered ? 1e3 + covered : stays);
+      if (cost < least) [best, least] = [{ at: [px, py], covered, side }, cost];
     }
   }
   return best;

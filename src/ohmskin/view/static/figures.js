@@ -33,7 +33,7 @@ export function showFindings(findings) {
   byId("findings").lastElementChild.replaceChildren(
     ...words.map((text) => {
       const item = document.createElement("li");
-      item.textContent = text;
+      item.textContent = text[0].toUpperCase() + text.slice(1);
       return item;
     }),
   );

@@ -27,7 +27,7 @@ export function noticeFor(known) {
     return { kind: "wait", text: `Preparing ${header.preparing}${waited}` };
   }
   if (header.recording?.ended && header.state === "paused")
-    return { kind: "wait", text: "End of the recording. Play begins again." };
+    return { kind: "wait", text: "End of the recording. “Play” starts it again." };
   if (header.state === "paused" && !header.message) {
     const { position, length } = header.recording ?? {};
     const place = setup.recording

@@ -69,9 +69,10 @@ class Card {
     card.dataset.one = one === patch.name;
     card.dataset.fresh = fresh;
     card.dataset.touched = fresh && patch.contacts.length > 0;
-    this._where.textContent = `${patch.link} ${patch.mode ? `· ${patch.mode} ` : ""}· `;
     const silent = patch.age === null ? "no data yet" : `unknown: silent for ${number(patch.age, 1)} s`;
+    this._where.textContent = "";
     element("span", "age", this._where).textContent = fresh ? "live" : known ? silent : "unknown";
+    this._where.append(` · ${patch.link}${patch.mode ? ` · ${patch.mode}` : ""}`);
     this._told.textContent = fresh ? this._lines(patch, card.dataset.one === "true") : "";
     if (card.hidden || !patch.domain) return;
     if (!this._domain) [this._domain, this._field] = [patch.domain, new Field(patch.raster)];
