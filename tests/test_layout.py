@@ -227,6 +227,8 @@ def test_the_command_draws_the_map_and_says_mean_and_worst(tmp_path: Path) -> No
     assert paper["worst"] == errors.max() > paper["mean"] == pytest.approx(errors.mean())
     assert f"bound on the position error (Cramer-Rao): mean {1e3 * paper['mean']:.3g} mm" in result.stdout
     assert "12 injections (1.44 ms)" in result.stdout
+    assert "no contact is found (reader: centroid)" in result.stdout or "error mean" in result.stdout
+    assert len(paper["reached"]) == len(paper["reached_places"]) == 40
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -252,7 +254,27 @@ def test_a_better_layout_is_found_compared_and_saved_as_a_skin_that_loads(tmp_pa
     np.testing.assert_allclose(skin.electrodes.positions, better["electrodes"], atol=1e-9)
     assert (len(skin.electrodes), skin.name, better["mode"], paper["mode"]) == (12, "paper-12", "12I", "16I")
     assert skin.sheet == Skin.load("paper").sheet
-    assert len(result.stdout.strip().splitlines()) == 4
+    assert len(result.stdout.strip().splitlines()) == 8
+
+
+def test_beside_the_bound_is_what_the_reader_reaches(tmp_path: Path) -> None:
+    """A fit errs about as much as the bound at the same places, and more with more noise."""
+    shares, means = [], []
+    for noise in ("0.1mV", "1mV"):
+        arguments = ("--noise", noise, "--contacts", "30", "--json-file", "map.json")
+        result = run(*arguments, cwd=tmp_path)
+        assert result.returncode == 0, result.stderr
+        assert "at 30 of these places, simulated: error mean" in result.stdout
+        assert "(reader: fit" in result.stdout
+        (paper,) = json.loads((tmp_path / "map.json").read_text())["layouts"]
+        at = [paper["places"].index(place) for place in paper["reached_places"]]
+        bound, reached = np.array(paper["errors"])[at], np.array(paper["reached"], float)
+        shares.append(np.nanmedian(reached / bound))
+        means.append(np.nanmean(reached))
+    assert 0.5 < shares[0] < 2.5
+    assert 0.5 < shares[1] < 2.5
+    assert means[1] > 2 * means[0]
+    assert run("--contacts", "-1", cwd=tmp_path).returncode == 2
 
 
 def test_a_mistake_gets_one_line_and_no_traceback(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ schemes = {  # injections of all scans of a frame; 0: as many as the drive usual
 }
 places = spread_places(table, 500)
 errors = {name: position_bound(table, places, scheme, noise) for name, scheme in schemes.items()}
-print("least position error / mm        mean  median  rms   worst")
+print("bound on the position error / mm  mean  median  rms   worst")
 for name, found in errors.items():
     mm = 1e3 * found
     print(f"{name:<30}{mm.mean():7.2f}{np.median(mm):7.2f}{np.sqrt(np.mean(mm**2)):7.2f}{mm.max():7.2f}")
@@ -67,7 +67,7 @@ limits = (min(float(errors[name].min()) for name in list(schemes)[5:]), float(er
 for place, name in zip(axes, ("16O, 12 + 16", "16P, 6 + 22"), strict=False):
     shown = draw_error_map(place, ErrorMap(name, skin.domain, electrodes, places, errors[name]), limits)
 bar = figure.colorbar(
-    shown, ax=axes[:2].tolist(), label="least position error / mm", ticks=[0.2, 0.5, 1, 2, 5], shrink=0.85
+    shown, ax=axes[:2].tolist(), label="bound on the position error / mm", ticks=[0.2, 0.5, 1, 2, 5], shrink=0.85
 )
 bar.ax.set_yticklabels(["0.2", "0.5", "1", "2", "5"])
 x, y = 1e3 * electrodes.positions.T

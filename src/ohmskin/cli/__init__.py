@@ -33,7 +33,7 @@ _COMMANDS = {
     "Recordings": {
         "record": ("Record a device to a file.", "ohmskin record touch.mcap --seconds 10"),
         "replay": ("Replay a recording, or compare estimators on it.", "ohmskin replay touch.mcap --speed 2 --loop"),
-        "image": ("Make a picture of a recording.", "ohmskin image recording.csv --output picture.png"),
+        "image": ("Make a picture of a recording.", "ohmskin image recordings/touch.csv --output touch.png"),
         "export": ("Export a recording as tables, arrays, pictures or a video.", "ohmskin export touch.mcap --to csv"),
         "examples": ("Write two small recordings to try these commands on.", "ohmskin examples"),
         "recover": ("Repair a truncated recording.", "ohmskin recover touch.mcap"),

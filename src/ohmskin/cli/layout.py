@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from ohmskin.arrays import as_plain
+from ohmskin.arrays import Floats, as_plain
 from ohmskin.cli.options import SkinName, check_picture, check_writable, write
 from ohmskin.drive import (
     DRIVES,
     Candidates,
     ContactPrior,
+    Drive,
     DriveSettings,
+    Fixed,
     LayoutSearch,
     best_fixed,
     complete_pattern,
@@ -26,12 +28,13 @@ from ohmskin.drive import (
 )
 from ohmskin.drive.bound import Scheme, spread_places
 from ohmskin.drive.layout import check_count
-from ohmskin.errors import DataError, PatternError, SkinError
+from ohmskin.errors import DataError, OhmskinError, PatternError, SkinError
+from ohmskin.evaluate.reached import reached_errors
 from ohmskin.forward import ContactTable
 from ohmskin.plot import ErrorMap, save_error_maps
 from ohmskin.scan import DrivePattern, adjacent
 from ohmskin.sensing import default_mode, drive_of, modes
-from ohmskin.skin import Skin
+from ohmskin.skin import Mode, Skin
 from ohmskin.skin.layout import ElectrodeLayout
 
 _PLACES = 700
@@ -46,13 +49,14 @@ def layout(
     noise: str = "",
     radius: float = 8.0,
     optimise: int = 0,
+    contacts: int = 40,
     output: Path = Path("layout.png"),
     json_file: Path | None = None,
     save: Path | None = None,
 ) -> None:
     """Map the Cramer-Rao bound on a contact's position error over the sheet, or find a layout with a lower one.
 
-    No estimator errs less than the bound; docs/modes.md has what those of the modes reach.
+    Beside the bound, below which no unbiased estimator can be, is what the mode's own reader reaches at some places.
 
     Args:
         mode: What is driven: a mode such as 12B, 16I, 16O or 16P, or "best", the best fixed injections; the skin's best
@@ -63,6 +67,7 @@ def layout(
             first mode. The noise of the skin unless given.
         radius: Radius of the contact (mm), which changes the conductivity by a half.
         optimise: Number of electrodes to place for the lowest worst bound; the new layout is compared with the old one.
+        contacts: Simulated contacts that the mode reads, to be held against the bound; 0: none.
         output: Picture to write.
         json_file: JSON file to write with all figures; none unless given.
         save: With --optimise, skin file to write; SKIN-optimised.toml in this folder unless given.
@@ -78,8 +83,10 @@ def layout(
         raise SkinError(f"--radius {radius:g} mm; it must be below a quarter of the sheet's {1e3 * shortest:g} mm")
     if optimise:
         check_count(optimise, described.domain)
+    if contacts < 0:
+        raise OhmskinError(f"--contacts {contacts}; it must be 0 or more")
     volts = _volts(noise, described)
-    found = [_judge(described, mode, injections, volts, size)]
+    found = [_judge(described, mode, injections, volts, size, contacts)]
     if optimise:
         used, count = found[0][1]["mode"], found[0][1]["injections"]
         current = float(np.median(described.pair_currents()))
@@ -95,20 +102,22 @@ def layout(
         possible = modes(better)
         name = used if used == _BEST else next((name for name in possible if name.endswith(used[-1])), "")
         fixed = name == _BEST or drive_of(possible[name], better).scans == 1
-        found.append(_judge(better, name, injections if fixed else count, volts, size))
+        found.append(_judge(better, name, injections if fixed else count, volts, size, contacts))
         target = save or Path(f"{described.name}-optimised.toml")
         write(target, better.dump())
     lines, layouts, maps = zip(*found, strict=True)
     print("\n".join(lines))
-    print("no unbiased estimator has a smaller error; docs/modes.md has the errors of the modes")
+    print("No unbiased estimator has a smaller error than the bound. docs/modes.md has the errors of all modes.")
     if json_file is not None:
         write(json_file, json.dumps({"noise": volts, "radius": size, "layouts": layouts}, indent=1))
     save_error_maps(output, maps)
     print(f"picture: {output}" + (f"; skin: {target}" if optimise else ""))
 
 
-def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) -> tuple[str, dict[str, Any], ErrorMap]:
-    """What a skin can do, in a line, as figures and as a map."""
+def _judge(
+    skin: Skin, mode: str, injections: int, noise: float, radius: float, contacts: int
+) -> tuple[str, dict[str, Any], ErrorMap]:
+    """What a skin can do, in lines, as figures and as a map."""
     electrodes, metres = skin.electrodes, skin.chart.scale
     complete = complete_pattern(electrodes)
 
@@ -118,7 +127,7 @@ def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) 
         table = ContactTable(skin.transfer_model(), usual, pitch=0.45 * skin.imaging.mesh_size)
         return table, Candidates.at_currents(complete, len(electrodes), noise, skin.pair_currents())
 
-    name, count, scheme = _scheme(skin, mode, injections, design)
+    name, count, scheme, (read, drive, frames) = _scheme(skin, mode, injections, design)
     (table, _), currents = design(), skin.pair_currents()
     places = spread_places(table, _PLACES)
     errors = position_bound(table, places, scheme, noise, currents, ContactPrior.usual(radius), metres(places))
@@ -126,25 +135,42 @@ def _judge(skin: Skin, mode: str, injections: int, noise: float, radius: float) 
     mean, median, worst = float(errors.mean()), float(np.median(errors)), float(errors.max())
     x, y = 1e3 * places[int(np.argmax(errors))]
     line = (
-        f"{title} ({1e3 * skin.cost.time(part_of(complete, np.zeros(count, np.int64))):.3g} ms): "
-        f"bound on the position error (Cramer-Rao): mean {1e3 * mean:.3g} mm, median {1e3 * median:.3g} mm, "
+        f"{title} ({1e3 * skin.cost.time(part_of(complete, np.zeros(count, np.int64))):.3g} ms)\n"
+        f"  bound on the position error (Cramer-Rao): mean {1e3 * mean:.3g} mm, median {1e3 * median:.3g} mm, "
         f"worst {1e3 * worst:.3g} mm at ({x:.0f}, {y:.0f}) mm"
     )
     told = {"skin": skin.name, "mode": name, "injections": count, "mean": mean, "median": median, "worst": worst}
     arrays = {"electrodes": electrodes.positions, "places": places, "errors": errors}
+    if contacts:
+        some = np.linspace(0, len(places) - 1, min(contacts, len(places))).round().astype(int)
+        reached = reached_errors(skin, read, drive, noise, radius, places[some], frames)
+        line += f"\n  {_reached(read.reader, reached, errors[some])}"
+        arrays |= {"reached_places": places[some], "reached": reached}
     return line, told | as_plain(arrays), ErrorMap(title, skin.domain, electrodes, places, errors)
+
+
+def _reached(reader: str, errors: Floats, bound: Floats) -> str:
+    """What the errors of simulated contacts are beside the bound at the same places, both in metres."""
+    at, found = f"at {len(errors)} of these places, simulated:", errors[np.isfinite(errors)]
+    missed = f"; {len(errors) - len(found)} not found" if len(found) < len(errors) else ""
+    if not len(found):
+        return f"{at} no contact is found (reader: {reader})"
+    mean, median, worst = 1e3 * found.mean(), 1e3 * np.median(found), 1e3 * found.max()
+    ours = f"error mean {mean:.3g} mm, median {median:.3g} mm, worst {worst:.3g} mm (reader: {reader}{missed})"
+    return f"{at} {ours}; bound mean {1e3 * bound.mean():.3g} mm"
 
 
 def _scheme(
     skin: Skin, mode: str, injections: int, design: Callable[[], tuple[ContactTable, Candidates]]
-) -> tuple[str, int, Scheme]:
-    """The name, the injections of a frame, and what drives them."""
+) -> tuple[str, int, Scheme, tuple[Mode, Drive, int]]:
+    """The name, the injections of a frame, and what drives them; what reads, of which drive, how many frames."""
     if injections < 0:
         raise PatternError(f"--injections {injections}; it must be positive, or 0 for the mode's own number")
+    choices = modes(skin)
     if mode == _BEST:
         count, (table, candidates) = injections or 28, design()
-        return _BEST, count, part_of(candidates.pattern, best_fixed(table, candidates, count))
-    choices = modes(skin)
+        chosen = part_of(candidates.pattern, best_fixed(table, candidates, count))
+        return _BEST, count, chosen, (choices[default_mode(skin)], Fixed(chosen), 1)
     name = mode or default_mode(skin)
     if name not in choices:
         possible = ", ".join([*choices, _BEST])
@@ -158,10 +184,10 @@ def _scheme(
         def tracked(place: Any) -> list[DrivePattern]:
             return [drive.next(target(np.asarray(place)[None]), turn) for turn in range(frames)]
 
-        return name, frames * drive.injections, tracked
+        return name, frames * drive.injections, tracked, (choices[name], drive, frames)
     if injections:
         drive = DRIVES[choices[name].drive](settings, injections)
-    return name, drive.injections, drive
+    return name, drive.injections, drive, (choices[name], drive, 1)
 
 
 def _volts(text: str, skin: Skin) -> float:

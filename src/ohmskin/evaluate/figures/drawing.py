@@ -63,6 +63,12 @@ def draw_estimates(axes: Axes, x: Sequence[float], found: Sequence[ConfidenceInt
     axes.errorbar(x, values, yerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
 
 
+def draw_across(axes: Axes, y: Sequence[float], found: Sequence[ConfidenceInterval], fmt: str, **style: Any) -> None:
+    """The same, drawn across at y."""
+    values, low, high = np.array([astuple(each) for each in found]).T
+    axes.errorbar(values, y, xerr=[values - low, high - values], fmt=fmt, **{"linewidth": 1, "capsize": 2} | style)
+
+
 def draw_sheet(
     axes: Axes, layout: str = "grid", left: bool = True, bottom: bool = True, size: float = 1.8, colour: str = "0.2"
 ) -> None:

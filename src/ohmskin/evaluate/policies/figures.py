@@ -10,7 +10,7 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from ohmskin.arrays import Floats
 from ohmskin.evaluate.experiments.localisation import errors
-from ohmskin.evaluate.figures.drawing import Drawn, draw_estimates, draw_sheet, panels
+from ohmskin.evaluate.figures.drawing import Drawn, draw_across, draw_estimates, draw_sheet, panels
 from ohmskin.evaluate.policies import goals
 from ohmskin.evaluate.policies.goals import OTHERS, WITHIN, Done
 from ohmskin.evaluate.policies.pairs import ALPHA, ideal_power
@@ -41,9 +41,9 @@ def static(done: Done) -> list[Drawn]:
         if np.isfinite(result["bound"]).all():
             bound = 1e3 * result["bound"].mean(axis=(1, 2))
             axes.scatter(np.arange(len(bound)), bound, marker="_", s=160, color="0.35", linewidth=1)
-        axes.set(title=f"{NAMES[world]}, {level} dB", yscale="log", ylim=(0.4, 40))
+        axes.set(title=f"{NAMES[world]}, {level} dB", yscale="log", ylim=(0.4, 100))
         axes.grid(axis="y")
-        axes.set_yticks([0.5, 1, 2, 5, 10, 20])
+        axes.set_yticks([0.5, 1, 2, 5, 10, 20, 50])
         axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.yaxis.set_minor_formatter(NullFormatter())
         labels = [f"{key.partition('/')[0]}\n{n}" for key, n in zip(task.schemes, result["injections"], strict=True)]
@@ -77,24 +77,24 @@ def static(done: Done) -> list[Drawn]:
 def moving(done: Done) -> list[Drawn]:
     """Errors on winding paths, and a path."""
     results = done.results["moving"]
-    canvas, (grid,) = panels(2.7, 1, len(results) + 1, width_ratios=[*[1.1] * len(results), 1])
+    canvas, (grid,) = panels(2.7, 1, len(results) + 1, width_ratios=[*[1] * len(results), 1.1])
     for axes, (world, task, result) in zip(grid, done.of("moving"), strict=False):
         framewise, tracked = moving_errors(result)
         labels: list[str] = []
         for s, key in enumerate(task.schemes):
             for e, reader in enumerate(task.readers):
-                _dot(axes, len(labels), framewise[s, e], key, reader)
-                labels.append(f"{key.partition('/')[0]}\n{reader}\n16")
+                _dot(axes, len(labels), framewise[s, e], key, reader, across=True)
+                labels.append(f"{key.partition('/')[0]} {reader}, 16")
         for t, key in enumerate(task.trackers):
-            _dot(axes, len(labels), tracked[t], key)
-            name, _, count = key.partition("/")
-            labels.append(f"{name}\n\n{count}" if " " not in name else "\n".join([*name.split(), count]))
-        axes.set_xticks(range(len(labels)), labels, fontsize=4.5)
-        axes.set(title=f"{NAMES[world]}, {task.decibels:g} dB", ylabel="mean error / mm", yscale="log", ylim=(0.8, 60))
-        axes.set_yticks([1, 2, 5, 10, 20, 50])
-        axes.yaxis.set_major_formatter(ScalarFormatter())
-        axes.yaxis.set_minor_formatter(NullFormatter())
-        axes.grid(axis="y")
+            _dot(axes, len(labels), tracked[t], key, across=True)
+            labels.append(", ".join(key.split("/")))
+        axes.set_yticks(range(len(labels)), labels if axes is grid[0] else [""] * len(labels))
+        axes.set(title=f"{NAMES[world]}, {task.decibels:g} dB", xlabel="mean error / mm", xscale="log", xlim=(0.8, 60))
+        axes.invert_yaxis()
+        axes.set_xticks([1, 2, 5, 10, 20, 50])
+        axes.xaxis.set_major_formatter(ScalarFormatter())
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.grid()
     ((_, task, result),) = done.of("moving", "discs")
     axes = grid[-1]
     draw_sheet(axes)
@@ -103,13 +103,14 @@ def moving(done: Done) -> list[Drawn]:
     axes.plot(*places.T, ".", color=COLOURS["16I"], markersize=2.5, label="16I, fit")
     followed = 1e3 * result["tracked"][task.trackers.index("16T/4"), 0]
     axes.plot(*followed.T, color=COLOURS["16T"], linewidth=0.9, label="16T, 4")
-    above = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.22), "ncols": 3, "frameon": False}
+    axes.set_title("a path", pad=16)
+    above = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.13), "ncols": 3, "frameon": False}
     axes.legend(handlelength=1, columnspacing=0.8, **above)
     caption = (
         f"A contact that moves at 0 to 3 mm per frame on winding paths, one path and noise for each of {task.seeds} "
         f"seeds, {task.frames} frames (the first {SETTLE} do not count). Left: mean error with 95 % bootstrap "
-        "intervals, frame by frame with 16 injections (16I, 16P; centroid and fit) and tracked with the number of "
-        "injections below 16T, or below the fixed round. Right: the first path, discs."
+        "intervals, frame by frame (centroid and fit) and tracked (16T and fixed rounds), each with its injections a "
+        "frame. Right: the first path, discs."
     )
     return [("moving", canvas, caption)]
 
@@ -197,8 +198,11 @@ PAINTERS = {"static": static, "moving": moving, "pairs": pairs, "detection": det
 PAINTERS |= {"gain": gain_picture, "sensitivity": sensitivity_picture}
 
 
-def _dot(axes: Axes, x: float, values: Floats, key: str, reader: str = "", label: str | None = None) -> None:
+def _dot(
+    axes: Axes, at: float, values: Floats, key: str, reader: str = "", label: str | None = None, across: bool = False
+) -> None:
     """The mean of values in metres and its interval, in millimetres; see `mean`."""
     colour = COLOURS[key.partition("/")[0]]
     style = {"color": colour, "mfc": "white" if reader == "centroid" else colour, "markersize": 4.5, "label": label}
-    draw_estimates(axes, [x], [mean(1e3 * values)], _MARKERS.get(reader, "P"), **style)
+    draw = draw_across if across else draw_estimates
+    draw(axes, [at], [mean(1e3 * values)], _MARKERS.get(reader, "P"), **style)
