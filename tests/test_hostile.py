@@ -1,4 +1,4 @@
-"""The device that misbehaves: our own host stands all its tricks, and a host that does not fails by name."""
+"""The device that misbehaves: our own host passes all its faults, and a host that does not fails by name."""
 
 import json
 import re
@@ -43,12 +43,12 @@ MOST = 2**20  # KiB that a host may take
 
 @contextmanager
 def hostile(
-    faults: Mapping[str, ProtocolFault], calm: int = 200, times: int = 3, patience: float = 60.0
+    faults: Mapping[str, ProtocolFault], quiet_frames: int = 200, times: int = 3, timeout: float = 60.0
 ) -> Iterator[tuple[str, list[Check], threading.Thread]]:
     """The address of a hostile device, the checks it has made, and the thread it works in."""
     stop, checks = threading.Event(), list[Check]()
-    with HostileDevice(VirtualInstrument(PAPER, 1), port=0, calm=calm, times=times) as device:
-        work = threading.Thread(target=device.check_host, args=(faults, patience, checks.append, stop.is_set))
+    with HostileDevice(VirtualInstrument(PAPER, 1), port=0, quiet_frames=quiet_frames, times=times) as device:
+        work = threading.Thread(target=device.check_host, args=(faults, timeout, checks.append, stop.is_set))
         work.start()
         try:
             yield device.url, checks, work
@@ -84,7 +84,7 @@ def test_the_loop_stands_what_a_device_does_to_it() -> None:
 @pytest.mark.parametrize("name", PROTOCOL_FAULTS)
 def test_a_device_that_misbehaves_from_the_start_is_used_or_refused_in_one_line(name: str) -> None:
     with (
-        hostile(chosen((name,)), calm=0, times=10**9) as (url, *_),
+        hostile(chosen((name,)), quiet_frames=0, times=10**9) as (url, *_),
         suppress(OhmskinError),  # any other error fails
         connect(url, timeout=0.5) as device,
     ):
@@ -136,7 +136,7 @@ def host_that(gives_up: Callable[[BaseException], bool], url: str, stop: threadi
 
 def test_a_host_that_gives_up_fails_by_name() -> None:
     stop, names = threading.Event(), ("frames of NaN", "a crash", "frames of another pattern")
-    with hostile(chosen(names), calm=3, patience=2.0) as (url, checks, work):
+    with hostile(chosen(names), quiet_frames=3, timeout=2.0) as (url, checks, work):
         host = threading.Thread(target=host_that, args=(lambda error: "drove a pattern" in str(error), url, stop))
         host.start()
         while len(checks) < 3:
@@ -144,10 +144,10 @@ def test_a_host_that_gives_up_fails_by_name() -> None:
         stop.set()
         host.join(60)
     assert [check.outcome for check in checks] == ["passed", "passed", "failed"]
-    assert str(checks[2]) == "failed: frames of another pattern: no frame was asked for within 2 s after it"
+    assert str(checks[2]) == "failed: frames of another pattern: no frame was requested within 2 s after it"
 
 
-def test_a_trick_that_is_none_is_refused_with_the_choices() -> None:
+def test_an_unknown_fault_is_refused_with_the_choices() -> None:
     done = ohmskin("check-host", "--only", "dancing")
     assert done.returncode == 2
     assert "no fault 'dancing'; choose from frames of another pattern, " in done.stderr
@@ -161,7 +161,7 @@ def test_the_command_tells_what_a_host_made_of_it() -> None:
         "check-host",
         "--port",
         "0",
-        "--calm",
+        "--quiet-frames",
         "3",
         "--only",
         "noise",

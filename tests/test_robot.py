@@ -137,7 +137,7 @@ def test_places_go_to_the_world_and_back_and_kinematics_agree() -> None:
         assert np.linalg.norm(normal) == pytest.approx(1)
 
 
-def test_a_robot_in_curved_skins_tells_pokes_from_its_own_touches() -> None:
+def test_a_robot_in_curved_skins_tells_pokes_from_its_self_touches() -> None:
     """Two skins of eight, to save time; forces as calibrated, a finger's from 3 to 20 N, within 35 % in the median.
 
     A poke counts as the robot's own touch in the few frames in which an arm passes as near to it as one that touches.
@@ -147,7 +147,7 @@ def test_a_robot_in_curved_skins_tells_pokes_from_its_own_touches() -> None:
     with engines(body, seed=5) as loops:
         demonstration = Demonstration(body, loops, seed=3)
         pokes = list(demonstration.pokes(4))
-        own = list(demonstration.own_touches(1))
+        own = list(demonstration.self_touches(1))
         assert demonstration.free(1.0) == 0
     for poke in pokes:
         assert poke.felt_on == poke.link
@@ -159,7 +159,7 @@ def test_a_robot_in_curved_skins_tells_pokes_from_its_own_touches() -> None:
     assert figures["force_error"]["median"] < 0.35
     assert figures["on_the_right_link"] == 4
     assert len({poke.patch for poke in pokes}) == 2
-    assert figures["own_touches_felt"] == figures["own_touches_told"] == 1
+    assert figures["self_touches_felt"] == figures["self_touches_recognised"] == 1
 
 
 def test_pads_press_several_skins_at_once_and_each_is_felt() -> None:
@@ -193,7 +193,7 @@ def test_summary_counts_what_was_not_felt() -> None:
     )
     told = {name: figures[name] for name in ("felt", "on_the_right_link", "invented", "taken_for_self_touch")}
     assert told == {"felt": 2, "on_the_right_link": 1, "invented": 2, "taken_for_self_touch": 4}
-    assert [figures[f"own_touch{name}"] for name in ("es", "es_felt", "es_told", "_frames")] == [2, 2, 1, 8]
+    assert [figures[f"self_touch{name}"] for name in ("es", "es_felt", "es_recognised", "_frames")] == [2, 2, 1, 8]
     figures = summary([felt, missed])
     assert figures["force_error"] == {"median": 0.5, "p95": 0.5, "worst": 0.5}
     assert figures["felt"] == 1
@@ -390,16 +390,16 @@ def test_limits_that_are_exceeded_are_told(monkeypatch: pytest.MonkeyPatch) -> N
     felt = Encounter("skin", "forearm", (0.1, 0.1), "forearm", 0.02, 5.0, (1e-3,))
     missed = replace(felt, reaction=np.nan, peak_force=21.0)
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
-    none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
+    none = dict.fromkeys(("hugs", "self_touches"), lambda *_: [])
     still = SimpleNamespace(time=0.0)
     demonstration = SimpleNamespace(pokes=lambda *_: [felt, missed], free=lambda *_: 0, simulation=still, **none)
     monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)
-    told = ohmskin("robot", "--most-force", "20", "--most-reaction", "0.05")
+    told = ohmskin("robot", "--max-force", "20", "--max-reaction", "0.05")
     assert told.returncode == 1
     assert "poke 2: 21.0 N exceeds the limit of 20 N" in told.stderr
     assert "poke 2: no reaction exceeds the limit of 0.05 s" in told.stderr
     assert "poke 1" not in told.stderr
-    assert ohmskin("robot", "--most-force", "25").returncode == 0
+    assert ohmskin("robot", "--max-force", "25").returncode == 0
 
 
 def test_pokes_and_free_motion_say_how_far_they_are_in_a_pipe_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -415,7 +415,7 @@ def test_pokes_and_free_motion_say_how_far_they_are_in_a_pipe_too(monkeypatch: p
         time.sleep(2.2)
         return 0
 
-    none = dict.fromkeys(("hugs", "own_touches"), lambda *_: [])
+    none = dict.fromkeys(("hugs", "self_touches"), lambda *_: [])
     demonstration = SimpleNamespace(pokes=pokes, free=free, simulation=SimpleNamespace(time=10.0), **none)
     monkeypatch.setattr("ohmskin.robot.engines", lambda *_: nullcontext(()))
     monkeypatch.setattr("ohmskin.robot.Demonstration", lambda *_: demonstration)

@@ -141,7 +141,7 @@ LONG = {
     "test_guides.py::test_example_runs*[[]priors": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]regularisation": "another example, and the text of all",
     "test_guides.py::test_example_runs*[[]tracking": "another example, and the text of all",
-    "test_hostile.py::test_live_stands": "the loop against a dozen of the same tricks",
+    "test_hostile.py::test_live_stands": "the loop against a dozen of the same faults",
     "test_import.py::test_the_example_of": "what these examples call",
     "test_independent.py::test_": "faults, quiet frames and presses of the virtual skin",
     "test_layout.py::test_a_better_layout": "the search itself",

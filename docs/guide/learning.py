@@ -59,6 +59,6 @@ learned = replace(skin, calibration=replace(skin.calibration, position_map=repor
 # beside it: the skin as described, all channels alike
 plain = ohm.SkinModel(described, described.transfer_model(), quiet)
 away = np.linalg.norm(read_places(plain, frames)[0] - pressed, axis=1)
-print(f"as described: mean error {1e3 * np.nanmean(away):.2f} mm, {np.isnan(away).sum()} not felt")
+print(f"as described: mean error {1e3 * np.nanmean(away):.2f} mm, {np.isnan(away).sum()} not detected")
 save_learned(folder / "learning.png", described, judged, report, pressed)
 print(folder / "learning.png")

@@ -98,18 +98,18 @@ class Child:
         with suppress(OSError):
             self.stdin.close()
 
-    def end(self, patience: float) -> None:
+    def end(self, timeout: float) -> None:
         """Ask it to end, and kill it if it has not after so many seconds."""
         self.stop()
         try:
-            self.process.wait(patience)
+            self.process.wait(timeout)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
 
-    def close(self, patience: float = 3.0) -> None:
+    def close(self, timeout: float = 3.0) -> None:
         """End it and let go of its pipes. Safe to call twice."""
-        self.end(patience)
+        self.end(timeout)
         for pipe in (self.process.stdout, self.process.stderr):
             if pipe is not None:
                 pipe.close()

@@ -73,7 +73,7 @@ def framing(effort: Effort) -> Iterator[Figure]:
     note = f"wall clock, median {duration(p50)}; by CPU time {1 / float(np.median(spent['frame'])):,.0f}/s"
     name = "adaptive frames per second with contacts, device excluded"
     yield Figure.median(name, 1 / wall, "1/s", least=10_000, note=note)
-    note = "wall clock; asks for a quiet machine"
+    note = "wall clock; needs an idle machine"
     yield Figure("99th percentile over median of a frame", float(p99 / p50), "times", most=2.5, note=note)
 
 

@@ -83,9 +83,9 @@ class PatchProcess:
         """Ask it to end."""
         self._child.stop()
 
-    def close(self, patience: float = _STOP_TIMEOUT) -> None:
+    def close(self, timeout: float = _STOP_TIMEOUT) -> None:
         """End it; kill it if it has not ended after so many seconds. Safe to call twice."""
-        self._end(patience)
+        self._end(timeout)
 
     def _start(self) -> None:
         self._again = 0.0
@@ -103,8 +103,8 @@ class PatchProcess:
                         self._report(f"patch {self._patch}: {told['message']}")
                     self.status = self.status | told
 
-    def _end(self, patience: float) -> None:
-        self._child.end(patience)
+    def _end(self, timeout: float) -> None:
+        self._child.end(timeout)
         self._thread.join()
         self._child.close()
 

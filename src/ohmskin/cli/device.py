@@ -60,8 +60,8 @@ def check_host(
     host: str = "127.0.0.1",
     port: int = 7155,
     seed: Seed = 0,
-    calm: int = 200,
-    patience: float = 10.0,
+    quiet_frames: int = 200,
+    timeout: float = 10.0,
     only: Names = (),
     json: Flag = False,
 ) -> None:
@@ -73,19 +73,19 @@ def check_host(
     Args:
         host: Address to listen at.
         port: TCP port; 0 takes a free one.
-        calm: Frames that the host gets before the first fault, such as those for its calibration.
-        patience: Time after a fault within which the host must request frames again (s).
+        quiet_frames: Frames that the host gets before the first fault, such as those for its calibration.
+        timeout: Time after a fault within which the host must request frames again (s).
         only: Names of the faults to inject; all unless given.
         json: Print JSON instead of lines.
     """
     if unknown := sorted(set(only) - set(PROTOCOL_FAULTS)):
         raise OhmskinError(f"no fault {unknown[0]!r}; choose from {', '.join(PROTOCOL_FAULTS)}")
     stop, instrument = Stop(), VirtualInstrument(Skin.load(skin), seed)
-    with HostileDevice(instrument, host, port, seed or 0, calm) as device, _Report(json) as report:
+    with HostileDevice(instrument, host, port, seed or 0, quiet_frames) as device, _Report(json) as report:
         print(f"device that injects faults at {device.url}: connect the host to check", file=sys.stderr, flush=True)
         stop.listen()
         device.check_host(
-            {name: PROTOCOL_FAULTS[name] for name in only or PROTOCOL_FAULTS}, patience, report, lambda: bool(stop)
+            {name: PROTOCOL_FAULTS[name] for name in only or PROTOCOL_FAULTS}, timeout, report, lambda: bool(stop)
         )
 
 

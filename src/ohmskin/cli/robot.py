@@ -28,14 +28,14 @@ def robot(
     body: str = "",
     pokes: int = 10,
     hugs: int = 0,
-    own_touches: int = 0,
+    self_touches: int = 0,
     free: float = 0.0,
     skin: str = "",
     mode: str = "",
     seed: int = 0,
     strategy: str = "yield",
-    most_force: float = math.inf,
-    most_reaction: float = math.inf,
+    max_force: float = math.inf,
+    max_reaction: float = math.inf,
     video: Path | None = None,
     picture: Path | None = None,
     json: Flag = False,
@@ -49,20 +49,20 @@ def robot(
             Its skins are virtual here.
         pokes: Number of pokes, at random places.
         hugs: Then, number of times that pads of two arms press several skins at once, at random places.
-        own_touches: Then, number of times that the robot touches itself, in random postures.
+        self_touches: Then, number of times that the robot touches itself, in random postures.
         free: Then, time for which it moves untouched (s): contacts reported are false.
         skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
         mode: Drive mode, such as 16I or 16O; the default mode unless given.
         seed: Seed of the random places.
         strategy: Reaction of the robot to a touch: yield, stop, retract, follow, guide, or stiff (none).
-        most_force: Limit of the largest force of a poke (N); none unless given.
-        most_reaction: Limit of the time from touch to reaction (s), which an undetected poke exceeds; none unless
+        max_force: Limit of the largest force of a poke (N); none unless given.
+        max_reaction: Limit of the time from touch to reaction (s), which an undetected poke exceeds; none unless
             given.
         video: MP4 file to write (needs ffmpeg).
         picture: PNG file to write: the moment of the largest force (needs EGL or OSMesa, as for a video).
         json: Print figures as JSON.
     """
-    for name, value, low in (("pokes", pokes, 1), ("hugs", hugs, 0), ("own-touches", own_touches, 0)):
+    for name, value, low in (("pokes", pokes, 1), ("hugs", hugs, 0), ("self-touches", self_touches, 0)):
         if not low <= value <= _MOST:
             raise OhmskinError(f"--{name} is {value}; choose {low} to {_MOST}")
     if not 0 <= free <= 36_000:
@@ -111,7 +111,7 @@ def robot(
 
         encounters = listed("pokes", demonstration.pokes(pokes, show), pokes)
         hugged = listed("hugs", demonstration.hugs(hugs, show), hugs)
-        touches = listed("self-touches", demonstration.own_touches(own_touches, show), own_touches)
+        touches = listed("self-touches", demonstration.self_touches(self_touches, show), self_touches)
         start = demonstration.simulation.time
 
         def watch(moment: Moment) -> None:
@@ -122,7 +122,7 @@ def robot(
     if picture and not picture.exists():
         console.print("no poke was detected; no picture was written")
     figures = summary(encounters, touches, hugged) | {"free_motion": free, "invented_in_free_motion": invented}
-    over = [sentence for one in enumerate(encounters, 1) for sentence in _exceeded(*one, most_force, most_reaction)]
+    over = [sentence for one in enumerate(encounters, 1) for sentence in _exceeded(*one, max_force, max_reaction)]
     for sentence in over:
         print(sentence, file=sys.stderr)
     if json:
@@ -158,8 +158,8 @@ def _print_report(figures: dict[str, Any]) -> None:
         print(
             f"{figures['hugged_skins_felt']} of {figures['hugged_skins']} contacts of {figures['hugs']} hugs detected"
         )
-    if figures["own_touches"]:
-        print(f"{figures['own_touches_told']} of {figures['own_touches']} self-touches recognised")
+    if figures["self_touches"]:
+        print(f"{figures['self_touches_recognised']} of {figures['self_touches']} self-touches recognised")
     if free := figures["free_motion"]:
         print(f"{figures['invented_in_free_motion']} false contacts in {free:g} s of free motion")
     units = {"position_error": (1e3, "mm"), "reaction_time": (1e3, "ms"), "peak_force": (1.0, "N")}
@@ -171,10 +171,10 @@ def _print_report(figures: dict[str, Any]) -> None:
             print(f"{name.replace('_', ' '):<21} {said} {unit}")
 
 
-def _exceeded(number: int, poke: "Encounter", most_force: float, most_reaction: float) -> Iterator[str]:
+def _exceeded(number: int, poke: "Encounter", max_force: float, max_reaction: float) -> Iterator[str]:
     """What is said of a poke that exceeds the limits; NaN, of one that was not felt, does."""
-    if poke.peak_force > most_force:
-        yield f"poke {number}: {poke.peak_force:.1f} N exceeds the limit of {most_force:g} N"
-    if most_reaction < math.inf and not poke.reaction <= most_reaction:
+    if poke.peak_force > max_force:
+        yield f"poke {number}: {poke.peak_force:.1f} N exceeds the limit of {max_force:g} N"
+    if max_reaction < math.inf and not poke.reaction <= max_reaction:
         answer = "no reaction" if math.isnan(poke.reaction) else f"a reaction after {poke.reaction:.3f} s"
-        yield f"poke {number}: {answer} exceeds the limit of {most_reaction:g} s"
+        yield f"poke {number}: {answer} exceeds the limit of {max_reaction:g} s"

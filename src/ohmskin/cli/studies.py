@@ -38,9 +38,8 @@ def reproduce(
     Args:
         quick: Few seeds and noise levels: about a minute on two cores.
         output: Folder for report.html, figures and data.
-        noise: Noise levels (dB below the largest 12B voltage); the first is that of the figures, all make the sweep.
-        amplitude: Prior amplitudes (relative conductivity change); the first is that of the figures, all make the
-            sweep.
+        noise: Noise levels (dB below the largest 12B voltage); the figures have the first, the sweep all of them.
+        amplitude: Prior amplitudes (relative conductivity change); the figures have the first, the sweep all of them.
         seeds: Noise seeds; 20 unless given, 5 with --quick.
         only: Figures to make: fig3, fig4, fig5, table1, fig6, fig7, fig8, sweep, assumptions.
         cache: Folder of kept results, from which an interrupted run continues; within the output folder unless given.

@@ -1,7 +1,7 @@
 """A device that misbehaves in every way there is, for authors of hosts: the counterpart of `conformance`.
 
-It serves an instrument as it should until a host has had some frames, then plays one of its tricks, then serves as it
-should again. A host stands a trick if it then asks for frames again, by itself, over the same connection or a new one.
+It serves an instrument without faults until a host has had some frames, then injects one fault, then serves without
+faults again. A host passes if it then requests frames again, by itself, over the same connection or a new one.
 """
 
 import random
@@ -27,7 +27,7 @@ from ohmskin.device.session import Session
 from ohmskin.device.transport import SocketTransport
 from ohmskin.errors import DeviceLost
 
-_AFTER, _LONGEST = 3, 4.0  # frames that a host must ask for after a trick; for how long it is played at most (s)
+_AFTER, _LONGEST = 3, 4.0  # frames that a host must request after a fault; for how long it is injected at most (s)
 _POLL = 0.02  # s
 _NO_REQUEST = (ErrorCode.WRONG_VERSION, ErrorCode.UNKNOWN_KIND, ErrorCode.BAD_REQUEST, ErrorCode.BAD_PATTERN)
 _STEERING = "\x1b[2J\x1b]0;gone\x07\r\x9b31m\u202e\n"  # what a terminal would obey
@@ -42,13 +42,13 @@ class _HangUp(Exception):
 
 @dataclass(frozen=True)
 class Reply:
-    """What an honest device would have said.
+    """What a device without faults would reply.
 
     Args:
         message: The reply.
         sequence: Number of the request.
-        count: How often the trick was played before.
-        rng: Dice.
+        count: How often the fault was injected before.
+        rng: Random numbers.
     """
 
     message: Message
@@ -207,15 +207,15 @@ PROTOCOL_FAULTS: dict[str, ProtocolFault] = {
 
 
 class HostileDevice(Closing):
-    """Serves an instrument to one host at a time, and plays its tricks on it.
+    """Serves an instrument to one host at a time, and injects faults.
 
     Args:
         instrument: What is scanned.
         host: Address to listen on.
         port: TCP port; 0 chooses a free one.
-        seed: Of the dice.
-        calm: Frames that a host gets before the first trick, such as those that it calibrates itself with.
-        times: How often a trick is played.
+        seed: Of the random numbers.
+        quiet_frames: Frames that a host gets before the first fault, such as those for its calibration.
+        times: How often a fault is injected.
 
     Attributes:
         url: Its address.
@@ -230,13 +230,13 @@ class HostileDevice(Closing):
         host: str = "127.0.0.1",
         port: int = 7155,
         seed: int = 0,
-        calm: int = 200,
+        quiet_frames: int = 200,
         times: int = 3,
     ) -> None:
         self._instrument, self._rng = SharedInstrument(instrument), random.Random(seed)
         self._listener = listen(host, port)
         self.url = f"tcp://{host}:{self._listener.getsockname()[1]}"
-        self._calm, self._times = calm, times
+        self._quiet_frames, self._times = quiet_frames, times
         self._socket: socket.socket | None = None
         self._line: SocketTransport
         self._session: Session
@@ -249,21 +249,21 @@ class HostileDevice(Closing):
     def check_host(
         self,
         faults: Mapping[str, ProtocolFault] = PROTOCOL_FAULTS,
-        patience: float = 10.0,
+        timeout: float = 10.0,
         report: Callable[[Check], None] = lambda _: None,
         over: Callable[[], bool] = lambda: False,
     ) -> list[Check]:
-        """Play all tricks on the host that connects, however long it takes to come; what it made of each.
+        """Inject all faults while a host is connected, however long it takes to connect; whether it recovers from each.
 
         Args:
-            faults: Those to play, in this order.
-            patience: How long after a trick a host may take to ask for frames again (s).
+            faults: Those to inject, in this order.
+            timeout: Time after a fault within which the host must request frames again (s).
             report: Called with each outcome as soon as it is there.
             over: Asked whether to end now.
         """
         self._over = over
         checks: list[Check] = []
-        self._serve(float("inf"), lambda: self._frames >= self._calm)
+        self._serve(float("inf"), lambda: self._frames >= self._quiet_frames)
         for name, fault in faults.items():
             if self._over():
                 break
@@ -272,8 +272,8 @@ class HostileDevice(Closing):
             self._fault, self._injected, self._frames, unsound = fault, 0, 0, self._unsound
             self._serve(_LONGEST, lambda: self._injected >= self._times or self._frames > 10 * _AFTER)
             self._fault, self._frames = None, 0
-            self._serve(patience, lambda: self._frames >= _AFTER)
-            words = "" if self._frames >= _AFTER else f"no frame was asked for within {patience:g} s after it"
+            self._serve(timeout, lambda: self._frames >= _AFTER)
+            words = "" if self._frames >= _AFTER else f"no frame was requested within {timeout:g} s after it"
             if self._unsound > unsound:
                 words = words or "the host sent packets that are damaged, or are not requests"
             if self._over():

@@ -85,7 +85,7 @@ def closed_walks(edges: Ints) -> list[Ints]:
         beside.setdefault(a, []).append(b)
         beside.setdefault(b, []).append(a)
     if pinched := [node for node, others in beside.items() if len(others) != 2]:
-        raise GeometryError(f"the rim touches itself at node {pinched[0]}; part the mesh there")
+        raise GeometryError(f"the rim touches itself at node {pinched[0]}; split the mesh there")
     walks = []
     while beside:
         walk = [next(iter(beside))]

@@ -164,8 +164,8 @@ class WriterPipe:
                 for line in lines:
                     self._said |= json.loads(line)
 
-    def _end(self, patience: float) -> None:
-        self._child.end(patience)
+    def _end(self, timeout: float) -> None:
+        self._child.end(timeout)
         self._listen()
         self._child.close()
 

@@ -137,13 +137,13 @@ class Demonstration:
             found |= {(one.contact.patch, one.contact.id) for one in moment.sensed if one.push is None}
         return len(found)
 
-    def own_touches(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[SelfTouchTrial]:
+    def self_touches(self, count: int, show: Callable[[Moment], None] = lambda _: None) -> Iterator[SelfTouchTrial]:
         """Let the robot touch itself, in postures found by chance, with no hand near it; arguments as for `pokes`."""
         self.simulation.place_hand(_AWAY, _UP)
         for _ in range(count):
-            yield self._own_touch(way_to_itself(self.simulation, self._random), show)
+            yield self._touch_itself(way_to_itself(self.simulation, self._random), show)
 
-    def _own_touch(self, end: Floats, show: Callable[[Moment], None]) -> SelfTouchTrial:
+    def _touch_itself(self, end: Floats, show: Callable[[Moment], None]) -> SelfTouchTrial:
         start, push, peak, pushed, frames, told = self.simulation.target.copy(), 0.0, 0.0, set[int](), 0, 0
         gone, held, seconds = 0.0, 0.0, float(np.abs(end - start).max()) / _REACHING
         names = [placed.patch.name for placed in self.body.patches]

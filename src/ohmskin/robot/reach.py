@@ -33,5 +33,5 @@ def way_to_itself(simulation: RobotSimulation, random: np.random.Generator) -> F
             break
     raise ModelError(
         f"body {simulation.body.name!r} does not touch itself with a skin in any of {_TRIES} postures; "
-        "leave out own touches, or widen the limits of its joints"
+        "leave out --self-touches, or widen the limits of its joints"
     )

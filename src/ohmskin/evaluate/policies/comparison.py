@@ -54,7 +54,7 @@ def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
         f"Of {len(key)} goal{'s' * (len(key) != 1)}: {tally}. "
         "A goal is **met** or **missed** if the whole 95 % interval says so, otherwise **undecided**. "
         "Intervals of means and ratios are bootstrap over noise seeds and places (paired), those of rates exact or "
-        "bootstrap. They speak of noise and places, not of other skins."
+        "bootstrap. They cover noise and places, not other skins."
     )
     radius = 1.5 * Skin.load(LAYOUTS["grid"]).imaging.mesh_size
     data = (
