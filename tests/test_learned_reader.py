@@ -1,4 +1,4 @@
-"""The learned reader: one contact where presses taught that it is, physics for all that is unlike those presses."""
+"""The learned reader: one contact, corrected by a map learned from presses, physics for all that is unlike those."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -21,7 +21,7 @@ TAUGHT, PRESSES = 150, 230
 
 @cache
 def learned() -> tuple[Flawed, Skin]:
-    """A flawed skin, and its description with what its first presses taught."""
+    """A flawed skin, and its description with what was learned from its first presses."""
     given = flawed_skin(61, PRESSES)
     judged = judge_channels(given.skin, given.quiet, given.frames[:TAUGHT])
     skin = replace(given.skin, calibration=judged.put_into(given.skin.calibration))

@@ -330,7 +330,7 @@ def test_doubts_are_shown_where_they_are_and_in_words(reader: Reader) -> None:
         {"words": "electrode 4: noisy; lower weight", "electrodes": [4]},
         {"words": "hum of the mains on all voltages; subtracted", "electrodes": []},
     ]
-    expect(page.locator("#findings li")).to_have_text([finding["words"] for finding in header["findings"]])
+    expect(page.locator("#findings li")).to_have_text([finding["words"].capitalize() for finding in header["findings"]])
     page.wait_for_timeout(200)
     assert amber(*ELECTRODE_4) > 20
     assert amber(*RIM) > 0

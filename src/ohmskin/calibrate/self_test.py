@@ -85,19 +85,19 @@ class SelfTest:
         network = f"{100 * lin.error:.2g} % of the signal (noise alone {100 * lin.noise:.2g} %)"
         left = f"{100 * s.left:.2g} +- {100 * s.noise:.1g} % of a step left after {seconds(s.settle_time)}"
         moved = f", {k.bytes_per_scan:.0f} bytes" if k.bytes_per_scan else ""
-        name, best = list(r.proposed.items())[-1]
+        name, best = max(r.proposed.items(), key=lambda item: item[1])
         return [
             *rows,
             ("noise of a voltage", f"{in_words(n.typical)} (described {in_words(n.described)})"),
             ("offset", f"{in_words(o.rms)} rms (noise alone {in_words(o.noise)})"),
             ("R(ab) + R(bc) - R(ac)", network),
-            ("against any network", f"{100 * lin.reciprocity:.2g} % of the signal"),
+            ("misfit of any network", f"{100 * lin.reciprocity:.2g} % of the signal"),
             ("settling", left),
             ("round trip", f"{seconds(k.round_trip)} median, {seconds(k.worst_round_trip)} longest"),
             ("base scan", f"{seconds(k.scan_time)}{moved} (the device states {seconds(k.own_time)})"),
             ("requests sent again", str(k.retries)),
             *((f"{mode} cycles", f"{rate:.4g} per second") for mode, rate in r.cycles.items()),
-            ("best with this wiring", f"{name} at {best:.4g} a second, waiting {seconds(r.settle_time)}"),
+            ("fastest mode", f"{name} at {best:.4g} a second, waiting {seconds(r.settle_time)}"),
         ]
 
     def to_json(self) -> str:
@@ -134,9 +134,9 @@ def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lamb
     progress("reversing currents")
     offset = measures.measure_offset(device, noise, alive)
     linearity = measures.measure_linearity(mean, len(frames), noise, alive, diagnosis.contradiction)
-    progress("switching and waiting")
+    progress("measuring the settling time")
     settling = measures.measure_settling(device, noise, alive)
-    progress("timing the link")
+    progress("measuring the speed of the link")
     link = measures.measure_link(device, drive_of(mode_named(skin, ""), skin).next((), 0), alive)
     rates = measures.propose_rates(device, skin, link, settling)
     return replace(untested, noise=noise, offset=offset, linearity=linearity, settling=settling, link=link, rates=rates)

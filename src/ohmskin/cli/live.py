@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ohmskin.cli.arrivals import Arrivals
-from ohmskin.cli.loop import open_loop, refuse_existing
+from ohmskin.cli.loop import calibrating, open_loop, refuse_existing
 from ohmskin.cli.options import (
     AS_THE_MODE,
     HERE,
@@ -99,7 +99,7 @@ def live(
             loop.sinks.append(lambda touch: server.poll())
             notify(f"publishing at {', '.join(publisher.addresses)}")
         if view is None:
-            notify(f"{engine.mode.label}; calibrating: keep the skin untouched")
+            notify(f"{engine.mode.label}; {calibrating(device)}")
             engine.calibrate()
             loop.sinks.append(lines if json else _Table())
             loop.run(stop, seconds, demo=demo)
@@ -107,7 +107,7 @@ def live(
         with PageSession(engine, device, view, demo) as session:
             if address := getattr(engine.device, "address", ""):
                 say(f"press from another terminal: ohmskin press 50 120 --device {address}")
-            say(f"{engine.mode.label}; calibrating: keep the skin untouched")
+            say(f"{engine.mode.label}; {calibrating(device)}")
             session.calibrate()
             commands["tare"] = session.calibrate
             loop.sinks.append(_Arrivals())

@@ -188,6 +188,13 @@ def _summary(file: Path, progress: Progress) -> str:
     )
 
 
+def calibrating(device: str) -> str:
+    """What happens before the loop senses, for the device of an address."""
+    if device.startswith("replay:"):
+        return "reading the calibration of the recording"
+    return "calibrating: keep the skin untouched"
+
+
 def record(
     file: Path,
     *,
@@ -208,7 +215,7 @@ def record(
     refuse_existing(file)
     stop = Stop()
     with open_loop(device, skin, mode, imaging, say, file, images) as loop:
-        say(f"{loop.engine.mode.label}; calibrating: keep the skin untouched")
+        say(f"{loop.engine.mode.label}; {calibrating(device)}")
         loop.engine.calibrate()
         say(f"recording to {file}   (Ctrl-C ends)")
         loop.run(stop, seconds, demo=demo)

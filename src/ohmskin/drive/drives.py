@@ -87,7 +87,7 @@ def position(s: DriveSettings, injections: int) -> Drive:
 
 
 def tracking(s: DriveSettings, injections: int) -> Drive:
-    """A few injections a frame: some explore, the others are most informative about the contacts followed."""
+    """A few injections a frame: some explore, the others are most informative about the tracked contacts."""
     count = injections or _tracked(s)
     return TrackingDrive(s.electrodes, s.design, count, explore=max(2, count // 2), period=s.period)
 
@@ -98,7 +98,7 @@ def rotating(s: DriveSettings, injections: int) -> Drive:
 
 
 def rotating_best(s: DriveSettings, injections: int) -> Drive:
-    """A few injections a frame in a fixed round of the best set of as many as a second scan has."""
+    """A few injections a frame in a fixed round of the best fixed set, of as many injections as a second scan has."""
     table, candidates = s.design()
     chosen = candidates.pattern.injections[best_fixed(table, candidates, s.pairs)]
     return Exploration(s.electrodes, injections or _tracked(s), chosen, s.period)

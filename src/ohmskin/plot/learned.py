@@ -1,4 +1,4 @@
-"""What presses taught of a skin, as a picture."""
+"""What was learned of a skin from presses, as a picture."""
 
 from pathlib import Path
 

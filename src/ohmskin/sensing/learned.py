@@ -1,4 +1,4 @@
-"""The learned reader: one contact where presses taught that it is; physics for all that is unlike those presses."""
+"""The learned reader: one contact, corrected by a map learned from presses; physics for all that is unlike those."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -81,7 +81,7 @@ class LearnedReader:
 
 
 def learned(known: SkinModel, estimator: Estimator, threshold: float) -> LearnedReader:
-    """One contact where presses taught that it is, and fitted contacts for all else.
+    """One contact, corrected by a map learned from presses, and fitted contacts for all else.
 
     Raises:
         ModelError: If the skin has learned nothing.

@@ -74,7 +74,7 @@ class Placement:
 
 
 def placement_of(known: SkinModel) -> Placement | None:
-    """What presses taught a skin of places; None if nothing."""
+    """What a skin has learned of places from presses; None if nothing."""
     return None if known.positions is None else Placement(known.positions, known.noise)
 
 

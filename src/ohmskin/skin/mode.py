@@ -51,8 +51,10 @@ class Mode:
 
     @property
     def label(self) -> str:
-        """Its plain name, with its code in parentheses."""
-        return f"{self.title} ({self.name})" if self.title else self.name
+        """Its plain name, with its code in parentheses unless the name says it."""
+        if not self.title or self.name in self.title:
+            return self.title or self.name
+        return f"{self.title} ({self.name})"
 
     def using(self, estimator: str = "", prior: str = "", rule: str = "") -> "Mode":
         """The mode with another estimator, prior or rule; what is empty stays."""

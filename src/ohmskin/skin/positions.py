@@ -182,7 +182,7 @@ class PositionMap:
 
     @cached_property
     def taught(self) -> Bools:
-        """(n_meas,) channels that presses taught of: not doubtful ones."""
+        """(n_meas,) channels that the map was learned with: not doubtful ones."""
         return np.asarray(np.abs(self.basis).max(axis=0) >= _TAUGHT)
 
     def left(self, changes: Floats) -> tuple[Floats, Floats]:
@@ -192,7 +192,7 @@ class PositionMap:
         return np.maximum(rest, 0.0) / max(int(self.taught.sum()) - len(self.basis), 1), np.maximum(squares, 1e-300)
 
     def moved_by_noise(self, changes: Floats) -> Floats:
-        """Variances (n,) of places along each axis (m2) by noise that was not there when presses taught, such as drift:
+        """Variances (n,) of places along each axis (m2) by noise that the training presses did not have, such as drift:
         by what features leave of changes (n, n_meas) beyond what they left then."""
         left, squares = self.left(changes)
         more = np.maximum(left - self.usual[0] - self.usual[1] * squares, 0.0)
