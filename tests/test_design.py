@@ -98,6 +98,18 @@ def test_gains_are_what_each_candidate_would_change(seed: int) -> None:
             assert gains[k, 0, 0] > 0  # knowing more never hurts
 
 
+def test_rows_of_some_numbers_of_the_state_are_those_with_zeros_for_the_others() -> None:
+    rows, covariance, goal = problem(1)
+    columns = np.random.default_rng(1).permuted(np.tile(np.arange(rows.shape[-1]), (len(rows), 1)), axis=1)[:, :2]
+    whole = np.zeros_like(rows)
+    np.put_along_axis(whole, np.broadcast_to(columns[:, None], rows[..., :2].shape), rows[..., :2], axis=-1)
+    part, dense = Search(rows[..., :2], covariance, goal, columns), Search(whole, covariance, goal)
+    np.testing.assert_allclose(part.choose(4), dense.choose(4), rtol=1e-12)
+    assert part.chosen == dense.chosen
+    some = np.array([1, 4, 6])
+    np.testing.assert_allclose(part.among(some).gains(), dense.gains()[some], rtol=1e-9)
+
+
 def test_several_cases_and_goals_are_averaged() -> None:
     cases = [problem(seed) for seed in range(1, 5)]
     rows, covariance = np.stack([c[0] for c in cases]), np.stack([c[1] for c in cases])

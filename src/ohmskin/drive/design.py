@@ -99,8 +99,8 @@ class Candidates:
         rows = self._whitened(columns)
         return rows if rows.shape[-2] <= columns.shape[-1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
-    def problem(self, columns: Floats, covariance: Floats, goal: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rows, covariance and goal of a `Search` whose state has what is not known of contact impedances, too.
+    def problem(self, columns: Floats, covariance: Floats, goal: Floats) -> tuple[Floats, Floats, Floats, Ints | None]:
+        """Rows, covariance, goal and columns of a `Search` whose state has what is not known of contact impedances, too.
 
         Args:
             columns: (..., n_pairs, d) as for `rows`.
@@ -108,22 +108,18 @@ class Candidates:
             goal: (..., k, d) as for `Search`.
         """
         if self.sharp is None:
-            return self.rows(columns), covariance, goal
+            return self.rows(columns), covariance, goal, None
         weights, contacts = self.sharp
         driven, ends = np.unique(self.pattern.injections, return_inverse=True)
-        d, n_elec, ends = columns.shape[-1], len(driven), ends.reshape(-1, 2)
-        whole = covariance.shape[-1] + n_elec
+        d, n_elec, ends = covariance.shape[-1], len(driven), ends.reshape(-1, 2)
         own = replace(self, weights=weights)._whitened(columns)
         series = (weights @ (contacts * in_series(driven.tolist(), self.pairs))).reshape(len(self), -1, n_elec)
         series = np.take_along_axis(series, ends[:, None], axis=2)  # others are not in their voltages
-        seen = np.concatenate([own, np.broadcast_to(series, (*own.shape[:-1], 2))], axis=-1)
-        seen = seen if seen.shape[-2] <= d + 2 else np.asarray(np.linalg.qr(seen, mode="r"))
-        rows = np.zeros((*seen.shape[:-1], whole))
-        rows[..., :d] = seen[..., :d]
-        at = np.broadcast_to(d + ends[:, None], (*seen.shape[:-1], 2))
-        np.put_along_axis(rows, at, seen[..., d:], axis=-1)
+        rows = np.concatenate([own, np.broadcast_to(series, (*own.shape[:-1], 2))], axis=-1)
+        rows = rows if rows.shape[-2] <= d + 2 else np.asarray(np.linalg.qr(rows, mode="r"))
         padded = np.concatenate([goal, np.zeros((*goal.shape[:-1], n_elec))], axis=-1)
-        return rows, np.asarray(block_diag(covariance, np.eye(n_elec))), padded
+        seen = np.hstack([np.broadcast_to(np.arange(d), (len(self), d)), d + ends])
+        return rows, np.asarray(block_diag(covariance, np.eye(n_elec))), padded, seen
 
     def _whitened(self, columns: Floats) -> Floats:
         """What the voltages (..., n, m, d) of each injection see of a state's columns (..., n_pairs, d)."""
@@ -164,13 +160,14 @@ class Selection:
 
 
 class Search:
-    """A covariance, its reduction by each candidate, and the choice so far.
+    """A covariance, by how much each candidate would reduce it, and the choice so far.
 
     Args:
-        rows: (n, m, d), or (n_cases, n, m, d): cases are alternatives, such as places, over which means are taken.
+        rows: (n, m, w), or (n_cases, n, m, w): cases are alternatives, such as places, over which means are taken.
         covariance: (d, d) or (n_cases, d, d) before.
         goal: (k, d): the sum of the variances of goal @ state is to become small; (n_goals, k, d): several such sums.
             None: the information is to become large.
+        columns: (n, w) which numbers of the state each candidate's rows are of; all d unless given.
         repeats: Whether an injection may be chosen again, which averages noise.
 
     Attributes:
@@ -178,15 +175,28 @@ class Search:
         chosen: Numbers so far.
     """
 
-    def __init__(self, rows: Floats, covariance: Floats, goal: Floats | None = None, repeats: bool = False) -> None:
+    def __init__(
+        self,
+        rows: Floats,
+        covariance: Floats,
+        goal: Floats | None = None,
+        columns: Ints | None = None,
+        repeats: bool = False,
+    ) -> None:
         self._rows = np.ascontiguousarray(rows if rows.ndim == 4 else rows[None])
+        _, n, _, width = self._rows.shape
+        columns = np.arange(width) if columns is None else columns
+        self._columns: Ints = np.array(np.broadcast_to(columns, (n, width)), order="C")
         shape = (len(self._rows), *covariance.shape[-2:])
-        self.covariance: Floats = np.array(np.broadcast_to(covariance, shape), float)
+        self.covariance: Floats = np.array(np.broadcast_to(covariance, shape), float, order="C")
         self._goal = None if goal is None else goal.reshape(-1, *goal.shape[-2:])
         self._repeats = repeats
-        self._whitened = self._rows @ self.covariance[:, None]
         self._information = np.zeros(len(self._rows))
         self.chosen: list[int] = []
+
+    def among(self, numbers: Ints) -> "Search":
+        """A search that goes on from here with the candidates of these `numbers` (n,) alone, counted from 0."""
+        return Search(self._rows[:, numbers], self.covariance, self._goal, self._columns[numbers], self._repeats)
 
     @property
     def sums(self) -> Floats:
@@ -197,9 +207,9 @@ class Search:
 
     def gains(self) -> Floats:
         """By how much each candidate would change the sums (n, n_cases, n_goals): less variance, more information."""
-        goals, k, d = (0, 1, self._rows.shape[-1]) if self._goal is None else self._goal.shape
+        goals, k, d = (0, 1, self.covariance.shape[-1]) if self._goal is None else self._goal.shape
         goal = np.zeros((0, d)) if self._goal is None else self._goal.reshape(-1, d)
-        information, less = _gains(self._rows, self._whitened, _flat(self._whitened) @ goal.T)
+        information, less = _gains(self._rows, self._columns, self.covariance, self.covariance @ goal.T)
         if self._goal is None:
             return np.asarray(information.T[..., None])
         return np.asarray(np.moveaxis(less.reshape(*less.shape[:2], goals, k).sum(axis=-1), 1, 0))
@@ -228,48 +238,64 @@ class Search:
         self._update(number, -1.0)
         self.chosen.remove(number)
 
+    def choose(self, count: int) -> Floats:
+        """Take the best candidate `count` times; the mean of the sums (count + 1,) before and after each.
+
+        Raises:
+            PatternError: If there are fewer than that to choose from.
+        """
+        values = [self.sums.mean()]
+        for _ in range(count):
+            self.take(self.best())
+            values.append(self.sums.mean())
+        return np.array(values)
+
     def _update(self, number: int, sign: float) -> None:
-        rows, seen = self._rows[:, number], self._whitened[:, number].copy()
-        inner = np.eye(rows.shape[-2]) + sign * seen @ rows.swapaxes(-1, -2)
-        gain = sign * np.linalg.solve(inner, seen)
+        rows, own = self._rows[:, number], self._columns[number]
+        across = rows @ self.covariance[:, own]
+        inner = np.eye(rows.shape[-2]) + sign * across[..., own] @ rows.swapaxes(-1, -2)
         if self._goal is None:
             self._information += 0.5 * np.linalg.slogdet(inner)[1]
-        across = seen.swapaxes(-1, -2)
-        self.covariance -= across @ gain
-        self._whitened -= (_flat(self._rows) @ across @ gain).reshape(self._whitened.shape)
-
-
-def _flat(rows: Floats) -> Floats:
-    """The rows (n_cases, n m, d) of all candidates below each other: one large product is quicker than many small."""
-    return rows.reshape(len(rows), -1, rows.shape[-1])
+        self.covariance -= sign * across.swapaxes(-1, -2) @ np.linalg.solve(inner, across)
 
 
 @njit(cache=True, nogil=True)
-def _gains(rows: Floats, seen: Floats, wanted: Floats) -> tuple[Floats, Floats]:
+def _gains(rows: Floats, columns: Ints, covariance: Floats, wanted: Floats) -> tuple[Floats, Floats]:
     """Information (n_cases, n) of each candidate, in nats, and variance (n_cases, n, g) that it takes off each goal.
 
     Args:
-        rows: H (n_cases, n, m, d).
-        seen: H P.
-        wanted: (n_cases, n m, g) H P G^T of goals G.
+        rows: H (n_cases, n, m, w).
+        columns: (n, w) numbers of the state that they are of.
+        covariance: P (n_cases, d, d).
+        wanted: P G^T (n_cases, d, g) of goals G.
     """
-    cases, n, m, d = rows.shape
+    cases, n, m, width = rows.shape
     information, less = np.zeros((cases, n)), np.zeros((cases, n, wanted.shape[2]))
-    factor, solved = np.zeros((m, m)), np.zeros(m)
+    known, seen = np.empty((width, width)), np.empty(width)
+    factor, solved = np.zeros((m, m)), np.empty(m)
     for c in range(cases):
         for i in range(n):
+            for k in range(width):
+                for q in range(width):
+                    known[k, q] = covariance[c, columns[i, k], columns[i, q]]
             for r in range(m):  # Cholesky's factor of 1 + H P H^T
+                for k in range(width):
+                    seen[k] = 0.0
+                    for q in range(width):
+                        seen[k] += rows[c, i, r, q] * known[k, q]
                 for q in range(r + 1):
                     total = 1.0 if r == q else 0.0
-                    for k in range(d):
-                        total += seen[c, i, r, k] * rows[c, i, q, k]
+                    for k in range(width):
+                        total += seen[k] * rows[c, i, q, k]
                     for k in range(q):
                         total -= factor[r, k] * factor[q, k]
                     factor[r, q] = np.sqrt(total) if r == q else total / factor[q, q]
                 information[c, i] += np.log(factor[r, r])
             for g in range(wanted.shape[2]):
                 for r in range(m):
-                    total = wanted[c, i * m + r, g]
+                    total = 0.0
+                    for k in range(width):
+                        total += rows[c, i, r, k] * wanted[c, columns[i, k], g]
                     for k in range(r):
                         total -= factor[r, k] * solved[k]
                     solved[r] = total / factor[r, r]
@@ -289,12 +315,9 @@ def greedy(
     Raises:
         PatternError: If there are fewer injections than are to be chosen.
     """
-    search = Search(rows, covariance, goal, repeats)
-    values = [search.sums.mean()]
-    for _ in range(count):
-        search.take(search.best())
-        values.append(search.sums.mean())
-    return Selection(np.array(search.chosen, np.int64), np.array(values))
+    search = Search(rows, covariance, goal, repeats=repeats)
+    values = search.choose(count)
+    return Selection(np.array(search.chosen, np.int64), values)
 
 
 def exchange(rows: Floats, covariance: Floats, count: int, goal: Floats | None = None) -> Ints:

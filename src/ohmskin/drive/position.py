@@ -14,7 +14,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
-from ohmskin.drive.design import Candidates, Search, greedy
+from ohmskin.drive.design import Candidates, Search
 from ohmskin.drive.drive import Exploration, SecondScan, Target
 from ohmskin.drive.patterns import numbers_of, part_of
 from ohmskin.errors import PatternError
@@ -79,12 +79,12 @@ class Ranking:
             places = middle + 0.25 * width * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]])
             columns = contact_columns(table, prior.at(places))
             near = _near(table, candidates, middle)
-            rows, covariance, goal = candidates.part(near).problem(columns, prior.covariance(), goals)
-            if len(also := np.flatnonzero(np.isin(near, known))):
-                measured = rows[..., also, :, :].reshape(*rows.shape[:-3], -1, rows.shape[-1])
-                information = np.linalg.inv(covariance) + measured.swapaxes(-1, -2) @ measured
-                covariance = np.asarray(np.linalg.inv(information), float)
-            chosen, self.values[at] = _ranked(rows, covariance, goal, depth)
+            problem = candidates.part(near).problem(columns, prior.covariance(), goals)
+            search = Search(*problem, repeats=True)
+            for number in np.flatnonzero(np.isin(near, known)):
+                search.take(int(number))
+            search.chosen.clear()
+            chosen, self.values[at] = _ranked(search, depth)
             self.order[at] = near[chosen]
         self._low, self._cell, self._order = low.tolist(), width.tolist(), self.order.tolist()
 
@@ -116,16 +116,13 @@ def _near(table: ContactTable, candidates: Candidates, place: Floats) -> Ints:
     return np.sort(np.argsort(away, kind="stable")[:_CLOSEST])
 
 
-def _ranked(rows: Floats, covariance: Floats, goal: Floats, depth: int) -> tuple[Ints, Floats]:
+def _ranked(search: Search, depth: int) -> tuple[list[int], Floats]:
     """The greedy choice and its values. After two, which set the directions, only the `_KEPT` best are looked at."""
-    search = Search(rows, covariance, goal, repeats=True)
-    values = [search.sums.mean()]
-    for _ in range(min(2, depth)):
-        search.take(search.best())
-        values.append(search.sums.mean())
+    first = search.choose(min(2, depth))
     kept = np.sort(np.argsort(search.scores(), kind="stable")[:_KEPT])
-    rest = greedy(rows[..., kept, :, :], search.covariance, depth - len(search.chosen), goal, repeats=True)
-    return np.append(search.chosen, kept[rest.chosen]), np.append(values, rest.values[1:])
+    rest = search.among(kept)
+    after = rest.choose(depth - len(search.chosen))
+    return [*search.chosen, *kept[rest.chosen]], np.append(first, after[1:])
 
 
 class TrackingDrive(Exploration):

@@ -78,7 +78,7 @@ SIGNATURES: tuple[tuple[str, tuple[types.Type, ...]], ...] = (
     ("contacts.solution:inverse", (_FLOAT64_2,)),
     ("contacts.whitened:likelihood", (_T5, _T6, _FLOAT64_1, _FLOAT64)),
     ("contacts.whitened:powers", (_T2, _FLOAT32_2)),
-    ("drive.design:_gains", (_FLOAT64_4, _FLOAT64_4, _FLOAT64_3)),
+    ("drive.design:_gains", (_FLOAT64_4, _INT64_2, _FLOAT64_3, _FLOAT64_3)),
     (
         "forward.sensitivity:fill_groups",
         (
