@@ -474,6 +474,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         flaws = ("none", "contact impedance x 1.2", TOLD)
         patch.setattr(plan, "WITH_DRIVEN", {name: WITH_DRIVEN[name] for name in flaws})
         patch.setattr(plan, "MODES", ("16P",))
+        patch.setattr(plan, "CORNERS", 2)
         assert policies.compare(folder, TINY, jobs=1) == folder / "report.html"
     return folder
 

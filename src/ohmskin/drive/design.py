@@ -100,7 +100,7 @@ class Candidates:
         return rows if rows.shape[-2] <= columns.shape[-1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
     def problem(self, columns: Floats, covariance: Floats, goal: Floats) -> tuple[Floats, Floats, Floats, Ints | None]:
-        """Rows, covariance, goal and columns of a `Search` whose state has what is not known of contact impedances, too.
+        """Rows, covariance, goal and columns of a `Search` with what is not known of contact impedances in its state.
 
         Args:
             columns: (..., n_pairs, d) as for `rows`.
