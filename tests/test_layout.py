@@ -264,7 +264,7 @@ def test_beside_the_bound_is_what_the_reader_reaches(tmp_path: Path) -> None:
         arguments = ("--noise", noise, "--contacts", "30", "--json-file", "map.json")
         result = run(*arguments, cwd=tmp_path)
         assert result.returncode == 0, result.stderr
-        assert "at 30 of these places, simulated: error mean" in result.stdout
+        assert "at 30 of these places, simulated with the same model: error mean" in result.stdout
         assert "(reader: fit" in result.stdout
         (paper,) = json.loads((tmp_path / "map.json").read_text())["layouts"]
         at = [paper["places"].index(place) for place in paper["reached_places"]]

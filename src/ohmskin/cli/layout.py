@@ -151,7 +151,7 @@ def _judge(
 
 def _reached(reader: str, errors: Floats, bound: Floats) -> str:
     """What the errors of simulated contacts are beside the bound at the same places, both in metres."""
-    at, found = f"at {len(errors)} of these places, simulated:", errors[np.isfinite(errors)]
+    at, found = f"at {len(errors)} of these places, simulated with the same model:", errors[np.isfinite(errors)]
     missed = f"; {len(errors) - len(found)} not found" if len(found) < len(errors) else ""
     if not len(found):
         return f"{at} no contact is found (reader: {reader})"
