@@ -7,6 +7,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f"{__file__}/../../.pytest_cache/numba"))
+os.environ.setdefault("OHMSKIN_CACHE", os.path.abspath(f"{__file__}/../../.pytest_cache/ohmskin"))
 
 import faulthandler
 import shutil

@@ -30,7 +30,7 @@ from ohmskin.geometry import (
     electrode_points,
     mesh_domain,
 )
-from ohmskin.geometry.mesh import folded, shortest
+from ohmskin.geometry.periodic import folded, shortest
 from ohmskin.inverse import Image
 from ohmskin.outlets.picture import Picture
 from ohmskin.scan import Difference, skip

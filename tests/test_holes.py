@@ -14,7 +14,7 @@ from ohmskin.errors import SkinError
 from ohmskin.forward import TransferModel
 from ohmskin.geometry import Chart, Electrodes, MeshChart, mesh_domain
 from ohmskin.geometry.holes import Holed, clipped
-from ohmskin.geometry.mesh import shortest
+from ohmskin.geometry.periodic import shortest
 from ohmskin.geometry.wrap import seam_of
 from ohmskin.outlets.publisher import describe_domain
 from ohmskin.plot.pattern import Pattern

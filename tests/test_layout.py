@@ -18,7 +18,7 @@ from ohmskin.drive.bound import contact_columns, position_bound
 from ohmskin.errors import GeometryError, OhmskinError, SkinError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.geometry import Disc, Electrodes, FlatChart, Polygon, Rectangle, mesh_domain
-from ohmskin.geometry.mesh import shortest
+from ohmskin.geometry.periodic import shortest
 from ohmskin.geometry.spread import spread
 from ohmskin.sensing import modes
 from ohmskin.skin import Skin

@@ -8,7 +8,7 @@ import numpy as np
 from ohmskin.calibrate.force import PressSample
 from ohmskin.contacts import Contact
 from ohmskin.errors import SkinError
-from ohmskin.geometry.mesh import shortest
+from ohmskin.geometry.periodic import shortest
 from ohmskin.scan import Difference
 from ohmskin.skin import Skin
 

@@ -16,7 +16,7 @@ from ohmskin.errors import DataError, ModelError, OhmskinError
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Domain, Electrodes
-from ohmskin.geometry.mesh import folded, shortest
+from ohmskin.geometry.periodic import folded, shortest
 from ohmskin.scan import DrivePattern
 
 WAVES = 6  # half waves of the logarithm of the conductivity along each side, 0 to 5

@@ -7,7 +7,7 @@ from numba import njit
 
 from ohmskin.arrays import Floats, Ints, Shorts, Singles
 from ohmskin.geometry import Cells
-from ohmskin.geometry.mesh import folded, shortest
+from ohmskin.geometry.periodic import folded, shortest
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
 from ohmskin.geometry.band import Band, Edge
 from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import to_corners
-from ohmskin.geometry.mesh import folded, shortest
 from ohmskin.geometry.overlap import disc_overlap
+from ohmskin.geometry.periodic import folded, shortest
 from ohmskin.geometry.spread import spread
 from ohmskin.scan import all_pairs
 

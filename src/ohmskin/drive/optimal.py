@@ -11,7 +11,7 @@ from ohmskin.drive.drive import SecondScan
 from ohmskin.drive.patterns import is_local, spacing
 from ohmskin.errors import PatternError
 from ohmskin.geometry import Electrodes
-from ohmskin.geometry.mesh import shortest
+from ohmskin.geometry.periodic import shortest
 from ohmskin.scan import all_pairs
 
 _NEAR = 2.0  # distances of neighbours to which a pair is near a contact

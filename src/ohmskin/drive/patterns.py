@@ -7,7 +7,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.geometry import Electrodes
-from ohmskin.geometry.mesh import folded, shortest, tree
+from ohmskin.geometry.periodic import folded, shortest, tree
 from ohmskin.scan import DrivePattern, Pairs, all_pairs, measure_others
 from ohmskin.scan.pairs import pairs_measured
 

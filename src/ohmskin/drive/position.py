@@ -13,6 +13,7 @@ from math import atan2, cos, hypot, sin, sqrt
 import numpy as np
 
 from ohmskin.arrays import Floats, Ints
+from ohmskin.cache import cached
 from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
 from ohmskin.drive.design import Candidates, Search
 from ohmskin.drive.drive import Exploration, SecondScan, Target
@@ -251,7 +252,11 @@ def _ranking(
     size: float = 0.0,
 ) -> Ranking:
     prior = ContactPrior.usual(table.radius, position, effect_spread)
-    return Ranking(table, candidates, depth, known, prior, size=size)
+    weighed, sharp = candidates.weights, candidates.sharp
+    weights = weighed.data, weighed.indices, weighed.indptr, None if sharp is None else sharp[1]
+    told = *table.content, table.electrodes, candidates.pattern.quadruples, *weights, candidates.pairs.ends
+    given = depth, repr(known), position, effect_spread, size
+    return cached("ranking", (*told, *given), lambda: Ranking(table, candidates, depth, known, prior, size=size))
 
 
 def _sigma_points(target: Target) -> list[tuple[float, float]]:

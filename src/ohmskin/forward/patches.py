@@ -27,7 +27,7 @@ from ohmskin.forward.quadrature import Surface
 from ohmskin.forward.transfer import TransferModel
 from ohmskin.forward.update import LocalUpdate
 from ohmskin.geometry import Mesh
-from ohmskin.geometry.mesh import folded, shortest, tree
+from ohmskin.geometry.periodic import folded, shortest, tree
 
 _NEAR = 2.5  # edges of the mesh from a contact within which it does not resolve what the contact causes
 _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contacts is looked at

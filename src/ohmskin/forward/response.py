@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, spline_filter1d
 
 from ohmskin.arrays import Floats, Ints, Singles
+from ohmskin.cache import cached
 from ohmskin.errors import ModelError
 from ohmskin.forward.splines import Grid, Spline, lopsided, respond_at
 from ohmskin.forward.transfer import TransferModel
-from ohmskin.geometry.mesh import shortest
 from ohmskin.geometry.overlap import disc_overlap
+from ohmskin.geometry.periodic import shortest
 from ohmskin.scan import Pairs
 
 _SPREAD = np.array([0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0])  # radii kept, in usual ones
@@ -122,6 +123,25 @@ class ContactTable:
         row, column = _closest_on(off, self._pitch, self.period > 0)
         reach = radius if off.any() else np.inf
         self.sheet: Grid = low, high, self._pitch, np.ascontiguousarray(grid[row, column]), reach, self.period
+
+    @classmethod
+    def kept(cls, model: TransferModel, radius: float, pitch: float) -> "ContactTable":
+        """The same, made once on this machine: see `cached`. Arguments and errors as of `ContactTable`."""
+        mesh, electrodes, solved = (
+            model.mesh,
+            model.electrodes.positions,
+            (model.potentials, model.electrode_potentials),
+        )
+        read = (mesh.nodes, mesh.elements, mesh.period, model.gradients, model.conductivity, *solved, electrodes)
+        table = cached("contacts", (*read, model.pairs.ends, radius, pitch), lambda: cls(model, radius, pitch))
+        table.pairs = model.pairs
+        return table
+
+    @property
+    def content(self) -> tuple[Floats | Singles | Ints | float, ...]:
+        """All that tells it from other tables."""
+        grid = self.sheet[:4]
+        return self._knots, self._fields, self._gain, self.radius, self.period, *grid, self.places, self.pairs.ends
 
     def scaled(self, factor: float) -> "ContactTable":
         """The table of the same sheet with all conductances multiplied by `factor`, as `TransferModel.scaled`."""

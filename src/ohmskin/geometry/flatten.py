@@ -14,7 +14,8 @@ from ohmskin.geometry.band import Band
 from ohmskin.geometry.chart import check_even
 from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.holes import Hole, Holed, with_holes
-from ohmskin.geometry.mesh import Mesh, folded, shortest
+from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.periodic import folded, shortest
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import node_means
 from ohmskin.geometry.surface import Triangles, closed_walks, closest_on_triangles, split_edges

@@ -9,7 +9,7 @@ from ohmskin.arrays import Floats
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Edge
 from ohmskin.geometry.domain import Domain
-from ohmskin.geometry.mesh import folded
+from ohmskin.geometry.periodic import folded
 from ohmskin.geometry.polygon import Polygon
 
 _ROUND = 24  # corners of a round hole

@@ -13,10 +13,12 @@ from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints, ReadOnly, real
 from ohmskin.errors import GeometryError
+from ohmskin.geometry.periodic import folded, shortest, tree, unrolled
 
 _NOUNS = {2: ("triangle", "triangles", "edge", "area"), 3: ("tetrahedron", "tetrahedra", "face", "volume")}
 
 _FARTHEST = 1e100  # m
+_TRIED = 4  # elements, before all that may hold a point are looked at
 _THINNEST = 1e-7  # of an element's longest edge to the power of its dimension: its square must survive rounding
 
 
@@ -262,18 +264,29 @@ class Mesh(ReadOnly):
             raise GeometryError("locate() needs a flat mesh; project the points of a curved one yourself")
         points = folded(self._points(points), self.period)
         element, barycentric = np.full(len(points), -1), np.zeros((len(points), self.dim + 1))
-        for radius, members, centroids in self._sizes:
+        tried = self._centroid_tree.query(points, range(1, min(_TRIED, self.n_elem) + 1))[1]
+        for candidate in tried.T:  # most points are well inside one of the elements with the closest centroids
             left = np.flatnonzero(element < 0)
+            weights, least = self._barycentric(points[left], candidate[left])
+            inside = least > 1e-9
+            element[left[inside]], barycentric[left[inside]] = candidate[left[inside]], weights[inside]
+        for radius, members, centroids in self._sizes:
+            if not len(left := np.flatnonzero(element < 0)):
+                break
             near = centroids.sparse_distance_matrix(tree(points[left], self.period), radius, output_type="ndarray")
             candidate, point = members[near["i"]], left[near["j"]]
-            offset = shortest(points[point] - self.nodes[self.elements[candidate, 0]], self.period)
-            inner = np.einsum("nkd,nd->nk", self.gradients[candidate, 1:], offset)
-            weights = np.concatenate([1 - inner.sum(1, keepdims=True), inner], axis=1)
-            least = weights.min(axis=1)
+            weights, least = self._barycentric(points[point], candidate)
             best = np.argsort(least)  # the last one said of a point stands
             best = best[least[best] >= -1e-9]
             element[point[best]], barycentric[point[best]] = candidate[best], weights[best]
         return element, barycentric
+
+    def _barycentric(self, points: Floats, element: Ints) -> tuple[Floats, Floats]:
+        """Barycentric coordinates (n, dim + 1) of points (n, dim), each in an element (n,), and the least of each."""
+        offset = shortest(points - self.nodes[self.elements[element, 0]], self.period)
+        inner = np.einsum("nkd,nd->nk", self.gradients[element, 1:], offset)
+        weights = np.concatenate([1 - inner.sum(1, keepdims=True), inner], axis=1)
+        return weights, weights.min(axis=1)
 
     def interpolation(self, points: ArrayLike) -> tuple[sp.csr_array, NDArray[np.bool_]]:
         """Rows (n_inside, n_nodes) from nodal values to those of `points` (n, dim) on the mesh, and which (n,) are.
@@ -307,33 +320,6 @@ def _determinants(edges: Floats) -> Floats:
 def _edges(corners: Floats) -> Floats:
     """Vectors (n_elem, dim, dim of space) from the first corner to the others."""
     return np.asarray(corners[:, 1:] - corners[:, :1])
-
-
-def shortest(offsets: Floats, period: float) -> Floats:
-    """Vectors (..., 2) between places of a closed band, the short way round; as they are if it is none."""
-    if period:
-        offsets = offsets.copy()
-        offsets[..., 0] -= period * np.rint(offsets[..., 0] / period)
-    return offsets
-
-
-def folded(points: Floats, period: float) -> Floats:
-    """Places (..., 2) of a closed band with x from 0 to below `period` (m); as they are if it is none."""
-    if period:
-        points = points.copy()
-        points[..., 0] %= period
-        points[..., 0][points[..., 0] >= period] = 0.0  # a tiny negative number plus the period is the period
-    return points
-
-
-def tree(points: Floats, period: float = 0.0) -> cKDTree:
-    """What finds the closest of points (n, dim); of a closed band, the short way round."""
-    return cKDTree(points, boxsize=[period, 0.0] if period else None)
-
-
-def unrolled(corners: Floats, period: float) -> Floats:
-    """Corners (n_elem, dim + 1, dim of space) with all beside the first one."""
-    return np.asarray(corners[:, :1] + shortest(corners - corners[:, :1], period)) if period else corners
 
 
 def facet_measures(nodes: Floats, facets: Ints, period: float = 0.0) -> Floats:

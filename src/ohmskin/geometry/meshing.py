@@ -12,7 +12,8 @@ from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Disc, Domain
 from ohmskin.geometry.electrodes import ElectrodeKind, Electrodes
 from ohmskin.geometry.holes import Holed, without_holes
-from ohmskin.geometry.mesh import Mesh, folded, shortest, tree, unrolled
+from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.periodic import folded, shortest, tree, unrolled
 from ohmskin.geometry.polygon import Polygon
 
 _RINGS = (  # radii of a disc electrode, and nodes there

@@ -8,7 +8,8 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from ohmskin.arrays import Floats, Ints
-from ohmskin.geometry.mesh import Mesh, folded, tree
+from ohmskin.geometry.mesh import Mesh
+from ohmskin.geometry.periodic import folded, tree
 
 _STEPS = 4  # subdivisions of a cell's edges, where it is sampled
 

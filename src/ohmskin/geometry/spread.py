@@ -7,7 +7,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.geometry.domain import Domain
 from ohmskin.geometry.electrodes import to_corners
-from ohmskin.geometry.mesh import folded, shortest
+from ohmskin.geometry.periodic import folded, shortest
 
 _APART = 1.2  # distance along the rim over that of places on a square grid: beyond the rim nothing is to be felt
 _FINE = 14  # places looked at along that distance

@@ -10,8 +10,9 @@ from ohmskin.geometry.chart import Chart
 from ohmskin.geometry.domain import Domain, Rectangle
 from ohmskin.geometry.flatten import flat_patch, stiffness_matrix
 from ohmskin.geometry.holes import Holed, without_holes
-from ohmskin.geometry.mesh import Mesh, folded
+from ohmskin.geometry.mesh import Mesh
 from ohmskin.geometry.meshing import mesh_domain
+from ohmskin.geometry.periodic import folded
 from ohmskin.geometry.raster import node_means
 
 _POISSON = 0.5  # a sheet that keeps its volume

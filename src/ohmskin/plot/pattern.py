@@ -12,7 +12,7 @@ from matplotlib.tri import Triangulation
 from ohmskin.arrays import Floats
 from ohmskin.errors import DataError
 from ohmskin.geometry import Mesh, mesh_domain
-from ohmskin.geometry.mesh import folded
+from ohmskin.geometry.periodic import folded
 from ohmskin.geometry.surface import closed_walks
 from ohmskin.geometry.wrap import cut_open, flattened, node_stretches, seam_of
 from ohmskin.plot.colours import SIGNED

@@ -332,7 +332,7 @@ def _electrode_model(skin: Skin, finer: float) -> TransferModel:
 
 @lru_cache(maxsize=8)
 def _contact_table(model: TransferModel, mesh_size: float) -> ContactTable:
-    return ContactTable(model, radius=1.5 * mesh_size, pitch=0.7 * mesh_size)
+    return ContactTable.kept(model, 1.5 * mesh_size, 0.7 * mesh_size)
 
 
 @lru_cache(maxsize=8)

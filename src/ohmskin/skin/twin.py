@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ohmskin.arrays import Floats, Ints
 from ohmskin.errors import SkinError
 from ohmskin.forward import FloatingPatches, TransferModel
-from ohmskin.geometry.mesh import folded, shortest, tree
+from ohmskin.geometry.periodic import folded, shortest, tree
 from ohmskin.scan import two_terminal
 from ohmskin.skin.checks import check_patches
 from ohmskin.skin.description import Skin

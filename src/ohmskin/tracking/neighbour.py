@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ohmskin.arrays import changed
 from ohmskin.contacts.finder import Contact
-from ohmskin.geometry.mesh import shortest
+from ohmskin.geometry.periodic import shortest
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ohmskin.closing import Closing
 from ohmskin.errors import OhmskinError
 from ohmskin.geometry import Raster
 from ohmskin.geometry.electrodes import to_corners
-from ohmskin.geometry.mesh import shortest
+from ohmskin.geometry.periodic import shortest
 from ohmskin.outlets.picture import Picture
 from ohmskin.outlets.publisher import describe_domain
 from ohmskin.skin import Calibration, Skin
