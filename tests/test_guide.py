@@ -117,7 +117,7 @@ def test_places_are_spread_inside_any_outline(scripts: Page) -> None:
         ("x < 0.05 ? null : [x, y]", "Good", "presses detected, 0.0 mm"),
         ("null", "Poor", "0 of 10 presses were detected"),
         ("[0.2 - x, y]", "Check the wiring", "fits better mirrored left to right"),
-        ("[y, 0.2 - x]", "Check the wiring", "fits better turned by a quarter"),
+        ("[y, 0.2 - x]", "Check the wiring", "fits better rotated by 90°"),
         ("[y, x]", "Check the wiring", "fits better mirrored across a diagonal"),
     ],
 )

@@ -115,18 +115,18 @@ class Patches(Closing):
     Args:
         body: What there is.
         outlets: Where to publish beside shared memory; see `ohmskin.outlets.outlet.open_outlet`.
-        token: What listeners on other machines must give, where the protocol knows such a thing.
+        token: Password for listeners on other machines, where the protocol has passwords.
         demo: Whether a demonstration finger presses each virtual patch.
-        images: Most images per second of each patch at outlets; on boards, where pages read them, there are up to 30.
-        joints: Where joint states are received, ``zenoh`` or ``dds``; from a program of ours (`JointStates`) unless
+        images: Most images per second of each patch at outlets; in shared memory, which pages read, there are up to 30.
+        joints: How joint states are received, ``zenoh`` or ``dds``; from a program that uses `JointStates` unless
             given.
         joint_topic: Topic of the joint states (`sensor_msgs/msg/JointState`).
-        replay: A recording of the body to show again, instead of its devices.
+        replay: A recording of the body to replay instead of reading its devices.
         report: Called with every message for the user.
 
     Attributes:
         addresses: Where outlets are.
-        boards: Names of the boards of each patch.
+        boards: Names of the shared memory of each patch.
 
     Raises:
         PublishError: If the body's name is taken, an outlet cannot be opened, or joint states cannot be received.
@@ -181,11 +181,11 @@ class Patches(Closing):
 
     @property
     def ended(self) -> bool:
-        """Whether a recording has been shown to its end."""
+        """Whether a recording has been replayed to its end."""
         return self._replay is not None and self._replay.ended
 
     def step(self) -> Contacts | None:
-        """Forward new contacts; None, after a sleep of half a millisecond, if there are none."""
+        """Forward new contacts; None, after a sleep of 0.5 ms, if there are none."""
         if (now := time.monotonic()) >= self._look_at:
             self._look_at = now + _LOOK_EVERY
             for process in self._processes:
@@ -199,7 +199,7 @@ class Patches(Closing):
         return merged
 
     def close(self) -> None:
-        """End all processes and remove the boards. Safe to call twice."""
+        """End all processes and remove the shared memory. Safe to call twice."""
         self._stack.close()
 
     def _end_processes(self) -> None:

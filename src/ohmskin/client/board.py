@@ -1,4 +1,4 @@
-"""A board: the newest message of one writer, in shared memory, for any number of readers that never hold it up.
+"""Shared memory (a "board"): the newest message of one writer, for any number of readers that never delay it.
 
 The file (docs/guide/publishing.md has its layout) is a ring of slots. The writer fills the next slot and then says
 which one is the newest; it never looks at a reader. A reader copies the newest slot and holds number and checksum
@@ -79,15 +79,15 @@ def board_path(name: str) -> Path:
 
 
 class Board(Closing):
-    """The writer's side of a board: shared memory with the newest message of one process.
+    """The writer's side of shared memory that holds the newest message of one process.
 
     Args:
-        name: What readers call it; letters, digits and underscores.
-        setup: What they should know once, such as the names of patches; anything that JSON can say.
-        largest: Bytes of the largest message.
+        name: Its name for readers; letters, digits and underscores.
+        setup: What readers need once, such as the names of patches; any value that JSON can represent.
+        largest: Size of the largest message (bytes).
 
     Raises:
-        PublishError: If another program writes this board now, name or sizes cannot be used, or there is no room.
+        PublishError: If another program writes under this name, the name or sizes cannot be used, or memory is full.
     """
 
     def __init__(self, name: str, setup: Mapping[str, Any], largest: int) -> None:
@@ -97,7 +97,7 @@ class Board(Closing):
         slot_bytes = -(-(_SLOT.size + largest) // 64) * 64
         size = slots_at + _SLOTS * slot_bytes
         if len(text) > LARGEST_SETUP or size > LARGEST_BOARD:
-            raise PublishError(f"board {name!r} would take {size} bytes; {LARGEST_BOARD} is the most")
+            raise PublishError(f"shared memory {name!r} would take {size} bytes; {LARGEST_BOARD} is the most")
         self._path = path
         self._lock: int | None = _lock(path, name)
         # Made beside and then renamed, so that readers keep the board of before and nobody sees half a board.
@@ -108,7 +108,7 @@ class Board(Closing):
             fresh.unlink(missing_ok=True)
             os.close(self._lock)
             self._lock = None
-            what = f"cannot make the board {path}: {error.strerror}"
+            what = f"cannot make the shared-memory file {path}: {error.strerror}"
             raise PublishError(f"{what}; make room there, or set OHMSKIN_BOARDS to another folder") from error
         # a word is stored in one go, other than by `pack_into`
         self._words = memoryview(self._memory)[:_HEAD_BYTES].cast("Q")
@@ -120,13 +120,13 @@ class Board(Closing):
         os.replace(fresh, path)
 
     def write(self, message: bytes) -> None:
-        """Put a `message` in place of the one before; never waits.
+        """Replace the previous message by `message`; never waits.
 
         Raises:
             PublishError: If it is larger than `largest`.
         """
         if len(message) > self._slot_bytes - _SLOT.size:
-            raise PublishError(f"a message of {len(message)} bytes on a board for {self._slot_bytes - _SLOT.size}")
+            raise PublishError(f"a message of {len(message)} bytes in shared memory for {self._slot_bytes - _SLOT.size}")
         self._number += 1
         at = self._slots_at + self._number % _SLOTS * self._slot_bytes
         checksum = zlib.crc32(message, zlib.crc32(_NUMBER.pack(self._number)))
@@ -136,7 +136,7 @@ class Board(Closing):
         self._words[_NEWEST] = self._number
 
     def close(self) -> None:
-        """Announce the end, and remove the file; who has it open keeps what is on it. Safe to call twice."""
+        """Announce the end and remove the file; readers that have it open can still read it. Safe to call twice."""
         if self._lock is None:
             return
         self._words[_CLOSED] = 1
@@ -148,16 +148,16 @@ class Board(Closing):
 
 
 class BoardReader(Closing):
-    """A reader's side of a board, which need not be there yet, and may be taken away and come again.
+    """A reader's side of shared memory, which need not exist yet and may be removed and made again.
 
     Args:
-        name: What the writer called it.
+        name: Its name, given by the writer.
 
     Attributes:
-        setup: What the writer said about itself; empty before there is a board.
+        setup: The writer's description of itself; empty before there is a writer.
 
     Raises:
-        PublishError: If that is no name of a board.
+        PublishError: If the name is not valid.
     """
 
     def __init__(self, name: str) -> None:
@@ -170,19 +170,19 @@ class BoardReader(Closing):
 
     @property
     def boot(self) -> int:
-        """A number that changes whenever the writer starts anew; 0 before there is a board."""
+        """A number that changes whenever the writer restarts; 0 before there is a writer."""
         return self._words[_BOOT] if self._words is not None else 0
 
     @property
     def closed(self) -> bool:
-        """Whether there is no board, or its writer has said that nothing more comes."""
+        """Whether there is no writer, or it has announced the end."""
         return self._words is None or bool(self._words[_CLOSED])
 
     def newest(self) -> bytes | None:
-        """The newest message, once; None if there is none that was not given before. Never waits.
+        """The newest message; None if there is none, or if it was returned before. Never waits.
 
         Raises:
-            PublishError: If the file is not a board of this version.
+            PublishError: If the file is not of this version.
         """
         if self._words is None or self._words[_NEWEST] == self._number:
             now = time.monotonic()
@@ -206,7 +206,7 @@ class BoardReader(Closing):
         return None  # the writer overtook us time and again; it will be here still at the next look
 
     def close(self) -> None:
-        """Close the board. Safe to call twice."""
+        """Close the shared memory. Safe to call twice."""
         if self._words is not None and self._memory is not None:
             self._words.release()
             self._memory.close()
@@ -227,7 +227,7 @@ class BoardReader(Closing):
                 return
             if not _HEAD_BYTES < found.st_size <= LARGEST_BOARD:
                 raise PublishError(
-                    f"{self._path} has {found.st_size} bytes and is not a board of this version; restart its writer"
+                    f"{self._path} has {found.st_size} bytes and is not of this version; restart its writer"
                 )
             memory = mmap.mmap(file, found.st_size, access=mmap.ACCESS_READ)
         finally:
@@ -245,7 +245,7 @@ class BoardReader(Closing):
             words.release()
             memory.close()
             raise PublishError(
-                f"{self._path} is not a board of this version of ohmskin ({error}); restart its writer"
+                f"{self._path} is not of this version of ohmskin ({error}); restart its writer"
             ) from error
         self.close()
         self._memory, self._words, self.setup = memory, words, setup

@@ -47,7 +47,7 @@ class Commands(Closing):
         self._ask("set_mode", mode)
 
     def close(self) -> None:
-        """Close the board. Safe to call twice."""
+        """Close the connection. Safe to call twice."""
         self._answers.close()
 
     def _ask(self, *command: str) -> None:

@@ -1,4 +1,4 @@
-"""Contacts in the robot's frames, and their record on a board (docs/guide/publishing.md)."""
+"""Contacts in the robot's frames, and their record in shared memory (docs/guide/publishing.md)."""
 
 import struct
 import time
@@ -296,7 +296,7 @@ def patches_from(setup: Mapping[str, Any]) -> tuple[Patch, ...]:
             for p in setup["patches"]
         )
     except (KeyError, TypeError) as error:
-        what = f"the setup of a board lacks its patches ({error!r})"
+        what = f"the setup in shared memory lacks its patches ({error!r})"
         raise PublishError(f"{what}; is its writer of another version?") from error
 
 

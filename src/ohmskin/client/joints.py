@@ -46,7 +46,7 @@ class JointStates(Closing):
         self._board.write(json.dumps({"time": time.monotonic() - age, "positions": told}).encode())
 
     def close(self) -> None:
-        """Remove the board. Safe to call twice."""
+        """End sending, and remove the shared memory. Safe to call twice."""
         self._board.close()
 
 

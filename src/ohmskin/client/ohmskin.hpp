@@ -239,7 +239,7 @@ class Board {
             slot_bytes > size || slots_at > size || slots_at + slots * slot_bytes != size || setup > size ||
             detail::kHead + setup > slots_at) {
             if (memory != MAP_FAILED) munmap(memory, size);
-            throw Error(path_ + " is no board of the version that this ohmskin.hpp reads; compile with the header of "
+            throw Error(path_ + " is not of the version that this ohmskin.hpp reads; compile with the header of "
                                 "the ohmskin that writes it (python -m ohmskin.client)");
         }
         memory_ = {static_cast<char*>(memory), {size}};

@@ -118,7 +118,7 @@ class Diagnosis:
             case "currents":
                 return "currents of some injections are implausible; left out"
             case "unlike":
-                return "no contacts explain the change: another skin, exchanged wires, or damage; calibrate again"
+                return "no contacts explain the change: another skin, swapped wires, or damage; calibrate again"
             case "nothing":
                 return "no voltage can be used; check the device's cable and power"
             case "missing":

@@ -15,9 +15,9 @@ const [GOOD, FAIR] = [0.005, 0.01]; // m, mean error
 const MIRRORS = {
   "mirrored left to right": ([x, y]) => [-x, y],
   "mirrored top to bottom": ([x, y]) => [x, -y],
-  "upside down": ([x, y]) => [-x, -y],
-  "turned by a quarter": ([x, y]) => [-y, x],
-  "turned by a quarter the other way": ([x, y]) => [y, -x],
+  "rotated by 180°": ([x, y]) => [-x, -y],
+  "rotated by 90°": ([x, y]) => [-y, x],
+  "rotated by −90°": ([x, y]) => [y, -x],
   "mirrored across a diagonal": ([x, y]) => [y, x],
   "mirrored across the other diagonal": ([x, y]) => [-y, -x],
 };
