@@ -89,9 +89,7 @@ def image(
     percept = perceive(known, shown, recorded_mode(description).using(estimator, prior, rule))
     if percept.belief.unexplained > _DOUBTFUL:
         share = f"{100 * percept.belief.unexplained:.0f} % of the change fits no change of this sheet's conductivity"
-        print(
-            f"# {share}: another skin, swapped wires, or bad channels (`ohmskin learn` finds them)", file=sys.stderr
-        )
+        print(f"# {share}: another skin, swapped wires, or bad channels (`ohmskin learn` finds them)", file=sys.stderr)
     mesh, electrodes = known.model.mesh, description.electrodes
     title = f"{file.parent.name.replace('_', ' ')} {file.stem if file.suffix == '.mat' else ''}".strip()
     limit = full_scale(percept)

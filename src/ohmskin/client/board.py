@@ -126,7 +126,9 @@ class Board(Closing):
             PublishError: If it is larger than `largest`.
         """
         if len(message) > self._slot_bytes - _SLOT.size:
-            raise PublishError(f"a message of {len(message)} bytes in shared memory for {self._slot_bytes - _SLOT.size}")
+            raise PublishError(
+                f"a message of {len(message)} bytes in shared memory for {self._slot_bytes - _SLOT.size}"
+            )
         self._number += 1
         at = self._slots_at + self._number % _SLOTS * self._slot_bytes
         checksum = zlib.crc32(message, zlib.crc32(_NUMBER.pack(self._number)))

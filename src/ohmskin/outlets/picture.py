@@ -82,5 +82,7 @@ class Picture:
             sequence, stamp = _HEAD.unpack_from(content)
             pixels = np.frombuffer(content, "<f4", offset=_HEAD.size).reshape(ny, nx).astype(float)
         except (KeyError, TypeError, ValueError, struct.error) as error:
-            raise PublishError(f"an image of {len(content)} bytes in shared memory does not fit its setup: {error}") from error
+            raise PublishError(
+                f"an image of {len(content)} bytes in shared memory does not fit its setup: {error}"
+            ) from error
         return cls(pixels, points, sequence, stamp)
