@@ -10,7 +10,7 @@
             for contact in touch.contacts:
                 print(contact)
 
-Parts are imported when they are first used, so that ``import ohmskin`` is quick.
+Modules are imported when they are first used, so that ``import ohmskin`` is fast.
 """
 
 from importlib import import_module

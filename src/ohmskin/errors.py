@@ -19,7 +19,7 @@ class OhmskinError(Exception):
                 DeviceRefused
                 ProtocolError     a ValueError, too
 
-    Control characters in messages are written out, long words shortened: they may come from a device or a file.
+    Control characters in messages are escaped and long words shortened, because they may come from a device or a file.
     """
 
     def __init__(self, *args: object) -> None:

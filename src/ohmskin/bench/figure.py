@@ -14,11 +14,12 @@ class Figure:
 
     Args:
         name: What was measured.
-        value: The figure; a median where it was repeated. None if it could not be measured, `note` then says why.
+        value: The figure; a median where it was repeated. None if it could not be measured; `note` then gives the
+            reason.
         unit: Its unit; "times" for ratios.
         least, most: The target's bounds; None where there is no such bound. Without either it is information.
         low, high: Lower and upper quartile over the rounds.
-        note: What it is made of: absolute times, sizes.
+        note: What it is computed from: absolute times, sizes.
         data: The same, for machines.
     """
 
@@ -54,7 +55,7 @@ class Figure:
         return cls(name, value, unit, low=low, high=high, **rest)
 
     def row(self, verdict: str) -> tuple[str, ...]:
-        """What tables show: name, value, spread, target, the verdict as it is to be marked there, and the note."""
+        """The row of a table: name, value, spread, target, the `verdict` as shown there, and the note."""
         value = f"{_shown(self.value)} {self.unit}".rstrip()
         spread = "" if self.low is None or self.low == self.high else f"{_shown(self.low)} to {_shown(self.high)}"
         target = f"at least {self.least:,g}" if self.least is not None else ""

@@ -1,4 +1,4 @@
-"""A body: several skins of one robot, each in a process of its own, and one stream of their contacts."""
+"""A body: several skins of one robot, each in a separate process, and one stream of their contacts."""
 
 from ohmskin.body.body import Body, PlacedSkin
 from ohmskin.body.patches import Patches

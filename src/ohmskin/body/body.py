@@ -22,13 +22,13 @@ _FARTHEST = 100.0  # m
 
 @dataclass(frozen=True)
 class PlacedSkin:
-    """One patch: its place, what it is made of, and how it is reached.
+    """One patch: its place, its skin and its device.
 
     Args:
         patch: Name, link and pose.
         skin: Its description.
         device: Address of its device.
-        mode: Its mode; the skin's best unless given.
+        mode: Its mode; the skin's default unless given.
     """
 
     patch: Patch

@@ -21,9 +21,9 @@ _SURE = 3.0  # standard deviations
 class SelfTouch:
     """Detects contacts of a robot with itself.
 
-    A contact is one of the robot with itself if the surface of another link, a simple shape of it or a skin on it, is
-    where the contact is: closer than the gap that surfaces leave, and three standard deviations of its position. Links
-    that cannot move against the contact's own do not count.
+    A contact is a self-touch if the surface of another link, a simple shape of it or a skin on it, is at the contact:
+    closer than the allowed gap between surfaces plus three standard deviations of the position. Links that cannot move
+    relative to the contact's own do not count.
 
     Args:
         body: Its skins, and the URDF file with the shapes of its links.
@@ -41,7 +41,7 @@ class SelfTouch:
     def with_self_touch(self, robot: Robot, contacts: Sequence[PlacedContact]) -> tuple[PlacedContact, ...]:
         """The same contacts, with their `self_touch` determined.
 
-        It is None where nothing is near, but a link has a mesh, whose shape is not known here.
+        It is None where nothing is near but a link has a mesh, whose shape is not known here.
 
         Args:
             robot: In the posture of that moment.
@@ -55,7 +55,7 @@ class SelfTouch:
         return tuple(with_self_touch)
 
     def nearest(self, robot: Robot, point: Floats, link: str) -> tuple[str, float]:
-        """The surface closest to a point, of all links that can move against its link.
+        """The surface closest to a point, among all links that can move relative to its link.
 
         Args:
             robot: In the posture of that moment.

@@ -34,10 +34,9 @@ class ChannelJudgement:
     Args:
         pattern: Of the presses.
         channels: Gains and errors.
-        places: (n, 2) where each press was taken to be (m).
-        unexplained: Share of what the presses changed that one contact each does not explain, channels weighed
-            (median), and
-        unexplained_before: the same with all channels alike.
+        places: (n, 2) estimated place of each press (m).
+        unexplained: Share of the changes that one contact for each press does not explain, with weighted channels
+            (median), and unexplained_before: the same with equal weights.
         skipped: Frames that show no press.
     """
 
@@ -86,11 +85,8 @@ class ChannelJudgement:
 def judge_channels(
     skin: Skin, quiet: Sequence[Frame], frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
 ) -> ChannelJudgement:
-    """Judge the channels of a pattern from frames of one press each, anywhere, the more evenly the better.
-
-    Args:
-        skin: Its description; a judgement that it already has does not count.
-        quiet: Frames of the untouched skin.
+    """Estimate gains and errors of a pattern's channels from frames of one press each, spread as evenly as possible.
+        Args: skin: Its description; gains and errors in it are not used. quiet: Frames of the untouched skin.
         frames: Frames of presses, all of one pattern.
         progress: Called with the share done, 0 to 1.
 

@@ -44,9 +44,10 @@ class ForceCurve:
         forces: Rising (N).
         error: Root mean square error over the samples (N).
         hysteresis: Largest mean difference of strength between unloading and loading at a force, over the largest (1).
-        scatter: Standard deviation of strength between places at one force, as a share, mean over the forces.
+        scatter: Standard deviation of strength between places at one force, as a share; mean over the forces.
         missed: Samples that were not detected.
-        flat: Forces (N) of no more strength than the next lower one, where the skin is saturated or too coarse.
+        flat: Forces (N) whose strength is not higher than that of the next lower force: the skin is saturated or too
+            coarse.
     """
 
     strengths: tuple[float, ...]
@@ -68,7 +69,7 @@ def fit_auxiliary(samples: Sequence[PressSample], rest: float, calibration: Cali
 
     Args:
         samples: Presses of known force.
-        rest: What the channel read on the quiet skin (N or Pa).
+        rest: Reading of the channel on the quiet skin (N or Pa).
         calibration: To put it into.
     """
     read = np.array([sample.auxiliary for sample in samples]) - rest
@@ -81,10 +82,8 @@ def fit_auxiliary(samples: Sequence[PressSample], rest: float, calibration: Cali
 
 
 def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
-    """Fit mean strengths at each force by isotonic regression; `Calibration.force` joins the points by PCHIP.
-
-    Args:
-        samples: Known forces, with the strength that was found for each.
+    """Fit mean strengths at each force by isotonic regression; `Calibration.force` interpolates them by PCHIP. Args:
+    samples: Known forces, with the measured strength of each.
 
     Raises:
         DataError: If fewer than two forces were detected.

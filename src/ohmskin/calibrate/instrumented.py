@@ -24,7 +24,7 @@ _OLD = 0.2  # s, after which a reading counts no more
 
 
 class LoadCell:
-    """The newest force that another instrument measured; set from any thread."""
+    """The newest force measured by another instrument; set from any thread."""
 
     def __init__(self) -> None:
         self._lock, self._newest = threading.Lock(), (np.nan, -np.inf)
@@ -55,13 +55,13 @@ class ForceSampler:
 
     Args:
         count: Samples wanted.
-        settle: Cycles of a steady press that do not count yet.
+        settle: First cycles of a steady press that are not used.
         cycles: Cycles that a sample is made of.
 
     Attributes:
         count: Samples wanted.
-        samples: What was seen so far.
-        peaks: Of each sample the greatest force before it eased off (N); 0 where it was rising.
+        samples: The samples so far. peaks: For each sample the greatest force before it fell to this force (N); 0 where
+            it was rising.
     """
 
     def __init__(self, count: int, settle: int = 6, cycles: int = 10) -> None:
@@ -78,12 +78,9 @@ class ForceSampler:
     def add(
         self, contacts: Sequence[Contact], scans: Sequence[Difference], force: float, auxiliary: float = np.nan
     ) -> bool:
-        """Take in one cycle.
-
-        Args:
-            contacts: All of it; only a cycle with exactly one counts.
+        """Add one cycle. Args: contacts: All of the cycle; only a cycle with exactly one is used.
             scans: What was measured, (n_scans,) changes against the quiet skin.
-            force: What the load cell read at that moment (N); below 0.1, or NaN, it measures no press.
+            force: Reading of the load cell at that moment (N); below 0.1, or NaN, it measures no press.
             auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.
 
         Returns:
@@ -129,7 +126,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Floats:
         columns: Names of the columns, in the order wanted.
 
     Raises:
-        DataError: If it cannot be read, a column is missing, or a number is none.
+        DataError: If it cannot be read, a column is missing, or an entry is not a number.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:

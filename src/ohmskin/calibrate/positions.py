@@ -39,8 +39,8 @@ class PositionReport:
 
     Args:
         map: The map, learned from all presses.
-        physics, similarity, mapped: (n,) distances of estimated places from those pressed (m): by the physical
-            model, after the similarity, after all. NaN: not detected.
+        physics, similarity, mapped: (n,) distances of estimated places from the true ones (m): by the physical model,
+            after the similarity, after the map. NaN: not detected.
         held: Share of the presses within their 90 % ellipses.
         curve: The learning curve: from how many presses a map was learned, and its mean error (m) at others.
     """
@@ -83,11 +83,8 @@ class PositionReport:
 def read_places(
     known: SkinModel, frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
 ) -> tuple[Floats, Floats]:
-    """Where physics sees the contact of each frame, one in each, and what `learn_positions` needs beside.
-
-    Args:
-        known: What is known of the skin.
-        frames: Of one press each, all of one pattern.
+    """Place of the contact in each frame by the physical model, one in each, and the other input of `learn_positions`.
+        Args: known: The model of the quiet skin. frames: Of one press each, all of one pattern.
         progress: Called with the share done, 0 to 1.
 
     Returns:

@@ -29,7 +29,7 @@ class PressStep:
     Args:
         at: Where (m).
         force: With which force (N).
-        loading: Whether it is more than the one before at this place.
+        loading: Whether the force is larger than the previous one at this place.
     """
 
     at: tuple[float, float]
@@ -77,12 +77,13 @@ def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[Pr
 
 
 class PressGuide:
-    """Walks through a plan: make `step`, call `begin`, then `add` the contacts of each cycle until the step changes.
+    """Guides through a plan: make the press `step`, call `begin`, then `add` the contacts of each cycle until the step
+    changes.
 
     Args:
-        plan: What to press.
-        settle: Cycles after `begin` that do not count yet, while foam and tracker settle.
-        cycles: Cycles that the strength is the median of.
+        plan: The presses to make.
+        settle: Cycles after `begin` that are not used, while foam and tracker settle.
+        cycles: Number of cycles over which the median of the strength is taken.
 
     Attributes:
         samples: What was seen so far.
@@ -95,7 +96,7 @@ class PressGuide:
 
     @property
     def step(self) -> PressStep | None:
-        """What is to be pressed now; None when all is done."""
+        """The press to make now; None when all are done."""
         return self.plan[len(self.samples)] if len(self.samples) < len(self.plan) else None
 
     @property
@@ -108,14 +109,11 @@ class PressGuide:
         return peaks
 
     def begin(self) -> None:
-        """The press is there: measure it."""
+        """Begin to measure the press that is now made."""
         self._seen = []
 
     def add(self, contacts: Sequence[Contact], scans: Sequence[Difference] = (), auxiliary: float = np.nan) -> bool:
-        """Take in one cycle.
-
-        Args:
-            contacts: All of it; the strongest one near the place of the step counts.
+        """Add one cycle. Args: contacts: All of the cycle; the strongest one near the place of the step is used.
             scans: What was measured, (n_scans,) changes against the quiet skin.
             auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.
 

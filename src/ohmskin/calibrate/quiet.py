@@ -30,18 +30,17 @@ def calibrate_quiet(
     scans: int = _SCANS,
     report: Callable[[str], None] = lambda sentence: None,
 ) -> Calibration:
-    """Measure the untouched skin. Forces come later, see `PressGuide` and `fit_force`.
+    """Measure the untouched skin. Forces are calibrated afterwards, see `PressGuide` and `fit_force`.
 
     Args:
         device: A device that can drive any pattern.
-        skin: What it should be; its own calibration, if any, is not used.
-        version: Of ohmskin, to be noted down.
+        skin: Its description; a calibration in it is not used.
+        version: Of ohmskin, to be stored.
         scans: Scans of all pairs, 3 at least. The longer they take, the better drift is separated from noise.
         report: Called with what was found, and with a sentence if electrodes and sheet cannot be estimated and stay
             as described.
 
-    Raises:
-        DataError: If an electrode is not in order; the message says which.
+    Raises: DataError: If an electrode is faulty; the message says which.
         DeviceError: If the device is a recording or has another number of electrodes.
     """
     n_elec = len(skin.electrodes)

@@ -25,14 +25,14 @@ _BENT = 0.02  # share of the signal that linearity may miss
 
 @dataclass(frozen=True, eq=False)
 class SelfTest:
-    """Result of the self-test. All but the diagnosis are None where too few electrodes are connected to measure them.
+    """Result of the self-test. All but the diagnosis are None if too few electrodes are connected to measure them.
 
     Args:
         skin: Name of the skin's description.
         device: Name of the device.
         date: When, UTC, in ISO form.
         diagnosis: Wiring and sheet.
-        noise, offset, linearity, settling, link, rates: What was measured of the instrument.
+        noise, offset, linearity, settling, link, rates: The measurements of the instrument.
     """
 
     skin: str
@@ -73,7 +73,7 @@ class SelfTest:
         return tuple(found)
 
     def table(self) -> list[tuple[str, str]]:
-        """What was measured, as rows of name and value in words."""
+        """The measurements, as rows of a name and a value as text."""
         rows, d = [], self.diagnosis
         if math.isfinite(d.conductivity):
             rows.append(("sheet conductivity that fits", f"{1e3 * d.conductivity:.4g} mS per square"))
@@ -101,17 +101,13 @@ class SelfTest:
         ]
 
     def to_json(self) -> str:
-        """All of it as JSON text; what is not known is null."""
+        """The result as JSON text; unknown values are null."""
         return json.dumps(as_plain({**asdict(self), "remarks": self.remarks}), indent=1)
 
 
 def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lambda _: None) -> SelfTest:
-    """Test wiring and instrument. Keep the skin untouched meanwhile.
-
-    Args:
-        device: A device that can drive any pattern; a recording cannot.
-        skin: What it should be.
-        progress: Called with what comes next, in words.
+    """Test wiring and instrument. Keep the skin untouched meanwhile. Args: device: A device that can drive any pattern;
+    a recording cannot. skin: Its description. progress: Called with the name of the next part.
 
     Raises:
         DeviceError: If the device is a recording, has another number of electrodes, or is lost.

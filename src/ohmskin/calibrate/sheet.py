@@ -39,12 +39,12 @@ class SheetFit:
     """A model fitted to the untouched skin.
 
     Args:
-        model: With electrodes where they are, and the sheet as it is.
+        model: With fitted electrode positions and sheet conductivity.
         log_conductivity: (`WAVES`^2,) coefficients of `cosines`: logarithm of its factor on the described conductivity.
-        moved: (n_elec,) how far electrodes are from where they are described (m).
+        moved: (n_elec,) distances of electrodes from their described places (m).
         uneven: Standard deviation of the conductivity over the sheet, as a share of its mean.
-        before: Root mean square of what the description leaves of four-terminal resistances, at the best mean
-            conductivity, as a share of theirs.
+        before: Root mean square residual of four-terminal resistances for the described skin, at the best mean
+            conductivity, as a share of their root mean square.
         after: The same of the fit.
     """
 
@@ -76,7 +76,7 @@ def fit_sheet(
         noise: Their standard deviation, one or (n_meas,) (ohm).
 
     Raises:
-        DataError: If no such sheet explains the data; the message says how much is left.
+        DataError: If no such sheet explains the data; the message gives the residual.
     """
     known = np.isfinite(resistances)
     measured, rows = resistances[known], pattern.combination(len(described))[known]

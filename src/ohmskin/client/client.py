@@ -19,15 +19,16 @@ class _Source(Protocol):
 
 
 class Client(Closing):
-    """Reads contacts from another process. Neither side waits for the other; either may start, end and come again.
+    """Reads contacts from another process. Neither side waits for the other; either may start, end and restart at any
+    time.
 
     Args:
-        address: ``shm:NAME`` on the same machine, or ``zenoh:NAME@tcp/HOST:PORT`` (extra `zenoh`); the name is what
-            `ohmskin live --name` gave, ``skin`` unless given.
-        token: What the sender asks for over zenoh, if it does.
+        address: ``shm:NAME`` on the same machine, or ``zenoh:NAME@tcp/HOST:PORT`` (extra `zenoh`); the name is that of
+            `ohmskin live --name`, ``skin`` unless given.
+        token: The sender's password over zenoh, if it has one.
 
     Raises:
-        PublishError: If the address cannot be used or the extra is missing. That nobody publishes is no error.
+        PublishError: If the address cannot be used or the extra is missing. A missing sender is not an error.
     """
 
     def __init__(self, address: str = "shm:skin", token: str | None = None) -> None:
@@ -45,15 +46,14 @@ class Client(Closing):
             self._source = Subscriber(name, where or "tcp/127.0.0.1:7447", token)
 
     def newest(self) -> Contacts | None:
-        """The newest contacts, given before or not; None before there are any.
-
-        Never waits: look at their `age`.
+        """The newest contacts, even if they were returned before; None before there are any. Never waits: check their
+        `age`.
         """
         self._last = self._source.newest() or self._last
         return self._last
 
     def wait(self, timeout: float) -> Contacts | None:
-        """The next contacts that were not given before; None if nothing comes within `timeout` seconds."""
+        """The next contacts that were not returned before; None if there are none within `timeout` seconds."""
         if (fresh := self._source.newest() or self._source.wait(timeout)) is not None:
             self._last = fresh
         return fresh

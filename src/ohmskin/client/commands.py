@@ -12,17 +12,14 @@ _NAP = 0.005  # s
 
 
 class Commands(Closing):
-    """Commands to the loop of a skin: to tare it, or to change its mode. Each waits until that is done.
+    """Commands to the loop of a skin: to tare it, or to change its mode. Each waits until the command is executed.
 
         with Commands("skin") as commands:
             commands.tare()
 
     Args:
-        name: What `ohmskin live --name` gave; BODY.PATCH for a patch of a body.
-        timeout: Seconds to wait for an answer.
-
-    Raises:
-        PublishError: If that is no name of a skin.
+        name: The name given to `ohmskin live --name`; BODY.PATCH for a patch of a body. timeout: Time to wait for an
+            answer (s). Raises: PublishError: If the name is not valid.
     """
 
     def __init__(self, name: str = "skin", timeout: float = 30.0) -> None:
@@ -31,10 +28,9 @@ class Commands(Closing):
         self._answers = BoardReader(f"{name}.answered")
 
     def tare(self) -> None:
-        """Learn the untouched skin anew: reference, noise and thresholds. Nothing may touch it meanwhile.
-
-        Raises:
-            PublishError: If the skin refuses, as when it is not quiet, or does not answer; it senses on as before.
+        """Learn the untouched skin again: reference, noise and thresholds. Nothing may touch it meanwhile. Raises:
+        PublishError: If the skin refuses, such as when it is not quiet, or does not answer; the former calibration
+            stays.
         """
         self._ask("tare")
 

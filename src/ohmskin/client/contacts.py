@@ -27,8 +27,7 @@ class Patch:
     """One skin and its pose in a frame.
 
     Args:
-        name: What it is called.
-        frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
+        name: Its name. frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
         position: Origin of the sheet, or of the frame that a curved skin is described in, in that frame (m).
         axes: Directions of its x, y and z in that frame, one after the other; z is the outward normal of a flat sheet.
         newtons: Whether its contacts have a force: only if the skin was calibrated for that.
@@ -101,7 +100,7 @@ class PlacedContact:
     """One place where the robot is touched.
 
     Args:
-        id: Stays while the contact lasts; counted by each patch for itself.
+        id: Unchanged while the contact lasts; each patch counts separately.
         patch: Name of the patch.
         frame: Frame of position and normal.
         position: Where (m).
@@ -113,7 +112,8 @@ class PlacedContact:
         radius: Of the disc that explains the data best (m); None where the mode does not fit it.
         velocity: In the frame (m/s); None likewise.
         covariance: Of the position (3, 3) in the frame (m2); None likewise.
-        force: Along the inward normal (N); None where the skin is not calibrated for force, or it is not known yet.
+        force: Along the inward normal (N); None where the skin is not calibrated for force, or the force is not known
+            yet.
         force_std: Standard deviation of the force (N); None likewise.
         pressure: The greatest (Pa); None likewise, or where the calibration lacks it.
         area: Force over pressure (m2); None likewise.
@@ -175,8 +175,8 @@ class PatchState:
     Args:
         patch: Name of the patch.
         frame: Its frame.
-        sequence: Number of its newest cycle; 0 if it has not been heard of.
-        time: Its last sample on this machine's monotonic clock (s); minus infinity if it has not been heard of.
+        sequence: Number of its newest cycle; 0 before the first. time: Its last sample on this machine's monotonic
+            clock (s); minus infinity before the first.
         stamp: The same by the calendar (ns since 1970); 0 likewise.
         mode: Name of its mode.
     """
@@ -199,12 +199,11 @@ class Contacts:
     """The newest contacts of a skin, or of all skins of a robot.
 
     Args:
-        sequence: Counts up by one with each; a jump means that some were not looked at. Begins anew with `boot`.
-        time: The last sample of the patch heard of longest ago, on this machine's monotonic clock (s).
+        sequence: Increases by one with each message; a jump means that some were not read. Restarts with `boot`. time:
+            Last sample of the patch with the oldest data, on this machine's monotonic clock (s).
         stamp: The same by the calendar (ns since 1970).
-        patches: How fresh each patch is.
-        contacts: All contacts, those of a patch strongest first.
-        boot: Changes whenever the sender starts anew.
+        patches: Sequence number and time of each patch. contacts: All contacts, those of a patch strongest first. boot:
+            Changes whenever the sender restarts.
     """
 
     sequence: int
@@ -216,7 +215,8 @@ class Contacts:
 
     @property
     def age(self) -> float:
-        """Seconds since the last sample of the patch heard of longest ago, now: a silent patch makes all of it old."""
+        """Present age (s) of the last sample of the patch with the oldest data: one silent patch makes all contacts
+        old."""
         return time.monotonic() - self.time
 
 

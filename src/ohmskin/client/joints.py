@@ -31,14 +31,14 @@ class JointStates(Closing):
         self._board = Board(f"{name}.joints", {}, _LARGEST)
 
     def push(self, positions: Mapping[str, float], age: float = 0.0) -> None:
-        """Send the positions of joints; joints that are not named stand as the body file says.
+        """Send the positions of joints; joints that are not named have the positions of the body file.
 
         Args:
             positions: By the name of the joint (rad, m).
             age: How long ago they were measured (s).
 
         Raises:
-            PublishError: If one is no finite number, or there are too many.
+            PublishError: If one is not a finite number, or there are too many.
         """
         told = {name: float(position) for name, position in positions.items()}
         if wrong := next((name for name, position in told.items() if not isfinite(position)), None):

@@ -26,7 +26,7 @@ class Contact:
         covariance: ((xx, xy), (xy, yy)) of the position (m2); None where it is not known, as of an image's contacts.
         velocity: (x, y) in metres per second; None where contacts are not followed by `ContactFilter`.
         radius: Of the disc that explains the data best (m); None likewise.
-        force: With which it is pressed (N); None where the skin is not calibrated for force, or it is not known yet.
+        force: Force of the press (N); None where the skin is not calibrated for force, or the force is not known yet.
         force_std: Standard deviation of the force (N); None likewise.
         pressure: Its greatest (Pa); None likewise, or where the calibration cannot separate pressure from area.
         area: Force over pressure (m2); None likewise.
@@ -53,7 +53,7 @@ class ContactFinder:
 
     Args:
         threshold: Smallest peak of a contact, relative conductivity change (gamma_0).
-        fraction: Smallest peak of a contact as a share of the strongest; keeps the side lobes of a strong one out.
+        fraction: Smallest peak of a contact as a share of the strongest; excludes the side lobes of a strong contact.
         dip: Depth of the saddle, as a share of the lower peak, beyond which two peaks are two contacts.
         bipolar: Whether places where conductivity falls count as contacts, too.
     """

@@ -47,8 +47,8 @@ class ContactFitter(DiscFitter):
         table: Responses of contacts.
         noise: Standard deviation of a difference of voltages (V).
         model_error: How far the model of a contact errs, as a share of its signal (1).
-        false_alarms: Rate at which quiet data may be taken for a contact.
-        false_twos: Rate at which one contact may be taken for two.
+        false_alarms: Rate at which quiet data may be mistaken for a contact.
+        false_twos: Rate at which one contact may be reported as two.
         most: Most contacts to look for.
         bipolar: Whether contacts may lower the conductivity, too.
         gain: Standard deviation of the relative error of a measured current (1).
@@ -56,7 +56,7 @@ class ContactFitter(DiscFitter):
             deviation of its change since calibration (ohm); None: they are known.
 
     Attributes:
-        bar: Standard deviations by which the score of a new contact must stand out.
+        bar: Standard deviations that the score of a new contact must exceed.
         split_bar: By how much two contacts must explain data better than one, in units of the noise's variance.
         compiled: Arguments of compiled steps: settings, see `refit.refit`, the sheet, responses of contacts, and those
             of the candidates.
@@ -117,7 +117,7 @@ class ContactFitter(DiscFitter):
     ) -> Solution:
         """The contacts that explain what is measured, `nominal` and `inflated` of `information`; `bar` as for `split`.
 
-        What was there a moment `before` need not be looked for, where that makes no difference.
+        Contacts of the previous frame (`before`) are not searched again where that makes no difference.
         """
         last = None if before is None else self.refitted(nominal, inflated, before)
         if last is not None and last[1]:
@@ -172,11 +172,12 @@ class ContactFitter(DiscFitter):
     def refitted(
         self, nominal: Information, inflated: Information, before: Solution, search: bool = True
     ) -> tuple[Solution, bool] | None:
-        """The contacts that were there `before`, fitted to `nominal` and `inflated` now; whether they are surely all.
+        """The contacts of the previous frame (`before`), fitted to `nominal` and `inflated`; and whether there are
+        surely no others.
 
-        None if they would not be found afresh, too: they are if each stands out by itself as one that is new must,
-        none may be a part of another, and together they leave no more than is usual, or than a search found nothing
-        about. Without a `search` for more, they are never surely all, and may leave more.
+        None if a new search might not find them. It would find them if each exceeds the limit of a new contact, none
+        may be a part of another, and the residual is no larger than usual, or than one that an earlier search could not
+        explain. Without a `search` for others, these are never excluded, and the residual may be larger.
         """
         doubts = np.zeros(refit.DOUBTS) if before.doubts is None else before.doubts
         allowed = np.maximum(1.0, _MORE * doubts) if search else np.full(refit.DOUBTS, _PATIENT)
@@ -305,7 +306,7 @@ class ContactFitter(DiscFitter):
             found: The contacts.
             k: Which of them; the pair comes last.
             bar: The least gain, in units of the noise's variance; `split_bar` unless given.
-            left: What remains to be explained beside the contacts, if that is known.
+            left: What remains to be explained in addition to the contacts, if that is known.
         """
         left = left or nominal.minus(found.caused).marginalised_flat(found.slopes)
         one = found.params[k]
@@ -329,15 +330,16 @@ class ContactFitter(DiscFitter):
     def are_two(self, nominal: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.
 
-        There are if two gain more than noise and all that the model may get wrong of one (`gain_of`), or if they are so
-        far apart that no shape of one looks like them, and explain most of what one leaves beyond errors of the model.
+        There are two if they gain more than noise and all errors of the model of one contact (`gain_of`), or if they
+        are so far apart that no shape of one contact resembles them, and they explain most of the residual of one
+        beyond errors of the model.
 
         Args:
             nominal: What is measured.
             one: It explained with one contact.
             two: It explained with two.
             bar: The least gain, in units of the noise's variance.
-            share: Share of the usual demands that suffices (1).
+            share: Share of the usual limits that suffices (1).
         """
         if self.gain_of(nominal, one, two) > share * bar:
             return True

@@ -37,7 +37,7 @@ def find_regions(values: Floats, cells: Cells, threshold: float, dip: float = 1.
         cells: Its mesh, or the pixels it is made of.
         threshold: gamma_0 of eq. (6) (1).
         dip: Two peaks of one connected region count as two where the saddle between them lies at least this share below
-            the lower one. 1 never splits, which is eq. (6) to the letter.
+            the lower one. 1 never splits, exactly as eq. (6).
     """
     labels = label_peaks(values, cells.neighbours, threshold, dip)
     regions = []

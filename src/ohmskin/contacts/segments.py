@@ -28,9 +28,9 @@ class Evidence:
     """Evidence for a class: the increase of the residual without it.
 
     Args:
-        unexplained: Share of the data's power that is not explained any more where the class is ruled out (1).
-        needed: What the class has to explain to be there (1): more than noise does at the stated rate, and more than
-            the errors of a linear model.
+        unexplained: Share of the data's power that is no longer explained if the class is excluded (1). needed: Share
+            that the class must explain to be reported (1): more than noise at the stated rate, and more than the errors
+            of a linear model.
     """
 
     unexplained: float
@@ -66,8 +66,8 @@ def evidence(
 ) -> dict[int, Evidence]:
     """Evidence for a class of higher (1) and one of lower conductivity (-1).
 
-    For each the data are explained by an image that may not have it (nowhere above, or nowhere below the background)
-    and by one that may. By noise alone the difference is no more than all of it, which is an F variable.
+    For each, the data are explained by an image without it (nowhere above, or nowhere below the background) and by one
+    that may have it. With noise alone, the difference is an F variable at most.
 
     Args:
         model: The untouched sheet, scaled to the quiet data.
@@ -112,13 +112,9 @@ def segments(
 ) -> Segments:
     """An image of `cells` in the classes for which there is evidence.
 
-    Of each class every region about a peak, where it exceeds half of that.
-
-    Args:
-        image, cells: The image, and what it is made of.
-        found: The evidence.
-        rate: Rate of false alarms with which that was found (1).
-        fraction, dip: Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
+    Each class consists of the regions around its peaks where the image exceeds half of the peak. Args: image, cells:
+        The image and its cells. found: The evidence. rate: Rate of false alarms of the evidence (1). fraction, dip:
+            Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
     """
     labels = np.zeros(len(image.values), np.int32)
     for sign in (sign for sign, one in found.items() if one.significant):

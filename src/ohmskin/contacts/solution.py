@@ -20,10 +20,10 @@ class Solution:
         normal: (4 n, 4 n) curvature: the inverse of their covariance.
         caused: (n_pairs,) what they change of the two-terminal resistances (ohm).
         slopes: (n_pairs, 4 n) its derivatives by their parameters.
-        covered: Electrodes under them of whose resistance nothing is taken to be known.
-        shapes: (n_pairs, 2 k) what small ones may change besides, as they do not conduct alike all ways, for one
-            standard deviation of each (ohm); None: discs are all that was fitted.
-        doubts: (5,) what a search found nothing about, see `followed`; None: contacts were not searched for.
+        covered: Electrodes under them, whose resistance is treated as unknown.
+        shapes: (n_pairs, 2 k) further changes due to small contacts, which are anisotropic, for one standard deviation
+            of each (ohm); None: only discs were fitted. doubts: (5,) remaining doubts after a search without a result,
+            see `followed`; None: there was no search.
     """
 
     params: Floats

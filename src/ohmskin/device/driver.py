@@ -17,10 +17,11 @@ _LONGEST = 10.0  # s that a device may be late, by what it says it needs
 class Device(Closing):
     """A skin that can be scanned. Safe to use from several threads; a context manager.
 
-    A driver fills `_scan`, `_close` and, if it is virtual, `_press`; limits, timeout and locking are settled here.
+    A driver implements `_scan`, `_close` and, if it is virtual, `_press`; this class handles limits, timeout and
+    locking.
 
     Args:
-        url: The address it was opened with.
+        url: The address with which it was opened.
         capabilities: What it is and its limits per scan.
     """
 
@@ -46,8 +47,8 @@ class Device(Closing):
 
         Args:
             pattern: Within the device's capabilities; larger ones are refused, see `DrivePattern.split`.
-            timeout: Longest time to wait (s); by default 2 s and four times what the device says it needs, but no more
-                than 10 s longer than that.
+            timeout: Longest time to wait (s); by default 2 s plus four times the time that the device states, but no
+                more than that time plus 10 s.
 
         Raises:
             PatternError: If the pattern names an electrode that is not there or is too large.

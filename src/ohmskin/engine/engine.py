@@ -29,20 +29,20 @@ _ROOM = ("max_injections", "max_measurements")  # what sensors rely on
 class Engine(Closing):
     """Runs the adaptive loop on any device. Calibrate it, then `step` it or iterate `touches`.
 
-    While it is open, BLAS works on one thread: its small products are quicker so, and the same to the last bit.
+    While it is open, BLAS uses one thread: small products are then faster, and reproducible to the last bit.
 
     Args:
         open_device: Opens the device; called again after it was lost.
         skin: What the device is.
-        mode: Name of the mode; the one of least measured error unless given.
+        mode: Name of the mode; the one with the smallest measured error unless given.
         report: Called with every message for the user.
-        compilation: What is under way: until it is over, a mode that waits for it is stood in for by one that does not.
-        estimator, prior, rule: Names of others than the modes have, of `ESTIMATORS`, `PRIORS` and `RULES`.
+        compilation: A running compilation: until it ends, a mode that needs it is replaced by one that does not.
+        estimator, prior, rule: Names from `ESTIMATORS`, `PRIORS` and `RULES` to use instead of those of the modes.
 
     Attributes:
         modes: The modes of the skin, by name.
-        known, sensor: What was learned of the quiet skin, and what senses now; None before the first calibration.
-        scans_made: Scans of the cycle that is under way.
+        known, sensor: The model of the quiet skin, and the present sensor; None before the first calibration.
+        scans_made: Scans of the present cycle so far.
 
     Raises:
         DeviceError: If the device cannot be opened or does not fit the skin.
@@ -97,7 +97,7 @@ class Engine(Closing):
             progress: Called with the share done, 0 to 1.
 
         Raises:
-            DeviceLost: If the device goes away. What was learned before is kept.
+            DeviceLost: If the device is lost. The previous calibration is kept.
             DataError: If the skin is not quiet, or its data are no skin's; likewise.
             ModelError: If the estimator or the prior is unknown, or does not go with the skin.
             PatternError: If the device cannot drive the mode.
@@ -174,11 +174,12 @@ class Engine(Closing):
         self._switch(self._chosen(name))
 
     def ready(self, mode: Mode) -> bool:
-        """Whether the sensor of a mode is built already; building one takes a while."""
+        """Whether the sensor of a mode is already built; building one takes a while."""
         return self.known is None or mode in self._sensors
 
     def set_estimator(self, estimator: str = "", prior: str = "", rule: str = "") -> None:
-        """Make images with another estimator, prior or rule from the next cycle on, in all modes; what is empty stays.
+        """Use another estimator, prior or rule for the images of all modes from the next cycle on; empty ones stay
+        unchanged.
 
         Raises:
             ModelError: If one is unknown, or does not go with the skin; nothing is changed then.
@@ -230,7 +231,7 @@ class Engine(Closing):
         return self._sensors.drive(mode)
 
     def forget(self) -> None:
-        """Drop all tracks, because the next frame is of another time."""
+        """Delete all tracks, because the next frame is of another time."""
         self._beliefs.clear()
         if self.known is not None:
             self.sensor = self._sensors.sensor(self.mode, self.known)

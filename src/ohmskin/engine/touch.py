@@ -26,7 +26,7 @@ class Touch:
     Args:
         sequence: Number of the cycle.
         time: Time of the last sample on the host's monotonic clock (s).
-        mode: The mode it was made in.
+        mode: The mode that was used.
         percept: Frames and images behind it.
         contacts: Contacts to report, strongest first.
         health: Rate, latency and losses.

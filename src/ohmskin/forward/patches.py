@@ -34,7 +34,8 @@ _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contact
 
 
 class FloatingPatches:
-    """A skin with a layer of floating conductors. Any press costs a dense system in the contacts that it closes.
+    """A skin with a layer of floating conductors. Any press costs the solution of a dense system in the contacts that
+    it closes.
 
     Args:
         model: The untouched skin.
@@ -135,7 +136,7 @@ class FloatingPatches:
         return after, currents / joint[touching, None]
 
     def many(self, cases: Sequence[tuple[Ints, Floats]]) -> Floats:
-        """(n, n_elec, n_elec) transfer resistances in ohms of n `cases`, several times as quick as one by one.
+        """(n, n_elec, n_elec) transfer resistances in ohms of n `cases`, several times faster than one by one.
 
         Args:
             cases: Of each the distinct numbers of the `points` that touch (m,), and their conductances (m,) (siemens).

@@ -47,8 +47,8 @@ class ContactResponse:
 class ContactTable:
     """Responses of contacts anywhere on a flat sheet.
 
-    Against the integrals they stand for they err by a quarter of a per cent in the middle, and by up to a tenth where
-    the edge of a contact crosses the triangles at a point electrode, which are not exact either.
+    Compared with the integrals that they approximate, they err by 0.25 % in the middle, and by up to 10 % where the
+    edge of a contact crosses the triangles at a point electrode, which are not exact either.
 
     On a closed band any x is a place: whole turns do not count.
 
@@ -65,7 +65,7 @@ class ContactTable:
             grid, the place closest to each of its points (n_x, n_y, 2), how far off that a position may lie (m), and
             the period of a closed band, 0 of others (m).
         period: That period (m).
-        whole: (n_places,) whether a contact of the usual radius lies wholly on the sheet there.
+        whole: (n_places,) whether a contact of the usual radius lies entirely on the sheet there.
 
     Raises:
         ModelError: If the sheet is not flat, or `radius` or `pitch` are out of range.
@@ -199,10 +199,11 @@ class ContactTable:
         return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
 
     def lopsided(self, positions: ArrayLike) -> Floats:
-        """What contacts at positions (n, 2) (m) change if they conduct more one way than across it, (2 n, n_pairs).
+        """What contacts at positions (n, 2) (m) change if they conduct better in one direction than across it, (2 n,
+        n_pairs).
 
-        Per square metre of effect (ohm/m2): of each what conducting along x in place of y does, then the same of the
-        diagonals. A disc has none of these; a contact that is nothing but a line has them as large as its effect.
+        Per square metre of effect (ohm/m2): for each contact the change due to conducting along x instead of y, then
+        the same for the diagonals. A disc has no such part; in a line-shaped contact it is as large as the effect.
         """
         places = np.asarray(positions, float).reshape(-1, 2)
         out = np.empty((2 * len(places), len(self.pairs)))

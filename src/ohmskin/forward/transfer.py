@@ -118,10 +118,10 @@ class TransferModel(ReadOnly):
 
     @property
     def shorted(self) -> "TransferModel":
-        """The same model, its sensitivities those to round spots that conduct far better than the sheet.
-
-        Of a sheet alike in all directions both are the same. Else such a spot's dipole, that of an ellipse where the
-        sheet is stretched to be alike, is along each direction as the root of the conductivity, not as that itself.
+        """The same model with sensitivities to round spots that conduct far better than the sheet. On an isotropic
+        sheet they are the same. On an anisotropic one the dipole of such a spot (an ellipse, after stretching the sheet
+        to be isotropic) is proportional, along each direction, to the square root of the conductivity instead of the
+        conductivity.
         """
         if self._root is None or self._root.shape[1:] != (2, 2):
             return self
@@ -138,7 +138,7 @@ class TransferModel(ReadOnly):
 
     @fixed
     def electrode_extents(self) -> Floats:
-        """How much of each electrode lies on the skin (n_elec,), in m2 of a disc and in m of a rim segment."""
+        """Extent of each electrode on the skin (n_elec,): m2 of a disc, m of a rim segment."""
         found = [self.quadratures[k].extent if k in self.quadratures else 0.0 for k in range(len(self.electrodes))]
         return np.array(found)
 
@@ -147,7 +147,7 @@ class TransferModel(ReadOnly):
         """S of eq. (3), (n_elec, n_elec) in ohms: zero-mean electrode potentials for zero-sum currents.
 
         With point electrodes the diagonal, the potential of a driven electrode, grows without bound as the mesh is
-        refined; with area electrodes it is what a driven electrode really has, contact impedance included.
+        refined; with area electrodes it is the true one, contact impedance included.
         """
         s = self.electrode_potentials
         s = s - s.mean(axis=0) - s.mean(axis=1, keepdims=True) + s.mean()
@@ -246,10 +246,10 @@ class TransferModel(ReadOnly):
         Exact for this mesh. Of points good for four-terminal combinations only.
 
         Args:
-            layers: How many layers of elements about an electrode its nodes take along. With 0 its own nodes move
-                alone, as in EIDORS' `jacobian_movement`, and coarse meshes err more.
+            layers: Number of layers of elements around an electrode that move with it. With 0 only its own nodes move,
+                as in EIDORS' `jacobian_movement`, and coarse meshes have larger errors.
             slide: Whether the skin keeps its shape, so that an electrode on the rim moves along it only, and one at a
-                corner not at all. Else it takes the rim, or the surface of a body, with it.
+                corner not at all. Otherwise it moves the rim, or the surface of a body, too.
 
         Raises:
             ModelError: If `layers` is negative, two electrodes share nodes of the mesh, or are to slide on a surface in

@@ -194,12 +194,14 @@ class Electrodes(ReadOnly):
         contact_impedance: ArrayLike = 0.0,
         rings: tuple[tuple[int, ...], ...] | None = None,
     ) -> Self:
-        """Electrodes of a mesh's nodes and facets, as other programs name them; they serve with that mesh alone.
+        """Electrodes made of a mesh's nodes and facets, as other programs list them; they can be used with that mesh
+        only.
 
         Args:
             mesh: Triangles or tetrahedra.
             groups: Of each electrode its facets (n_facets, dim) by their nodes, or the numbers of its nodes (n_nodes,):
-                those facets of the boundary are it of which it has every node (EIDORS' rule). One node is a point.
+                it then consists of those facets of the boundary whose nodes all belong to it (EIDORS' rule). One node
+                is a point.
             contact_impedance: One value or (n_elec,), of faces in ohm m2, of edges in ohm m; that of points is ignored.
             rings: As in `at`.
 
@@ -245,7 +247,8 @@ class Electrodes(ReadOnly):
 
     @classmethod
     def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> Self:
-        """`count` electrodes evenly spaced along the rim of `domain`; on a corner of a polygon instead of beside it.
+        """`count` electrodes evenly spaced along the rim of `domain`; one that is close to a corner of a polygon is put
+        on the corner.
 
         Args:
             domain: The sheet.

@@ -15,7 +15,8 @@ from ohmskin.geometry.mesh import Mesh
 
 
 def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
-    """A mesh of tetrahedra if there are any, else of triangles. Nodes at one place are joined, unused ones dropped.
+    """A mesh of the file's tetrahedra if it has any, else of its triangles. Nodes at the same place are joined, unused
+    ones removed.
 
     Args:
         path: Any format that meshio reads, by its ending.

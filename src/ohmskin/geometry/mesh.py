@@ -26,7 +26,7 @@ _THINNEST = 1e-7  # of an element's longest edge to the power of its dimension: 
 class Mesh(ReadOnly):
     """A connected mesh: triangles of a flat sheet or of a curved surface in space, or tetrahedra of a thick skin.
 
-    Clockwise triangles of a flat mesh and inverted tetrahedra are turned round and counted in `flipped`.
+    Clockwise triangles of a flat mesh and inverted tetrahedra are reoriented and counted in `flipped`.
 
     Args:
         nodes: Node coordinates (n_nodes, 2), or (n_nodes, 3) in space, in metres.
@@ -155,7 +155,7 @@ class Mesh(ReadOnly):
 
     @property
     def reach(self) -> float:
-        """Farthest that a corner is from the centroid of its element (m)."""
+        """Largest distance of a corner from the centroid of its element (m)."""
         return float(self._radii.max())
 
     @cached_property
@@ -208,7 +208,7 @@ class Mesh(ReadOnly):
         """The pattern of a sparse matrix that ties the nodes of each element; made once for all conductivities.
 
         In compressed columns: where each begins (n_nodes + 1,), the row of each entry (n_entries,), rising within a
-        column, and the entry (n_elem, dim + 1, dim + 1) of each row and column of an element's own matrix.
+            column, and the entry (n_elem, dim + 1, dim + 1) of each row and column of an element's own matrix.
         """
         entries = self.elements[:, None, :] * self.n_nodes + self.elements[:, :, None]
         entries, slots = np.unique(entries, return_inverse=True)

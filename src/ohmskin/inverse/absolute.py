@@ -52,19 +52,19 @@ class Iterations:
 class AbsoluteGaussNewton:
     """Iterated Gauss-Newton on absolute voltages, in log conductivity, so that conductivity stays positive.
 
-    Each round linearises the forward model where it stands (a new factorisation), takes the regularised step in the
-    space of the data, and shortens it until the cost falls.
+    Each round linearises the forward model at the current image (a new factorisation), takes the regularised step in
+    the space of the data, and shortens it until the cost falls.
 
     Args:
-        model: The untouched sheet, from which it starts and by whose conductivity images are relative.
+        model: The untouched sheet: the start of the iteration, and the reference of relative conductivity.
         noise: Standard deviation of a voltage (V).
         prior: Function from a mesh to the penalty of the log conductivity, or the name of one of `PRIORS`.
         amplitude: Relative conductivity change expected (1).
         outline: Penalise total variation instead, as `TotalVariation` does with this outline (m).
         model_error: Error of the model as a share of the root mean square of the data's change; added to the noise (1).
-        baseline: Quiet reference: what the model gets wrong of the untouched skin is taken off the data.
+        baseline: Quiet reference: the model's error for the untouched skin is subtracted from the data.
         rounds: Most rounds.
-        tolerance: Share by which a round must lower the cost to go on.
+        tolerance: The iteration ends when a round lowers the cost by less than this share.
 
     Raises:
         ModelError: If a setting is out of range or the prior is unknown.
@@ -100,8 +100,8 @@ class AbsoluteGaussNewton:
     def reconstruct(self, *frames: Frame | Difference) -> Image:
         """The image of one of the `frames`, or of several fused. Channels that are not finite are left out.
 
-        A change against the untouched skin (`Difference`) stands for the voltages that the model would have with it:
-        what the model gets wrong of the untouched skin cancels.
+        A change against the untouched skin (`Difference`) is added to the voltages of the model, so that the model's
+        error for the untouched skin cancels.
 
         Raises:
             DataError: If no finite datum is left.
@@ -109,7 +109,7 @@ class AbsoluteGaussNewton:
         return self.iterate(*frames).image
 
     def iterate(self, *frames: Frame | Difference) -> Iterations:
-        """The image, with how it was reached; arguments and errors as for `reconstruct`."""
+        """The image and the course of the iteration; arguments and errors as for `reconstruct`."""
         data = pair_system(self.model.pairs, *(self._as_absolute(frame) for frame in frames))
         start = np.zeros(self._to_image.shape[1])
         change = self._at(start, data, self.noise).left

@@ -55,13 +55,13 @@ class GaussNewton(Reconstructor):
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         pixels: Pixels to make the image of, with their own prior (eq. 5 read for pixels), instead of one value per
             triangle: then neither the image nor its cost depends on the mesh. `prior` does not count.
-        positive: Whether the image may be nowhere negative: pressing only raises conductivity. Costs some ten
+        positive: Whether no value of the image may be negative: pressing only raises conductivity. It costs about ten
             factorisations a frame instead of none.
 
     Attributes:
         modes: The modes it works in.
         cells: What its images are made of: the model's mesh, or the pixels.
-        penalty: The prior's, which the image is held against.
+        penalty: The prior's penalty.
 
     Raises:
         ModelError: If noise or amplitude is not positive, `model_error` is negative, or the prior is unknown.

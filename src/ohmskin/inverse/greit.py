@@ -26,7 +26,8 @@ class Greit:
     """GREIT images on the triangles of any domain; put them on a `Raster` for pixels.
 
     The matrix that brings the training targets closest to their desired images, noise considered, is Y D^T (D D^T +
-    w^2 I)^-1. D and Y are trained once in pair coordinates; w is set for each pattern for the noise figure wanted.
+    w^2 I)^-1. D and Y are trained once in pair coordinates; for each pattern w is set to give the required noise
+    figure.
 
     Args:
         model: The untouched sheet.
@@ -34,8 +35,8 @@ class Greit:
         noise_figure: Signal-to-noise ratio of the data over that of the image, for a small target in the middle.
 
     Attributes:
-        responses: (n_pairs, n_targets) what each target that it is trained on does to the electrode pairs (ohm).
-        desired: (n_elem, n_targets) how each should look.
+        responses: (n_pairs, n_targets) change of two-terminal resistances due to each training target (ohm).
+        desired: (n_elem, n_targets) desired image of each target.
 
     Raises:
         ModelError: If a setting is out of range.
@@ -57,7 +58,7 @@ class Greit:
 
         Raises:
             DataError: If no finite datum is left, or the scans do not all have the same current.
-            ModelError: If the noise figure cannot be had with these scans; the message says which can.
+            ModelError: If the noise figure cannot be reached with these scans; the message says which can.
         """
         system = self.modes.system(*differences)
         unknowns, noise_std = solve_modes(self.modes, system, self.weight(differences), self.noise)

@@ -85,12 +85,12 @@ class Kalman:
         self.modes = ImageModes.of_relative(relative, penalty_of(self.model, self.prior), self.model.pairs)
 
     def start(self) -> KalmanState:
-        """The belief before anything is measured: the prior."""
+        """The belief before any measurement: the prior."""
         n = self.modes.n_modes
         return KalmanState(np.zeros(n), self.amplitude**2 * np.eye(n), np.zeros((n, n)), self.modes)
 
     def predict(self, belief: KalmanState, elapsed: float) -> KalmanState:
-        """The belief with nothing measured since.
+        """The belief after some time without measurements.
 
         Args:
             belief: The belief at the last update.
@@ -133,5 +133,5 @@ class Kalman:
         return KalmanState(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one frame without earlier ones; as for `GaussNewton.reconstruct`, whose image it is."""
+        """The image of one frame without earlier ones: that of `GaussNewton.reconstruct`."""
         return self.update(self.start(), *differences, elapsed=0.0).image

@@ -26,7 +26,7 @@ class SparseBayes(Reconstructor):
     Args:
         model: The untouched sheet.
         noise: Standard deviation of a voltage (V).
-        amplitude: Relative conductivity change expected (1); only where learning starts.
+        amplitude: Relative conductivity change expected (1), from which learning starts.
         radius: Radius of a blob (m); 5 % of the sheet's longest side unless given.
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         positive: Whether contacts only raise conductivity; blobs that would lower it are dropped.

@@ -71,15 +71,15 @@ class TotalVariation(Reconstructor):
         |dv - J x|^2 / noise^2 + 2 TV(x) / (amplitude outline).
 
     Solved by lagged diffusivity (Vogel and Oman 1996): each round is a quadratic problem in the space of the data, the
-    gradient of each triangle weighed by its last length.
+    gradient of each triangle weighted by its last length.
 
     Args:
         model: The untouched sheet.
         noise: Standard deviation of a voltage (V).
         amplitude: Relative conductivity change expected (1).
-        outline: Length of the outline of a contact of that amplitude that is worth as much as one standard deviation of
-            all data is worth squared (m); larger gives more detail. Unless given, it is found for each frame by the
-            discrepancy principle: the least variation that fits the data as well as their noise allows.
+        outline: Length of outlines in the penalty above (m); larger gives more detail. Unless given, it is found for
+            each frame by the discrepancy principle: the least variation that fits the data as well as their noise
+                allows.
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         positive: Whether the image may be nowhere negative: pressing only raises conductivity.
         rounds: Most rounds for one weight.

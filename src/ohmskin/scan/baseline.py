@@ -27,8 +27,8 @@ class Difference:
         currents: (n_meas,) current behind each measurement (A).
         volts: (n_meas,) change of voltage at that current (V); NaN where it is not known.
         source_loading: (n_meas,) by how much more a voltage would rise with the two-terminal resistance of its
-            injection if that did not take current away (ohm per ohm): of a voltage source whose current is not
-            measured, see `VoltageSource.unmeasured`. None where the currents are measured or given.
+            injection if the current stayed the same (ohm per ohm): for a voltage source whose current is not measured,
+            see `VoltageSource.unmeasured`. None where the currents are measured or given.
         reference: (n_meas,) voltage of the untouched skin at that current (V), if it is known.
 
     Raises:
@@ -73,9 +73,8 @@ class Difference:
 
     @cached_property
     def undriven(self) -> "Difference":
-        """The data of electrodes that carry no current, of which contact impedances are no part.
-
-        Itself if that is all, or if there is nothing else.
+        """The data of electrodes that carry no current, which do not depend on contact impedances. Itself if all or
+        none are such.
         """
         kept = self.pattern.idle
         if len(kept) in (0, self.pattern.n_meas):
@@ -84,7 +83,7 @@ class Difference:
         return self.valid(self.pattern.undriven, self.currents[kept], self.volts[kept], loading, reference)
 
     def caused_by(self, changes: Floats, pairs: Pairs | None = None) -> Floats:
-        """What changes of two-terminal resistances cause of this difference (n_meas,) (V).
+        """The part of this difference (n_meas,) (V) that changes of two-terminal resistances cause.
 
         Args:
             changes: (n_pairs,) in ohms.
@@ -98,13 +97,13 @@ class Difference:
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
     def minus(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
-        """The difference less what changes of two-terminal resistances cause; arguments as for `caused_by`."""
+        """The difference without the part that changes of two-terminal resistances cause; arguments as for
+        `caused_by`."""
         return changed(self, volts=self.volts - self.caused_by(changes, pairs))
 
     def times(self, shares: Floats | float) -> "Difference":
-        """The same data with voltage and current of each measurement times a share.
-
-        Estimators' noise is then that of these: a measurement whose share is smaller counts less.
+        """The same data with voltage and current of each measurement multiplied by a share. An estimator's noise then
+        applies to these: a measurement with a smaller share has a lower weight.
 
         Args:
             shares: One value or (n_meas,) (1).
@@ -125,7 +124,7 @@ class Difference:
 
     @property
     def normalised(self) -> "Difference":
-        """Relative change of each voltage, v / v0 - 1: give estimators a noise that is one, too (1).
+        """Relative change of each voltage, v / v0 - 1: give estimators a relative noise, too (1).
 
         Raises:
             DataError: If the untouched skin's are not known, or one of them is zero.
@@ -152,13 +151,14 @@ class Difference:
 class Baseline:
     """Reference transfer resistances of every measurement seen while nothing touched the skin.
 
-    Dividing by the measured current makes data of a voltage source comparable between touched and untouched.
+    Dividing by the measured current makes data of a voltage source comparable between the touched and the untouched
+    skin.
 
     Args:
         keys: (n,) sorted codes of the (source, sink, plus, minus) quadruples, electrodes of a pair in rising order.
         resistances: (n,) mean transfer resistances (ohm).
         noise: Standard deviation of a single voltage (V).
-        repeats: How often each of them was measured, at least.
+        repeats: Smallest number of times that any of them was measured.
     """
 
     keys: Ints
@@ -171,8 +171,8 @@ class Baseline:
     def learn(cls, frames: Iterable[Frame]) -> "Baseline":
         """Learn from quiet frames, of one or several patterns.
 
-        The noise is the scatter of repeated frames about their mean, of electrodes that carry no current: at those that
-        do, errors of the current are as large. A pattern seen once has no scatter; if no pattern
+        The noise is the scatter of repeated frames about their mean, at electrodes that carry no current: at the
+            others, errors of the current are as large. A pattern seen once has no scatter; if no pattern
         is repeated, the noise is taken from the disagreement of reciprocal measurements, which must be equal.
 
         Raises:
@@ -206,10 +206,10 @@ class Baseline:
 
     @property
     def difference_noise(self) -> float:
-        """Standard deviation of a difference (V): that of a voltage, and that of the reference it is taken from.
+        """Standard deviation of a difference (V): of the voltage and of its reference together.
 
         With a single quiet frame the noise comes from reciprocity; most of that error is the same in both frames of a
-        difference and cancels, so it is taken as it is.
+        difference and cancels, so that it is used unchanged.
         """
         return self.noise * float(np.sqrt(1 + 1 / self.repeats)) if self.repeats > 1 else self.noise
 

@@ -27,14 +27,14 @@ class Frame:
 
     Args:
         pattern: The pattern that was really driven.
-        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where clipped or beyond
-            what any instrument measures (1e100).
+        voltages: (n_meas,) measured voltages in volts; NaN where nothing was measured, +-inf where clipped or above
+            1e100 V.
         currents: (n_inj,) measured injected currents in amperes.
         time: Time of the last sample on the device's clock (s); 0 where there is no clock, as in simulations.
         sequence: Number of the frame, counted by the device.
-        flags: What the device reports beside the data.
-        auxiliary: What the device's auxiliary channel reads beside the electrodes, such as the total force (N) or the
-            pressure of air under the skin (Pa); NaN not known, None where there is no such channel.
+        flags: What the device reports in addition to the data.
+        auxiliary: Reading of the device's auxiliary channel, such as the total force (N) or the air pressure under the
+            skin (Pa); NaN if it is not known, None where there is no such channel.
         recorded: Of a replayed frame, when it was measured (s), however quickly it is replayed; None if measured now.
 
     Raises:

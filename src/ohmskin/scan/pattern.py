@@ -119,9 +119,8 @@ class DrivePattern(ReadOnly):
 
     @cached_property
     def with_driven(self) -> "DrivePattern":
-        """The pattern with two voltages more of each injection: source and sink against its first and last electrode.
-
-        An injection that measures one of them already stays as it is.
+        """The pattern with two more voltages for each injection: source and sink against its first and last electrode.
+        An injection that already measures one of them stays unchanged.
         """
         which, plus, minus = self.measurements.T
         count = self.measured

@@ -57,13 +57,9 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
 
 
 def build(mode: Mode, known: SkinModel, drive: Drive | None = None, fast: bool = True) -> Sensor:
-    """The sensor of a mode.
-
-    Args:
-        mode: Names drive, reader, estimator and prior.
-        known: What is known of the quiet skin.
-        drive: A drive that is there already, such as the recorded pattern.
-        fast: Whether it may have a compiled implementation, which takes a while on a machine that never compiled it.
+    """The sensor of a mode. Args: mode: Names drive, reader, estimator and prior. known: The model of the quiet skin.
+    drive: An existing drive, such as the recorded pattern. fast: Whether it may use a compiled implementation, which
+        takes a while on a machine that has never compiled it.
 
     Raises:
         PatternError: If there is no such drive, or the skin does not allow it, or its quiet frames do not cover it.
@@ -98,7 +94,7 @@ def perceive(known: SkinModel, frame: Frame, mode: Mode | None = None) -> Percep
     """Contacts and image of one frame of any pattern.
 
     Args:
-        known: What is known of the quiet skin; its quiet frames cover the frame's pattern.
+        known: The model of the quiet skin; its quiet frames cover the frame's pattern.
         frame: The frame.
         mode: Names reader, estimator, prior and rule, `recorded_mode` unless given; its drive does not count.
 

@@ -33,7 +33,8 @@ class SkinModel:
         skin: Its description.
         model: Forward model of the untouched sheet as described; its conductivity is scaled to the quiet frames.
         quiet: Frames of the untouched skin, of every pattern that will be driven.
-        quality: Which electrodes to leave out or to count less, by `ohmskin.scan.assess`; all count alike unless given.
+        quality: Which electrodes to leave out or to give a lower weight, by `ohmskin.scan.assess`; all have the same
+            weight unless given.
         impedances: (n_elec,) contact impedances (ohm); estimated from quiet voltages of driven electrodes unless given.
 
     Attributes:
@@ -42,9 +43,9 @@ class SkinModel:
         noise: Standard deviation of a difference of voltages (V).
         white: The same without what voltages of one injection share.
         gain: Standard deviation of the relative error of a measured current (1).
-        channels, positions: How channels follow the model, and where contacts really are, as the skin's calibration
-            says; None if it does not.
-        quiet: The quiet frames, to scan once more.
+        channels, positions: Gains and errors of channels, and the position map, from the skin's calibration; None if it
+            has none.
+        quiet: The quiet frames, from which any pattern can be assembled.
         pairs: The pairs of electrodes by whose two-terminal resistances all data are explained.
 
     Raises:
@@ -94,7 +95,8 @@ class SkinModel:
     def difference(self, frame: Frame) -> Difference:
         """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or of lower weight.
 
-        So are values that cannot be: of injections whose current does not flow, and where the converter's range ends.
+        The same applies to impossible values: of injections whose current does not flow, and at the end of the
+            converter's range.
         """
         flowing, sound, _, whole = self.soundness(frame)
         if not whole:
@@ -112,10 +114,9 @@ class SkinModel:
         return self.quality is not None or self.channels is not None
 
     def soundness(self, frame: Frame) -> Soundness:
-        """Which values of a `frame` can be.
-
-        Currents can that are a tenth to ten times those on the quiet skin; voltages whose current can, and that are not
-        clipped. Values clip that are all as large as any, to the last bit, although on the quiet skin they are not.
+        """Which values of a `frame` are possible. Currents are if they are a tenth to ten times those on the quiet
+        skin; voltages are if their current is and they are not clipped. Values count as clipped if they all equal the
+        largest one, to the last bit, although on the quiet skin they do not.
         """
         for recent, known in self._judged:
             if recent is frame:
@@ -154,9 +155,8 @@ class SkinModel:
             return changed(difference.times(wanted / difference.currents), currents=wanted)
 
     def pressed(self, places: Floats) -> Callable[[DrivePattern], Frame]:
-        """Scans without noise as they would be were the sheet touched at places (n, 2 or 3), as linear theory has it.
-
-        At each, eight elements conduct half as well again.
+        """Scans without noise of a sheet that is touched at places (n, 2 or 3), by linear theory. At each place the
+        conductivity of eight elements is 50 % higher.
         """
         model = self.model
         touched = np.unique(model.mesh.closest_elements(places, 8))
@@ -186,7 +186,7 @@ class SkinModel:
         return self._estimators[key]
 
     def one_step(self, estimator: Estimator) -> GaussNewton:
-        """What looks at base scans: `estimator` if it is one-step Gauss-Newton, else that with the paper's prior.
+        """The estimator for base scans: `estimator` if it is one-step Gauss-Newton, else that with the paper's prior.
 
         Raises:
             ModelError: If a package has replaced the estimator `gauss-newton`.
@@ -202,7 +202,7 @@ class SkinModel:
 
     @cached_property
     def fitter(self) -> ContactFitter:
-        """What fits contacts to data; made when it is first needed, in a second or so.
+        """Fits contacts to data; made when it is first needed, in about a second.
 
         Raises:
             ModelError: If the sheet is not flat.
@@ -242,8 +242,8 @@ class SkinModel:
     def contact_changes(self) -> Floats:
         """Change of two-terminal resistances (n_pairs, n_elec) with a standard deviation of each contact (ohm).
 
-        Idle electrodes shunt the sheet, so that undriven voltages know of their contacts, too. Where there are no
-        contact impedances, electrodes are points, and what comes is in series with them.
+        Idle electrodes shunt the sheet, so that undriven voltages depend on their contacts, too. Without contact
+        impedances electrodes are points, and a change is a resistance in series with them.
         """
         change = self.skin.contact_change(self.impedances)
         if not self.impedances.any():
@@ -255,7 +255,8 @@ class SkinModel:
     def impedances(self) -> Floats:
         """Contact impedances (n_elec,) of the electrodes (ohm); those of the description where they were not measured.
 
-        What a driven electrode's quiet voltage exceeds that of a perfect contact of its size on the model.
+        Each is the difference between a driven electrode's quiet voltage and that of a perfect contact of its size in
+        the model.
         """
         if self._impedances is not None:
             return self._impedances
@@ -285,7 +286,7 @@ class SkinModel:
 
     @cached_property
     def pressed_sheet(self) -> PressedSheet:
-        """The skin as its quiet frames show it, under its layer as described; made when it is first needed."""
+        """The skin as measured by its quiet frames, under its layer as described; made when it is first needed."""
         return PressedSheet(self.skin, model=self.electrode_model(_FINER))
 
     @cached_property

@@ -117,7 +117,7 @@ class PressFitter:
 
     @cached_property
     def sheet(self) -> PressedSheet:
-        """The skin as its quiet frames show it, under its layer as calibrated; made when it is first needed."""
+        """The skin as measured by its quiet frames, under its layer as calibrated; made when it is first needed."""
         return self.known.pressed_sheet.with_layer(self.known.skin.calibrated_layer)
 
     def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
@@ -133,13 +133,12 @@ class PressFitter:
         return self.fitted(found[0], inverse(found[2]))
 
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
-        """The layer that explains presses of known force; some ten, at places and forces all over the range.
-
-        One that eases off follows the one that it eases off from, at the same place: they show the foam's hysteresis.
+        """The layer that explains presses of known force: about ten, at places and forces all over the range. A press
+        with falling force follows a stronger one at the same place: such pairs determine the foam's hysteresis.
 
         Raises:
-            DataError: If there are fewer than two, a force is not positive, the first one eases off, or no finite datum
-                is left of one.
+            DataError: If there are fewer than two, a force is not positive, the first one has a falling force, or one
+                has no finite datum.
         """
         forces = [press.force for press in presses]
         if len(presses) < 2 or not (np.isfinite(forces).all() and min(forces) > 0):
@@ -211,9 +210,8 @@ class PressFitter:
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
     def information(self, scans: Sequence[Difference], frames: float = 1.0) -> NormalEquations:
-        """Information of scans, for as many `frames` like them; noise averages out, the model's error does not.
-
-        With no frames, as if the model did not err.
+        """Information of scans, for this number of `frames` like them; noise averages out, the model's error does not.
+        With 0 frames, for a model without error.
         """
         fitter, four = self.known.fitter, np.concatenate([scan.pattern.quadruples for scan in scans])
         repeats = frames * len(four) / len(np.unique(four, axis=0))
@@ -247,16 +245,16 @@ class PressFitter:
         return _minimised(start, lambda params: self.cost(data, params, *self.caused(params)), self.moved)
 
     def moved(self, params: Floats, step: Floats) -> Floats:
-        """Parameters `params` (4 n,) after a `step` (4 n,), as far as one may go."""
+        """Parameters `params` (4 n,) after a `step` (4 n,), limited to the allowed range."""
         by_press, radius = step.reshape(-1, _PER_PRESS).copy(), self.known.fitter.table.radius
         by_press[:, :2] *= np.minimum(1, radius / np.maximum(np.hypot(*by_press[:, :2].T), 1e-300))[:, None]
         by_press[:, 2:] = np.clip(by_press[:, 2:], -1.0, 1.0)
         return self._within(params + by_press.ravel())
 
     def caused(self, params: Floats) -> tuple[Floats, Floats]:
-        """What presses, `params` (4 n,), change of two-terminal resistances (n_pairs,), and its slopes (n_pairs, 4 n).
-
-        Presses far from each other are taken for themselves and add up, to 2 % or so: time goes with the cube of size.
+        """Change of two-terminal resistances (n_pairs,) due to presses, `params` (4 n,), and its slopes (n_pairs, 4 n).
+        Presses far from each other are computed separately and added, with an error of about 2 %: time grows with the
+        cube of the size.
         """
         presses = self.presses(params)
         groups, parts = self.groups(presses), list[tuple[Floats, Floats]]()
@@ -276,7 +274,8 @@ class PressFitter:
         return [np.flatnonzero(labels == label).tolist() for label in range(labels.max() + 1)]
 
     def most_contacts(self, presses: Sequence[Press]) -> int:
-        """The most contacts of patches that one of the `groups` of `presses` may close; time goes with their cube."""
+        """The largest number of contacts of patches that one of the `groups` of `presses` may close; time grows with
+        its cube."""
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 
@@ -307,7 +306,8 @@ class PressFitter:
 
     def fitted(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
         """Presses, `params` (4 n,) of a `covariance` (4 n, 4 n), with forces; uncertainty of the layer included. Errors
-        are of the logarithm, at most its prior's: a force's is how far the upper one is off."""
+        are of the logarithm, at most its prior's: that of a force is the distance to one standard deviation above
+        it."""
         fitted, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))

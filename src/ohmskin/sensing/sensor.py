@@ -86,7 +86,7 @@ class Percept:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the data, or unlike what was learned from."""
+        """Faults of the data, and differences to the presses learned from."""
         return self.diagnosis.findings + ((_NOVEL,) if self.belief.novel > HELD else ())
 
 
@@ -140,13 +140,13 @@ class Sensor:
 
     Args:
         known: What is known of the quiet skin.
-        drive: Says what to measure.
-        reader: Says what is there.
-        locator: Tells a drive of two scans what the first one showed.
+        drive: Chooses what to measure.
+        reader: Estimates contacts.
+        locator: Gives a drive of two scans the contacts that the first scan showed.
         thresholds: gamma_0, as learned.
         fuse: Whether the reader gets all scans of a frame, or the last one alone.
         window: Injections that a reader gets at least, scans of earlier frames included; 0: those of the frame alone.
-        forces: Tells the forces of contacts; None: the skin is not calibrated for that.
+        forces: Estimates the forces of contacts; None: the skin is not calibrated for that.
 
     Attributes:
         seconds: Time that its images of one frame take on this machine, as measured when it was made (s); 0: unknown.
@@ -182,18 +182,18 @@ class Sensor:
         return self.reader.estimator.cells
 
     def start(self, before: Belief | None = None) -> SensorState:
-        """The state while nothing touches the skin; names and drift known `before`, to the same reader, are kept."""
+        """The state while nothing touches the skin; ids and drift that the same reader estimated `before` are kept."""
         return SensorState(self.reader.start(before))
 
     def step(self, state: SensorState, scan: Scan) -> tuple[SensorState, Percept]:
-        """Measure once what the drive asks for, and read what is there.
+        """Measure once what the drive chooses, and estimate contacts.
 
         Args:
-            state: What is remembered; begin with `start`.
+            state: The state after the last step; begin with `start`.
             scan: Scans a pattern.
 
-        A frame without any good value changes nothing; after half a second of such, there are no contacts. While
-        values spike, a contact is reported that two frames show.
+        A frame without any valid value changes nothing; after 0.5 s of such frames there are no contacts. While values
+        have spikes, a contact is reported only if two frames show it.
         """
         measured = self._measure(state, scan)
         last = measured.frames[-1]
@@ -268,7 +268,7 @@ class Sensor:
         return self.measure(state, lambda pattern: next(scanned, None) or scan(pattern))
 
     def measure(self, state: SensorState, scan: Scan) -> Measured:
-        """The scans of one frame, each chosen by what is known then.
+        """The scans of one frame, each chosen from the data so far.
 
         Args:
             state: After the last step.

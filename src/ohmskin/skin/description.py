@@ -69,11 +69,11 @@ class Skin:
         electrode: Places, shape and contact impedance of the electrodes.
         contact_layer: The patches and foam on the sheet.
         excitation: The source that drives a pair of electrodes, and the resistances (ohm) in its path.
-        converter: What digitises the voltages: noise, full scale (V), bits, times (s).
-        auxiliary: The channel beside the electrodes, if there is one.
-        imaging: How images and contacts are made of the measurements.
+        converter: The converter that digitises the voltages: noise, full scale (V), bits, times (s).
+        auxiliary: The auxiliary channel, if there is one.
+        imaging: How images and contacts are computed from the measurements.
         calibration: What `ohmskin calibrate` found; it holds for this sheet, these electrodes and imaging.
-        modes: Modes of its own, beside those of `MODES`.
+        modes: Modes of its own, in addition to those of `MODES`.
 
     Raises:
         SkinError: If an entry is out of range, or tables do not fit each other.
@@ -167,7 +167,8 @@ class Skin:
 
     @property
     def digest(self) -> str:
-        """Names what a calibration depends on: shape, places and sizes of electrodes, how images are made."""
+        """Checksum of what a calibration depends on: shape, places and sizes of electrodes, and the settings of
+        imaging."""
         parts: dict[str, Any] = {"sheet": self.sheet, "electrode": self.electrode, "imaging": self.imaging}
         changed = [
             f"{table}.{_FORMER.get(entry.name, entry.name)} = {value!r}"
@@ -191,7 +192,7 @@ class Skin:
 
     @cached_property
     def electrodes(self) -> Electrodes:
-        """The electrodes, where they are described, or where a calibration found them."""
+        """The electrodes, at their described places, or where a calibration found them."""
         described, found = self.electrode.on(self.chart), self.calibration.positions
         return described.mapped(lambda _: found) if found else described
 
@@ -202,18 +203,18 @@ class Skin:
 
     @property
     def discs(self) -> Electrodes:
-        """The electrodes of their real size, on the map."""
+        """The electrodes with their real size, on the map."""
         scale = self.chart.scale(self.electrodes.positions)
         return self.electrodes.with_discs(self.electrode.radius / scale, self.electrode.contact_resistivity / scale**2)
 
     @property
     def cost(self) -> Cost:
-        """What a scan costs the instrument; it converts all voltages of an injection at once."""
+        """Time that a scan takes the instrument, which converts all voltages of an injection at once."""
         return Cost(self.converter.settle, self.converter.conversion)
 
     @property
     def source(self) -> VoltageSource | None:
-        """The voltage source with all that is in its path; None where a current is driven."""
+        """The voltage source with all resistances in its path; None for a current source."""
         e = self.excitation
         if e.source == "current":
             return None
@@ -233,15 +234,15 @@ class Skin:
         return float(np.hypot(self.converter.noise, step / np.sqrt(12)))
 
     def design(self, driven: bool = False) -> tuple[ContactTable, Candidates]:
-        """What drive design needs: the responses of contacts, and all injections with their currents and noise.
-
-        Made once. `driven`: electrodes that carry the current are measured, too.
+        """Input of drive design: the responses of contacts, and all injections with their currents and noise. Made
+        once. `driven`: electrodes that carry the current are measured, too.
         """
         return _design(self, driven)
 
     def contact_change(self, impedance: Floats | float) -> Floats:
         """Standard deviation of unseen changes of contact impedances, `impedance`, one or (n_elec,) (ohm): a fifth, at
-        least of 1 % of the sheet's resistance. Screws on a sprayed sheet change when it is pressed nearby."""
+        least of 1 % of the sheet's resistance. Contacts of screws on a sprayed sheet change when it is pressed
+        nearby."""
         return np.asarray(_CHANGE * np.maximum(impedance, _LEAST_CONTACT / self.sheet.conductivity))
 
     @property
@@ -263,7 +264,7 @@ class Skin:
 
     @property
     def tells_force(self) -> bool:
-        """Whether contacts have forces: it was calibrated for that, or has an auxiliary channel."""
+        """Whether contacts have forces: the skin was calibrated for that, or has an auxiliary channel."""
         return self.calibration.tells_force or bool(self.auxiliary.kind)
 
     def mesh(self) -> Mesh:
@@ -278,8 +279,8 @@ class Skin:
             size: Length of edges (m); 0: the estimator's.
 
         Raises:
-            SkinError: If it would take too much time or memory.
-            GeometryError: If the sheet cannot be meshed so, or electrodes are off it.
+            SkinError: If meshing would take too much time or memory.
+            GeometryError: If the sheet cannot be meshed with this size, or electrodes are outside it.
         """
         size = size or self.imaging.mesh_size
         check_expense(self.domain, len(candidate_pairs(electrodes, self.domain.period)), size)
@@ -306,7 +307,7 @@ class Skin:
         return _contact_table(model, self.imaging.mesh_size)
 
     def electrode_model(self, finer: float = 1.0) -> TransferModel:
-        """The same with electrodes of their real size, which driven electrodes need to have a resistance.
+        """The same with electrodes of their real size: a driven point electrode has no defined resistance.
 
         `finer`: edges of its mesh over the estimator's.
         """

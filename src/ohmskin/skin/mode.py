@@ -19,7 +19,7 @@ class Mode:
         prior: Prior of the estimator.
         rule: How the regularisation parameter is chosen.
         injections: Per frame, of drives that take any number; 0: as many as the drive usually has.
-        fuse: Whether all scans of a frame are used together, or the last one alone.
+        fuse: Whether all scans of a frame are used together, or only the last one.
         driven: Whether electrodes that carry the current are measured, too, by devices that can.
         title: Its plain name.
         summary: What it does, in one sentence.
@@ -45,19 +45,19 @@ class Mode:
 
     @property
     def entries(self) -> dict[str, Any]:
-        """What a skin file or a recording says of it: all but the name, and what is as usual."""
+        """Its entries in a skin file or a recording: all but the name and defaults."""
         told = {entry: getattr(self, entry.name) for entry in fields(self) if entry.name != "name"}
         return {entry.name: value for entry, value in told.items() if value != entry.default}
 
     @property
     def label(self) -> str:
-        """Its plain name, with its code in parentheses unless the name says it."""
+        """Its plain name, with its code in parentheses unless the name contains it."""
         if not self.title or self.name in self.title:
             return self.title or self.name
         return f"{self.title} ({self.name})"
 
     def using(self, estimator: str = "", prior: str = "", rule: str = "") -> "Mode":
-        """The mode with another estimator, prior or rule; what is empty stays."""
+        """The mode with another estimator, prior or rule; empty ones stay unchanged."""
         return replace(self, estimator=estimator or self.estimator, prior=prior or self.prior, rule=rule or self.rule)
 
     @classmethod

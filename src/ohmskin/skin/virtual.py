@@ -47,10 +47,8 @@ class VirtualSkin:
         self.reset(seed)
 
     def reset(self, seed: int | Sequence[int] | None = None, presses: Iterable[Press] = ()) -> None:
-        """Be as new: the clock stands at zero, noise comes from this seed, and only `presses` press, numbered from 0.
-
-        Raises:
-            SkinError: If a press is off the sheet.
+        """Return to the initial state: the clock at zero, noise from this seed, and only `presses`, numbered from 0.
+        Raises: SkinError: If a press is off the sheet.
         """
         pressing = dict(enumerate(presses))
         for press in pressing.values():
@@ -65,7 +63,7 @@ class VirtualSkin:
         self._sequence = 0
 
     def rewire(self, *faults: Fault) -> None:
-        """Have these faults from now on, and no others; clock and presses stay.
+        """Replace all faults by these; clock and presses stay.
 
         Raises:
             SkinError: If a fault names an electrode that is not there, or two faults name the same one.
@@ -84,7 +82,7 @@ class VirtualSkin:
 
     @property
     def presses(self) -> dict[int, Press]:
-        """What presses now, by number."""
+        """The present presses, by number."""
         return dict(self._presses)
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:

@@ -40,7 +40,7 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
     Args:
         state: With a scored history.
         fitter: What explains data by contacts.
-        bar: Standard deviations by which the score of a new contact must stand out.
+        bar: Standard deviations that the score of a new contact must exceed.
         common: Share of the noise's variance that is the same in all frames: it does not average out.
         speed: Standard deviation of a contact's velocity (m/s).
     """

@@ -40,7 +40,7 @@ class ContactFilter:
         repeats: Quiet frames behind the reference, whose noise is the same in all frames.
 
     Attributes:
-        bar: Standard deviations by which the score of a new contact must stand out.
+        bar: Standard deviations that the score of a new contact must exceed.
         split_bar: By how much two contacts must explain the last frames better than one.
     """
 

@@ -39,9 +39,9 @@ class Tracker:
 
     Args:
         period: Of a closed band, 0 of others (m).
-        reach: Farthest that a contact may move between two frames (m).
-        confirm: Frames in a row in which a contact must be seen before it is reported; noise does not come twice.
-        patience: Frames for which a contact may go unseen before its id is given up. It is not reported meanwhile.
+        reach: Largest distance that a contact may move between two frames (m).
+        confirm: Consecutive frames that must show a contact before it is reported; noise rarely repeats.
+        patience: Frames without a contact after which its id is deleted. It is not reported meanwhile.
     """
 
     period: float = 0.0
