@@ -36,7 +36,8 @@ class ChannelJudgement:
         channels: Gains and errors.
         places: (n, 2) estimated place of each press (m).
         unexplained: Share of the changes that one contact for each press does not explain, with weighted channels
-            (median), and unexplained_before: the same with equal weights.
+            (median), and
+        unexplained_before: the same with equal weights.
         skipped: Frames that show no press.
     """
 
@@ -86,7 +87,10 @@ def judge_channels(
     skin: Skin, quiet: Sequence[Frame], frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
 ) -> ChannelJudgement:
     """Estimate gains and errors of a pattern's channels from frames of one press each, spread as evenly as possible.
-        Args: skin: Its description; gains and errors in it are not used. quiet: Frames of the untouched skin.
+
+    Args:
+        skin: Its description; gains and errors in it are not used.
+        quiet: Frames of the untouched skin.
         frames: Frames of presses, all of one pattern.
         progress: Called with the share done, 0 to 1.
 

@@ -82,8 +82,10 @@ def fit_auxiliary(samples: Sequence[PressSample], rest: float, calibration: Cali
 
 
 def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
-    """Fit mean strengths at each force by isotonic regression; `Calibration.force` interpolates them by PCHIP. Args:
-    samples: Known forces, with the measured strength of each.
+    """Fit mean strengths at each force by isotonic regression; `Calibration.force` interpolates them by PCHIP.
+
+    Args:
+        samples: Known forces, with the measured strength of each.
 
     Raises:
         DataError: If fewer than two forces were detected.

@@ -60,8 +60,8 @@ class ForceSampler:
 
     Attributes:
         count: Samples wanted.
-        samples: The samples so far. peaks: For each sample the greatest force before it fell to this force (N); 0 where
-            it was rising.
+        samples: The samples so far.
+        peaks: For each sample the greatest force before it fell to this force (N); 0 where it was rising.
     """
 
     def __init__(self, count: int, settle: int = 6, cycles: int = 10) -> None:
@@ -78,7 +78,10 @@ class ForceSampler:
     def add(
         self, contacts: Sequence[Contact], scans: Sequence[Difference], force: float, auxiliary: float = np.nan
     ) -> bool:
-        """Add one cycle. Args: contacts: All of the cycle; only a cycle with exactly one is used.
+        """Add one cycle.
+
+        Args:
+            contacts: All of the cycle; only a cycle with exactly one is used.
             scans: What was measured, (n_scans,) changes against the quiet skin.
             force: Reading of the load cell at that moment (N); below 0.1, or NaN, it measures no press.
             auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.

@@ -15,9 +15,15 @@ _EXPLAINED = 0.2  # share of presses that a contact layer may leave unexplained
 
 
 def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple[Calibration, ForceCurve, list[str]]:
-    """A calibration with the force curve, the contact layer and the auxiliary channel, as far as presses determine
-    them. Args: found: The calibration so far; its mode is that of the presses. presses: Samples of known force. known:
-        The quiet skin that was pressed. Returns: The calibration, the curve, and the results as sentences.
+    """A calibration with force curve, contact layer and auxiliary channel, as far as presses determine them.
+
+    Args:
+        found: The calibration so far; its mode is that of the presses.
+        presses: Samples of known force.
+        known: The quiet skin that was pressed.
+
+    Returns:
+        The calibration, the curve, and the results as sentences.
 
     Raises:
         DataError: If fewer than two forces were detected.

@@ -84,7 +84,10 @@ def read_places(
     known: SkinModel, frames: Sequence[Frame], progress: Callable[[float], None] = lambda _: None
 ) -> tuple[Floats, Floats]:
     """Place of the contact in each frame by the physical model, one in each, and the other input of `learn_positions`.
-        Args: known: The model of the quiet skin. frames: Of one press each, all of one pattern.
+
+    Args:
+        known: The model of the quiet skin.
+        frames: Of one press each, all of one pattern.
         progress: Called with the share done, 0 to 1.
 
     Returns:

@@ -77,8 +77,7 @@ def press_plan(skin: Skin, forces: Sequence[float], places: int = 5) -> tuple[Pr
 
 
 class PressGuide:
-    """Guides through a plan: make the press `step`, call `begin`, then `add` the contacts of each cycle until the step
-    changes.
+    """Guides through a plan: make the press `step`, call `begin`, then `add` each cycle until the step changes.
 
     Args:
         plan: The presses to make.
@@ -113,7 +112,10 @@ class PressGuide:
         self._seen = []
 
     def add(self, contacts: Sequence[Contact], scans: Sequence[Difference] = (), auxiliary: float = np.nan) -> bool:
-        """Add one cycle. Args: contacts: All of the cycle; the strongest one near the place of the step is used.
+        """Add one cycle.
+
+        Args:
+            contacts: All of the cycle; the strongest one near the place of the step is used.
             scans: What was measured, (n_scans,) changes against the quiet skin.
             auxiliary: What the auxiliary channel read (N or Pa); NaN: there is none.
 

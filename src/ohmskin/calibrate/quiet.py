@@ -40,7 +40,8 @@ def calibrate_quiet(
         report: Called with what was found, and with a sentence if electrodes and sheet cannot be estimated and stay
             as described.
 
-    Raises: DataError: If an electrode is faulty; the message says which.
+    Raises:
+        DataError: If an electrode is faulty; the message says which.
         DeviceError: If the device is a recording or has another number of electrodes.
     """
     n_elec = len(skin.electrodes)

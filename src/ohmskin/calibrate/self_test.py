@@ -106,8 +106,12 @@ class SelfTest:
 
 
 def self_test(device: Device, skin: Skin, progress: Callable[[str], None] = lambda _: None) -> SelfTest:
-    """Test wiring and instrument. Keep the skin untouched meanwhile. Args: device: A device that can drive any pattern;
-    a recording cannot. skin: Its description. progress: Called with the name of the next part.
+    """Test wiring and instrument. Keep the skin untouched meanwhile.
+
+    Args:
+        device: A device that can drive any pattern; a recording cannot.
+        skin: Its description.
+        progress: Called with the name of the next part.
 
     Raises:
         DeviceError: If the device is a recording, has another number of electrodes, or is lost.

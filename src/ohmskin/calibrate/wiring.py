@@ -59,9 +59,9 @@ class WiringDiagnosis:
     """Diagnosis of wiring and sheet from a scan of all pairs.
 
     Args:
-        findings: The faults, by electrode. pair_resistances: (n_pairs,) measured two-terminal resistances (ohm), NaN
-            where an electrode cannot be used. modelled: (n_pairs,) those of the model with this wiring (ohm), NaN
-                likewise.
+        findings: The faults, by electrode.
+        pair_resistances: (n_pairs,) measured two-terminal resistances (ohm), NaN where an electrode cannot be used.
+        modelled: (n_pairs,) those of the model with this wiring (ohm), NaN likewise.
         conductivity: Sheet conductivity that fits (S per square).
         series: (n_elec,) series resistance at each electrode beyond the model's (ohm), NaN likewise.
         misfit: Root mean square of measured less modelled, as a share of the modelled resistance.
@@ -89,7 +89,8 @@ def diagnose(skin: Skin, frame: Frame) -> WiringDiagnosis:
     """Diagnose faults of the wiring of an untouched skin.
 
     Args:
-        skin: Its description. frame: A scan of `terminal_pattern`, preferably a mean of several.
+        skin: Its description.
+        frame: A scan of `terminal_pattern`, preferably a mean of several.
 
     Raises:
         DataError: If the frame was made with another pattern.

@@ -19,8 +19,7 @@ class _Source(Protocol):
 
 
 class Client(Closing):
-    """Reads contacts from another process. Neither side waits for the other; either may start, end and restart at any
-    time.
+    """Reads contacts from another process. Neither side waits for the other; either may start and end at any time.
 
     Args:
         address: ``shm:NAME`` on the same machine, or ``zenoh:NAME@tcp/HOST:PORT`` (extra `zenoh`); the name is that of
@@ -46,8 +45,9 @@ class Client(Closing):
             self._source = Subscriber(name, where or "tcp/127.0.0.1:7447", token)
 
     def newest(self) -> Contacts | None:
-        """The newest contacts, even if they were returned before; None before there are any. Never waits: check their
-        `age`.
+        """The newest contacts, even if they were returned before; None before there are any.
+
+        Never waits: check their `age`.
         """
         self._last = self._source.newest() or self._last
         return self._last

@@ -18,8 +18,11 @@ class Commands(Closing):
             commands.tare()
 
     Args:
-        name: The name given to `ohmskin live --name`; BODY.PATCH for a patch of a body. timeout: Time to wait for an
-            answer (s). Raises: PublishError: If the name is not valid.
+        name: The name given to `ohmskin live --name`; BODY.PATCH for a patch of a body.
+        timeout: Time to wait for an answer (s).
+
+    Raises:
+        PublishError: If the name is not valid.
     """
 
     def __init__(self, name: str = "skin", timeout: float = 30.0) -> None:
@@ -28,9 +31,11 @@ class Commands(Closing):
         self._answers = BoardReader(f"{name}.answered")
 
     def tare(self) -> None:
-        """Learn the untouched skin again: reference, noise and thresholds. Nothing may touch it meanwhile. Raises:
-        PublishError: If the skin refuses, such as when it is not quiet, or does not answer; the former calibration
-            stays.
+        """Learn the untouched skin again: reference, noise and thresholds. Nothing may touch it meanwhile.
+
+        Raises:
+            PublishError: If the skin refuses, such as when it is not quiet, or does not answer; the former calibration
+                stays.
         """
         self._ask("tare")
 

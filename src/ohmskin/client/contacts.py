@@ -27,7 +27,8 @@ class Patch:
     """One skin and its pose in a frame.
 
     Args:
-        name: Its name. frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
+        name: Its name.
+        frame: The frame of its contacts: a link of the robot, or ``skin`` for the sheet itself.
         position: Origin of the sheet, or of the frame that a curved skin is described in, in that frame (m).
         axes: Directions of its x, y and z in that frame, one after the other; z is the outward normal of a flat sheet.
         newtons: Whether its contacts have a force: only if the skin was calibrated for that.
@@ -175,8 +176,8 @@ class PatchState:
     Args:
         patch: Name of the patch.
         frame: Its frame.
-        sequence: Number of its newest cycle; 0 before the first. time: Its last sample on this machine's monotonic
-            clock (s); minus infinity before the first.
+        sequence: Number of its newest cycle; 0 before the first.
+        time: Its last sample on this machine's monotonic clock (s); minus infinity before the first.
         stamp: The same by the calendar (ns since 1970); 0 likewise.
         mode: Name of its mode.
     """
@@ -199,11 +200,12 @@ class Contacts:
     """The newest contacts of a skin, or of all skins of a robot.
 
     Args:
-        sequence: Increases by one with each message; a jump means that some were not read. Restarts with `boot`. time:
-            Last sample of the patch with the oldest data, on this machine's monotonic clock (s).
+        sequence: Increases by one with each message; a jump means that some were not read. Restarts with `boot`.
+        time: Last sample of the patch with the oldest data, on this machine's monotonic clock (s).
         stamp: The same by the calendar (ns since 1970).
-        patches: Sequence number and time of each patch. contacts: All contacts, those of a patch strongest first. boot:
-            Changes whenever the sender restarts.
+        patches: Sequence number and time of each patch.
+        contacts: All contacts, those of a patch strongest first.
+        boot: Changes whenever the sender restarts.
     """
 
     sequence: int
@@ -215,8 +217,7 @@ class Contacts:
 
     @property
     def age(self) -> float:
-        """Present age (s) of the last sample of the patch with the oldest data: one silent patch makes all contacts
-        old."""
+        """Present age (s) of the oldest patch's last sample: one silent patch makes all contacts old."""
         return time.monotonic() - self.time
 
 

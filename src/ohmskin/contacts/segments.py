@@ -28,9 +28,9 @@ class Evidence:
     """Evidence for a class: the increase of the residual without it.
 
     Args:
-        unexplained: Share of the data's power that is no longer explained if the class is excluded (1). needed: Share
-            that the class must explain to be reported (1): more than noise at the stated rate, and more than the errors
-            of a linear model.
+        unexplained: Share of the data's power that is no longer explained if the class is excluded (1).
+        needed: Share that the class must explain to be reported (1): more than noise at the stated rate, and more than
+            the errors of a linear model.
     """
 
     unexplained: float
@@ -112,9 +112,13 @@ def segments(
 ) -> Segments:
     """An image of `cells` in the classes for which there is evidence.
 
-    Each class consists of the regions around its peaks where the image exceeds half of the peak. Args: image, cells:
-        The image and its cells. found: The evidence. rate: Rate of false alarms of the evidence (1). fraction, dip:
-            Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
+    Each class consists of the regions around its peaks where the image exceeds half of the peak.
+
+    Args:
+        image, cells: The image and its cells.
+        found: The evidence.
+        rate: Rate of false alarms of the evidence (1).
+        fraction, dip: Least peak as a share of the highest of the class, and saddle between two (`ContactFinder`).
     """
     labels = np.zeros(len(image.values), np.int32)
     for sign in (sign for sign, one in found.items() if one.significant):

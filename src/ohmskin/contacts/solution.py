@@ -22,8 +22,8 @@ class Solution:
         slopes: (n_pairs, 4 n) its derivatives by their parameters.
         covered: Electrodes under them, whose resistance is treated as unknown.
         shapes: (n_pairs, 2 k) further changes due to small contacts, which are anisotropic, for one standard deviation
-            of each (ohm); None: only discs were fitted. doubts: (5,) remaining doubts after a search without a result,
-            see `followed`; None: there was no search.
+            of each (ohm); None: only discs were fitted.
+        doubts: (5,) remaining doubts after a search without a result, see `followed`; None: there was no search.
     """
 
     params: Floats

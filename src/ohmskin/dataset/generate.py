@@ -42,11 +42,11 @@ def generate(
     scheduler: str = "",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
-    """Write `count` samples of a recipe to a Zarr group (format 3). What is there already stays: a stopped run goes on.
+    """Write `count` samples of a recipe to a Zarr group (format 3). Existing samples are kept: a stopped run continues.
 
     Args:
-        path: Folder of the store. If it is a data set of the same recipe, samples that are missing are added, also to
-            make it larger; it is never made smaller.
+        path: Folder of the store. If it is a data set of the same recipe, missing samples are added, also to make it
+            larger; it is never made smaller.
         recipe: What to make.
         count: Samples wanted.
         jobs: Processes; one per core unless given.
@@ -54,10 +54,10 @@ def generate(
         progress: Called with samples done and wanted.
 
     Returns:
-        How many samples were made now.
+        Number of samples made by this call.
 
     Raises:
-        DataError: If `path` is something else, of another recipe, or cannot be written, or Zarr is missing.
+        DataError: If `path` is not a data set, is of another recipe or cannot be written, or Zarr is missing.
         OhmskinError: If the cluster cannot be used.
     """
     if not 1 <= count <= 10**10:

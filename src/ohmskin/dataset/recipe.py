@@ -19,15 +19,15 @@ _CONTACTS = 4  # between sheet and patch along each side: ten times as quick as 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Everything that a data set depends on; equal recipes make equal data, whatever makes them.
+    """Everything that a data set depends on; equal recipes make equal data on any machine.
 
-    Sample `i` draws all its numbers from the seed sequence (seed, i): how many contacts (evenly), and of each the
-    place (evenly over the sheet), the radius (evenly) and the pressure (evenly in its logarithm).
+    Sample `i` draws all its numbers from the seed sequence (seed, i): the number of contacts (uniform), and for each
+    the place (uniform on the sheet), the radius (uniform) and the pressure (uniform in its logarithm).
 
     Args:
         skin: Description of the skin, as TOML text.
-        pattern: What is driven: a mode of the skin (its base scan), or ``complete``, all electrode pairs, of which
-            every other pattern is a part.
+        pattern: What is driven: a mode of the skin (its base scan), or ``complete``, all electrode pairs, which
+            contains every other pattern.
         contacts: Least and largest number of contacts.
         radius: Least and largest radius of a contact (m).
         pressure: Least and largest pressure (Pa).
@@ -71,7 +71,7 @@ class Recipe:
             raise DataError(f"seed is {self.seed}; it must be 0 to 2^63 - 1")
 
     def presses(self, index: int) -> tuple[Press, ...]:
-        """The contacts of one sample; fewer than drawn where no room is left for more.
+        """The contacts of one sample; fewer than drawn where there is no room for more.
 
         Args:
             index: Number of the sample, from 0.
@@ -118,11 +118,11 @@ class Recipe:
 
     @property
     def drive_pattern(self) -> DrivePattern:
-        """What is driven in every sample."""
+        """The drive pattern of every sample."""
         return _simulator(self).pattern
 
     def arrays(self) -> dict[str, "Array"]:
-        """What a sample is made of, by name."""
+        """The arrays of a sample, by name."""
         simulator = _simulator(self)
         ny, nx = simulator.raster.inside.shape
         n_meas, n_inj, most = simulator.pattern.n_meas, simulator.pattern.n_inj, max(1, self.contacts[1])

@@ -19,7 +19,7 @@ _LONGEST = 1e6  # s; what is larger is not in seconds
 
 
 class Feature(IntFlag):
-    """Features of a device beside scanning."""
+    """Features of a device in addition to scanning."""
 
     VIRTUAL = 1  #: simulated: touches can be put on it with `press`
     CURRENT_MEASURED = 2  #: the currents of a frame are measured, not nominal
@@ -44,8 +44,8 @@ class Capabilities:
         n_electrodes: Number of electrodes.
         max_injections: Most injections in one pattern.
         max_measurements: Most measurements in one pattern.
-        pattern_slots: Patterns it remembers at once.
-        features: What it can do beside scanning.
+        pattern_slots: Patterns that it stores at once.
+        features: What it can do in addition to scanning.
         excitation: Driving amplitude (V with Feature.VOLTAGE_SOURCE, otherwise A).
         full_scale: Largest voltage it can measure (V).
         settle_time: Waiting time after each change of injection (s).
@@ -103,14 +103,14 @@ class Capabilities:
         """Capabilities from their texts, `texts` as `as_texts` gives them; those of a replay, which cannot be pressed.
 
         Raises:
-            KeyError, ValueError, OverflowError, ProtocolError: If something is missing or makes no sense.
+            KeyError, ValueError, OverflowError, ProtocolError: If an entry is missing or invalid.
         """
         values = {name: kind(texts[name]) for name, kind in _RECORDED.items()}
         return cls(**values | {"features": Feature(values["features"] & 31) & ~Feature.VIRTUAL})
 
     @property
     def virtual(self) -> bool:
-        """Whether touches can be put on it with `press`."""
+        """Whether it can be pressed with `press`."""
         return Feature.VIRTUAL in self.features
 
     @property
@@ -120,7 +120,7 @@ class Capabilities:
 
     @cached_property
     def cost(self) -> Cost:
-        """Time of a scan, at most: how many voltages it converts at once is not known, so one by one."""
+        """Upper bound of the time of a scan: the number of voltages converted at once is not known, so one by one."""
         return Cost(self.settle_time, self.conversion_time, channels=1)
 
     def scan_time(self, pattern: DrivePattern) -> float:
@@ -128,7 +128,7 @@ class Capabilities:
         return self.cost.time(pattern)
 
     def limited(self, frame: Frame) -> Frame:
-        """A frame whose voltages that the device cannot measure are infinite, as those that clip are."""
+        """A frame in which voltages beyond the device's range are infinite, as clipped ones are."""
         beyond = np.abs(frame.voltages) > (self.full_scale or math.inf) * (1 + _ROUNDING)
         if not np.count_nonzero(beyond):
             return frame

@@ -14,7 +14,7 @@ _COSTLY = 0.5  # s that a touch may take without a rest after it
 
 
 class Instrument(Protocol):
-    """Something that scans. One thread at a time calls it."""
+    """Something that scans a skin. It is called by one thread at a time."""
 
     @property
     def capabilities(self) -> Capabilities:
@@ -24,11 +24,11 @@ class Instrument(Protocol):
         """Drive `pattern` once; may block for the time of the acquisition.
 
         Raises:
-            DeviceRefused: If it cannot; the host is told why.
+            DeviceRefused: If it cannot; the host gets the reason.
         """
 
     def press(self, number: int, x: float, y: float, radius: float, pressure: float) -> None:
-        """Put a touch on the skin, move or lift it. Virtual instruments only.
+        """Press the skin, move a press, or lift it. Virtual instruments only.
 
         Args:
             number: Which touch, from 0.
@@ -37,7 +37,7 @@ class Instrument(Protocol):
             pressure: Its pressure (Pa); 0 lifts it.
 
         Raises:
-            DeviceRefused: If it cannot be there.
+            DeviceRefused: If the press is not possible there.
         """
 
 

@@ -18,7 +18,7 @@ DRIVERS = {
 
 
 def drivers() -> dict[str, str]:
-    """Scheme and `module:callable` of every driver: our own and those of installed packages (group ohmskin.devices)."""
+    """Scheme and `module:callable` of each driver, of ohmskin and of installed packages (group ohmskin.devices)."""
     return {**{entry.name: entry.value for entry in entry_points(group=GROUP)}, **DRIVERS}
 
 

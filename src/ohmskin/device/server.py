@@ -23,13 +23,13 @@ class DeviceServer(Closing):
     """Serves an instrument over the wire protocol.
 
     Args:
-        instrument: What is scanned. One request at a time reaches it.
-        host: Address to listen on; hosts on other machines reach "0.0.0.0" only. There is no password.
+        instrument: The instrument to scan, by one request at a time.
+        host: Address to listen on; "0.0.0.0" lets other machines connect. There is no password.
         port: TCP port; 0 chooses a free one.
         pty: Whether to offer a pseudo-terminal, too.
 
     Raises:
-        DeviceError: If the port is in use, the address is not this machine's, or there are no pseudo-terminals here.
+        DeviceError: If the port is in use, the address is not this machine's, or the system has no pseudo-terminals.
     """
 
     def __init__(self, instrument: Instrument, host: str = "127.0.0.1", port: int = 7155, pty: bool = False) -> None:
@@ -46,13 +46,13 @@ class DeviceServer(Closing):
         return self._terminal.path if self._terminal else None
 
     def start(self) -> None:
-        """Answer in the background. Connections made before now have waited."""
+        """Answer in the background. Connections made before this call have waited."""
         if self._terminal:
             self._spawn(self._serve_terminal, self._terminal)
         self._spawn(self._accept)  # last: from now on it alone starts threads
 
     def close(self) -> None:
-        """Hang up on every host, lift their presses and free the port. Safe to call twice."""
+        """Close all connections, lift their presses and free the port. Safe to call twice."""
         self._stop.set()
         while alive := [thread for thread in self._threads if thread.is_alive()]:  # the accepting one may start another
             for thread in alive:

@@ -36,7 +36,7 @@ class Link:
         retries: Requests sent again.
         dropped: Replies that no request waited for: duplicates and late ones.
         damaged: Packets that failed framing or checksum.
-        resets: Times that the device had forgotten its patterns.
+        resets: How often the device had lost its patterns.
         bytes_in: Bytes received.
         bytes_out: Bytes sent.
     """

@@ -98,16 +98,16 @@ def position_bound(
 ) -> Floats:
     """Cramer-Rao bound (n,) of the root-mean-square position error of one contact at each place (m).
 
-    Position, effect and radius are unknown up to the prior. Adaptive schemes choose for the true place: their bound is
-    what they could do had the first scan been right.
+    Position, effect and radius are unknown up to the prior. Adaptive schemes choose for the true place: their bound
+    assumes that the first scan gave it.
 
     Args:
         table: Responses of contacts.
         places: (n, 2) in metres.
-        scheme: A pattern; a drive; or what gives the patterns for a contact at a place (2,).
+        scheme: A pattern, a drive, or a function that returns the patterns for a contact at a place (2,).
         noise: Standard deviation of a voltage (V).
         currents: One value, or one for each electrode pair (n_pairs,) in amperes.
-        prior: What is known before; `ContactPrior.usual` of the table's radius unless given.
+        prior: Prior of the contact; `ContactPrior.usual` of the table's radius unless given.
         scale: Metres on the skin for one on its map, where the skin is curved: one value, or one for each place. The
             prior and the error are in metres on the skin.
 
@@ -133,13 +133,14 @@ def position_bound(
 
 
 def best_fixed(table: ContactTable, candidates: Candidates, injections: int, places: ArrayLike | None = None) -> Ints:
-    """The fixed set of injections (count,) of least mean squared position bound over the sheet, greedy, then exchanged.
+    """The fixed set of injections (count,) with the least mean squared position bound, chosen greedily, then by
+    exchanges.
 
-    What is known before is `ContactPrior.usual` of the table's radius.
+    The prior is `ContactPrior.usual` of the table's radius.
 
     Args:
         table: Responses of contacts.
-        candidates: What to choose so many `injections` from.
+        candidates: The injections to choose from, as many as `injections`.
         places: (n, 2) where contacts may be, in metres; all over the sheet unless given.
 
     Raises:

@@ -39,9 +39,9 @@ class Candidates:
         pattern: The injections, all with equally many measurements.
         pairs: The pairs of electrodes.
         weights: (n_meas, n_pairs) change of each voltage with the two-terminal resistances, over its noise (1/ohm);
-            what is not known of contact impedances counts as noise, as if it were another one in every injection.
-        sharp: The same with the noise of voltages alone, and what is not known of each contact impedance (ohm): the
-            same in all injections. None where all that is known, or not measured.
+            uncertainty of contact impedances counts as noise that is independent in each injection.
+        sharp: The same with the noise of voltages alone, and the uncertainty of each contact impedance (ohm), which is
+            the same in all injections. None if contact impedances are known, or driven electrodes are not measured.
     """
 
     pattern: DrivePattern
@@ -65,8 +65,8 @@ class Candidates:
             pairs: Of electrodes; all of so many.
             noise: Standard deviation of a voltage (V).
             currents: One value, or one for each of the pairs (n_pairs,) in amperes: see `pair_currents`.
-            contacts: Standard deviation of what is not known of a contact impedance (ohm), where driven electrodes are
-                measured, too (`DrivePattern.with_driven`); None: they are not.
+            contacts: Standard deviation of a contact impedance (ohm), where driven electrodes are measured, too
+                (`DrivePattern.with_driven`); None: they are not.
 
         Raises:
             ModelError: If noise or currents are not positive, or the currents do not fit.
@@ -100,7 +100,7 @@ class Candidates:
         return rows if rows.shape[-2] <= columns.shape[-1] else np.asarray(np.linalg.qr(rows, mode="r"))
 
     def problem(self, columns: Floats, covariance: Floats, goal: Floats) -> tuple[Floats, Floats, Floats, Ints | None]:
-        """Rows, covariance, goal and columns of a `Search` with what is not known of contact impedances in its state.
+        """Rows, covariance, goal and columns of a `Search` whose state includes the uncertainty of contact impedances.
 
         Args:
             columns: (..., n_pairs, d) as for `rows`.
@@ -160,14 +160,14 @@ class Selection:
 
 
 class Search:
-    """A covariance, by how much each candidate would reduce it, and the choice so far.
+    """A covariance, its reduction by each candidate, and the candidates chosen so far.
 
     Args:
         rows: (n, m, w), or (n_cases, n, m, w): cases are alternatives, such as places, over which means are taken.
         covariance: (d, d) or (n_cases, d, d) before.
-        goal: (k, d): the sum of the variances of goal @ state is to become small; (n_goals, k, d): several such sums.
-            None: the information is to become large.
-        columns: (n, w) which numbers of the state each candidate's rows are of; all d unless given.
+        goal: (k, d): the sum of the variances of goal @ state is minimised; (n_goals, k, d): several such sums.
+            None: the information is maximised.
+        columns: (n, w) entries of the state on which each candidate's rows depend; all d unless given.
         repeats: Whether an injection may be chosen again, which averages noise.
 
     Attributes:
@@ -195,7 +195,7 @@ class Search:
         self.chosen: list[int] = []
 
     def among(self, numbers: Ints) -> "Search":
-        """A search that goes on from here with the candidates of these `numbers` (n,) alone, counted from 0."""
+        """A search that continues with only the candidates of these `numbers` (n,), renumbered from 0."""
         return Search(self._rows[:, numbers], self.covariance, self._goal, self._columns[numbers], self._repeats)
 
     @property
@@ -206,7 +206,7 @@ class Search:
         return np.asarray(((self._goal @ self.covariance[:, None]) * self._goal).sum(axis=(-1, -2)))
 
     def gains(self) -> Floats:
-        """By how much each candidate would change the sums (n, n_cases, n_goals): less variance, more information."""
+        """Improvement of the sums by each candidate (n, n_cases, n_goals): less variance, or more information."""
         goals, k, d = (0, 1, self.covariance.shape[-1]) if self._goal is None else self._goal.shape
         goal = np.zeros((0, d)) if self._goal is None else self._goal.reshape(-1, d)
         information, less = _gains(self._rows, self._columns, self.covariance, self.covariance @ goal.T)
@@ -215,7 +215,7 @@ class Search:
         return np.asarray(np.moveaxis(less.reshape(*less.shape[:2], goals, k).sum(axis=-1), 1, 0))
 
     def scores(self) -> Floats:
-        """What to make small (n,): minus each candidate's mean gain."""
+        """The criterion to minimise (n,): minus each candidate's mean gain."""
         return np.asarray(-self.gains().mean(axis=(1, 2)))
 
     def best(self) -> int:
@@ -242,7 +242,7 @@ class Search:
         """Take the best candidate `count` times; the mean of the sums (count + 1,) before and after each.
 
         Raises:
-            PatternError: If there are fewer than that to choose from.
+            PatternError: If there are fewer candidates.
         """
         values = [self.sums.mean()]
         for _ in range(count):
@@ -306,7 +306,7 @@ def _gains(rows: Floats, columns: Ints, covariance: Floats, wanted: Floats) -> t
 def greedy(
     rows: Floats, covariance: Floats, count: int, goal: Floats | None = None, repeats: bool = False
 ) -> Selection:
-    """Choose injections one by one, each the best after those before it.
+    """Choose injections one by one, each the best given the previous ones.
 
     Args:
         rows, covariance, goal, repeats: As for `Search`.

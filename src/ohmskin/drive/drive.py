@@ -25,7 +25,7 @@ class Target:
     Args:
         position: (2,) in metres.
         covariance: (2, 2) of the position (m2).
-        effect: Relative conductivity change times area (m2); 0 where it is not sure that there is a contact.
+        effect: Relative conductivity change times area (m2); 0 where there may be no contact.
         radius: In metres.
         closest: (n, 2) centroids of the elements closest to it (m), if they are known.
     """
@@ -43,7 +43,7 @@ class Target:
 
     @property
     def anchors(self) -> Floats:
-        """Places (n, 2) from which eq. (7) weighs pairs (m): what is closest, or a triangle about the position."""
+        """Places (n, 2) from which eq. (7) weights pairs (m): `closest`, or a triangle around the position."""
         return self.closest if len(self.closest) else np.asarray(self.position, float) + _TRIANGLE
 
 
@@ -51,9 +51,9 @@ class Drive(Protocol):
     """Chooses the next pattern. Deterministic and stateless.
 
     Attributes:
-        patterns: All that it may ever ask for, whole or in part: calibration measures these on the quiet skin.
-        scans: How many scans make one frame; those after the first are chosen from what the first one showed.
-        injections: How many injections these have together.
+        patterns: All patterns that it may choose, entirely or in part: calibration measures these on the quiet skin.
+        scans: Number of scans of one frame; those after the first are chosen from the data of the first.
+        injections: Number of injections of all these scans together.
         adjustable: Whether that may be any number.
     """
 
@@ -73,7 +73,7 @@ class Drive(Protocol):
         """The pattern of the next scan.
 
         Args:
-            targets: The belief about contacts; empty: none is known.
+            targets: The belief about contacts; empty if none is known.
             turn: Number of the scan, from 0.
         """
 
@@ -81,13 +81,13 @@ class Drive(Protocol):
         """The same drive with `count` injections a frame, at least 1.
 
         Raises:
-            PatternError: If it has no choice, or not that one.
+            PatternError: If the number cannot be chosen, or is out of range.
         """
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """A `Drive` of always the same pattern, whatever the belief; the number of its injections is fixed.
+    """A `Drive` that always measures the same pattern, independent of the belief.
 
     Args:
         pattern: The pattern.
@@ -110,7 +110,7 @@ class Fixed:
         return self.pattern
 
     def with_injections(self, count: int) -> Drive:
-        """Raises PatternError, whatever the `count`."""
+        """Raises PatternError for any `count`."""
         raise PatternError(f"a fixed pattern has no choice of injections; it has {self.injections}")
 
 
@@ -139,7 +139,7 @@ class SecondScan:
         return part_of(self.complete, self.choose([np.asarray(anchors, float) for anchors in regions]))
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
-        """The pattern for what is believed of contacts, one or more `targets`."""
+        """The pattern for the belief about contacts, one or more `targets`."""
         return self.pattern([target.anchors for target in targets])
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
@@ -166,7 +166,7 @@ class TwoScans:
 
     @property
     def patterns(self) -> tuple[DrivePattern, ...]:
-        """The base scan, and all that the second scan is a part of."""
+        """The base scan, and the pattern from which the second scan is chosen."""
         return self.base, self.second.complete
 
     @property
@@ -175,11 +175,11 @@ class TwoScans:
         return self.base.n_inj + self.second.pairs
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The base scan in even turns, the one chosen for the contacts in odd turns."""
+        """The base scan in even turns, the scan chosen for the contacts in odd turns."""
         return self.second.next(targets) if turn % 2 and targets else self.base
 
     def with_injections(self, count: int) -> Drive:
-        """Raises PatternError, whatever the `count`."""
+        """Raises PatternError for any `count`."""
         raise PatternError(f"a drive of two scans has no choice of injections; it has {self.injections}")
 
 
@@ -227,7 +227,7 @@ class WithDriven:
 
 
 class Exploration:
-    """A `Drive` that cycles through a fixed set of injections, whatever the belief: finds contacts wherever they are.
+    """A `Drive` that cycles through a fixed set of injections, independent of the belief: it finds contacts everywhere.
 
     Args:
         electrodes: Electrode layout.
@@ -262,19 +262,19 @@ class Exploration:
         return (self.complete,)
 
     def with_injections(self, count: int) -> Self:
-        """The same round, and tables if it has such, with `count` injections a frame.
+        """The same cycle (and its tables, if it has any) with `count` injections a frame.
 
         Raises:
-            PatternError: If there are not so many, or it is not positive.
+            PatternError: If there are fewer injections, or `count` is not positive.
         """
         other = copy(self)
         other._set_injections(count)
         return other
 
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
-        """The next injections of the round."""
+        """The next injections of the cycle."""
         return part_of(self.complete, self.numbers(turn, self.injections))
 
     def numbers(self, turn: int, count: int) -> list[int]:
-        """The numbers in `complete` of the next `count`, if each of the `turn` frames before took as many."""
+        """Numbers in `complete` of the next `count` injections, if each of the previous `turn` frames took as many."""
         return [self.drives[(turn * count + k) % len(self.drives)] for k in range(count)]

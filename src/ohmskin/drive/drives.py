@@ -34,7 +34,7 @@ class DriveSettings:
 
     Args:
         electrodes: Electrode layout.
-        design: Gives the responses of contacts, and the candidates with their currents and noise, such as
+        design: Returns the responses of contacts, and the candidates with their currents and noise, such as
             `Skin.design`; only called by drives that need it.
         pairs: Injections of a second scan, unless a drive gets another number (K).
         period: Of a closed band, 0 of others (m).

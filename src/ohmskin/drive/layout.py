@@ -39,7 +39,7 @@ _SHIFT = 0.3  # of a radius: half the step of derivatives; smaller ones see the 
 def arranged(domain: Domain, positions: Floats) -> Electrodes:
     """Electrodes on a `domain` at positions (n, 2) in metres, numbered counterclockwise, those on the rim first.
 
-    On the rim, or on that of a hole, is what is within a micrometre of it; it is put there exactly. Those of holes
+    Electrodes within 1 um of the rim, or of a hole's, are moved onto it exactly. Those of holes
     count as inside: a base scan goes round the outer rim, of a sleeve round both ends.
 
     Raises:
@@ -72,8 +72,8 @@ def arranged(domain: Domain, positions: Floats) -> Electrodes:
 class LayoutSearch:
     """Position errors of any layout, and the search for the best one.
 
-    The error is that of Cramer and Rao for one contact, had the frame's injections been spread evenly over all
-    electrode pairs: a layout is judged before its policy.
+    The error is the Cramer-Rao bound for one contact if the frame's injections are spread evenly over all
+    electrode pairs: a layout is evaluated independently of a policy.
 
     Args:
         domain: The sheet, of a curved skin its map.
@@ -88,7 +88,7 @@ class LayoutSearch:
     Attributes:
         sites: (n_sites, 2) where electrodes may be (m).
         on_rim: (n_sites,) whether that is on the rim.
-        places: (n_places, 2) of contacts, of mirror images one (m).
+        places: (n_places, 2) of contacts, one of each set of mirror images (m).
     """
 
     def __init__(

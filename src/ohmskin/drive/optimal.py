@@ -30,8 +30,8 @@ def pair_weights(
         anchors: Centroids (n_anchors, 2) of the elements closest to the contact's middle (m); the paper takes three.
         period: Of a closed band, on which lines go the short way round; 0 of others (m).
         pairs: (n_pairs, 2) the pairs; all unless given.
-        reach: How far the middle of a pair may be from the first anchor (m): short pairs farther off, whose lines go
-            on to the contact, weigh nothing, the less the farther off.
+        reach: How far the middle of a pair may be from the first anchor (m): short pairs farther away, whose extended
+            lines pass the contact, have almost no weight, decreasing with distance.
 
     Raises:
         PatternError: If the electrodes are not on a flat map.
@@ -73,7 +73,7 @@ class OptimalDrive(SecondScan):
 
     @cached_property
     def reach(self) -> float:
-        """How far the middle of a pair may be from a contact (m); any distance where all pairs are driven."""
+        """Largest distance of the middle of a pair from a contact (m); infinite where all pairs are driven."""
         return _NEAR * spacing(self.electrodes, self.period) if is_local(self.electrodes) else np.inf
 
     def choose(self, regions: Sequence[Floats]) -> Ints:
@@ -83,13 +83,12 @@ class OptimalDrive(SecondScan):
 
 
 class LocalDrive(SecondScan):
-    """Local measurement patterns near the pressed region: the paper's reference [14], the drive that it improves on.
+    """Local measurement patterns near the pressed region: the paper's reference [14], an earlier adaptive drive.
 
     The paper says of it: "adaptively select a set of local patterns near the pressed region for acquiring more detailed
-    information". Read concretely here: currents flow only between neighbours, that is between electrodes no further
-    apart than the diagonal of a cell of the layout, and of these short pairs the ones whose middle is closest to the
-    region are driven. The injections and the electrodes measured are as many as in the paper's own scheme, for
-    comparison.
+    information". Our interpretation: currents flow only between neighbours, electrodes no further apart than the
+    diagonal of a cell of the layout; of these short pairs, those with the midpoints closest to the region are driven.
+    The numbers of injections and of measured electrodes are those of the paper's own scheme, for comparison.
 
     Args:
         electrodes: Those of the skin.

@@ -18,7 +18,7 @@ _MEASURED = 10  # electrodes at which a near pair is measured, beside its own
 
 
 def complete_pattern(electrodes: Electrodes | int) -> DrivePattern:
-    """All pairs of electrodes, or of so many, driven and all others measured: every adaptive choice is a part of it."""
+    """All pairs of electrodes driven, all others measured: it contains every adaptive choice."""
     n_elec = electrodes if isinstance(electrodes, int) else len(electrodes)
     return measure_others(all_pairs(n_elec), range(n_elec))
 
@@ -77,7 +77,7 @@ def spacing(electrodes: Electrodes, period: float = 0.0) -> float:
 def base_pattern(electrodes: Electrodes, period: float = 0.0) -> DrivePattern:
     """The base scan of ``16P``: opposite electrodes of the rim driven, all others measured, inner ones too.
 
-    Of all sets of six it has, within a hundredth, the least position error over the paper's sheet (`best_fixed`). Where
+    Its position error over the paper's sheet is within 1 % of that of the best set of six (`best_fixed`). Where
     electrodes are many, near pairs all over the skin, half as many as electrodes, first those farthest from each other.
 
     Args:
@@ -129,7 +129,7 @@ def numbers_of(pattern: DrivePattern, injections: Ints) -> Ints:
 def part_of(complete: DrivePattern, chosen: Ints | Sequence[int]) -> DrivePattern:
     """The `chosen` injections (count,) of a `complete` pattern, in that order; all must have equally many measurements.
 
-    The same ones give the same object again: what is known of a pattern is worked out once.
+    The same choice returns the same object, so that quantities of a pattern are computed once.
     """
     return _part_of(complete, tuple(map(int, chosen)))
 

@@ -40,15 +40,16 @@ class Ranking:
     Args:
         table: Responses of contacts.
         candidates: The injections.
-        depth: How many injections to rank in each cell.
-        known: Numbers of injections that each frame measures anyway.
-        prior: What is known of a contact in the cell; as much as a tracker knows unless given.
-        cell: Width of a cell, about (m); 2.5 radii of a contact unless given. A cell takes some 5 ms.
-        size: What a radius that is not known counts, against a place (1).
+        depth: Number of injections to rank in each cell.
+        known: Numbers of the injections that each frame measures in any case.
+        prior: Prior of a contact in the cell; that of a tracker unless given.
+        cell: Approximate width of a cell (m); 2.5 radii of a contact unless given. A cell takes about 5 ms.
+        size: Weight of the error of the radius relative to that of the position (1).
 
     Attributes:
         order: (n_x, n_y, depth) numbers of injections, best first.
-        values: (n_x, n_y, depth + 1) the squared error of position, and in part of radius, before and after each (m2).
+        values: (n_x, n_y, depth + 1) the squared error of position, plus the weighted one of the radius, before and
+            after each (m2).
 
     Raises:
         PatternError: If depth or cell are not positive.
@@ -95,12 +96,12 @@ class Ranking:
         return min(max(int(x), 0), self._shape[0] - 1), min(max(int(y), 0), self._shape[1] - 1)
 
     def in_turn(self, positions: Sequence[Sequence[float] | Floats], count: int, turn: int) -> list[int]:
-        """The next injections of the rankings of all cells with contacts, which take turns; a cell counts once.
+        """The next injections from the rankings of all cells with contacts, in turn; a cell counts once.
 
         Args:
             positions: (n, 2) of the contacts (m).
             count: How many injections a frame has.
-            turn: How many frames before this one have had as many.
+            turn: Number of previous frames with as many injections.
         """
         ranked = [self._order[x][y] for x, y in dict.fromkeys(map(self.cell_of, positions))]
         depth, many = self.order.shape[-1], len(ranked)
@@ -133,10 +134,10 @@ class TrackingDrive(Exploration):
         electrodes, injections, drives, period: As `Exploration`.
         design: Gives the responses of contacts and all pairs with their currents and noise (`Candidates` of
             `candidate_pattern(electrodes)`), such as `Skin.design`; called when a contact is first followed.
-        explore: How many of a frame's injections go round the exploring set, but no more than half. With two of four,
-            95 % of new contacts and more are found within three frames (docs/policies.md).
-        exact: Weigh all candidates against the present belief, contacts together and the ellipses of their positions
-            included; in about a millisecond. Otherwise contacts take turns at their cell's ranking, in a tenth of that.
+        explore: Number of a frame's injections that explore, half of them at most. With two of four, 93 % of new
+            contacts or more are found within three frames (docs/policies.md).
+        exact: Evaluate all candidates for the present belief, for all contacts together with their covariances, in
+            about 1 ms. Otherwise contacts take turns with their cell's ranking, in a tenth of that time.
 
     Raises:
         PatternError: If the counts are out of range. Later, if the candidates are not complete.
@@ -171,8 +172,8 @@ class TrackingDrive(Exploration):
     def next(self, targets: Sequence[Target], turn: int) -> DrivePattern:
         """The pattern of frame number `turn` (from 0), given the belief about contacts, the `targets`.
 
-        Where one more contact may be (of effect 0), every other frame measures there alone; the others go on as usual,
-        so that a doubt that stays costs half of the frames.
+        Where one more contact may be (of effect 0), every second frame measures only there; the others continue as
+        usual, so that a lasting doubt costs half of the frames.
         """
         return part_of(self.complete, self._choose(targets, turn))
 
@@ -229,11 +230,11 @@ class PositionDrive(SecondScan):
 
     @cached_property
     def ranking(self) -> Ranking:
-        """What to drive for a contact in each cell; made when first asked for, in about a second."""
+        """The injections for a contact in each cell; made when it is first needed, in about a second."""
         return _ranking(*self._design(), self.pairs, tuple(self._base.tolist()), _BASED, size=_SIZE)
 
     def next(self, targets: Sequence[Target]) -> DrivePattern:
-        """The pattern for wherever `targets` may be: at their estimated places, and one standard deviation around."""
+        """The pattern for all places where `targets` may be: the estimated ones, and one standard deviation around."""
         places = [place for target in targets for place in _sigma_points(target)]
         return part_of(self.complete, self.ranking.in_turn(places, self.pairs, turn=0))
 

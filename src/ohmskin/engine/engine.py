@@ -178,8 +178,7 @@ class Engine(Closing):
         return self.known is None or mode in self._sensors
 
     def set_estimator(self, estimator: str = "", prior: str = "", rule: str = "") -> None:
-        """Use another estimator, prior or rule for the images of all modes from the next cycle on; empty ones stay
-        unchanged.
+        """Use another estimator, prior or rule in all modes from the next cycle on; empty ones stay unchanged.
 
         Raises:
             ModelError: If one is unknown, or does not go with the skin; nothing is changed then.

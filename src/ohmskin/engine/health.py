@@ -16,9 +16,9 @@ class Health:
     Args:
         rate: Cycles per second over the last second.
         latency_p50, latency_p99: Time from the last sample of a cycle to its contacts (s), over the last 1000 cycles.
-            The device's clock is tied to the host's by the fastest answer seen, so the smallest transit time is not in
-            it.
-        dropped: Frames lost on the way, since the start.
+            The device's clock is synchronised to the host's by the fastest answer seen, so that the smallest transit
+            time is not included.
+        dropped: Frames lost in transit since the start.
         noise: Standard deviation of a voltage on the quiet skin (V).
         waiting: Share of the time spent waiting for the device (0 to 1).
         cycles: Cycles since the start.

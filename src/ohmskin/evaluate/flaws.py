@@ -17,13 +17,13 @@ _BUMP = 30e-3  # m, width of the bumps of an uneven sheet
 
 @dataclass(frozen=True)
 class Flaw:
-    """What is wrong with the model, or with the skin since its calibration.
+    """Errors of the model, or changes of the skin since its calibration.
 
     Args:
         wear: Contact impedance of the electrodes over the usual one, when the skin is calibrated.
-        since: By how many times it has grown since, of which the reference knows nothing.
-        misplaced: Distance between where an electrode is and where it is believed to be (m); in a random direction, on
-            the rim along it.
+        since: Factor by which it has grown since, which the reference does not include.
+        misplaced: Distance between the true and the assumed place of an electrode (m); in a random direction, on the
+            rim along it.
         uneven: Standard deviation of the believed conductivity, as a share; smooth, of bumps of some 30 mm.
         calibrated: Whether places of electrodes and conductivity are then fitted to quiet voltages, see `fit_sheet`.
         draw: Which random directions and bumps.

@@ -20,7 +20,7 @@ _QUARTER = 0.25  # share of the largest value above which a pixel belongs to the
 
 @dataclass(frozen=True)
 class Target:
-    """What an image should show: a contact at `position` (m) whose `strength` is relative change times area (m2)."""
+    """The true contact of an image, at `position` (m), with a `strength` of relative change times area (m2)."""
 
     position: tuple[float, float]
     strength: float
@@ -64,10 +64,10 @@ def figures_of_merit(pixels: ArrayLike, x: ArrayLike, y: ArrayLike, targets: Seq
         pixels: (ny, nx) image, conductivity raised by contacts being positive; NaN off the domain.
         x: (nx,) pixel centres in metres, evenly spaced.
         y: (ny,) pixel centres in metres, evenly spaced.
-        targets: What is there.
+        targets: The true contacts.
 
     Raises:
-        DataError: If shapes do not fit, there is no target, or a target's cell holds no positive pixel.
+        DataError: If shapes do not fit, there is no target, or a target's cell has no positive pixel.
     """
     image, x, y = np.asarray(pixels, float), np.asarray(x, float), np.asarray(y, float)
     if image.shape != (len(y), len(x)) or min(image.shape) < 2:
@@ -133,8 +133,8 @@ def eidors_figures(
     """The figures of merit exactly as EIDORS 3.11 computes them, for comparison with published tables.
 
     AR is the plain sum of all pixels, and of those of q. PE is a difference of two distances from the mesh's origin,
-    wherever in the mesh that is, so that it has a sign and is blind to errors along the tangent. Pixels are taken to
-    lie on a lattice that spans the domain from edge to edge. The search for q leaves out what is beyond a circle of
+    wherever that is in the mesh, so that it has a sign and does not depend on tangential errors. Pixels are taken to
+    lie on a lattice that spans the domain from edge to edge. The search for q excludes pixels outside a circle of
     squared radius 1.1, 17.3 % of a square of 64 x 64 pixels. RNG counts the negative pixels outside q, against the sum
     over q.
 

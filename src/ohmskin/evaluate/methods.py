@@ -24,9 +24,9 @@ class Method:
     Args:
         key: Short name, such as ``16O``.
         label: Name in tables, the paper's where it has one.
-        title: What it does, in a few words.
+        title: A short description.
         layout: Electrode layout (`worlds.LAYOUTS`).
-        drive: Name of what it drives (`ohmskin.drive.DRIVES`).
+        drive: Name of its drive (`ohmskin.drive.DRIVES`).
         injections: Per image.
         fuse: Whether the image uses the base scan, too.
     """
@@ -45,10 +45,10 @@ class Method:
         return Mode(self.key, self.drive, "centroid", injections=self.injections, fuse=self.fuse)
 
     def assuming(self, name: str) -> Mode:
-        """The same with what the assumption of that `name`, one of `ASSUMPTIONS`, takes otherwise.
+        """The same under the assumption of that `name`, one of `ASSUMPTIONS`.
 
         Raises:
-            OhmskinError: If there is none.
+            OhmskinError: If there is no such assumption.
         """
         taken = assumption(name)
         mode = self.mode.using(prior=taken.prior)
@@ -94,7 +94,7 @@ class Bench:
         world: One of `worlds.WORLDS`.
         decibels: Noise level (dB, see `worlds`).
         amplitude: Prior amplitude s (relative conductivity change).
-        assumption: What is otherwise than in the figures, one of `ASSUMPTIONS`.
+        assumption: The assumption that differs from the figures, one of `ASSUMPTIONS`.
     """
 
     world: str
@@ -110,13 +110,13 @@ class Bench:
     def usual_contact(
         self, x: float, y: float, radius: float | None = None, strength: float | None = None, times: float = 1.0
     ) -> Shape:
-        """A contact, the usual one of the world unless said otherwise.
+        """A contact, the usual one of the world unless given otherwise.
 
         Args:
             x, y: Its centre (m).
             radius: Its radius (m).
             strength: Relative conductivity change in it (1).
-            times: By how much that is multiplied (1).
+            times: Factor on the strength (1).
         """
         taken = assumption(self.assumption)
         radius = CONTACT_RADIUS[self.world] if radius is None else radius
@@ -124,11 +124,11 @@ class Bench:
         return disc(x, y, taken.radius * radius, taken.strength * times * strength)
 
     def simulate(self, key: str, contacts: Contacts, seed: int) -> View:
-        """What a method sees of contacts.
+        """The result of a method for some contacts.
 
         Args:
             key: Of the method.
-            contacts: The shapes that press.
+            contacts: The pressed shapes.
             seed: Of the noise; methods that share a scan share it.
 
         Raises:
@@ -144,13 +144,13 @@ class Bench:
         seeds: int,
         what: Callable[[View, Contacts], dict[str, Any]],
     ) -> Result:
-        """What is read from the views of each method, case and seed.
+        """Values computed from the views of each method, case and seed.
 
         Args:
             keys: Of the methods.
-            cases: The contacts of each.
-            seeds: How many; they are 0, 1, ...
-            what: Reads numbers or arrays, by name, from a view of contacts.
+            cases: The contacts of each case.
+            seeds: Number of seeds; they are 0, 1, ...
+            what: Computes numbers or arrays, by name, from a view of contacts.
 
         Returns:
             By the same names, arrays (n_methods, n_cases, n_seeds, ...).

@@ -27,12 +27,12 @@ Progress = Callable[[str, Experiment, bool], None]  # group, its experiment that
 
 @dataclass(frozen=True)
 class Outcome(Generic[S]):
-    """Everything that a study ran.
+    """All experiments of a study.
 
     Args:
-        settings: How thoroughly.
+        settings: Seeds, noise levels and counts.
         experiments: By group and name.
-        results: The same, with results.
+        results: Their results, likewise.
     """
 
     settings: S

@@ -82,7 +82,7 @@ class View:
 
 
 class Setup:
-    """One world at one noise level, and what is believed of it.
+    """One world at one noise level, and the estimator's model of it.
 
     Args:
         world: One of `worlds.WORLDS`.
@@ -92,12 +92,12 @@ class Setup:
             reference is free of noise. Where it is None, images are made as the skin's description says, and the
             reference is the mean of the quiet scans.
         layout: Electrode layout, of `worlds.LAYOUTS`.
-        flaw: What is wrong.
-        assumption: What is otherwise than in the figures of the paper.
+        flaw: Errors of the model.
+        assumption: The assumption that differs from the figures of the paper.
 
     Attributes:
         noise: Standard deviation of a voltage (V).
-        known: What a calibration knows: the believed model, its conductivity fitted to quiet frames.
+        known: The calibrated model of the quiet skin: the assumed one, with its conductivity fitted to quiet frames.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Setup:
         self._sensors: dict[Mode, Sensor] = {}
 
     def design(self, driven: bool) -> tuple[ContactTable, drives.Candidates]:
-        """What informed drives choose from: the responses of contacts, and all injections at `CURRENT`.
+        """Input of drives by information: the responses of contacts, and all injections at `CURRENT`.
 
         Args:
             driven: Whether driven electrodes are measured, too.
@@ -162,13 +162,12 @@ class Setup:
 
     @cached_property
     def trusting_fitter(self) -> ContactFitter:
-        """Fits contacts without allowance for errors of the model: for tests whose learned threshold covers them."""
+        """Fits contacts under a model without errors: for tests whose learned threshold covers them."""
         errors = self.known.fitter.errors
         return ContactFitter(self.table, errors.noise, model_error=0.0, gain=errors.gain, contacts=errors.contacts)
 
     def drive(self, mode: Mode) -> Drive:
-        """The drive of a mode, for the electrodes where they are believed to be. Patterns without a choice are driven
-        over and over until a frame has as many injections as the mode says.
+        """The drive of a mode, for the assumed places of the electrodes; fixed patterns are repeated to fill a frame.
 
         Raises:
             PatternError: If there is none of that name, or not with so many injections.
@@ -192,7 +191,7 @@ class Setup:
         return self._sensors[mode]
 
     def simulate(self, mode: Mode, contacts: Contacts, *seed: int) -> View:
-        """What a `mode` makes of one frame under `contacts`, noise drawn by `seed`, with nothing known before."""
+        """The result of a `mode` for one frame under `contacts`, with noise of `seed`, without earlier frames."""
         sensor = self.sensor(mode)
         _, percept = sensor.step(sensor.start(), self.scan(contacts, *seed))
         image, found = percept.image, percept.detections
@@ -205,18 +204,18 @@ class Setup:
         return View(self, mode, percept, self.model.mesh, self.raster, image, found)
 
     def differences(self, mode: Mode, percept: Percept) -> tuple[Difference, ...]:
-        """The data that a `mode` reads of the frames of a `percept`: all of them if it fuses, or the last one."""
+        """The data that a `mode` uses of the frames of a `percept`: all of them if it fuses, or the last one."""
         frames = percept.frames if mode.fuse else percept.frames[-1:]
         return tuple(map(self.known.difference, frames))
 
     def follow(self, mode: Mode, frames: Iterable[Contacts], *seed: int, turn: int = 0) -> Iterator[Percept]:
-        """What a mode makes of frames, with what is known from those before.
+        """The results of a mode for successive frames.
 
         Args:
             mode: The mode.
             frames: The contacts of each, `PERIOD` apart.
             seed: Of the noise; frame k has that of ``(*seed, k)``.
-            turn: Number of the first scan, where the round of exploring injections starts.
+            turn: Number of the first scan, at which the cycle of exploring injections starts.
         """
         sensor = self.sensor(mode)
         state = replace(sensor.start(), turn=turn)

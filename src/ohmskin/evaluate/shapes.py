@@ -15,14 +15,14 @@ _HOLE = 1 / 2  # radius of the hole of a ring, as a share of its own
 
 @dataclass(frozen=True)
 class Shape:
-    """A contact of one of the `SHAPES`. Hashable, so that what it causes can be kept.
+    """A contact of one of the `SHAPES`. Hashable, so that its effects can be cached.
 
     Args:
         kind: One of `SHAPES`.
         position: Centre of its bounding square (x, y) in metres.
         radius: Half the side of its bounding square (m); the radius of a disc.
-        strength: What presses: pascals on a pressed skin, relative change of conductivity on a sheet of discs.
-        angle: By which it is turned about its centre, counterclockwise (rad).
+        strength: Pressure (Pa) on a pressed skin, relative change of conductivity on a sheet of discs.
+        angle: Rotation about its centre, counterclockwise (rad).
 
     Raises:
         OhmskinError: If the kind is unknown or a value is out of range.
@@ -48,7 +48,7 @@ class Shape:
         return shares[self.kind] * self.radius**2
 
     def distance(self, points: ArrayLike) -> Floats:
-        """How far outside the shape points (n, 2) are (m); zero or negative inside. Exact outside, but for corners."""
+        """Distance of points (n, 2) from the shape (m); zero or negative inside. Exact outside, except near corners."""
         cos, sin = np.cos(self.angle), np.sin(self.angle)
         u, v = ((np.asarray(points, float) - self.position) @ np.array([[cos, -sin], [sin, cos]])).T
         r, half = self.radius, _BAR * self.radius

@@ -67,9 +67,9 @@ class Study(Generic[S, V]):
 
         Args:
             output: The folder; made if it is not there.
-            settings: How thoroughly; the usual ones unless given.
-            only: Groups wanted; all unless given.
-            cache: Folder of kept results; ``cache`` in the output folder unless given.
+            settings: Seeds, noise levels and counts; the usual ones unless given.
+            only: Groups to run; all unless given.
+            cache: Folder of cached results; ``cache`` in the output folder unless given.
             jobs, scheduler, fresh: See `run_experiments`.
             progress: Called after each experiment.
 

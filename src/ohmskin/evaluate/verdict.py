@@ -46,14 +46,13 @@ class Goal:
 
     Args:
         section: Of the report.
-        text: What is asked.
+        text: The requirement.
         limit: The bound.
         at_most: Whether the value may not exceed it; otherwise it may not fall below it.
-        measured: What was found.
-        unit: ``ratio``, ``%``, ``mm`` or empty for a count.
-        data: How much data the interval comes from, with the number of seeds or trials.
-        note: What else one should know.
-        key: Whether it is one that was asked for; others are the same questions in other circumstances.
+        measured: The measured value. unit: ``ratio``, ``%``, ``mm`` or empty for a count.
+        data: The data behind the interval, with the number of seeds or trials.
+        note: Further information.
+        key: Whether it is one of the main goals; others repeat them in other circumstances.
     """
 
     section: str
@@ -87,7 +86,7 @@ class Goal:
 
     @property
     def margin(self) -> str:
-        """By how much the bound is kept or missed: the value over the bound of a ratio, the difference otherwise."""
+        """Margin to the bound: for a ratio the value over the bound, otherwise the difference."""
         if self.unit == "ratio":
             return f"{100 * (self.measured.value / self.limit - 1):+.0f} %"
         if self.unit == "%":

@@ -34,8 +34,7 @@ _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contact
 
 
 class FloatingPatches:
-    """A skin with a layer of floating conductors. Any press costs the solution of a dense system in the contacts that
-    it closes.
+    """A skin with a layer of floating conductors. A press costs a dense solution in the contacts that it closes.
 
     Args:
         model: The untouched skin.

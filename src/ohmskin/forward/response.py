@@ -199,8 +199,7 @@ class ContactTable:
         return ContactResponse(found[:, 2], found[:, :2], found[:, 3])
 
     def lopsided(self, positions: ArrayLike) -> Floats:
-        """What contacts at positions (n, 2) (m) change if they conduct better in one direction than across it, (2 n,
-        n_pairs).
+        """Changes (2 n, n_pairs) due to contacts at positions (n, 2) (m) that conduct better in one direction.
 
         Per square metre of effect (ohm/m2): for each contact the change due to conducting along x instead of y, then
         the same for the diagonals. A disc has no such part; in a line-shaped contact it is as large as the effect.

@@ -118,7 +118,9 @@ class TransferModel(ReadOnly):
 
     @property
     def shorted(self) -> "TransferModel":
-        """The same model with sensitivities to round spots that conduct far better than the sheet. On an isotropic
+        """The same model with sensitivities to round spots that conduct far better than the sheet.
+
+        On an isotropic
         sheet they are the same. On an anisotropic one the dipole of such a spot (an ellipse, after stretching the sheet
         to be isotropic) is proportional, along each direction, to the square root of the conductivity instead of the
         conductivity.

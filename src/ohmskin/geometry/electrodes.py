@@ -194,8 +194,7 @@ class Electrodes(ReadOnly):
         contact_impedance: ArrayLike = 0.0,
         rings: tuple[tuple[int, ...], ...] | None = None,
     ) -> Self:
-        """Electrodes made of a mesh's nodes and facets, as other programs list them; they can be used with that mesh
-        only.
+        """Electrodes of a mesh's nodes and facets, as other programs list them; usable with that mesh only.
 
         Args:
             mesh: Triangles or tetrahedra.
@@ -247,8 +246,7 @@ class Electrodes(ReadOnly):
 
     @classmethod
     def rim(cls, domain: Domain, count: int, start: float = 0.0, clockwise: bool = False) -> Self:
-        """`count` electrodes evenly spaced along the rim of `domain`; one that is close to a corner of a polygon is put
-        on the corner.
+        """`count` electrodes evenly spaced along the rim of `domain`; those close to a polygon's corner are put on it.
 
         Args:
             domain: The sheet.

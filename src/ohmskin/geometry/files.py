@@ -15,8 +15,7 @@ from ohmskin.geometry.mesh import Mesh
 
 
 def read_mesh(path: str | Path, scale: float = 1.0) -> Mesh:
-    """A mesh of the file's tetrahedra if it has any, else of its triangles. Nodes at the same place are joined, unused
-    ones removed.
+    """A mesh of the file's tetrahedra, else of its triangles. Nodes at one place are joined, unused ones removed.
 
     Args:
         path: Any format that meshio reads, by its ending.

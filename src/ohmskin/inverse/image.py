@@ -29,8 +29,9 @@ class Image:
 
     @property
     def contrast(self) -> Floats:
-        """(n_elem,) values in which contacts are searched: the image, or the log conductivity ratio of a logarithmic
-        image. A ratio is bounded below but not above, so that noise would resemble contacts that conduct better.
+        """(n_elem,) values to search for contacts: the image, or the log conductivity ratio of a logarithmic one.
+
+        A ratio is bounded below but not above, so that noise would resemble contacts that conduct better.
         """
         return np.log1p(self.values) if self.logarithmic else self.values
 

@@ -73,7 +73,9 @@ class Difference:
 
     @cached_property
     def undriven(self) -> "Difference":
-        """The data of electrodes that carry no current, which do not depend on contact impedances. Itself if all or
+        """The data of electrodes that carry no current, which do not depend on contact impedances.
+
+        Itself if all or
         none are such.
         """
         kept = self.pattern.idle
@@ -97,12 +99,13 @@ class Difference:
         return np.asarray(self.currents * (0.5 * (ad + bc - ac - bd) - own))
 
     def minus(self, changes: Floats, pairs: Pairs | None = None) -> "Difference":
-        """The difference without the part that changes of two-terminal resistances cause; arguments as for
-        `caused_by`."""
+        """The difference without what changes of two-terminal resistances cause; arguments as for `caused_by`."""
         return changed(self, volts=self.volts - self.caused_by(changes, pairs))
 
     def times(self, shares: Floats | float) -> "Difference":
-        """The same data with voltage and current of each measurement multiplied by a share. An estimator's noise then
+        """The same data with voltage and current of each measurement multiplied by a share.
+
+        An estimator's noise then
         applies to these: a measurement with a smaller share has a lower weight.
 
         Args:

@@ -120,6 +120,7 @@ class DrivePattern(ReadOnly):
     @cached_property
     def with_driven(self) -> "DrivePattern":
         """The pattern with two more voltages for each injection: source and sink against its first and last electrode.
+
         An injection that already measures one of them stays unchanged.
         """
         which, plus, minus = self.measurements.T

@@ -57,9 +57,13 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
 
 
 def build(mode: Mode, known: SkinModel, drive: Drive | None = None, fast: bool = True) -> Sensor:
-    """The sensor of a mode. Args: mode: Names drive, reader, estimator and prior. known: The model of the quiet skin.
-    drive: An existing drive, such as the recorded pattern. fast: Whether it may use a compiled implementation, which
-        takes a while on a machine that has never compiled it.
+    """The sensor of a mode.
+
+    Args:
+        mode: Names drive, reader, estimator and prior.
+        known: The model of the quiet skin.
+        drive: An existing drive, such as the recorded pattern.
+        fast: Whether it may use a compiled implementation, which takes a while on a machine that has never compiled it.
 
     Raises:
         PatternError: If there is no such drive, or the skin does not allow it, or its quiet frames do not cover it.

@@ -114,7 +114,9 @@ class SkinModel:
         return self.quality is not None or self.channels is not None
 
     def soundness(self, frame: Frame) -> Soundness:
-        """Which values of a `frame` are possible. Currents are if they are a tenth to ten times those on the quiet
+        """Which values of a `frame` are possible.
+
+        Currents are if they are a tenth to ten times those on the quiet
         skin; voltages are if their current is and they are not clipped. Values count as clipped if they all equal the
         largest one, to the last bit, although on the quiet skin they do not.
         """
@@ -155,7 +157,9 @@ class SkinModel:
             return changed(difference.times(wanted / difference.currents), currents=wanted)
 
     def pressed(self, places: Floats) -> Callable[[DrivePattern], Frame]:
-        """Scans without noise of a sheet that is touched at places (n, 2 or 3), by linear theory. At each place the
+        """Scans without noise of a sheet that is touched at places (n, 2 or 3), by linear theory.
+
+        At each place the
         conductivity of eight elements is 50 % higher.
         """
         model = self.model

@@ -133,7 +133,9 @@ class PressFitter:
         return self.fitted(found[0], inverse(found[2]))
 
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
-        """The layer that explains presses of known force: about ten, at places and forces all over the range. A press
+        """The layer that explains presses of known force: about ten, at places and forces all over the range.
+
+        A press
         with falling force follows a stronger one at the same place: such pairs determine the foam's hysteresis.
 
         Raises:
@@ -211,6 +213,7 @@ class PressFitter:
 
     def information(self, scans: Sequence[Difference], frames: float = 1.0) -> NormalEquations:
         """Information of scans, for this number of `frames` like them; noise averages out, the model's error does not.
+
         With 0 frames, for a model without error.
         """
         fitter, four = self.known.fitter, np.concatenate([scan.pattern.quadruples for scan in scans])
@@ -253,6 +256,7 @@ class PressFitter:
 
     def caused(self, params: Floats) -> tuple[Floats, Floats]:
         """Change of two-terminal resistances (n_pairs,) due to presses, `params` (4 n,), and its slopes (n_pairs, 4 n).
+
         Presses far from each other are computed separately and added, with an error of about 2 %: time grows with the
         cube of the size.
         """
@@ -274,8 +278,7 @@ class PressFitter:
         return [np.flatnonzero(labels == label).tolist() for label in range(labels.max() + 1)]
 
     def most_contacts(self, presses: Sequence[Press]) -> int:
-        """The largest number of contacts of patches that one of the `groups` of `presses` may close; time grows with
-        its cube."""
+        """Most contacts of patches that one of the `groups` of `presses` may close; time grows with its cube."""
         groups = self.groups(presses)
         return max(self.sheet.contacts_under([presses[k] for k in group]) for group in groups)
 

@@ -167,8 +167,7 @@ class Skin:
 
     @property
     def digest(self) -> str:
-        """Checksum of what a calibration depends on: shape, places and sizes of electrodes, and the settings of
-        imaging."""
+        """Checksum of all that a calibration depends on: sheet, electrodes, and settings of imaging."""
         parts: dict[str, Any] = {"sheet": self.sheet, "electrode": self.electrode, "imaging": self.imaging}
         changed = [
             f"{table}.{_FORMER.get(entry.name, entry.name)} = {value!r}"
@@ -234,8 +233,9 @@ class Skin:
         return float(np.hypot(self.converter.noise, step / np.sqrt(12)))
 
     def design(self, driven: bool = False) -> tuple[ContactTable, Candidates]:
-        """Input of drive design: the responses of contacts, and all injections with their currents and noise. Made
-        once. `driven`: electrodes that carry the current are measured, too.
+        """Input of drive design: the responses of contacts, and all injections with currents and noise. Made once.
+
+        `driven`: electrodes that carry the current are measured, too.
         """
         return _design(self, driven)
 

@@ -48,7 +48,9 @@ class VirtualSkin:
 
     def reset(self, seed: int | Sequence[int] | None = None, presses: Iterable[Press] = ()) -> None:
         """Return to the initial state: the clock at zero, noise from this seed, and only `presses`, numbered from 0.
-        Raises: SkinError: If a press is off the sheet.
+
+        Raises:
+            SkinError: If a press is off the sheet.
         """
         pressing = dict(enumerate(presses))
         for press in pressing.values():

@@ -1,6 +1,7 @@
 """The paper's experiments: each a frozen dataclass of parameters whose `run` is a pure function to named arrays.
 
-Equal parameters give equal arrays, on any machine and in any order, so that a runner may spread, keep and resume them.
+Equal parameters give equal arrays, on any machine and in any order, so that a runner may distribute, cache and resume
+them.
 """
 
 from ohmskin.evaluate.experiments.discrimination import Discrimination

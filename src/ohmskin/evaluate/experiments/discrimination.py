@@ -50,7 +50,7 @@ class Discrimination(Bench):
         area: The area, one of `Area`.
         methods: Which methods.
         distances: Between the two contacts (m).
-        fitted: Whether one and two contacts are fitted, too, or only the dip is looked for.
+        fitted: Whether one and two contacts are fitted, too, or only the dip is evaluated.
     """
 
     seeds: int
@@ -65,7 +65,7 @@ class Discrimination(Bench):
         contacts, parted by a dip, each closer to its own true contact than half their distance (for singles: whether
         there is more than one contact at all); ``statistic``, how much better two fitted contacts explain the data than
         one (`one_or_two`); ``near``, whether the two are each closer to its own true contact than half their distance;
-        ``chi_square``, what the fit with as many contacts as there are leaves, over its degrees of freedom. The last
+        ``chi_square``, the residual of the fit with the true number of contacts, over its degrees of freedom. The last
         three only if contacts are `fitted`.
         """
         middle, (left, right) = self.area.position, self.area.pair(30e-3)

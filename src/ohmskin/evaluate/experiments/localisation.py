@@ -38,7 +38,7 @@ class Localisation(Bench):
 class MatchedLocalisation:
     """`Localisation` at the noise level at which one method's mean error has a given value.
 
-    The level is found by that method alone: the one at which its mean error comes closest.
+    The level is found for that method only: the one at which its mean error is closest to the given value.
 
     Args:
         world, amplitude, seeds, side, methods, assumption: As for `Localisation`.
@@ -89,7 +89,7 @@ def errors(result: Result, name: str = "estimate") -> Floats:
         result: Results of an experiment, with ``truth``.
         name: The name of the estimate.
 
-    Where nothing was found there is no estimate; the sheet's centre is taken, the best guess without data.
+    Where nothing was found, the estimate is the sheet's centre, the best guess without data.
     """
     estimate = np.where(np.isfinite(result[name]), result[name], CENTRE)
     distance: Floats = np.linalg.norm(estimate - result["truth"], axis=-1)

@@ -41,7 +41,7 @@ class Touches(Bench):
     def run(self) -> Result:
         """Results: ``pixels`` (n_cases, n_methods, ny, nx), relative change; ``count`` (n_cases, n_methods, n_seeds),
         contacts found; ``error`` (same), mean distance in metres between true contacts and the contacts found that are
-        matched to them, NaN where fewer are found than there are; ``place`` (n_cases, n_methods, n_seeds, 2), see
+        matched to them, NaN where fewer are found than exist; ``place`` (n_cases, n_methods, n_seeds, 2), see
         `View.place`.
         """
 
@@ -125,8 +125,8 @@ class Merits(Bench):
     def run(self) -> Result:
         """Results: ``modern`` (n_methods, n_seeds, 7), the `COLUMNS` (PE as a distance and localisation in metres);
         ``vector`` (n_methods, n_seeds, 2), PE as a vector (m); ``eidors`` (n_methods, n_seeds, 5), the
-        `EIDORS_COLUMNS`. NaN where an image has nothing positive. AR is relative to the disc's change times area; a
-        pressed contact has no such number, its area stands for it.
+        `EIDORS_COLUMNS`. NaN where an image has nothing positive. AR is relative to the disc's change times area; for a
+        pressed contact, which has no such value, to its area.
         """
         strength = self.contact.area * (self.contact.strength if self.world == "discs" else 1.0)
         target = Target(self.contact.position, strength)
@@ -170,8 +170,8 @@ class PressedShapes:
     def run(self) -> Result:
         """Results: ``pixels`` (n_contacts, n_methods, ny, nx) of the first seed; ``truth`` (n_contacts, ny, nx),
         whether a pixel's centre is in the shape; ``overlap`` (n_contacts, n_methods, n_seeds), intersection over union
-        of the shape and the pixels above half of the largest; ``blind`` (n_contacts,), the score
-        of the best disc at the shape's centroid, which an imager blind to shape could reach.
+        of the shape and the pixels above half of the largest; ``blind`` (n_contacts,), the score of the best disc at
+        the shape's centroid, which an image without any information on the shape could reach.
         """
         table = Bench("pressed", self.decibels, self.amplitude)
         raster = table.setup("grid").raster

@@ -1,4 +1,4 @@
-"""Policies compared: what to measure next, by the paper, by position information, and with a memory.
+"""Policies compared: what to measure next, by the paper, by position information, and by tracking.
 
     from ohmskin.evaluate import policies
 

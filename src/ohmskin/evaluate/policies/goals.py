@@ -27,7 +27,7 @@ Done = Outcome[Settings]
 
 
 def assess(done: Done) -> list[Goal]:
-    """The goals that the results of what is `done` can decide."""
+    """The goals that the results of `done` can decide."""
     goals = {
         "static": _static,
         "driven": _driven,

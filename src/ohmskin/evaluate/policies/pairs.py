@@ -33,16 +33,16 @@ _EXACT = 1e-2  # share of the noise to which an oracle's disc is fitted
 class PairDiscrimination:
     """Two discs side by side at several distances, and single ones for the rate of false twos.
 
-    A single one is as large as one of the two, or has the area of both, which looks most like them.
+    A single one is as large as one of the two, or has the area of both, which resembles them most.
 
     Args:
         decibels: Noise level (dB).
         seeds: Noise seeds of each pair.
         singles: Single contacts, each with one noise seed.
         distances: Between the centres (m).
-        where: Places, and directions, of the pairs, drawn once.
+        where: Number of places, and directions, of the pairs, drawn once.
         strength: Relative conductivity change of each disc (1).
-        schemes: Which injections; keys, see `schemes.scheme`.
+        schemes: The injections; keys, see `schemes.scheme`.
     """
 
     decibels: float
@@ -74,14 +74,15 @@ class PairDiscrimination:
 
 @dataclass(frozen=True)
 class PairLimits:
-    """How far two discs are, in units of the noise, from the single disc that looks most like them.
+    """Distance of two discs, in units of the noise, from the single disc that resembles them most.
 
-    If both hypotheses were known in every number, no test could do better than Neyman and Pearson's, whose power at a
-    rate `ALPHA` of false twos follows from that distance. Contacts act linearly here, as in `ContactTable`.
+    If all parameters of
+    both hypotheses were known, no test could be better than Neyman and Pearson's, whose power at a rate `ALPHA` of
+    false twos follows from that distance. Contacts act linearly here, as in `ContactTable`.
 
     Args:
         decibels, distances, where, strength: As for `PairDiscrimination`.
-        schemes: Whose injections, chosen without noise.
+        schemes: The injections, chosen without noise.
         count: Number of injections of the best set of all.
     """
 

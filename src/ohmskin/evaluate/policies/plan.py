@@ -61,15 +61,15 @@ class Settings:
     Args:
         seeds: Noise seeds.
         side: Places along a side of the lattice of static contacts.
-        random: Random places beside it.
+        random: Number of random places in addition.
         levels: Noise levels of static contacts (dB); the first is that of the goals, of moving contacts, of detection,
-            and of what adapting gains with other numbers of injections and contacts.
-        noises: Noise levels at which the gain of adapting is measured (dB).
-        counts: Injections a frame for which it is measured, beside 28.
+            and of the gain of adaptive drive with other numbers of injections and contacts.
+        noises: Noise levels at which the gain of adaptive drive is measured (dB).
+        counts: Injections a frame for which it is measured, in addition to 28.
         frames: Length of a moving contact's path.
         fine: Noise levels of pairs (dB).
-        where: Places of pairs.
-        singles: Single contacts that may be taken for two.
+        where: Number of places of pairs.
+        singles: Single contacts, to measure how often one is reported as two.
         trials: New contacts to detect, per case.
         quiet: Frames without a contact.
         draws: Of random flaws.
@@ -111,7 +111,7 @@ class Settings:
 
     @classmethod
     def quick(cls) -> Self:
-        """Less of everything: what takes a minute or two on two cores."""
+        """Smaller settings, which take a minute or two on two cores."""
         return cls(
             seeds=5,
             side=5,

@@ -31,9 +31,9 @@ class Static:
         readers: As for `schemes.scheme`.
         side: Places along a side of the lattice, those of Fig. 7.
         random: Number of random places, drawn once, at least 10 mm from the rim.
-        corners: Number of places in the corners beside it, 10 to 18 mm from both sides.
-        instrument: Where given, all schemes have the time that the paper's has on it; see `schemes.within`.
-        flaw: What is wrong with the model or the skin.
+        corners: Number of additional places in the corners, 10 to 18 mm from both sides.
+        instrument: If given, all schemes have the time that the paper's takes on it; see `schemes.within`.
+        flaw: Errors of the model or changes of the skin.
         first: Number of the first seed.
     """
 

@@ -31,8 +31,7 @@ _PATIENCE = 20  # frames in which a new one may be found
 
 @dataclass(frozen=True)
 class Moving:
-    """One contact on a winding path, its speed going up and down between 0 and `FASTEST`; each seed has a path of its
-    own.
+    """One contact on a winding path, with a speed that varies between 0 and `FASTEST`; each seed has its own path.
 
     Within a frame the contact is at rest.
 
@@ -40,8 +39,8 @@ class Moving:
         world, decibels, readers, flaw, first: As for `Static`.
         seeds: Paths, each with noise of its own.
         frames: Length of a path.
-        schemes: What is driven frame by frame; keys, see `schemes.scheme`.
-        trackers: What is driven for the reader that tracks contacts from frame to frame; keys likewise.
+        schemes: Drives for estimates frame by frame; keys, see `schemes.scheme`.
+        trackers: Drives for the reader that tracks contacts from frame to frame; keys likewise.
     """
 
     world: str
@@ -57,7 +56,7 @@ class Moving:
     def run(self) -> Result:
         """Results: ``truth`` (n_seeds, n_frames, 2); ``framewise`` (n_schemes, n_readers, n_seeds, n_frames, 2) and
         ``tracked`` (n_trackers, n_seeds, n_frames, 2), where the strongest contact is reported, NaN where none is;
-        ``std`` (n_trackers, n_seeds, n_frames), the root of the variance of x and y that the tracker claims;
+        ``std`` (n_trackers, n_seeds, n_frames), the root of the variance of x and y that the tracker states;
         ``count`` (same), contacts reported. All in metres.
         """
         where = setup(self.world, self.decibels, flaw=self.flaw)
@@ -109,7 +108,7 @@ def path(seed: int, frames: int) -> Floats:
 
 @dataclass(frozen=True)
 class Detection:
-    """A new contact appears while none, one or several others are tracked; all rest.
+    """A new contact appears while none, one or several others are tracked; no contact moves.
 
     Args:
         world, decibels: As for `Static`.
@@ -126,9 +125,9 @@ class Detection:
 
     def run(self) -> Result:
         """Results: ``frames`` (n_trials,), the frame in which the new contact is first reported within `NEAR` of where
-        it is, 1 being the first in which it is there; infinite if it is not found in 20. ``error`` (n_trials,), how
-        far it then is from the truth (m). ``ready`` (n_trials,), whether all others were reported just before;
-        ``ghosts`` (n_trials,), most contacts reported beyond those there.
+        it is, 1 being the first in which it is there; infinite if it is not found in 20. ``error`` (n_trials,), its
+        position error then (m). ``ready`` (n_trials,), whether all others were reported just before; ``ghosts``
+        (n_trials,), largest number of false contacts.
         """
         where = setup(self.world, self.decibels)
         frames, error = np.full(self.trials, np.inf), np.full(self.trials, np.nan)
@@ -170,7 +169,8 @@ class Quiet:
     seed: int = 0
 
     def run(self) -> Result:
-        """Results: ``births`` (), contacts reported, each once; ``frames`` (), that showed one by themselves."""
+        """Results: ``births`` (), contacts reported, each once; ``frames`` (), frames that showed one when read
+        alone."""
         where = setup(self.world, self.decibels)
         mode, known, busy = scheme(self.mode, self.reading), set[int](), 0
         for percept in where.follow(mode, repeat((), self.frames), 9, self.seed):
