@@ -133,8 +133,7 @@ def position_bound(
 
 
 def best_fixed(table: ContactTable, candidates: Candidates, injections: int, places: ArrayLike | None = None) -> Ints:
-    """The fixed set of injections (count,) with the least mean squared position bound, chosen greedily, then by
-    exchanges.
+    """The fixed set of injections (count,) with the least mean squared position bound, by greedy choice and exchanges.
 
     The prior is `ContactPrior.usual` of the table's radius.
 

@@ -23,7 +23,7 @@ class BackgroundFit:
         names: (n_params,) of the parameters: "background 0", ..., "contact 3" or "contacts".
         log_values: (n_params,) coefficients of the background's basis; logarithms of factors on contact impedances.
         covariance: (n_params, n_params) of `log_values`.
-        residual: Root mean square of what is left (V).
+        residual: Root mean square residual (V).
         rounds: Gauss-Newton steps taken.
     """
 
@@ -36,7 +36,7 @@ class BackgroundFit:
 
     @property
     def log_std(self) -> Floats:
-        """(n_params,) standard deviations of `log_values`: relative ones of what they scale."""
+        """(n_params,) standard deviations of `log_values`: relative standard deviations of the scaled quantities."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property

@@ -23,8 +23,8 @@ from ohmskin.scan import Difference, DrivePattern, all_pairs
 class Response:
     """Currents and potentials of all electrodes, for any number of excitations.
 
-    The derivatives by the two-terminal resistances R_ij, `..._by_pairs`, give the sensitivity to anything: times
-    `TransferModel.pair_sensitivity` that to conductivity, times `pair_contact_sensitivity` that to contact impedance.
+    The derivatives by the two-terminal resistances R_ij, `..._by_pairs`, give every sensitivity: multiplied by
+    `TransferModel.pair_sensitivity` that to conductivity, by `pair_contact_sensitivity` that to contact impedance.
 
     Args:
         currents: (n_drive, n_elec) into the skin (A).
@@ -89,8 +89,8 @@ def drive_voltages(
         model: The skin, with area electrodes where it is driven.
         voltages: (n_drive, n_elec) in volts, NaN at electrodes that are not driven.
         resistance: In series between the source and each driven electrode, one value or (n_elec,) in ohms.
-        dirichlet_points: Whether points may be driven, too. The potential of a point's node is then given, an
-            idealisation: its current depends on the mesh, and falls without bound as that is refined.
+        dirichlet_points: Whether points may be driven, too. The potential of a point's node is then given, which is an
+            idealisation: its current depends on the mesh, and falls towards zero as that is refined.
 
     Raises:
         ModelError: If shapes or values do not fit, fewer than two electrodes are driven, or one is a point.

@@ -100,7 +100,7 @@ class TouchTable:
         Args:
             places: (n, k) numbers of places; -1 where a scene has fewer touches.
             changes: (n, k) relative conductivity change f of each (1), not negative.
-            threads: How many to share the work among; they do not hold Python's global lock.
+            threads: Number of threads that share the work; they do not hold Python's global lock.
 
         Raises:
             ModelError: If a place is not there, a change is negative or not finite, or the shapes do not fit.

@@ -61,7 +61,7 @@ class LocalUpdate:
         return self._green[np.ix_(rows, rows)]
 
     def green_of(self, rows: Ints) -> Floats:
-        """(n, n) of which `rows` (m,) are those of `green`; others may not be known yet."""
+        """(n, n) whose `rows` (m,) are those of `green`; others may not be computed yet."""
         self._solve(rows)
         return self._green
 
@@ -82,7 +82,7 @@ class LocalUpdate:
             change: (m, m) symmetric change of the conductance matrix there, with rows that sum to zero (siemens).
 
         Raises:
-            ModelError: If nodes or the change are not like that, or the changed skin no longer conducts.
+            ModelError: If nodes or the change do not have these properties, or the changed skin no longer conducts.
         """
         rows = np.searchsorted(self.nodes, nodes)
         if (rows >= len(self.nodes)).any() or (self.nodes[np.minimum(rows, len(self.nodes) - 1)] != nodes).any():

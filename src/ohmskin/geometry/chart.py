@@ -45,7 +45,7 @@ class Chart(Protocol):
         """Metres on the skin for a metre on the map (n,), at places (n, 2)."""
 
     def project(self, points: ArrayLike) -> tuple[Floats, Floats]:
-        """The places (n, 2) closest to points (n, 3), and how far off the points are (m)."""
+        """The places (n, 2) closest to points (n, 3), and the distances of the points from them (m)."""
 
 
 def _places(places: ArrayLike) -> Floats:
@@ -89,7 +89,7 @@ class FlatChart:
 class RevolutionChart:
     """The `Chart` of a surface of revolution about the z axis: part of a turn, all of it, or a cap over the axis.
 
-    Of part of a turn, the middle is in the direction of the x axis; a closed one meets itself on the other side. The
+    The middle of a part of a turn is in the direction of the x axis; the seam of a full turn is on the other side. The
     map of a skin round the axis is a rectangle, or a closed band (`Band`), x round the axis (eastwards, seen from
     above), y along the profile; that of a cap is a disc about the pole.
 

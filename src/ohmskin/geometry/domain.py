@@ -31,7 +31,7 @@ class Domain(Protocol):
 
     @property
     def holes(self) -> "tuple[Domain, ...]":
-        """What is cut out of it."""
+        """The holes in it."""
 
     @property
     def period(self) -> float:

@@ -32,8 +32,8 @@ class MeshChart:
 
     A patch is flattened by spectral conformal parameterisation (Mullen et al. 2008), its rim free; a developable one
     unrolls true to lengths. A ring's y is a harmonic function between its longest rims, its x the conjugate; holes are
-    filled for that. With several rims, the more even one of both maps is taken. Upwards on the map is upwards in space,
-    along z; of a level patch along y. A band begins where its lower rim has the least x.
+    filled to compute them. With several rims, the map with the more uniform scale is used. Upwards on the map is
+    upwards in space, along z; of a level patch along y. A band begins where its lower rim has the least x.
 
     Args:
         surface: Triangles in space, counterclockwise seen from outside.
@@ -41,11 +41,11 @@ class MeshChart:
 
     Attributes:
         flat: Whether lengths on the map are lengths on the skin, to a thousandth.
-        sheared: Ratio of the singular values of the map, which 95 % of the area do not exceed; 1 is conformal.
+        sheared: 95 % quantile over the area of the ratio of the map's singular values; 1 is conformal.
 
     Raises:
-        GeometryError: If triangles turn opposite ways, there is no rim, the map would fold, shear or be too uneven, or
-            a hole is not on it.
+        GeometryError: If triangles have mixed orientations, there is no rim, the map would fold, shear or be too
+            uneven, or a hole is not on it.
     """
 
     def __init__(self, surface: Mesh, holes: Sequence[Hole] = ()) -> None:
@@ -139,7 +139,7 @@ class MeshChart:
 
 
 def flat_patch(surface: Mesh) -> Mesh:
-    """A `surface` of triangles in space, flattened true to angles; its area is kept, its first rim free (m).
+    """A `surface` of triangles in space, flattened conformally; its area is kept, its first rim free (m).
 
     Raises:
         GeometryError: If it would fold over.

@@ -129,9 +129,9 @@ def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
 def electrode_points(domain: Domain, electrodes: Electrodes, closest: float) -> Floats:
     """Points (n, 2) for nodes of a mesh where disc electrodes are: their centres, and rings about them (m).
 
-    Current enters at a disc's edge. With these nodes even a mesh of edges twice as long as the radius gives
-    four-terminal resistances to half a thousandth, and what a contact impedance does to them to 5 %; without them to
-    2 %, and not at all.
+    Current enters at a disc's edge. With these nodes even a mesh with edges twice as long as the radius gives
+    four-terminal resistances to 0.05 %, and the effect of a contact impedance on them to 5 %; without them only the
+    resistances, to 2 %.
 
     Args:
         domain: The sheet.

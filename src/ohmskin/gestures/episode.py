@@ -27,18 +27,18 @@ class ContactLike(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What is kept of an episode: sums, so that its length costs neither time nor memory.
+    """Sums over an episode, whose cost in time and memory does not depend on its length.
 
     Args:
-        began, last: When its first frame and its newest one with a contact were taken (s).
+        began, last: Time of its first frame and of its newest one with a contact (s).
         frames: Frames with contacts.
         counts: Sum of their contacts.
         most: Largest number of contacts at once.
         spread: Largest distance between two contacts of a frame (m).
-        start, place: Where the contacts' middle was at first, and is, smoothed (m).
-        travel: Farthest that it was from the start (m).
+        start, place: First and present middle of the contacts, smoothed (m).
+        travel: Largest distance of the middle from the start (m).
         strengths, peak: Sum over frames, and largest, of the strength of all contacts together (m2).
-        peaked: When the strength first was nine tenths of what was the largest until then (s).
+        peaked: First time at which the strength was 90 % of its maximum until then (s).
         ended: Whether all contacts are lifted.
     """
 
@@ -57,7 +57,7 @@ class Episode:
     ended: bool = False
 
     def after(self, time: float, contacts: Sequence[ContactLike]) -> "Episode":
-        """The episode after one more frame, taken at a `time` (s), with `contacts`, at least one."""
+        """The episode after one more frame, at a `time` (s), with `contacts`, at least one."""
         places = [contact.position for contact in contacts]
         middle = tuple(sum(axis) / len(places) for axis in zip(*places, strict=True))
         early = time - self.began < _SMOOTH or not self.place

@@ -16,7 +16,7 @@ GESTURES = ("tap", "stroke", "push", "grasp")
 """Names of the gestures that are distinguished."""
 
 UNKNOWN = "unknown"
-"""Name of an episode that is none of them, or not surely one."""
+"""Name of an episode that is none of them, or uncertain."""
 
 _SHIPPED = "shipped.json"
 _MOST_BYTES, _MOST_HIDDEN = 1_000_000, 256
@@ -27,12 +27,12 @@ class GestureModel:
     """Classifies gestures by the features of an episode; see `ohmskin.gestures.train`.
 
     Args:
-        middle, spread: (n_features,) of the figures that it was trained on.
+        middle, spread: (n_features,) of the training features.
         layers: Weights (n_in, n_out) and offsets (n_out,) of each layer; tanh between, softmax at the end.
         precision: (n_gestures, n_features, n_features) inverse covariance of the standardised figures of each gesture,
         centres: (n_gestures, n_features) and their means, by which features unlike all gestures are recognised.
-        limit: Squared distance from the closest gesture beyond which figures are unlike all.
-        sure: Probability from which on a gesture is reported.
+        limit: Squared distance from the closest gesture beyond which features are unlike all.
+        sure: Least probability of a reported gesture.
     """
 
     middle: Floats
@@ -89,7 +89,7 @@ class GestureModel:
         """Read a model from text, which contains no code.
 
         Raises:
-            DataError: If it is none, or one of other gestures or figures.
+            DataError: If it is not a model, or is one of other gestures or features.
         """
         if len(text) > _MOST_BYTES:
             raise DataError(f"a model of gestures of {len(text)} bytes; it has at most {_MOST_BYTES}")

@@ -17,8 +17,8 @@ class Gesture:
     """Class of an episode.
 
     Args:
-        name: One of `GESTURES`, or ``unknown``: not sure (yet), or unlike all of them.
-        confidence: Probability of the gesture that is likeliest (0 to 1); 0 if the episode is unlike all of them.
+        name: One of `GESTURES`, or ``unknown``: uncertain (yet), or unlike all of them.
+        confidence: Probability of the most probable gesture (0 to 1); 0 if the episode is unlike all of them.
         began: When it began (s).
         duration: How long it has lasted (s).
         ended: Whether all contacts are lifted, so that it is final.
@@ -37,7 +37,7 @@ class Gesture:
 
 @dataclass(frozen=True, eq=False)
 class GestureState:
-    """The episode that is under way, or the last one, and its gesture.
+    """The present or last episode, and its gesture.
 
     Args:
         episode: The episode; None before anything touched.
@@ -62,7 +62,7 @@ class GestureReader:
     """Classifies contacts over time as taps, strokes, pushes and grasps; state in, state out.
 
     Contacts are of any mode, on the sheet (`ohmskin.contacts.Contact`) or in a robot's frame
-    (`ohmskin.client.Contact`): place and strength are all that counts.
+    (`ohmskin.client.Contact`): only place and strength are used.
 
     Args:
         model: The classifier; the one that ships unless given.
@@ -118,6 +118,6 @@ class GestureFollower:
         return self.after(time, contacts).gesture
 
     def after(self, time: float, contacts: Sequence[ContactLike]) -> GestureState:
-        """The state after one more frame, taken at a `time` (s), with `contacts`, which may be none."""
+        """The state after one more frame, at a `time` (s), with `contacts`, which may be empty."""
         self._state = self._reader.update(self._state, time, contacts)
         return self._state

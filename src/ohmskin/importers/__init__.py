@@ -1,4 +1,4 @@
-"""Recordings as they are read, ours and those of others (tables, EIDORS, Kuopio), and models of others."""
+"""Readers of recordings, ohmskin's and those of others (tables, EIDORS, Kuopio), and of others' models."""
 
 from ohmskin.importers.model import ImportedModel, read_model
 from ohmskin.importers.parts import Recording

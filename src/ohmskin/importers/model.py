@@ -19,12 +19,12 @@ from ohmskin.importers.recording import content_of
 
 @dataclass(frozen=True, eq=False)
 class ImportedModel:
-    """A forward model as a file has it.
+    """A forward model read from a file.
 
     Args:
         mesh: Triangles or tetrahedra.
         electrodes: Points, and groups of the mesh's facets.
-        drive: What is driven and measured, if the file has it.
+        drive: The drive pattern, if the file has one.
         conductivity: (n_elem,), if the file has it.
         notes: What was left out or assumed on reading, in plain words.
     """

@@ -14,13 +14,13 @@ class Recording:
 
     Args:
         quiet: Frames of the untouched skin.
-        frames: Frames to look at, in order.
+        frames: The other frames, in order.
         skin: The shipped skin description that fits the format; empty if none fits.
         notes: What was left out or assumed on reading, in plain words.
-        reader: All that a recording of ours holds beside; None for others.
-        positions: (n_frames, 2) where each frame was pressed (m), in any frame; None: not known.
-        forces: (n_frames,) with which force (N); None likewise.
-        values: What the voltages are: ``voltages``; or ``magnitudes`` or ``differences``, of which `resolved` makes
+        reader: Reader of all other contents of an ohmskin recording; None for others.
+        positions: (n_frames, 2) place of the press of each frame (m), in any coordinate frame; None: not known.
+        forces: (n_frames,) its force (N); None likewise.
+        values: What the values are: ``voltages``; or ``magnitudes`` or ``differences``, which `resolved` converts to
             voltages.
     """
 

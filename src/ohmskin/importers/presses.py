@@ -188,13 +188,14 @@ def _adjacent(
 
 
 def resolved(recording: Recording, model: TransferModel) -> Recording:
-    """A recording as voltages: what its file lacks, signs or the untouched skin, is taken from the model.
+    """A recording as voltages: signs or the untouched skin, if its file lacks them, are taken from the model.
 
     Rectified voltages take the model's signs, and so do values that are all positive where the model's are not;
-    voltages all the other way round are turned; differences are added to the model's quiet voltages. Notes list it.
+    voltages that are all inverted get their sign back; differences are added to the model's quiet voltages. Notes list
+    it.
 
     Args:
-        recording: As read; `values` says what it has.
+        recording: As read; `values` states what it contains.
         model: Of the untouched skin.
     """
     pattern = recording.frames[0].pattern

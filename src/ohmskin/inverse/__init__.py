@@ -1,4 +1,4 @@
-"""From voltages to images: priors, estimators, and how strongly to regularise."""
+"""From voltages to images: priors, estimators, and rules for the regularisation parameter."""
 
 from ohmskin.inverse.absolute import AbsoluteGaussNewton, Iterations
 from ohmskin.inverse.choice import (

@@ -36,10 +36,10 @@ class Iterations:
     Args:
         image: The image.
         costs: Squared residual over the noise's variance plus penalty, at the start and after each round, falling.
-        residual: Root mean square of what is left of the data, over the noise.
+        residual: Root mean square residual over the noise.
         converged: Whether it stopped at a minimum that explains the data: to second order, the next step would not
-            lower the cost by `tolerance`, and not more than a tenth of the voltages is left. Data that no
-            conductivity can make, such as those of the wrong sign, have a minimum, too.
+            lower the cost by `tolerance`, and the residual is a tenth of the voltages at most. Data that no
+            conductivity explains, such as those of the wrong sign, have a minimum, too.
     """
 
     image: Image = field(repr=False)

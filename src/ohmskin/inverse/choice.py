@@ -29,9 +29,9 @@ class Choice:
         rule: Name of the rule.
         amplitude: The prior amplitude chosen (relative conductivity change); give it to `GaussNewton.with_amplitude`.
         amplitudes: (n,) amplitudes tried, rising.
-        curve: (n,) what the rule looks at, for each.
-        meaning: What the curve is, and what was sought on it.
-        residuals: (n,) norm of what each image leaves of the data (V); the horizontal axis of the L-curve.
+        curve: (n,) criterion of the rule for each.
+        meaning: The quantity on the curve, and the point chosen on it.
+        residuals: (n,) norm of each image's residual (V); the horizontal axis of the L-curve.
         norms: (n,) norm of each image in the metric of the prior of amplitude one; the vertical axis of the L-curve.
     """
 
@@ -125,7 +125,7 @@ def discrepancy(
     The residual may be `safety` times the noise. Arguments as for `choose`.
 
     Raises:
-        ModelError: If no amplitude fits the data so well: noise or model error is set too low.
+        ModelError: If no amplitude fits the data so closely: noise or model error is too low.
     """
     check_positive(safety=safety)
     at = _Spectrum(estimator, differences, amplitudes)
@@ -229,11 +229,11 @@ def choose(rule: str, estimator: GaussNewton, *differences: Difference, amplitud
 
     Args:
         rule: Its name in `RULES`.
-        estimator: The estimator whose amplitude is sought.
+        estimator: The estimator whose amplitude is chosen.
         *differences: The data: one scan, or several fused.
         amplitudes: (n,) amplitudes to try, five or more; a wide range unless given.
 
     Raises:
-        ModelError: If there is no such rule; the message lists those there are.
+        ModelError: If there is no such rule; the message lists the rules.
     """
     return RULES[rule](estimator, *differences, amplitudes=amplitudes)

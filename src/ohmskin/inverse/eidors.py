@@ -29,9 +29,10 @@ class ReconstructionMatrix:
     """A linear reconstruction of one pattern's data.
 
     Args:
-        estimator: What makes the same images of differences; its values are relative to the model's conductivity.
-        matrix: (n_elem, n_meas) from voltages, or from shares of the untouched skin's if `normalised`, to the change of
-            conductivity (S per V, or S).
+        estimator: An estimator that makes the same images of differences; its values are relative to the model's
+            conductivity.
+        matrix: (n_elem, n_meas) from voltages, or from normalised ones if `normalised`, to the change of conductivity
+            (S per V, or S).
         normalised: Whether data are normalised.
     """
 
@@ -46,8 +47,8 @@ class ReconstructionMatrix:
     def noise_figure(self, signal: ArrayLike) -> float:
         """Signal-to-noise ratio of data over that of their image (EIDORS' ``calc_noise_figure`` of linear solvers).
 
-        Signals are mean magnitudes; noise is the same on all data and independent, its size in an image the standard
-        deviation over the elements, which each count by their size, in the mean over the data.
+        Signals are mean magnitudes; noise is independent and the same on all data. Its size in an image is the standard
+        deviation over the elements, weighted by their size, in the mean over the data.
 
         Args:
             signal: (n_meas,) change of the data by a small target, such as one in the middle; normalised where the

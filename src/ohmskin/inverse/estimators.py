@@ -63,7 +63,7 @@ class Estimator(Protocol):
 
     @property
     def cells(self) -> Cells:
-        """What its images are made of."""
+        """The cells of its images."""
 
     def start(self) -> Estimate:
         """The initial state."""
@@ -72,9 +72,9 @@ class Estimator(Protocol):
         """The state after one more frame.
 
         Args:
-            before: What was known after the last one.
+            before: The state after the last frame.
             new: The frame's scans.
-            recent: These, and the ones before that belong to the same moment where a frame has few injections.
+            recent: These, and earlier ones of about the same time where a frame has few injections.
             elapsed: Time since the last frame (s).
         """
 
@@ -101,7 +101,7 @@ class FrameWise:
 
     Args:
         estimator: Makes an image of some scans.
-        cells: What its images are made of.
+        cells: The cells of its images.
     """
 
     estimator: Reconstructor
@@ -122,7 +122,7 @@ class Recursive:
 
     Args:
         filter: The filter.
-        cells: What its images are made of.
+        cells: The cells of its images.
     """
 
     filter: Kalman
@@ -170,8 +170,8 @@ class EstimatorSettings:
         model: The untouched sheet, scaled to the quiet data.
         noise: Standard deviation of a difference of voltages (V).
         prior: Name of one of `PRIORS`.
-        rule: Name of one of `RULES`, for the regularisation parameter; three estimators take others than
-            `physical`: gauss-newton, positive and absolute.
+        rule: Name of one of `RULES`, for the regularisation parameter; gauss-newton, positive and absolute allow others
+            than `physical`.
         amplitude: Relative conductivity change expected (1).
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         bipolar: Whether contacts may lower the conductivity, too.
@@ -287,7 +287,7 @@ def image_of(name: str) -> tuple[str, str]:
     """Estimator and prior of a short name: an estimator, a prior (of one-step Gauss-Newton), or ``ESTIMATOR:PRIOR``.
 
     Raises:
-        ModelError: If there is neither; the message lists the choices.
+        ModelError: If there is no such estimator or prior; the message lists the choices.
     """
     first, _, second = name.partition(":")
     if first in PRIORS and not second:

@@ -26,7 +26,7 @@ class KalmanState:
     Args:
         mean: (n_modes,) mean of the modes.
         covariance: (n_modes, n_modes) of the modes.
-        noise: (n_modes, n_modes) covariance of the mean that comes of measurement noise alone.
+        noise: (n_modes, n_modes) covariance of the mean due to measurement noise alone.
         modes: The modes.
     """
 

@@ -54,7 +54,7 @@ class ImageModes:
         modes: B (n_modes, n_elem), relative conductivity change.
         mixing: C (n_pairs, n_modes), two-terminal resistances (ohm) that the modes cause.
         pairs: The pairs of electrodes.
-        free_mean: Whether the first mode is the same everywhere, and nothing is known of it a priori.
+        free_mean: Whether the first mode is uniform, and has no prior.
     """
 
     modes: Floats
@@ -70,7 +70,7 @@ class ImageModes:
         Args:
             relative: (n_pairs, n_image) change of two-terminal resistances with each value's relative change (ohm).
             penalty: Of the prior.
-            pairs: In whose order the resistances are.
+            pairs: The pairs, in the order of the resistances.
         """
         white = penalty.whitened(relative.T)
         if len(white) < len(relative):  # more pairs than unknowns: the modes are the unknowns, whitened
@@ -89,7 +89,7 @@ class ImageModes:
         return len(self.modes)
 
     def rows(self, pattern: DrivePattern) -> Floats:
-        """What a pattern measures of each mode at one ampere: A C (n_meas, n_modes) in ohms."""
+        """Voltages of a pattern due to each mode at 1 A: A C (n_meas, n_modes) in ohms."""
         if pattern not in self._rows:
             if len(self._rows) >= _KEPT_ROWS:
                 self._rows.clear()

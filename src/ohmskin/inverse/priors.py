@@ -37,11 +37,11 @@ class Penalty:
     Args:
         matrix: (n_unknowns, n_unknowns) sparse, symmetric positive definite.
         image: (n_elem, n_unknowns) sparse, from the unknowns to the image; None where they are the same.
-        mean_variance: Variance of the image, averaged over the sheet, for which the penalty is meant; None: as it
-            comes; whoever uses it scales it to one.
-        free_mean: Whether images that are the same everywhere cost nothing, the null space of `matrix`. Then the mean
-            does not count in the average variance. Only without `image`.
-        places: (n_unknowns, dim) where each unknown is (m); makes factorising the matrix much quicker.
+        mean_variance: Variance of the image, averaged over the sheet, to which the penalty is scaled; None: it is used
+            as given, and scaled to one by its user.
+        free_mean: Whether uniform images, the null space of `matrix`, have no penalty. Then the average variance does
+            not include the mean. Only without `image`.
+        places: (n_unknowns, dim) place of each unknown (m); makes factorising the matrix much faster.
 
     Raises:
         ModelError: If shapes do not fit, or the matrix is complex, not finite, not symmetric or, when it is first used,
@@ -92,7 +92,7 @@ class Penalty:
     def whitened(self, columns: Floats) -> Floats:
         """W columns (n_white, n) of columns (n_elem, n), with W^T W the covariance, of average variance one.
 
-        A mean that is free is no part of it; then there is one white unknown less.
+        A free mean is not included; then there is one white unknown less.
         """
         given = self._centred(columns if self.image is None else self.image.T @ columns)
         return np.asarray(self._factor.half_solve(given) / np.sqrt(self.average_variance))
@@ -123,7 +123,7 @@ class Penalty:
 
     @cached_property
     def average_variance(self) -> float:
-        """Variance of the image as the matrix is, averaged over the sheet; of a given `mean_variance` that."""
+        """Variance of the image for the given matrix, averaged over the sheet; `mean_variance` if it is given."""
         if self.mean_variance is not None:
             return self.mean_variance
         n = self.matrix.shape[0] if self.image is None else self.image.shape[0]

@@ -21,10 +21,10 @@ class ModelMatch:
     """Result of comparing a quiet frame with the model.
 
     Args:
-        scale: What the model's conductivity must be multiplied by (1).
+        scale: Factor on the model's conductivity (1).
         offset: Voltage that is added to every measurement (V).
-        misfit: Share of the data left over with scale and offset fitted (1).
-        plain_misfit: Share left over with the scale alone (1).
+        misfit: Residual with scale and offset fitted, as a share of the data (1).
+        plain_misfit: The same with the scale alone (1).
         signal: Root mean square of the data (V).
     """
 
@@ -53,7 +53,7 @@ def match_model(model: TransferModel, frame: Frame) -> ModelMatch:
     """Compare a quiet frame with the model of the untouched sheet.
 
     Args:
-        model: The model; its conductivity need not be right.
+        model: The model; its conductivity may have a wrong scale.
         frame: Of any pattern; what is not finite is left out.
 
     Raises:

@@ -1,6 +1,6 @@
-"""Recordings in MCAP: their messages, the writer in a process of its own, the reader, and the repair of cut files.
+"""Recordings in MCAP: their messages, the writer in a separate process, the reader, and the repair of truncated files.
 
-Each is imported when it is asked for: the writer's process needs neither NumPy nor what a recording is about.
+Each is imported when it is first used: the writer's process needs neither NumPy nor the meaning of a recording.
 """
 
 from importlib import import_module

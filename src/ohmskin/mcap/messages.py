@@ -45,7 +45,7 @@ class FrameRecord:
         arrived: When it arrived, on the host's monotonic clock (s).
         stamp: When it arrived, by the calendar (ns since 1970).
         pattern: Digest of its pattern.
-        role: What it was scanned for.
+        role: Purpose of the scan.
         mode: Name of the mode; empty if not recorded.
     """
 

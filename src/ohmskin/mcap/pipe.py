@@ -30,8 +30,8 @@ class Progress:
     Args:
         written: Bytes in the file.
         frames: Frames written.
-        dropped: Messages given up, by topic: the writer or the disk could not keep up.
-        trouble: Why nothing can be written now; empty while all is well.
+        dropped: Messages dropped, by topic: the writer or the disk was too slow.
+        trouble: Why nothing can be written now; empty while writing succeeds.
     """
 
     written: int = 0
@@ -41,10 +41,10 @@ class Progress:
 
 
 class WriterPipe:
-    """A writer process and the way to it.
+    """A writer process and the pipe to it.
 
     Args:
-        path: The recording, a file that is not there yet.
+        path: The recording, a file that does not exist yet.
         metadata, attachments: See `RecordingWriter`.
 
     Raises:
@@ -82,7 +82,7 @@ class WriterPipe:
 
     @property
     def progress(self) -> Progress:
-        """State of the recording a fraction of a second ago; what waits is handed over."""
+        """State of the recording a fraction of a second ago; also sends what waits."""
         with self._lock:
             if not self._closed:
                 self._push()
@@ -97,7 +97,7 @@ class WriterPipe:
             return Progress(said.get("written", 0), said.get("frames", 0), dropped, trouble)
 
     def send(self, topic: int, sequence: int, stamp: int, data: bytes) -> bool:
-        """Hand over one message. Never waits.
+        """Send one message to the writer. Never waits.
 
         Args:
             topic: Its number in `TOPICS`.
@@ -124,7 +124,7 @@ class WriterPipe:
             return True
 
     def close(self) -> Progress:
-        """Write what waits, finish the file, and return its last `progress`. Safe to call twice."""
+        """Write the rest, finish the file, and return its last `progress`. Safe to call twice."""
         with self._lock:
             if not self._closed:
                 self._closed = True

@@ -57,7 +57,7 @@ class LazyList(Sequence[Value], Generic[Value]):
 class RecordingReader(Closing):
     """A recording in MCAP, indexed; the file stays open.
 
-    A file that was cut short, or has damaged parts, is read as far as it goes, and `notes` says so.
+    Of a truncated or damaged file all valid parts are read, and `notes` reports it.
 
     Args:
         path: The file.
@@ -65,18 +65,18 @@ class RecordingReader(Closing):
     Attributes:
         metadata: Texts by name: ``ohmskin`` (versions, when), ``device``, ``raster``.
         skin: The skin's description as TOML; empty if the file has none.
-        notes: What is wrong with the file, in plain words.
+        notes: Faults of the file, in plain words.
         frames: (n,) `FrameRecord` in the order scanned, those of the calibrations included.
-        times: (n,) when each frame arrived (s), 0 at the first one behind the calibration; never decreasing.
-        roles: (n,) what each was scanned for (`Role`).
+        times: (n,) when each frame arrived (s), 0 at the first one after the calibration; never decreasing.
+        roles: (n,) purpose of each (`Role`).
         touches, images, log: `TouchRecord`, pixels (ny, nx) and sentences, in order.
         modes: Names of the modes of frames; `mode_of` numbers them.
         mode_of: (n,) mode of each frame, an index into `modes`.
-        recorded_modes: What was recorded of modes, by name: entries such as ``drive``, ``reader``, ``estimator``.
-            Empty in recordings without them.
+        recorded_modes: Descriptions of the modes, by name: entries such as ``drive``, ``reader``, ``estimator``. Empty
+            in recordings without them.
 
     Raises:
-        DataError: If it is not a recording of ours, or nothing in it can be read.
+        DataError: If it is not an ohmskin recording, or nothing in it can be read.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -117,13 +117,14 @@ class RecordingReader(Closing):
         return self._pattern(int(self.pattern_numbers[index]))
 
     def select(self, *roles: Role) -> Sequence[Frame]:
-        """The frames scanned for one of these `roles`, in order."""
+        """The frames with one of these `roles`, in order."""
         return LazyList(self.frame, np.flatnonzero(np.isin(self.roles, roles)))
 
     def times_of(self, listed: LazyList[Any]) -> Floats:
-        """(n,) times of other things, as in `times` (s): that of the newest frame before each.
+        """(n,) times of other messages, as in `times` (s): that of the newest frame before each.
 
-        By the order in the file and not by the calendar, which may be set anew in the middle of a recording.
+        They follow the order
+        in the file, not the system clock, which may be set during a recording.
 
         Args:
             listed: `touches`, `images` or `log`.

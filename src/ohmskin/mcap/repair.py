@@ -16,12 +16,12 @@ class Recovery:
     """What was recovered.
 
     Args:
-        path: The mended copy.
+        path: The repaired copy.
         frames: Frames in it.
         messages: Messages in it, frames included.
         lost: Bytes at the end of the original that could not be used.
-        damaged: Parts within it that could not.
-        whole: Whether the original was whole already.
+        damaged: Number of other parts that could not be used.
+        whole: Whether the original was intact.
     """
 
     path: Path
@@ -36,7 +36,7 @@ def recover(source: str | Path, target: str | Path | None = None) -> Recovery:
     """Copy all that can be read of a recording into a new file with a full index. The original is only read.
 
     Args:
-        source: The recording, whole or not. Any MCAP file will do.
+        source: The recording, damaged or not; any MCAP file.
         target: The new file; NAME.recovered.mcap beside NAME.mcap unless given.
 
     Raises:

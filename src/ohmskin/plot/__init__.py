@@ -1,4 +1,4 @@
-"""Pictures for files and papers: images with electrodes and contacts, maps of how well contacts are located, meshes."""
+"""Pictures for files and papers: images with electrodes and contacts, maps of position errors, meshes."""
 
 from importlib.util import find_spec
 

@@ -46,10 +46,9 @@ def draw_image(
         electrodes: Electrode layout.
         contacts: Contacts, drawn as circles of their extent.
         limit: Value of full colour; the largest magnitude of the image unless given.
-        labels: Classes (n_elem,) to outline: what conducts better (1) with a solid line, worse (-1) with a dashed one.
+        labels: Classes (n_elem,) to outline: higher conductivity (1) with a solid line, lower (-1) with a dashed one.
 
-    Returns:
-        What a colour bar can be made of.
+    Returns: The drawing, for a colour bar.
     """
     raster = Raster(mesh, PIXELS)
     pixels = raster(values)

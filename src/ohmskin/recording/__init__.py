@@ -1,4 +1,4 @@
-"""Recordings of ours: made while the loop runs (`Recorder`), replayed through it (`Player`, `reimage`), and read."""
+"""Recordings: made while the loop runs (`Recorder`), replayed through it (`Player`, `reimage`), and read."""
 
 from ohmskin.device.replay import recorded_skin
 from ohmskin.mcap import Progress, RecordingReader, Recovery, Role, is_recording, recover

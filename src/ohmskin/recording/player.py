@@ -18,9 +18,9 @@ class Replayed:
     """One cycle of a recording, processed again.
 
     Args:
-        time: Where it is in the recording (s from its first frame behind the calibration).
-        touch: The outcome.
-        known: What was learned of the quiet skin before; its `model.mesh` is that of the image.
+        time: Its time in the recording (s from the first frame after the calibration).
+        touch: The result.
+        known: The model of the quiet skin at that time; its `model.mesh` is that of the image.
         thresholds: gamma_0.
     """
 
@@ -35,8 +35,8 @@ class Player:
 
     Args:
         engine: Made on a `ReplayDevice`, not yet calibrated.
-        mode: Stay in this mode instead.
-        notify: Called with a sentence when a mode cannot be had.
+        mode: Use only this mode instead.
+        notify: Called with a sentence when a mode is not possible.
 
     Raises:
         DeviceError: If the device of the engine is not a recording.
@@ -89,7 +89,7 @@ class Player:
         return self._unless_over(self._engine.step)
 
     def lead(self, step: Callable[[], Touch | None]) -> Callable[[], Touch | None]:
-        """A loop's own `step`, led through the recording. At its end it pauses; going on from there begins anew."""
+        """A loop's `step` on the recording. At the end it pauses; resuming there starts the recording again."""
 
         def led() -> Touch | None:
             before, self._before = self._before, self._engine.state
@@ -106,7 +106,7 @@ class Player:
         return led
 
     def until(self, stop: object) -> "Ending":
-        """True once `stop` is, or the recording has ended."""
+        """Whether `stop` is true, or the recording has ended."""
         return Ending(self.device, stop)
 
     def _unless_over(self, step: Callable[[], Touch | None]) -> Touch | None:

@@ -48,8 +48,9 @@ class Recorder(Closing):
     Args:
         path: The recording, a file that is not there yet.
         skin: What the device is.
-        images: Most images and markers per second; frames suffice to make them again. 0 for none, infinity for all.
-        modes: The modes that may be used, for a replay to use them again; those of the skin unless given.
+        images: Most images and markers per second; they can be computed again from the frames. 0 for none, infinity for
+            all.
+        modes: The modes that may be used, so that a replay can use them; those of the skin unless given.
 
     Raises:
         DataError: If the file is there already or cannot be made.
@@ -73,7 +74,7 @@ class Recorder(Closing):
         self._frames, self._unnamed, self._ended = 0, 0, Progress()
 
     def tee(self, device: Device) -> Device:
-        """The same `device`, its frames recorded on their way. The first one is described in the file.
+        """The same `device`, whose frames are recorded. The first device is described in the file.
 
         Raises:
             DataError: If the file cannot be made.
@@ -86,7 +87,7 @@ class Recorder(Closing):
         return device
 
     def watch(self, engine: Engine) -> None:
-        """Ask this engine what a frame is scanned for, so that a replay can calibrate with the very same frames."""
+        """Get the purpose of each frame from this engine, so that a replay can calibrate with the same frames."""
         self._engine = engine
 
     def frame(self, frame: Frame, role: Role | None = None) -> None:
@@ -94,7 +95,7 @@ class Recorder(Closing):
 
         Args:
             frame: The frame.
-            role: What it was scanned for; unless given, what the engine of `watch` says, if there is one.
+            role: Purpose of its scan; unless given, that from the engine of `watch`, if there is one.
 
         Raises:
             DataError: If no device was opened with `tee`.
@@ -145,7 +146,7 @@ class Recorder(Closing):
 
     @property
     def progress(self) -> Progress:
-        """What was written and dropped, and why nothing can be written now, if so."""
+        """What was written and dropped, and the reason if nothing can be written now."""
         if self._pipe is None:
             return self._ended
         progress = self._pipe.progress

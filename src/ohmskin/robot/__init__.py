@@ -1,4 +1,4 @@
-"""Robots with a sense of touch, in MuJoCo: they wear skins and yield when they are poked."""
+"""Robots with a sense of touch, in MuJoCo: they wear skins and yield when poked."""
 
 from ohmskin.robot.arm import arm
 from ohmskin.robot.demonstration import Demonstration, Moment, Sensed, engines

@@ -42,7 +42,7 @@ class Sensed:
         patch: Number of the skin.
         place: (x, y) on its map (m).
         contact: As the body reports it, in the frame of the root link, which is the world.
-        push: What MuJoCo presses there; None if nothing is near.
+        push: The true press there, from MuJoCo; None if nothing is near.
     """
 
     patch: int
@@ -63,9 +63,9 @@ class Moment:
     Args:
         time: Simulated time (s).
         touches: The cycle of each skin.
-        pushes: What presses the skins.
+        pushes: The true presses on the skins.
         sensed: All contacts.
-        simulation: The robot, which goes on moving: draw it now.
+        simulation: The robot, which continues to move: draw it now.
     """
 
     time: float
@@ -85,7 +85,7 @@ class Demonstration:
         body: The robot.
         engines: The loops on virtual skins, calibrated, in the order of its patches.
         seed: Chooses the places of the pokes.
-        strategy: How the robot answers, of `STRATEGIES`; a stiff one serves for comparison.
+        strategy: Reaction of the robot, one of `STRATEGIES`; a stiff robot is for comparison.
         computing: Time for computing in each cycle (s).
 
     Raises:

@@ -15,14 +15,14 @@ class Encounter:
     Args:
         patch: The skin that was poked.
         link: The link that it is on.
-        position: Where the finger first touched it, on its map (m).
-        felt_on: Link of the first contact that was reported; empty if there was none.
+        position: Place of the first touch, on its map (m).
+        felt_on: Link of the first reported contact; empty if there was none.
         reaction: Time from the first touch to the first command that yields (s); NaN if it was not detected.
         peak_force: Largest force (N).
         errors: Distance between the sensed and the true place, frame by frame (m).
         forces: True and estimated force (N), frame by frame where it was estimated.
-        invented: False contacts, reported where nothing was.
-        self_touches: Frames in which the poke was taken for a touch of the robot's own.
+        invented: False contacts, reported where nothing touched.
+        self_touches: Frames in which the poke was reported as a self-touch.
     """
 
     patch: str
@@ -69,7 +69,7 @@ class SelfTouchTrial:
     Args:
         patches: The skins that took part.
         peak_force: Largest force (N).
-        frames: Contacts of it that were reported, in all frames.
+        frames: Reported contacts of it, in all frames.
         told: Those of them that were reported as self-touch.
     """
 
@@ -84,7 +84,7 @@ def summary(
 ) -> dict[str, object]:
     """Figures of a run, for JSON: how many pokes were detected, position errors (m), reaction times (s), forces (N).
 
-    What there is not, such as the reaction to a poke that was not detected, is None.
+    Missing values, such as the reaction to a poke that was not detected, are None.
 
     Args:
         encounters: The pokes.

@@ -23,14 +23,15 @@ _LEAST_RADIUS, _MOST_PRESSURE = 2e-3, 1e6  # m, Pa: within what the virtual skin
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """Something that presses a skin now, as MuJoCo has it: the truth.
+    """A press on a skin, from MuJoCo: the true contact.
 
     Args:
         patch: Number of the skin.
         place: (2,) middle of the contact on the skin's map (m).
         point: (3,) the same in the world (m).
         force: Normal force (N).
-        radius: Radius of the contact (m): of a ball so deep in thin foam, which gives way only right under it.
+        radius: Radius of the contact (m): of a ball at this depth in thin foam, which is compressed only under the
+            ball.
         by: Link that presses it; empty if it is a hand, from outside.
         hand: Number of that hand; -1 if it is a link.
     """
@@ -44,7 +45,7 @@ class Push:
     hand: int = -1
 
     def press(self, foam_spread: float) -> Press:
-        """What presses the virtual skin so, something round of the same force, if its foam has a `foam_spread` (m)."""
+        """The equivalent round press on the virtual skin, with the same force, for foam with a `foam_spread` (m)."""
         place, radius = (float(self.place[0]), float(self.place[1])), max(self.radius, _LEAST_RADIUS)
         per_pascal = Press(place, radius, 1.0).force(foam_spread)
         return Press(place, radius, min(self.force / per_pascal, _MOST_PRESSURE))
@@ -54,16 +55,16 @@ class RobotSimulation:
     """A robot in skins, its root link fixed in the world, the hand that pokes it, and the pads that hug it.
 
     Args:
-        body: What it is; its file says how it stands (`joints`).
+        body: The robot; its file gives the posture (`joints`).
 
     Attributes:
         model, data: MuJoCo's.
         target: Joint positions (rad, m) that the servos hold, in MuJoCo's order.
-        low, high: What they may be.
+        low, high: Their limits.
         hands: Radius of the tip of each hand (m): the finger's, then the pads'.
 
     Raises:
-        ModelError: If the body has no URDF file, or MuJoCo does not take what it says.
+        ModelError: If the body has no URDF file, or MuJoCo rejects it.
     """
 
     def __init__(self, body: Body) -> None:
@@ -159,12 +160,12 @@ class RobotSimulation:
         return float(np.pi * STIFFNESS * radius * max(-contact.dist, 0.0) ** 2)
 
     def place_hand(self, tip: Floats, normal: Floats, hand: int = 0) -> None:
-        """Take the tip of a hand to a point (3,) in the world at once, the hand along a normal (3,)."""
+        """Place the tip of a hand at a point (3,) in the world at once, the hand along a normal (3,)."""
         self.data.mocap_pos[hand] = tip
         mujoco.mju_quatZ2Vec(self.data.mocap_quat[hand], normal)
 
     def copy(self) -> "RobotSimulation":
-        """Another one that stands so, without a hand near it."""
+        """A copy in the same posture, without a hand near it."""
         other = copy(self)
         other.data = mujoco.MjData(self.model)
         other.data.mocap_pos[:] = 0.0, 0.0, 9.0
@@ -172,7 +173,7 @@ class RobotSimulation:
         return other
 
     def stand(self, joints: Floats) -> None:
-        """Stand with the `joints` at these positions (n_joints,) (rad, m), at once."""
+        """Set the `joints` to these positions (n_joints,) (rad, m), at once."""
         self.data.qpos[:] = joints
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
@@ -186,7 +187,7 @@ class RobotSimulation:
         return None
 
     def pushes(self) -> tuple[Push, ...]:
-        """What presses the skins now, the strongest first; all contacts with one link are one."""
+        """The present presses on the skins, the strongest first; all contacts with one link are one press."""
         found: dict[tuple[int, int], list[tuple[Floats, float, float]]] = defaultdict(list)
         wrench = np.zeros(6)
         for number in range(self.data.ncon):
@@ -224,7 +225,7 @@ class RobotSimulation:
         return np.asarray(-along / (along @ along + 1e-3))
 
     def aim(self, joints: Floats) -> None:
-        """Let the servos go to positions (n_joints,) of the `joints` (rad, m), within their limits."""
+        """Set the servos' targets, positions (n_joints,) of the `joints` (rad, m), within their limits."""
         self.target = np.clip(joints, self.low, self.high)
 
     def rest(self, time: float) -> Floats:

@@ -1,4 +1,4 @@
-"""What is measured: drive patterns, the frames that come of them, and the untouched reference."""
+"""Measurements: drive patterns, their frames, and the reference of the untouched skin."""
 
 from ohmskin.scan.assessment import assess
 from ohmskin.scan.baseline import Baseline, Difference, newest

@@ -252,7 +252,7 @@ class Baseline:
 
 
 def newest(new: Sequence[Difference], older: Iterable[Difference], injections: int) -> tuple[Difference, ...]:
-    """Scans that are `new`, and as many older ones, newest first, as have so many injections together with them."""
+    """The `new` scans, and as many older ones, newest first, as are needed for this number of injections."""
     taken, count = [*new], sum(scan.pattern.n_inj for scan in new)
     for scan in older:
         if count >= injections:

@@ -19,8 +19,8 @@ class Channels:
 
     Args:
         quadruples: (n, 4) source, sink, plus, minus of each channel.
-        gains: (n,) change measured over change modelled (1); negative where a channel is the other way round.
-        errors: (n,) standard deviation of what is left, as a share of the usual modelled change of a channel (1).
+        gains: (n,) change measured over change modelled (1); negative where a channel is inverted.
+        errors: (n,) standard deviation of the residual, as a share of the usual modelled change of a channel (1).
 
     Raises:
         DataError: If shapes differ, or an error is not positive.
@@ -63,8 +63,9 @@ class Channels:
     def weigh(self, difference: Difference, noise: float) -> Difference:
         """The difference as if the model held: gains put into the currents, and all errors as large as the noise (V).
 
-        What a channel errs beyond its noise grows with what is measured: small changes count as they are, of large ones
-        the channels most that follow the model best. As in `Quality.weigh`, what counts less has less current.
+        The error of a channel beyond its noise grows with the change: small changes keep their weight; for large ones
+            the channels that follow the model best have the largest weight. As in `Quality.weigh`, a lower weight means
+            less current.
         """
         gains, errors = self.of(difference.pattern)
         known = np.isfinite(difference.volts) & np.isfinite(difference.currents)

@@ -47,7 +47,7 @@ class Cost:
         return np.asarray((each.cumsum() - each)[which] + self.settle + self.conversion * conversions)
 
     def injections(self, pattern: DrivePattern, seconds: float) -> int:
-        """How many injections out of `pattern`, whichever they are, fit into a scan of so many seconds.
+        """How many injections of `pattern`, whichever they are, fit into a scan of this many seconds.
 
         Raises:
             PatternError: If not even one fits.

@@ -80,14 +80,15 @@ class NetworkFit:
         return kept
 
     def residuals(self, kept: np.ndarray) -> Floats:
-        """Data less the network that fits the `kept` measurements best, (n_meas, n_frames) in volts; else NaN."""
+        """Residuals of the network that fits the `kept` measurements best, (n_meas, n_frames) in volts; NaN for the
+        others."""
         rows = self._rows[kept]
         left = np.full(self._volts.shape, np.nan)
         left[kept] = self._volts[kept] - rows @ np.linalg.lstsq(rows, self._volts[kept], rcond=1e-10)[0]
         return left
 
     def misfit(self, kept: np.ndarray) -> GoodnessOfFit:
-        """The misfit of the `kept` measurements (n_meas,). Quick: no residual is formed, and it is remembered."""
+        """The misfit of the `kept` measurements (n_meas,). Fast: no residual is computed, and results are cached."""
         if (key := kept.tobytes()) in self._known_misfits:
             return self._known_misfits[key]
         rows, volts = self._rows[kept], self._volts[kept]

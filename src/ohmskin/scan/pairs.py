@@ -42,7 +42,8 @@ class Pairs(ReadOnly):
 
         Args:
             n_elec: Number of electrodes.
-            ends: (n, 2) the electrodes of each pair, in any order and as often as may be; one with itself is left out.
+            ends: (n, 2) the electrodes of each pair, in any order, repetitions allowed; pairs of an electrode with
+                itself are left out.
         """
         ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
         if len(ends) == n_pairs(n_elec):
@@ -53,7 +54,7 @@ class Pairs(ReadOnly):
 
     @staticmethod
     def all(given: "Pairs | int") -> "Pairs":
-        """All pairs of so many electrodes; pairs that are given as they are."""
+        """All pairs of this number of electrodes; given pairs are returned unchanged."""
         return given if isinstance(given, Pairs) else _all(int(given))
 
     def __len__(self) -> int:

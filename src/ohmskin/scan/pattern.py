@@ -208,8 +208,8 @@ def joined(patterns: tuple[DrivePattern, ...]) -> DrivePattern:
 def measure_others(injections: ArrayLike, electrodes: Sequence[int]) -> DrivePattern:
     """Drive `injections` (n_inj, 2) and measure between neighbours among all other `electrodes`, in their cyclic order.
 
-    The walk starts behind the sink, so that adjacent drive gives the classical adjacent voltages. The n - 3 voltages
-    of an injection span all that can be measured without a driven electrode, whose contact would enter.
+    The order starts after the sink, so that adjacent drive gives the classical adjacent voltages. The n - 3 voltages of
+    an injection span all that can be measured without a driven electrode, whose contact impedance would be included.
 
     Raises:
         PatternError: If there are fewer than four electrodes, or the pattern is invalid.
@@ -282,7 +282,7 @@ def _ring(ring: Sequence[int], given: object) -> Sequence[int]:
 
 
 def needed(patterns: Iterable[DrivePattern]) -> list[DrivePattern]:
-    """The patterns without those whose measurements are all part of a longer one, longest first."""
+    """The patterns except those contained in a longer one, longest first."""
     kept: list[tuple[DrivePattern, set[tuple[int, ...]]]] = []
     for pattern in sorted(patterns, key=lambda pattern: -pattern.n_meas):
         measured = set(map(tuple, pattern.quadruples.tolist()))

@@ -16,7 +16,7 @@ class Verdict:
     Args:
         electrode: Its number, from 0.
         kind: ``open``, ``shorted``, ``missing``, ``clipped``, ``noisy`` or ``drifting``.
-        weight: What its measurements count in an image: 0 not at all, else their error is 1 / weight times the others'.
+        weight: Weight of its measurements: 0: not used; else their error is 1 / weight times the others'.
         words: The finding in plain words.
     """
 
@@ -32,15 +32,15 @@ class Quality:
 
     Args:
         n_elec: Number of electrodes.
-        verdicts: One for each electrode that is not in order, by number.
+        verdicts: One for each faulty electrode, by number.
         noise: Standard deviation of one voltage about the mean of repeated quiet frames (V); NaN without repeats.
         reciprocity: Standard deviation of one voltage about the best network, usable electrodes only (V); NaN where the
             pattern measures nothing twice.
         signal: Root mean square of the quiet voltages (V).
         errors: (n_elec,) reciprocity error of the measurements each electrode takes part in (V); NaN: not known.
-        values: How many values there are in all.
-        missing: How many of them are NaN.
-        clipped: How many are infinite: the converter was at the end of its range.
+        values: Number of values.
+        missing: Number of NaN values.
+        clipped: Number of infinite values, at the end of the converter's range.
     """
 
     n_elec: int
@@ -77,10 +77,11 @@ class Quality:
         return replace(frame, voltages=np.where(used, np.nan, frame.voltages)) if used.any() else frame
 
     def weigh(self, difference: Difference) -> Difference:
-        """The difference with bad electrodes left out and doubtful ones of lower weight.
+        """The difference with bad electrodes left out and doubtful ones at lower weight.
 
-        A measurement with twice the error weighs as one at half the current: current and voltage are scaled together,
-        so that all have the same noise again and every estimator takes them as they are.
+        A measurement with twice the
+        error has the weight of one at half the current: current and voltage are scaled together, so that all have the
+            same noise and every estimator can use them unchanged.
         """
         weight = self.weights[difference.pattern.quadruples].min(axis=1)
         weighed = difference.times(weight)

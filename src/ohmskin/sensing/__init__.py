@@ -1,4 +1,4 @@
-"""From a mode to contacts: a sensor is a drive and a reader, and knows a skin."""
+"""From a mode to contacts: a sensor is a drive and a reader, with the model of a quiet skin."""
 
 from ohmskin.sensing.build import READERS, build, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle

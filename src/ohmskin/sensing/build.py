@@ -44,7 +44,7 @@ def drive_of(mode: Mode, skin: Skin, driven: bool = True) -> Drive:
 
     Args:
         mode: Names the drive.
-        skin: What is driven.
+        skin: The skin to drive.
         driven: Whether the device can measure electrodes that carry the current; without it, modes do without.
 
     Raises:

@@ -45,7 +45,7 @@ class CompiledCycle:
         thresholds: gamma_0 of eq. (6) for the base image and for the final one.
         currents: Current that each injection of the base scan usually has, one value or (n_inj,) (A). Base data are
             scaled from the currents measured to these, so that one factorisation serves all frames.
-        baseline: Reference that voltages are compared to; without it, steps take changes of voltage.
+        baseline: Reference of the voltages; without it, steps take changes of voltage.
         fraction, dip: See `ohmskin.contacts.ContactFinder`.
         fuse: Whether the final image uses the base scan's data as well.
 
@@ -54,7 +54,7 @@ class CompiledCycle:
 
     Raises:
         ModelError: If the sheet is not flat, or the estimator's images are nowhere negative.
-        PatternError: If the drive does not choose by eq. (7), or the baseline has not seen all its patterns.
+        PatternError: If the drive does not choose by eq. (7), or the baseline lacks one of its patterns.
         DataError: If a reference of the baseline is not finite.
     """
 
@@ -160,7 +160,8 @@ class CompiledCycle:
             chosen: The injections really driven (n,), numbers of pairs, if not those that `base_step` asked for.
 
         Raises:
-            DataError: As `base_step`, if that is needed and was not called, or if a number of `chosen` is out of range.
+            DataError: As `base_step`; if `base_step` is needed and was not called; or if a number of `chosen` is out of
+                range.
         """
         if not self._has_base and (self.fuse or chosen is None):
             raise DataError(
@@ -188,7 +189,7 @@ class CompiledCycle:
 
         Args:
             base: Voltages (n_meas,) (V) and currents (n_inj,) (A) of the base scan.
-            measure: Called with the numbers (n,) of the pairs to drive; gives the same of the second scan.
+            measure: Called with the numbers (n,) of the pairs to drive; returns the same of the second scan.
 
         Raises:
             DataError: As `base_step` and `second_step`.
@@ -196,7 +197,7 @@ class CompiledCycle:
         return self.second_step(*measure(self.base_step(*base)))
 
     def pattern(self, chosen: Ints) -> DrivePattern:
-        """The drive pattern of chosen pairs (n,), to scan; the same object as before if they were chosen before."""
+        """The drive pattern of chosen pairs (n,); the same object for the same pairs."""
         key = chosen.tobytes()
         if key not in self._patterns:
             if len(self._patterns) >= _KEPT_PATTERNS:

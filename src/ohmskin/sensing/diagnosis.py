@@ -17,10 +17,9 @@ _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 
 
 class Cause(NamedTuple):
-    """The kind of a fault of the data, and where it is.
+    """The kind of a fault of the data, and its electrodes.
 
-    Args:
-        kind: ``open``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``, ``spikes``,
+    Args: kind: ``open``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``, ``spikes``,
             ``injection``, ``offset`` or ``noise``.
         electrodes: Those concerned.
     """
@@ -47,19 +46,19 @@ class Diagnosis:
     """Detected faults of an instrument and its wires after a frame.
 
     Args:
-        findings: What is wrong.
-        bad: Electrodes that are left out; of each for how many frames and how long (s) it has agreed since.
+        findings: The faults.
+        bad: Electrodes that are left out; for each the number of frames and the time (s) for which it has agreed since.
         time: Since the start (s).
-        occurrences: When (s) each cause was seen lately, newest last.
-        silent: Since when (s) no current has flowed through electrodes that were driven.
-        offsets: Times (s) of the newest frames with an offset, and how large it was (V).
-        error: Standard deviation of a voltage in the worst frame of late (V).
+        occurrences: Recent times (s) of each cause, newest last.
+        silent: Time (s) since which no current has flowed through driven electrodes.
+        offsets: Times (s) of the newest frames with an offset, and the offset (V).
+        error: Standard deviation of a voltage in the worst recent frame (V).
         fits: Squared misfit and degrees of freedom of each of the newest scans that were examined, newest first.
         scans: The newest scans as measured, newest first, if frames are parts of what an image needs.
-        unresolved: Frames since a contradiction arose whose cause is not found.
+        unresolved: Frames since the first contradiction whose cause is not found.
         unlike: Share of the data of recent frames that no contacts explain.
         lost: How many voltages of the newest frame are missing, or clipped.
-        without_data: Time since a frame with any good value (s).
+        without_data: Time since the last frame with any valid value (s).
     """
 
     findings: tuple[Finding, ...] = ()
@@ -78,21 +77,21 @@ class Diagnosis:
 
     @property
     def recent_causes(self) -> set[Cause]:
-        """What was wrong within the last second."""
+        """The causes of the last second."""
         return {cause for cause, times in self.occurrences.items() if self.time - times[-1] < _WITHIN}
 
     @property
     def troubled(self) -> bool:
-        """Whether anything was wrong lately."""
+        """Whether there was any fault recently."""
         return bool(self.findings or self.bad or self.recent_causes)
 
     def with_causes(self, causes: set[Cause], noise: float, confirmed: set[Cause]) -> "Diagnosis":
-        """The same with the causes to report: seen several times lately, or reported before and not long gone.
+        """The same with the causes to report: seen several times recently, or reported before and seen recently.
 
         Args:
-            causes: What was wrong with the newest frame.
+            causes: The faults of the newest frame.
             noise: Standard deviation of a voltage on the quiet skin (V).
-            confirmed: Of the causes those that are reported at once.
+            confirmed: Those of the causes that are reported at once.
         """
         occurrences = {
             one: at

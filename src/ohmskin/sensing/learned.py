@@ -30,8 +30,8 @@ class LearnedReader:
     """A `Reader` that places one contact by a learned map, and fits contacts to data unlike those learned from.
 
     Args:
-        physics: Reads what is unlike that, and follows drift while nothing touches.
-        placement: What was learned.
+        physics: Reads outliers, and estimates drift while nothing touches.
+        placement: The learned map.
     """
 
     physics: FitReader
@@ -47,7 +47,7 @@ class LearnedReader:
         return self.physics.start(before)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """The belief after one more frame, as of `Reader.update`; data unlike those learned from are fitted."""
+        """The belief after one more frame, as for `Reader.update`; contacts are fitted to outliers."""
         pairs = self.physics.fitter.table.pairs
         cleaned = before.without_drift(recent, pairs)
         found = self.contact_of(cleaned)
@@ -61,8 +61,8 @@ class LearnedReader:
         return Belief(estimate, (found,), contacts, tracks, before.drift, unlearned, explains=True)
 
     def contact_of(self, scans: Sequence[Difference]) -> Contact | None:
-        """The contact read from scans, without drift; None if they are unlike what was learned from, or if another
-        contact, apart from it, explains most of what it leaves."""
+        """The contact read from scans, without drift; None if they are outliers of those learned from, or if another
+        contact, apart from it, explains most of the residual."""
         fitter = self.physics.fitter
         changes = self.placement.changes(scans)
         if changes is None:

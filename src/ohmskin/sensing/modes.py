@@ -59,10 +59,10 @@ LEARNED = Mode(
 RECORDED = Mode(
     "recorded", drive="recorded", reader="centroid", title="As recorded", summary="The recording's pattern."
 )
-"""Of recordings with a pattern of their own."""
+"""The mode of recordings with a pattern of their own."""
 
 DEFAULT = "{all}P"
-"""The mode of least measured error of those that see every frame afresh (docs/modes.md)."""
+"""The mode with the smallest measured error, of those without tracking (docs/modes.md)."""
 
 
 def modes(skin: Skin) -> dict[str, Mode]:
@@ -82,7 +82,8 @@ def default_mode(skin: Skin) -> str:
 
 
 def recorded_mode(skin: Skin, fitted: bool = False) -> Mode:
-    """What reads recordings of a `skin` with their own pattern: contacts `fitted` if asked for, or as was learned."""
+    """The mode for recordings of a `skin` with their own pattern: contacts `fitted` if required, or by the learned
+    map."""
     if fitted:
         return replace(RECORDED, reader="fit")
     return replace(RECORDED, reader="learned") if skin.calibration.position_map else RECORDED
@@ -92,7 +93,7 @@ def mode_named(skin: Skin, name: str) -> Mode:
     """The mode of that name; the default one if it is empty.
 
     Raises:
-        PatternError: If the skin has no such mode; the message lists those it has.
+        PatternError: If the skin has no such mode; the message lists its modes.
     """
     found = modes(skin)
     if (name or default_mode(skin)) not in found:

@@ -42,7 +42,7 @@ class FittedPress:
     """A press fitted to a contact.
 
     Args:
-        press: Where, how wide, and the pressure.
+        press: Place, radius and pressure.
         force: Integral of the pressure (N).
         force_std: Its standard deviation (N).
         covariance: (4, 4) of x, y (m), and the logarithms of radius and pressure.
@@ -54,20 +54,20 @@ class FittedPress:
     covariance: Floats
 
     def scaled(self, share: float, relative: float) -> "FittedPress":
-        """A share of it, whose force has a `relative` standard deviation (1)."""
+        """A share of the press, whose force has a `relative` standard deviation (1)."""
         press, force = replace(self.press, pressure=share * self.press.pressure), share * self.force
         return FittedPress(press, force, relative * force, self.covariance)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPress:
-    """A press of known force, and what was measured under it.
+    """A press of known force and its measurements.
 
     Args:
         force: Force (N).
-        contact: The contact found for it.
-        scans: What it changed.
-        peak: The greatest force before it eased off to this one (N); 0: it was rising.
+        contact: Its contact.
+        scans: The changes due to it.
+        peak: The greatest force before it fell to this one (N); 0: it was rising.
     """
 
     force: float
@@ -78,15 +78,15 @@ class KnownPress:
 
 @dataclass(frozen=True)
 class FittedLayer:
-    """A contact layer as presses of known force show it.
+    """A contact layer fitted to presses of known force.
 
     Args:
         conductance: Per area at the layer's pressure scale (S/m2).
         exponent: Of its growth with pressure (1).
         conductance_std: Standard deviation of the logarithm of the conductance (1).
         exponent_std: Standard deviation of the exponent.
-        hysteresis: Of the foam (1), see `ContactLayer`; below 0: unknown, as no press eased off.
-        unexplained: Share of what the presses changed that no such layer explains, noise included (1).
+        hysteresis: Of the foam (1), see `ContactLayer`; below 0: unknown, because no press had a falling force.
+        unexplained: Share of the changes that no such layer explains, noise included (1).
     """
 
     conductance: float

@@ -34,24 +34,24 @@ _LITTLE = 10.0  # and all is little (squared size over noise)
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """The belief after a frame: contacts, image, and what else is estimated of the skin.
+    """The belief after a frame: contacts, image, and other estimates of the skin.
 
     Args:
         estimate: Of the image.
-        detections: The contacts that the frame shows by itself, strongest first.
+        detections: The contacts of this frame alone, strongest first.
         contacts: The contacts to report: confirmed by several frames, with ids.
-        tracks: What is remembered of them.
-        drift: Change of two-terminal resistances (n_pairs,) beside contacts, since the calibration (ohm), if the reader
-            follows it.
+        tracks: State of the tracker.
+        drift: Change of two-terminal resistances (n_pairs,) since the calibration without that of contacts (ohm), if
+            the reader estimates it.
         unlearned: Time since drift of single pairs was last estimated (s).
         suspects: Electrodes that alone showed a contact that others should have shown, too.
         unexplained: Share of the data that neither the contacts nor the image explain.
-        novel: How long contacts have been read by physics because data are unlike those that the reader learned
-            from (s).
-        solution: What was fitted to the frame, if contacts are.
-        searched: How long ago contacts were looked for afresh (s).
-        explains: Whether contacts, if there are any, explain the data as well as they do usually.
-        search_targets: Where else a contact may be, for the drive to measure next.
+        novel: Time for which contacts have been located by the physical model because the data are outliers of those
+            learned from (s).
+        solution: The contacts fitted to the frame, if the reader fits them.
+        searched: Time since contacts were last searched anew (s).
+        explains: Whether contacts, if there are any, explain the data as well as usual.
+        search_targets: Other places where a contact may be, for the drive to measure next.
     """
 
     estimate: Estimate
@@ -84,14 +84,14 @@ class Belief:
         return [scan if drift is None else scan.minus(drift, pairs) for scan in scans]
 
     def with_image_misfit(self, misfit: float) -> "Belief":
-        """The same of contacts seen in an image that leaves a share `misfit` of the data unexplained (1)."""
+        """The same for contacts in an image that leaves a share `misfit` of the data unexplained (1)."""
         detections, contacts = (
             scaled_confidence(some, image_confidence(misfit)) for some in (self.detections, self.contacts)
         )
         return changed(self, detections=detections, contacts=contacts, unexplained=misfit)
 
     def with_drift_of(self, before: "Belief") -> "Belief":
-        """The same with the drift of another belief, `before`: data that are doubted teach none."""
+        """The same with the drift of another belief, `before`: drift is not estimated from doubtful data."""
         tracks = self.tracks
         if isinstance(tracks, TrackState) and isinstance(before.tracks, TrackState):
             tracks = changed(tracks, drift=before.tracks.drift, common_drift=before.tracks.common_drift)
@@ -109,7 +109,7 @@ class Reader(Protocol):
     def estimator(self) -> Estimator: ...
 
     def start(self, before: Belief | None = None) -> Belief:
-        """The belief while nothing touches the skin; names and drift known `before`, to the same reader, are kept."""
+        """The belief while nothing touches the skin; ids and drift that the same reader estimated `before` are kept."""
         ...
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
@@ -181,9 +181,9 @@ class DetectionReader:
         """The belief after a frame.
 
         Args:
-            before: The belief after the last one.
-            estimate: Of the image of this one.
-            found: The contacts that this one showed.
+            before: The belief after the last frame.
+            estimate: The image of this frame.
+            found: The contacts of this frame.
         """
         assert isinstance(before.tracks, Tracks)
         tracks, contacts = self.tracker.update(before.tracks, found)
@@ -211,8 +211,8 @@ class FitReader:
         return Belief(self.estimator.start(), tracks=before.tracks, drift=before.drift)
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """The belief after one more frame. Contact impedances are followed while nothing touches, other drift
-        always, beside the contacts."""
+        """The belief after one more frame. Contact impedances are estimated while nothing touches; other drift always,
+        together with the contacts."""
         assert isinstance(before.tracks, Tracks)
         drift, errors, pairs = before.drift, self.fitter.errors, self.fitter.table.pairs
         ready = undriven if drift is None else partial(_steady, drift, pairs)
@@ -264,9 +264,9 @@ class FilterReader:
     """A `Reader` that tracks contacts by a filter on the data.
 
     Args:
-        estimator: What makes the image, of the newest frames with drift taken off.
+        estimator: Makes the image, from the newest frames without drift.
         filter: The filter.
-        injections: How many injections the image is made of, at least: frames follow each other faster than fingers.
+        injections: Least number of injections for an image: fingers move little between frames.
     """
 
     estimator: Estimator
@@ -279,14 +279,14 @@ class FilterReader:
         return self.filter.fitter
 
     def start(self, before: Belief | None = None) -> Belief:
-        """The belief while nothing touches the skin; what is known of its drift is kept."""
+        """The belief while nothing touches the skin; the estimate of its drift is kept."""
         if before is None:
             return Belief(self.estimator.start(), tracks=self.filter.start())
         assert isinstance(before.tracks, TrackState)
         return Belief(self.estimator.start(), tracks=self.filter.lifted(before.tracks))
 
     def update(self, before: Belief, new: Sequence[Difference], recent: Sequence[Difference], elapsed: float) -> Belief:
-        """The belief after one more frame; its scans are taken one after the other."""
+        """The belief after one more frame; its scans are processed one after the other."""
         state = before.tracks
         assert isinstance(state, TrackState)
         suspected = set(state.suspects)

@@ -25,7 +25,7 @@ from ohmskin.sensing.readers import Belief, DetectionReader, Reader
 from ohmskin.sensing.total import TotalForce
 
 Scan = Callable[[DrivePattern], Frame]
-"""What a sensor measures with: drives a pattern once and returns its frame, such as `Device.scan`."""
+"""Drives a pattern once and returns its frame, such as `Device.scan`."""
 
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
 _SPIKES = Cause("spikes")
@@ -56,7 +56,7 @@ class Percept:
         frames: The scans.
         belief: The belief after it.
         base_estimate: The estimate after the base scan, with its image; None where a frame has one scan.
-        diagnosis: What is known of the instrument.
+        diagnosis: Detected faults of the instrument.
     """
 
     frames: tuple[Frame, ...]
@@ -92,15 +92,15 @@ class Percept:
 
 @dataclass(frozen=True, eq=False)
 class SensorState:
-    """What a sensor remembers from one step to the next.
+    """State of a sensor after a step.
 
     Args:
-        belief: The belief after it.
+        belief: The belief.
         turn: Scans so far.
         recent: The newest scans, of drives whose frames have few injections.
         time: When the last frame was taken (s, on the device's clock); None before the first.
-        diagnosis: What is known of the instrument.
-        presses: What is known of the presses behind contacts.
+        diagnosis: Detected faults of the instrument.
+        presses: State of the presses fitted to contacts.
     """
 
     belief: Belief
@@ -178,7 +178,7 @@ class Sensor:
 
     @property
     def cells(self) -> Cells:
-        """What its images are made of."""
+        """The cells of its images."""
         return self.reader.estimator.cells
 
     def start(self, before: Belief | None = None) -> SensorState:

@@ -1,4 +1,4 @@
-"""What a skin is: its description and its physics twin."""
+"""Skins: the description, and the physics twin."""
 
 from ohmskin.skin.calibration import Calibration
 from ohmskin.skin.description import Skin, shipped_skins

@@ -15,20 +15,20 @@ from ohmskin.skin.positions import PositionMap
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibration. Without a date there is none.
+    """A calibration; without a date the skin is not calibrated.
 
     Args:
         date: When it was made, UTC, in ISO form.
         version: Of ohmskin, when it was made.
-        made_for: `Skin.digest` of what it was made for.
-        mode: Mode that the strengths were measured in.
+        made_for: `Skin.digest` of its skin.
+        mode: Mode in which the strengths were measured.
         conductivity: Fitted sheet conductivity (S per square).
-        positions: (n_elec, 2) where the electrodes were found (m); as described unless given.
-        log_conductivity: (n_waves^2,) coefficients of `forward.conductivity.cosines`, a field by which the logarithm of
-            the conductivity differs from place to place; even unless given.
+        positions: (n_elec, 2) fitted places of the electrodes (m); as described unless given.
+        log_conductivity: (n_waves^2,) coefficients of `forward.conductivity.cosines`, a field of the logarithm of the
+            conductivity; uniform unless given.
         contact_impedances: (n_elec,) of the electrodes (ohm); as described unless given.
-        unexplained: Root mean square of what is left of four-terminal resistances, as a share of theirs: as described,
-            and with positions and conductivity as found.
+        unexplained: Root mean square residual of four-terminal resistances, as a share of theirs: as described, and
+            with fitted positions and conductivity.
         contact_resistance: Median series resistance at an electrode beyond the described (ohm); 0 if too small.
         misfit: Root mean square of measured less modelled pair resistances, as a share of the resistance.
         noise: Standard deviation of a voltage (V).
@@ -36,17 +36,17 @@ class Calibration:
         pair_resistances: (n_pairs,) two-terminal resistances of the quiet skin (ohm).
         strengths: Rising `Contact.strength` (m2) at which `forces` are known.
         forces: Rising forces (N).
-        force_error: Root mean square error of the force over the presses it was learned from (N).
+        force_error: Root mean square error of the force over the presses of the calibration (N).
         hysteresis: Largest difference of strength between loading and unloading, as a share of the largest strength.
         layer_conductance: Of the contact layer, per area at its pressure scale (S/m2), and
         layer_exponent: of its growth with pressure (1), as presses of known force showed them; 0: as described.
         layer_stds: Standard deviations of that conductance's logarithm, and of that exponent.
-        layer_hysteresis: Its `ContactLayer.hysteresis`, as presses that eased off showed it (1); below 0: as described.
+        layer_hysteresis: Its `ContactLayer.hysteresis`, from presses with falling force (1); below 0: as described.
         auxiliary_gain, auxiliary_error: Of the `Auxiliary` channel (N/N or Pa/N), and of the gain as a share (1), as
             presses of known force showed it; 0: as described.
         channels: (n, 4) source, sink, plus, minus of the channels judged from presses, and
         channel_gains, channel_errors: how each follows the model, see `ohmskin.scan.Channels`.
-        position_map: Where contacts really are, as presses of known places taught: a `PositionMap` as text.
+        position_map: Correction of positions, learned from presses at known places: a `PositionMap` as text.
 
     Raises:
         SkinError: If an entry is out of range, or lists that belong together do not fit.
@@ -117,10 +117,10 @@ class Calibration:
         return PositionMap.parse(self.position_map) if self.position_map else None
 
     def check(self, domain: Domain, n_elec: int) -> None:
-        """Hold the calibration against the skin that it is of.
+        """Check that the calibration fits its skin.
 
         Args:
-            domain: Its map.
+            domain: The skin's map.
             n_elec: Number of its electrodes.
 
         Raises:
@@ -139,7 +139,8 @@ class Calibration:
     def force(self, strength: ArrayLike) -> NDArray[np.float64]:
         """The force (N) of contacts of some `strength` (m2), any shape: a monotone curve through what was measured.
 
-        No strength is no force. Beyond the strongest press of the calibration it is that press's, the least it can be.
+        Strength 0 gives force 0. Above the strongest press of the calibration it is the force of that press, a lower
+        bound.
 
         Raises:
             SkinError: If no force was calibrated.

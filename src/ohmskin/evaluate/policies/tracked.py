@@ -169,8 +169,7 @@ class Quiet:
     seed: int = 0
 
     def run(self) -> Result:
-        """Results: ``births`` (), contacts reported, each once; ``frames`` (), frames that showed one when read
-        alone."""
+        """Results: ``births`` (), contacts reported; ``frames`` (), frames that showed one when read alone."""
         where = setup(self.world, self.decibels)
         mode, known, busy = scheme(self.mode, self.reading), set[int](), 0
         for percept in where.follow(mode, repeat((), self.frames), 9, self.seed):
