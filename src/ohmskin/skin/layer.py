@@ -18,24 +18,24 @@ _NEWTON, _SMALL, _LEAST_SLOPE = 8, 1e-6, 0.05
 class ContactLayer:
     """Floating conductive patches on foam that short the sheet where they are pressed on it.
 
-    There are `columns` x `rows` of them, equal on the skin's map, or, where these are 0, as many as leave gaps of a
-    tenth. Then they are as large as `patch` on the skin: in rows where the scale of its map changes in one direction
-    alone, as on a cone, and in rings about the middle where it changes with the distance from there alone, as on a cap.
-    On all other maps they are equal on the map, and on the skin in the mean. The
-    conductance per area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has
-    a memory: when a press eases off, up to `hysteresis` more than its pressure acts on the sheet, and under a lasting
-    press what acts grows by `creep`, all but 1/e of it in `creep_time`. Beyond an indenter's edge pressure falls to 0
-    within `foam_spread`.
+    There are `columns` x `rows` of them, of equal size on the skin's map. If these are 0, there are as many as leave
+    gaps of a tenth, with sides of `patch` on the skin: in rows where the scale of its map changes in one direction
+        only, as on a cone, and in rings about the middle where it changes only with the distance from there, as on a
+        cap. On all other maps they have equal size on the map, and that size on the skin on average. The conductance
+        per area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has
+        hysteresis and creep: while a press falls, the acting pressure exceeds the applied pressure by up to
+            `hysteresis`; under a lasting press the acting pressure grows by `creep`, with the time constant
+            `creep_time`. Outside an indenter's edge pressure falls to 0 within `foam_spread`.
 
     Args:
         columns, rows: Number of patches along x and y, 0 to 256.
         patch: Side of a patch (m).
         conductance: Per area at the pressure scale (S/m2).
-        pressure_scale: Pressure at which the conductance is that (Pa).
+        pressure_scale: Pressure at which the conductance has that value (Pa).
         exponent: Of its growth with pressure (1), 0.1 to 3.
         foam_spread: Width of the ring round a press in which its pressure falls to 0 (m).
-        hysteresis: Share by which more acts when a press eases off (1), 0 to 0.5.
-        creep: Share by which what acts grows under a lasting press (1), 0 to 1.
+        hysteresis: Share by which the acting pressure exceeds the applied one while a press falls (1), 0 to 0.5.
+        creep: Share by which the acting pressure grows under a lasting press (1), 0 to 1.
         creep_time: Time constant of that (s).
     """
 
@@ -51,7 +51,7 @@ class ContactLayer:
     creep_time: float = number(10.0, 1e-3, 1e5, "s")
 
     def number_on(self, chart: Chart) -> int:
-        """About how many patches there are on a map, those off its sheet included.
+        """Approximate number of patches on a map, including those off the sheet.
 
         Args:
             chart: The map of the skin.
@@ -90,15 +90,15 @@ class ContactLayer:
 
     @property
     def remembers(self) -> bool:
-        """Whether what acts on the sheet depends on what pressed before."""
+        """Whether the acting pressure depends on earlier presses."""
         return bool(self.hysteresis or self.creep)
 
     def acting(self, before: "Foam | None", pressure: float, elapsed: float) -> "Foam":
-        """The foam under a press that has had its former pressure for a time, and now has another.
+        """The foam under a press after a change of its pressure.
 
         Args:
-            before: As it was; None: the press begins.
-            pressure: Of the press now, above 0 (Pa).
+            before: Its former state; None: the press begins.
+            pressure: Present pressure of the press, above 0 (Pa).
             elapsed: Time since `before` (s).
         """
         if before is None:
@@ -108,7 +108,7 @@ class ContactLayer:
         return Foam(pressure, pressure * exp(gap) + self.creep * crept, gap, crept)
 
     def pressing(self, before: "Foam | None", acting: float, elapsed: float) -> "Foam":
-        """The foam under a press of which is known what acts on the sheet; the inverse of `acting`.
+        """The foam under a press whose acting pressure is known; the inverse of `acting`.
 
         Args:
             before, elapsed: As for `acting`.
@@ -127,7 +127,7 @@ class ContactLayer:
 
     @staticmethod
     def turned(share: float) -> float:
-        """How much of its hysteresis foam shows where a press has eased off to a share of its greatest pressure (1)."""
+        """Share of the foam's hysteresis at a press that has fallen to a share of its greatest pressure (1)."""
         return float(1 - share ** (1 / _STRETCH))
 
     def _gap(self, gap: float, step: float) -> float:
@@ -150,10 +150,10 @@ class Foam:
     """The foam under one press.
 
     Args:
-        pressure: With which it is pressed (Pa).
-        acting: What of it acts on the sheet (Pa).
-        gap: By how much more because it had been pressed harder (1, logarithmic).
-        crept: The pressure that it has yielded to (Pa).
+        pressure: Applied pressure (Pa).
+        acting: Acting pressure on the sheet (Pa).
+        gap: Logarithm of the factor on it due to hysteresis (1).
+        crept: Pressure to which the foam has crept (Pa).
     """
 
     pressure: float

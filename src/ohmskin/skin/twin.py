@@ -53,7 +53,7 @@ class Press:
             raise SkinError(f"press pressure is {self.pressure} Pa; it must be 0 to 10 MPa")
 
     def force(self, foam_spread: float = 0.0) -> float:
-        """The force (N) with which it presses, if all of it is on the sheet: the integral of the pressure.
+        """The force (N), if all of the press is on the sheet: the integral of the pressure.
 
         Args:
             foam_spread: Width of the ring round the press in which the pressure falls to nothing (m),
@@ -83,8 +83,8 @@ class PressedSheet:
         model: Of the untouched sheet with its electrodes and their contacts; on a mesh finer than the estimator's, with
             `contact_factors`, unless given.
         contacts: Their number along each side of a patch, closer at its edges, where the current enters. With 8,
-            presses of 5 mm and more do to 2 % what they do with ever more of them; with 4, some ten times as quick,
-            to 5 %.
+            presses of 5 mm and more are within 2 % of the limit of many contacts; with 4, about ten times faster,
+            within 5 %.
 
     Attributes:
         untouched: (n_elec, n_elec) transfer resistances of the untouched skin in ohms, contact impedances included;
@@ -170,13 +170,13 @@ class PressedSheet:
         return touching, self._conductance(pressure[touched]).mean(axis=1) * self._areas[touching]
 
     def with_layer(self, layer: ContactLayer) -> "PressedSheet":
-        """The same sheet under a layer of the same patches with other conductance; nothing is made anew."""
+        """The same sheet under a layer of the same patches with another conductance; nothing is computed again."""
         other = copy(self)
         other.skin = replace(self.skin, contact_layer=layer)
         return other
 
     def linearised(self, presses: Sequence[Press]) -> tuple[Floats, Floats]:
-        """What presses change of two-terminal resistances (n_pairs,) (ohm), and its slopes (n_pairs, 4 n + 2).
+        """Changes of two-terminal resistances (n_pairs,) due to presses (ohm), and their slopes (n_pairs, 4 n + 2).
 
         Slopes are by x, y (per m), the logarithms of radius and pressure of each press, then by the logarithm of the
         layer's conductance and by its exponent.
@@ -215,14 +215,15 @@ class PressedSheet:
         )
 
     def contacts_under(self, presses: Iterable[Press]) -> int:
-        """How many contacts presses may close: a press costs about the cube of it."""
+        """Number of contacts that presses may close; the time of a press grows with about its cube."""
         spread = self.skin.contact_layer.foam_spread
         return len(self._near_any((press.position, press.radius + spread) for press in presses))
 
     def prepare(self) -> None:
-        """Solve for what one patch more needs, in 6 ms or so, so that the first press there costs no more than others.
+        """Compute the functions of one more patch, in about 6 ms, so that the first press there takes no longer than
+        others.
 
-        Of a thousand patches at most, because memory goes with their square.
+        For a thousand patches at most, because memory grows with the square of their number.
         """
         if (patch := next(self._unprepared, None)) is not None:
             self._patches.transfer_resistance(np.where(self._patches.patches == patch, 1e-6, 0.0))

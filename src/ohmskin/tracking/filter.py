@@ -37,11 +37,11 @@ class ContactFilter:
     Args:
         fitter: Explains data by contacts; its `false_alarms` are per frame here, `false_twos` per ten seconds or so.
         motion: How contacts and the skin may change.
-        repeats: Quiet frames behind the reference, whose noise is the same in all frames.
+        repeats: Number of quiet frames of the reference, whose noise is the same in all frames.
 
     Attributes:
         bar: Standard deviations that the score of a new contact must exceed.
-        split_bar: By how much two contacts must explain the last frames better than one.
+        split_bar: Least gain of two contacts over one in the last frames.
     """
 
     def __init__(self, fitter: ContactFitter, motion: Motion | None = None, repeats: float = np.inf) -> None:
@@ -54,7 +54,7 @@ class ContactFilter:
         return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _COMMON_STD**2), np.zeros(n_pairs))
 
     def lifted(self, state: TrackState) -> TrackState:
-        """The state with nothing on the skin; what is known of its drift is kept."""
+        """The state with nothing on the skin; the estimate of its drift is kept."""
         common_drift = state.common_drift[0], _COMMON_STD**2
         start = self.start()
         return changed(
@@ -71,8 +71,8 @@ class ContactFilter:
 
         Args:
             state: The one after the last frame.
-            difference: The frame's change against the untouched skin. A common change of all resistances
-                (temperature) is followed only where it has a reference.
+            difference: The frame's change against the untouched skin. A common change of all resistances (temperature)
+                is estimated only where it has a reference.
             elapsed: Time since the last one (s).
 
         Raises:
@@ -100,7 +100,7 @@ class ContactFilter:
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def explains(self, state: TrackState) -> bool:
-        """Whether contacts, if there are any in a `state`, explain the newest frame as well as they do usually."""
+        """Whether contacts, if there are any in a `state`, explain the newest frame as well as usual."""
         if not state.pressing or not state.history:
             return not state.pressing
         newest = state.history[0]

@@ -25,9 +25,9 @@ class Motion:
         radius_time: Time over which a radius is forgotten (s).
         common_walk: Random walk of the common factor of all resistances in a second (1/sqrt(s)); temperature.
         drift_time: Time over which what no contact explains becomes part of the baseline (s).
-        settling_time: Time over which what is left of a lifted contact does (s).
-        creep_time: Time in which foam recovers from a press (s); until then, next to nothing beside it is no contact.
-            What it keeps, like what is learned as drift, grows over `drift_time`.
+        settling_time: The same for the rest of a lifted contact (s).
+        creep_time: Time in which foam recovers from a press (s); until then a weak signal is not a contact. What it
+            keeps, like what is learned as drift, grows over `drift_time` while the press lasts.
 
     Raises:
         ModelError: If one is not positive.

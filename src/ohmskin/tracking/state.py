@@ -42,19 +42,19 @@ class TrackState:
         mean: (n, 6) x, y (m), effect (m2), squared radius (m2) and velocity (m/s) of each.
         covariance: (6 n, 6 n) of all of them together.
         common_drift: Common relative change of all resistances since the calibration, and its variance (1).
-        drift: (n_pairs,) what else has changed in the baseline: two-terminal resistances (ohm).
+        drift: (n_pairs,) other changes of the baseline: two-terminal resistances (ohm).
         contacts: The contacts to report, strongest first.
-        next_id: The name of the next contact.
+        next_id: The id of the next contact.
         turn: Frames so far.
         time: Since the start (s).
-        newest_energy: Squared size of what contacts cause of the newest frame, over the noise's variance (1).
-        kept_signal: Size of what foam and learned drift may keep of contacts, over the noise (1).
+        newest_energy: Squared signal of the contacts in the newest frame, over the noise's variance (1).
+        kept_signal: Signal that foam and learned drift may keep of contacts, over the noise (1).
         history: The last frames, newest first.
         unexplained: Share of the newest frame's data that the contacts do not explain.
         suspects: Electrodes that alone showed a contact in the newest frame.
-        covered: Electrodes under contacts of whose resistance nothing is taken to be known, see `Solution`.
-        refuted: How many times the usual residual contacts left when others were last looked for without success (1);
-            0: they explained the last frames when they were last revised; below 1: they did not, for the first time.
+        covered: Electrodes under contacts, whose resistance is treated as unknown, see `Solution`.
+        refuted: Residual over the usual one when others were last searched without success (1); 0: the contacts
+            explained the last frames at the last revision; below 1: they did not, for the first time.
         possible: (2,) where one more contact may be, if so (m).
     """
 
@@ -77,7 +77,8 @@ class TrackState:
     possible: Floats | None = None
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
-        """The newest frames with at least so many injections together, less drift and temperature, newest first."""
+        """The newest frames with at least this number of injections together, without drift and temperature, newest
+        first."""
         return newest((), (residuals.observation.difference for residuals in self.history), injections)
 
     @property
@@ -87,7 +88,7 @@ class TrackState:
 
     @property
     def measured(self) -> Ints:
-        """Where in the state of all contacts the parameters are that a frame depends on (4 n,)."""
+        """Indices (4 n,), in the state of all contacts, of the parameters on which a frame depends."""
         return (np.arange(len(self.tracks))[:, None] * STATE + np.arange(PER_CONTACT)).ravel()
 
     @property
@@ -105,13 +106,13 @@ class TrackState:
         return abs(float(self.mean[k, 2])), effect_std(self.covariance_of(k))
 
     def with_contact(self, params: Floats, covariance: Floats, speed: float, name: int | None = None) -> "TrackState":
-        """The state with one contact more, at rest.
+        """The state with one more contact, at rest.
 
         Args:
-            params: (4,) what it is.
+            params: (4,) its parameters.
             covariance: (4, 4) of them.
             speed: Standard deviation of its velocity (m/s).
-            name: Its name, the next one unless given.
+            name: Its id, the next one unless given.
         """
         known, end = STATE * len(self.tracks), STATE * len(self.tracks) + PER_CONTACT
         whole = np.zeros((known + STATE, known + STATE))

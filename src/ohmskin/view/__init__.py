@@ -1,4 +1,4 @@
-"""The live page: images and contacts in a browser, without ever slowing the loop."""
+"""The live page: images and contacts in a browser, which never slows the loop."""
 
 from ohmskin.view.live import LiveView
 

@@ -33,7 +33,7 @@ class LiveView(Closing):
     time (a credit) when a browser is ready to draw; frames published without a credit are dropped.
 
     Args:
-        setup: What there is to show: skin, raster, modes, device (docs/live-page.md). Without it the page says that
+        setup: The skin, raster, modes and device to show (docs/live-page.md). Without it the page says that
             the loop is `starting`, until `show` is called.
         host: Address to listen on. Other machines can reach the page only through an address that is not loopback, and
             such an address needs a token.
@@ -41,9 +41,9 @@ class LiveView(Closing):
         token: If given, the page and its socket answer only to `?token=...`, which `url` contains.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
         port: The port that it listens on.
-        port_was_taken: Whether `port` is not the one that was asked for.
+        port_was_taken: Whether `port` is not the requested one.
 
     Raises:
         ViewError: If the setup is malformed, no port is free, or the host is not loopback and there is no token.
@@ -76,7 +76,7 @@ class LiveView(Closing):
         """Show the current step of the loop before the first frame.
 
         Args:
-            words: What is being done.
+            words: The step.
             share: The share that is done (0 to 1); None: unknown.
         """
         self._outbox.put((b"W", to_json({"type": "starting", "message": words, "share": share}).encode()))
@@ -103,7 +103,7 @@ class LiveView(Closing):
         return self._credits > 0
 
     def publish(self, header: Mapping[str, Any], base: NDArray, image: NDArray) -> None:
-        """Show a frame if a browser is ready for one, else drop it; never waits.
+        """Show a frame if a browser is ready for it, else drop it; never waits.
 
         Args:
             header: Contacts, pairs, presses, health and state of this frame (docs/live-page.md).
@@ -126,7 +126,8 @@ class LiveView(Closing):
     def commands(self) -> list[dict[str, Any]]:
         """Commands of browsers since the last call, checked, oldest first; never waits.
 
-        A press that was moved several times in between appears once, where it is now. Its id names browser and press.
+        A press that was moved several times since then appears once, at its present place. Its id names browser and
+        press.
         """
         with self._lock:
             commands, self._pending = self._pending, []
