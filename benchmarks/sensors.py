@@ -147,7 +147,7 @@ def compare(kind: str, decibels: float, seeds: int, places: int) -> list[dict[st
 PAGE = """# Every drive with every reader
 
 What is measured (the drive) and how contacts are read from it (the reader) are chosen separately; this
-table says what each gives. It is made by the sensors that a loop uses: `python -m benchmarks.sensors`. {about}
+table shows the errors of each pair. It is made by the sensors that a loop uses: `python -m benchmarks.sensors`. {about}
 
 Mean error in millimetres (95 % interval over seeds and places), median, and the share of places missed; below it the
 mean in the corners. *Driven*: the electrodes that carry the current are measured, too.
@@ -156,15 +156,15 @@ mean in the corners. *Driven*: the electrodes that carry the current are measure
 
 ## What it says
 
-- **The reader gives most.** With the same drive, contacts fitted to the data are {gain} times closer (geometric mean
-  over drives and worlds) than centroids of the image.
+- **The reader has the largest effect.** With the same drive, contacts fitted to the data have errors {gain} times
+smaller (geometric mean over drives and worlds) than centroids of the image.
 - **Driven electrodes carry the information on corners.** With the same drive and reader (fit), measuring them
   divides the error by {driven_open}, in the corners by {driven_corners} (geometric means).
-- **The best fixed set of 28 injections is the baseline of every adaptive claim.** With the same reader (fit), the drive
-  by position information has {p_over_best} of its error (in the order above), the paper's eq. (7) {o_over_best}; with
+- **Adaptive drives are compared with the best fixed set of 28 injections.** With the same reader (fit), the drive by
+  position information has {p_over_best} of its error (in the order above), the paper's eq. (7) {o_over_best}; with
   driven electrodes {p_over_best_driven} and {o_over_best_driven}. {verdict}
 - **The default mode is {default}**: of the modes that ship it has the least error, as a geometric mean over the three
-  worlds. `tests/test_sensing.py` holds that against this table.
+worlds. `tests/test_sensing.py` checks that with this table.
 """
 
 
@@ -222,7 +222,7 @@ def page(told: dict[str, Any]) -> str:
         o_over_best=listed["eq7", "fit"],
         p_over_best_driven=listed["position", "fit, driven"],
         o_over_best_driven=listed["eq7", "fit, driven"],
-        verdict="Adaptivity earns its keep there." if earned else "Adaptivity has yet to earn its keep everywhere.",
+        verdict=f"Adaptive drive is {'' if earned else 'not '}better in every world.",
         default=default_mode(Skin.load("paper")),
     )
 

@@ -257,7 +257,7 @@ BROKEN: dict[str, tuple[Callable[[Changed, Frame], Frame], str, str]] = {
         "CLIPPED",
     ),
     "beyond its range": (lambda d, f: replace(f, voltages=1e3 * f.voltages), "frames fit", "beyond full_scale"),
-    "signs exchanged": (lambda d, f: replace(f, voltages=-f.voltages), "current enters", "signs exchanged"),
+    "signs exchanged": (lambda d, f: replace(f, voltages=-f.voltages), "current enters", "signs swapped"),
     "one wrong channel": (
         lambda d, f: replace(f, voltages=np.where(f.pattern.quadruples[:, 2] % 3 == 0, 0.6, 1) * f.voltages),
         "reciproc",

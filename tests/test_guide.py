@@ -90,8 +90,8 @@ def test_known_weights_calibrate_newtons_and_say_what_is_saved(reader: Reader) -
     forces = [command["force"] for command in reader.heard("weigh")]
     assert forces[:4] == pytest.approx([1.961, 0, 4.903, 0], abs=1e-3)
     expect(guide.locator("#guide-text")).to_contain_text("Fitting forces.")
-    reader.loop.header.update(guided="Saved: newtons, in paper-calibrated.toml")
-    expect(guide.get_by_text("Saved: newtons, in paper-calibrated.toml")).to_be_visible()
+    reader.loop.header.update(guided="Force calibration saved in paper-calibrated.toml")
+    expect(guide.get_by_text("Force calibration saved in paper-calibrated.toml")).to_be_visible()
 
 
 def test_places_are_spread_inside_any_outline(scripts: Page) -> None:

@@ -348,7 +348,7 @@ def test_small_hostile_files_are_refused_before_they_grow(tmp_path: Path) -> Non
         ("bomb", element(15, bomb), "unpacks to more than 256 MiB"),
         ("deep", deep, "more than 16 deep"),
         ("wide", cell(b"", 2**30), "claims an array of 1073741824 parts"),
-        ("short", struct.pack("<II", 14, 2**31) + b"abc", "is cut short"),
+        ("short", struct.pack("<II", 14, 2**31) + b"abc", "is truncated"),
         (
             "fields",
             element(15, zlib.compress(struct_of(200 * 2**20, 2, 1), 1)),

@@ -75,7 +75,7 @@ def test_columns_and_arrays_by_other_names_are_read_with_notes(tmp_path: Path) -
     savemat(tmp_path / "presses.mat", {"V": presses.T, "pos": places.T, "Fz": np.full(12, 1.5), "skin": "paper-rim16"})
     for found, note in (
         (table, "columns 'time', 'z_mm' are left out"),
-        (read_recording(tmp_path / "presses.mat"), "'V' is taken for voltages"),
+        (read_recording(tmp_path / "presses.mat"), "'V' is interpreted as voltages"),
     ):
         np.testing.assert_allclose(found.positions, 1e-3 * places)
         np.testing.assert_allclose(found.forces, 1.5)
@@ -83,4 +83,4 @@ def test_columns_and_arrays_by_other_names_are_read_with_notes(tmp_path: Path) -
         assert any(order.words in one for one in found.notes)
         np.testing.assert_array_equal(found.frames[0].pattern.quadruples[20], order.quadruples[20])
         resolved(found, Skin.load("paper-rim16").transfer_model())
-    assert any("taken for millimetres" in one for one in found.notes)
+    assert any("interpreted as millimetres" in one for one in found.notes)

@@ -178,15 +178,13 @@ def test_estimators_with_a_quadratic_prior_take_any_rule(estimator: str) -> None
 
 @pytest.mark.parametrize("estimator", ["kalman", "greit", "total-variation", "sparse-bayes", "absolute-variation"])
 def test_estimators_without_a_parameter_for_a_rule_refuse_it_in_words(estimator: str) -> None:
-    with pytest.raises(ModelError, match=f"{estimator}' chooses no parameter by the rule 'l-curve'.*or use 'physical'"):
+    with pytest.raises(ModelError, match=f"{estimator}' does not support the rule 'l-curve'.*or use 'physical'"):
         known(9e-3).estimator(estimator, "paper", "l-curve")
 
 
 @pytest.mark.parametrize("estimator", ["greit", "total-variation", "sparse-bayes", "absolute-variation"])
 def test_estimators_with_a_prior_of_their_own_refuse_another_in_words(estimator: str) -> None:
-    with pytest.raises(
-        ModelError, match=f"{estimator}' has a prior of its own, and no use for 'laplacian'; .*leave it out"
-    ):
+    with pytest.raises(ModelError, match=f"{estimator}' has its own prior and cannot use 'laplacian'; .*leave it out"):
         known(9e-3).estimator(estimator, "laplacian")
 
 

@@ -588,7 +588,7 @@ def test_a_recording_is_led_from_the_page_and_all_browsers_agree(chromium: Brows
         reader.until(lambda: place() == 40)
         page.get_by_label("One frame back").click()
         reader.until(lambda: place() == pytest.approx(39.98))
-        page.get_by_label("One frame on").click()
+        page.get_by_label("One frame forward").click()
         for told in ("0.25", "1", "4", "null"):
             page.get_by_label("Speed").select_option(told)
         page.click("#loop")

@@ -195,7 +195,7 @@ def test_presses_of_known_weights_are_saved_with_the_skin_as_newtons(
             looker.send("weigh", force=0.0)
             looker.send("lift", id="guide")
         told = looker.send("save")[-1]["guided"]
-        assert f"Saved: newtons, in {tmp_path / 'paper-calibrated.toml'}" in told
+        assert f"Force calibration saved in {tmp_path / 'paper-calibrated.toml'}" in told
         assert "paper-calibrated-2.toml" in looker.send("save")[-1]["guided"]  # nothing is overwritten
     found = Skin.load(tmp_path / "paper-calibrated.toml").calibration
     assert found.mode == "16O"

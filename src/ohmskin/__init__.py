@@ -1,5 +1,5 @@
 # ruff: noqa: F401
-"""ohmskin: a sense of touch from a handful of electrodes.
+"""ohmskin: a sense of touch from a few electrodes.
 
     import ohmskin as ohm
 

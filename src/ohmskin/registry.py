@@ -54,7 +54,7 @@ class Registry(Mapping[str, T], Generic[T]):
             OhmskinError: If the name is taken.
         """
         if name in self:
-            raise self._error(f"{self.noun} {name!r} is there already; choose another name")
+            raise self._error(f"{self.noun} {name!r} already exists; choose another name")
         self._own[name] = thing
 
     def title(self, name: str) -> str:

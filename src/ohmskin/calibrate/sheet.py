@@ -179,7 +179,7 @@ class _Unknowns:
         u = np.zeros(len(self.std))
         scale = float(modelled @ modelled) / float(modelled @ measured)
         if not scale > 0:
-            raise DataError("the quiet skin's resistances have the wrong sign: are sources and sinks exchanged?")
+            raise DataError("the quiet skin's resistances have the wrong sign: are sources and sinks swapped?")
         u[2 * len(self.described)] = np.log(scale)
         return u
 

@@ -82,7 +82,7 @@ def _shown(default: Any) -> Any:
 
 app = App(
     name="ohmskin",
-    help="A sense of touch from a handful of electrodes. Start with: `ohmskin live`\n\n"
+    help="A sense of touch from a few electrodes. Start with: `ohmskin live`\n\n"
     "Exit status: 0 done, 1 a check found a fault, 2 an error, reported in one line, 130 interrupted (Ctrl-C) before "
     "it was done.",
     version=ohmskin.__version__,

@@ -24,7 +24,7 @@ def bench(
     Args:
         quick: Smaller sizes and fewer rounds.
         output: Folder for benchmarks.html, benchmarks.md (the same text), benchmarks.json and the plot; each part is
-            there once it is measured.
+            written when it is measured.
         only: Parts to measure: machine, setup, fields, pattern, solver, frame, fits, live, touches, scale, electrodes,
             body, accuracy, start.
     """

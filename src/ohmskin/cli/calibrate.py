@@ -63,9 +63,9 @@ def calibrate(
         weights: Weights to place (g), all on the same small foot.
         places: Number of places to press.
         presses: Presses to make instead, in that order: a .csv file with columns x_mm, y_mm and force_N.
-        force_from: Source of the forces: serial://PORT (with ?baud=9600, say; lines that end with
-            newtons), zenoh[:PLACE] or dds[:INTERFACE] (a WrenchStamped of ROS 2); or, with --device replay:FILE, a .csv
-            file with columns time_s (from the first frame after the calibration) and force_N.
+        force_from: Source of the forces: serial://PORT (for example with ?baud=9600; lines that end with newtons),
+            zenoh[:PLACE] or dds[:INTERFACE] (a WrenchStamped of ROS 2); or, with --device replay:FILE, a .csv file with
+            columns time_s (from the first frame after the calibration) and force_N.
         force_topic: With zenoh and dds, the topic.
         samples: With --force-from, number of steady presses.
         force: Whether to calibrate newtons, too; --no-force measures the quiet skin only.

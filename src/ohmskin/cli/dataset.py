@@ -32,8 +32,8 @@ def dataset(
     Args:
         output: Folder of the data set; created if it does not exist.
         count: Total number of samples.
-        pattern: What is driven: "complete" (all electrode pairs, of which every pattern is a part) or a mode such as
-            16I (its base scan).
+        pattern: Pattern to drive: "complete" (all electrode pairs, which contains every pattern) or a mode such as 16I
+            (its base scan).
         contacts: Least and largest number of contacts.
         radius: Least and largest radius (mm).
         pressure: Least and largest pressure (kPa).

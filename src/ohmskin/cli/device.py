@@ -47,7 +47,7 @@ def check_device(url: str, *, json: Flag = False) -> None:
     """Check a device and its driver; keep the skin untouched meanwhile. The exit status is 1 if a check fails.
 
     Args:
-        url: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of a driver that is installed.
+        url: Address: virtual:, tcp://HOST:PORT, serial://PORT, replay:FILE, or that of an installed driver.
         json: Print JSON instead of lines.
     """
     with _Report(json) as report:
@@ -67,7 +67,7 @@ def check_host(
 ) -> None:
     """Serve a virtual skin that injects faults, and report whether the host that connects recovers.
 
-    The host must scan again after each fault by itself, over a new connection if need be; one that ends may be
+    The host must scan again after each fault by itself, over a new connection if necessary; a host that ends may be
     started again. The exit status is 1 if it did not.
 
     Args:

@@ -16,8 +16,8 @@ def electrodes(
     """Place electrodes by clicking on the skin in space; a button on the page writes the skin file.
 
     Args:
-        save: Skin file to write; SKIN-electrodes.toml in this folder unless given. It may be the skin's own, whose
-            comments and calibration are then gone.
+        save: Skin file to write; SKIN-electrodes.toml in this folder unless given. It may be the skin's own file, whose
+            comments and calibration are then deleted.
     """
     described = Skin.load(skin)
     target = save or Path(f"{described.name}-electrodes.toml")

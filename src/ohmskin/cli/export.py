@@ -30,7 +30,7 @@ def export(
 
     Args:
         file: The recording.
-        to: csv and parquet: a table; npz: everything as NumPy arrays; png: a picture; mp4: a film (needs ffmpeg).
+        to: csv and parquet: a table; npz: everything as NumPy arrays; png: a picture; mp4: a video (needs ffmpeg).
         output: File to write; the recording's name in this folder unless given. No file is ever overwritten.
         what: Which table: contacts (a row per contact and cycle) or frames (a row per voltage).
         start: Start time (s from the first frame after the calibration); the calibration is included unless given.

@@ -40,12 +40,13 @@ def image(
     """Make a picture of a recording's frame, with its contacts, and report the quality of its data.
 
     Args:
-        file: The recording: ours (.mcap), a MATLAB file of EIDORS, UEF 2017 or KTC 2023, or a .csv with a pattern.
+        file: The recording: of ohmskin (.mcap), a MATLAB file of EIDORS, UEF 2017 or KTC 2023, or a .csv with a
+            pattern.
         skin: A skin that ships with ohmskin or a .toml file; the one that fits the format unless given.
         output: Picture to write; the recording's name in this folder unless given.
         reference: File of the untouched skin, for formats that keep it apart; beside the recording unless given.
         pattern: Table of electrodes, for a table without one; NAME.pattern.csv beside it unless given.
-        frame: Which frame of the recording, or which cycle of one of ours (.mcap), from 0; unless given, the first
+        frame: Number of the frame, or of the cycle of an ohmskin recording (.mcap), from 0; unless given, the first
             frame, or the cycle with the strongest contact.
         estimator: Estimator of the image, such as kalman or absolute (see `ohmskin info`).
         prior: Prior of the estimator, such as paper or matern.

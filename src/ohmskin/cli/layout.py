@@ -56,18 +56,19 @@ def layout(
 ) -> None:
     """Map the Cramer-Rao bound on a contact's position error over the sheet, or find a layout with a lower one.
 
-    Beside the bound, below which no unbiased estimator can be, is what the mode's own reader reaches at some places.
+    No unbiased estimator has a smaller error than the bound. The errors of the mode's own reader at some places are
+    printed for comparison.
 
     Args:
-        mode: What is driven: a mode such as 12B, 16I, 16O or 16P, or "best", the best fixed injections; the skin's best
-            mode unless given.
+        mode: A mode such as 12B, 16I, 16O or 16P, or "best", the best fixed injections; the skin's default mode unless
+            given.
         injections: Injections of a frame, those of the base scan included; the mode's number unless given, 28 with
             "best".
         noise: Noise of a voltage, such as 0.2mV, 50uV or 1e-4 (volts), or 50dB below the largest voltage of the skin's
             first mode. The noise of the skin unless given.
-        radius: Radius of the contact (mm), which changes the conductivity by a half.
+        radius: Radius of the contact (mm), which changes the conductivity by 50 %.
         optimise: Number of electrodes to place for the lowest worst bound; the new layout is compared with the old one.
-        contacts: Simulated contacts that the mode reads, to be held against the bound; 0: none.
+        contacts: Number of simulated contacts to compare the mode's errors with the bound; 0: none.
         output: Picture to write.
         json_file: JSON file to write with all figures; none unless given.
         save: With --optimise, skin file to write; SKIN-optimised.toml in this folder unless given.

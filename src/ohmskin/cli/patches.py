@@ -42,7 +42,7 @@ def patches(
         headless: No page.
 
     A terminal gets a table every two seconds; a file or a pipe gets a line for each change of a patch's state and for
-    each contact that comes.
+    each new contact.
     """
     loaded = Body.load(body)
     check_publishing(publish, page)

@@ -1,4 +1,4 @@
-"""``ohmskin recover``: a whole copy of a recording that was cut short."""
+"""``ohmskin recover``: a complete copy of a truncated recording."""
 
 from pathlib import Path
 

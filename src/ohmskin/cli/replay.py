@@ -42,13 +42,13 @@ def replay(
     """Replay a recording through the same loop and page as a device, or compare estimators on it.
 
     Args:
-        file: The recording: ours (.mcap), or a table or MATLAB file of others.
+        file: The recording: of ohmskin (.mcap), or a table or MATLAB file of other programs.
         skin: Skin to use instead of the recorded one.
         mode: Mode to use instead of the recorded ones, if its scans were recorded.
         speed: Seconds of the recording per second; inf: as fast as possible.
         start: Start time (s from the first frame after the calibration).
         loop: Start again at the end.
-        rate: Frames per second of recordings that hold no times.
+        rate: Frames per second of recordings without times.
         compare: Estimators or priors, such as paper,matern,total-variation,absolute:matern: no page, a picture of their
             images side by side.
         at: With --compare: time (s) to show; that of the strongest contact unless given.

@@ -50,7 +50,7 @@ def robot(
         pokes: Number of pokes, at random places.
         hugs: Then, number of times that pads of two arms press several skins at once, at random places.
         self_touches: Then, number of times that the robot touches itself, in random postures.
-        free: Then, time for which it moves untouched (s): contacts reported are false.
+        free: Then, time for which it moves untouched (s), to count false contacts.
         skin: Of the arm, a rectangular skin that ships with ohmskin or a .toml file; the paper's unless given.
         mode: Drive mode, such as 16I or 16O; the default mode unless given.
         seed: Seed of the random places.

@@ -21,7 +21,7 @@ def self_test(
 ) -> None:
     """Test the wiring and the instrument of an untouched skin. Keep it untouched meanwhile.
 
-    The exit status is 1 if an electrode is not in order.
+    The exit status is 1 if an electrode is faulty.
 
     Args:
         device: Address: virtual:, tcp://HOST:PORT, serial://PORT.

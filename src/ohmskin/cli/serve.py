@@ -27,7 +27,7 @@ def serve_skin(
     Args:
         host: Address to listen at.
         port: TCP port; 0 takes a free one.
-        pty: Also serve on a pseudo-terminal, like a board on a serial port.
+        pty: Also serve on a pseudo-terminal, like a device on a serial port.
         realtime: Let a scan take as long as on the instrument.
         fault: Fault of the wiring, such as "open 3", "short 7 8", "swap 1 2" or "high 5 20" (20 times the
             contact impedance); give it once for each.
@@ -60,7 +60,7 @@ def serve_firmware(
         host: Address to listen at.
         port: TCP port of the firmware's UART, for one host at a time; 0 takes a free one.
         press_port: TCP port for `ohmskin press`; 0 takes a free one.
-        averages: Samples that the firmware averages to one value.
+        averages: Number of samples that the firmware averages for one value.
     """
     stop = Stop(lifeline)
     with EmulatedBoard(Skin.load(skin), image, host, port, press_port, seed, averages) as board:

@@ -33,7 +33,7 @@ def reproduce(
     cache: Path | None = None,
     fresh: Flag = False,
 ) -> None:
-    """Reproduce the paper: every figure and table, beside the paper's own figures, with verdicts.
+    """Reproduce the paper: every figure and table, compared with the paper's, with verdicts.
 
     Args:
         quick: Few seeds and noise levels: about a minute on two cores.
@@ -61,7 +61,8 @@ def policies(
     cache: Path | None = None,
     fresh: Flag = False,
 ) -> None:
-    """Compare drive policies (the paper's, by information, tracking) at equal noise and equal time with their goals.
+    """Compare drive policies (the paper's, by information, tracking) at equal noise and equal time, and check their
+    goals.
 
     Args:
         quick: Few seeds and trials: a minute or two on two cores.

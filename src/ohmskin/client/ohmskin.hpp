@@ -89,7 +89,7 @@ struct PatchState {
 struct Contacts {
     std::uint64_t sequence = 0;      // counts up by one with each; begins anew with `boot`
     std::uint64_t boot = 0;          // changes whenever the skin starts anew
-    double time = 0;                 // the last sample of the patch heard of longest ago (s, as now())
+    double time = 0;                 // last sample of the patch with the oldest data (s, as now())
     std::int64_t stamp = 0;          // the same by the calendar (ns since 1970)
     std::vector<PatchState> patches; // how fresh each patch is
     std::vector<PlacedContact> contacts;   // those of a patch strongest first

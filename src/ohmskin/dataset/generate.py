@@ -93,7 +93,7 @@ def _open(zarr: Any, path: Path, recipe: Recipe, count: int) -> tuple[Any, Any]:
             group = zarr.open_group(str(path), mode="r+", zarr_format=3)
             found = {name: group.attrs.get(name) for name in described}
         except (OSError, ValueError, KeyError) as error:
-            raise DataError(f"{path} is there already and is not a data set; give another folder ({error})") from error
+            raise DataError(f"{path} exists and is not a data set; give another folder ({error})") from error
         if found != described:
             unlike = _unlike(found, described)
             raise DataError(f"{path} was made by another recipe: {unlike}; give another folder, or the same recipe")

@@ -155,7 +155,7 @@ def _direction(device: Device) -> None:
     frame = _scanned(device, DrivePattern(pairs, np.column_stack([np.arange(len(pairs)), pairs])))
     if not np.isfinite(frame.voltages).any():
         raise _Skipped("no voltage at driven electrodes is known")
-    words = f"V(source) - V(sink) is {frame.voltages} V; it must be positive: signs exchanged?"
+    words = f"V(source) - V(sink) is {frame.voltages} V; it must be positive: signs swapped?"
     _need(np.nanmin(frame.voltages) > 0, words)
 
 
@@ -220,7 +220,7 @@ def _validation(device: Device) -> None:
     for what, pattern in wrong.items():
         with suppress(PatternError):
             device.scan(pattern)
-            raise _Failed(f"a pattern with {what} was taken")
+            raise _Failed(f"a pattern with {what} was accepted")
     _scanned(device, _pattern(device))
 
 
@@ -241,7 +241,7 @@ def _press(device: Device) -> None:
         raise _Skipped("virtual: it may be pressed")
     with suppress(DeviceRefused):
         device.press(0, at, 1e-3, 1.0)
-        raise _Failed("it is not virtual, yet took a press")
+        raise _Failed("it is not virtual, yet accepted a press")
 
 
 def _slots(device: Device) -> None:

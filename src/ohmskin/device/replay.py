@@ -34,7 +34,7 @@ class ReplayDevice(Device):
 
     Args:
         url: ``replay:`` and the file; the settings below may follow it, as in ``replay:touch.mcap?speed=2&loop=0``.
-        rate: Frames per second of recordings that hold no times.
+        rate: Frames per second of recordings without times.
         speed: Seconds of the recording per second; infinity for no waiting at all.
         start: Where to begin (s from the first frame).
         loop: Whether to begin again at the end.

@@ -65,7 +65,7 @@ def load_variables(content: bytes, name: str) -> tuple[dict[str, Any], tuple[str
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise DataError(f"{name} is a MATLAB 7.3 (HDF5) file; save it again with save('file.mat', ..., '-v7')")
     if len(content) < 128 or content[126:128] not in (b"IM", b"MI"):
-        raise DataError(f"{name} is not a whole MATLAB 5 file; its header of 128 bytes is cut or damaged")
+        raise DataError(f"{name} is not a whole MATLAB 5 file; its header of 128 bytes is truncated or damaged")
     try:
         reader = _Reader("<" if content[126:128] == b"IM" else ">")
         variables = reader.variables(memoryview(content)[128:])
@@ -151,7 +151,7 @@ class _Reader:
             else:
                 start, step = at + 8, 8 + size + (0 if kind == _COMPRESSED else -size % 8)
             if start + size > len(block):
-                raise _DamagedError(f"is cut short: an element of {size} bytes has {len(block) - start}")
+                raise _DamagedError(f"is truncated: an element of {size} bytes has {len(block) - start}")
             found.append((kind, block[start : start + size]))
             at += step
             self._elements -= 1

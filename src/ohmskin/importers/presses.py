@@ -97,7 +97,7 @@ def _in_metres(places: Floats, unit: str) -> tuple[Floats, tuple[str, ...]]:
     """Places (n, 2) in metres; what is wider than skins are is taken for millimetres where no unit is given."""
     if not unit and len(places) and max(np.ptp(places, axis=0)) > _WIDEST:
         wide = f"places span {max(np.ptp(places, axis=0)):g}"
-        return 1e-3 * places, (f"{wide} without a unit: taken for millimetres",)
+        return 1e-3 * places, (f"{wide} without a unit: interpreted as millimetres",)
     return _METRES[unit or "m"] * places, ()
 
 
@@ -134,7 +134,7 @@ def read_variables(variables: Mapping[str, Any], name: str, driven: bool) -> Rec
         pattern, _ = pattern_of(dict(variables), driven)
     settings = {key: str(value) for key, value in variables.items() if key in ("skin", "values")}
     places, notes = _in_metres(places[:, :2], "")
-    notes += tuple(f"{theirs!r} is taken for {ours}" for ours, theirs in named.items() if ours != theirs)
+    notes += tuple(f"{theirs!r} is interpreted as {ours}" for ours, theirs in named.items() if ours != theirs)
     found = _recording(voltages, places, forces, quiet, pattern, settings, name)
     return replace(found, notes=(*notes, *found.notes))
 
@@ -241,6 +241,6 @@ def _with_noise(quiet: Sequence[Frame], frames: Sequence[Frame], notes: list[str
     (rest,) = quiet
     changes = np.array([frame.voltages for frame in frames]) - rest.voltages
     noise = _UNTOLD * float(np.sqrt(np.mean(changes[np.isfinite(changes)] ** 2)))
-    notes.append(f"one quiet frame does not determine the noise: {_UNTOLD:.0%} of a usual change is taken")
+    notes.append(f"one quiet frame does not determine the noise: {_UNTOLD:.0%} of a usual change is assumed")
     shift = noise / np.sqrt(2) * np.where(np.arange(changes.shape[1]) % 2, 1.0, -1.0)
     return tuple(replace(rest, voltages=rest.voltages + sign * shift) for sign in (1.0, -1.0))

@@ -162,7 +162,7 @@ def _pyeidors(data: _Table, path: Path) -> Parts:
         raise DataError(f"{path} was recorded with no current, by its name; name the current, such as 55uA")
     currents = np.full(pattern.n_inj, current)
     reference, target = (Frame(pattern, data.cells[:, column], currents, time=0.0) for column in (0, 2))
-    notes = () if microamperes else ("no current in the file's name (..._55uA_...): 1 A is taken",)
+    notes = () if microamperes else ("no current in the file's name (..._55uA_...): 1 A is assumed",)
     if np.any(data.cells[:, [1, 3]] != 0):
         notes = (*notes, "imaginary parts are left out: contacts are found from real ones")
     return (reference,), (target,), data.settings.get("skin", "tank"), notes

@@ -213,7 +213,7 @@ def _without_rule(s: EstimatorSettings, name: str) -> None:
     """Raise ModelError if a rule is asked for that an estimator without a quadratic prior of that amplitude lacks."""
     if s.rule != "physical":
         takes = "gauss-newton, positive and absolute take one"
-        raise ModelError(f"estimator {name!r} chooses no parameter by the rule {s.rule!r}; {takes}, or use 'physical'")
+        raise ModelError(f"estimator {name!r} does not support the rule {s.rule!r}; {takes}, or use 'physical'")
 
 
 def _without_prior(s: EstimatorSettings, name: str) -> None:
@@ -221,9 +221,7 @@ def _without_prior(s: EstimatorSettings, name: str) -> None:
     _without_rule(s, name)
     if s.prior != "paper":
         takes = "gauss-newton, positive, kalman and absolute take one"
-        raise ModelError(
-            f"estimator {name!r} has a prior of its own, and no use for {s.prior!r}; {takes}, or leave it out"
-        )
+        raise ModelError(f"estimator {name!r} has its own prior and cannot use {s.prior!r}; {takes}, or leave it out")
 
 
 def positive(s: EstimatorSettings) -> Estimator:

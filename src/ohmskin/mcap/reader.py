@@ -197,7 +197,7 @@ class RecordingReader(Closing):
         if not self._file.whole:
             notes.append(
                 f"{self.path} is truncated: {len(self.frames)} frames can be read. "
-                f"`ohmskin recover {self.path}` writes a whole copy"
+                f"`ohmskin recover {self.path}` writes a complete copy"
             )
         if broken := self._file.damaged + self._unreadable:
             notes.append(f"{self.path}: {broken} damaged parts are left out")

@@ -11,8 +11,8 @@ from ohmskin.mcap.schemas import whole_definition
 
 TEXTS = RECORDED | {
     "ohmskin_msgs/Contacts": """\
-# What one skin, or all skins of a robot, felt last.
-# stamp: last sample of the patch heard of longest ago; frame_id: of all contacts; empty if patches have several
+# The newest contacts of one skin, or of all skins of a robot.
+# stamp: last sample of the patch with the oldest data; frame_id: of all contacts; empty if patches have several
 std_msgs/Header header
 uint64 boot              # changes whenever the sender starts anew
 uint64 sequence          # counts up by one, from 1 at a new boot

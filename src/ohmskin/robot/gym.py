@@ -37,7 +37,7 @@ class SkinObservation(gymnasium.Wrapper):  # type: ignore[misc]
         if kind not in KINDS:
             raise ModelError(f"no observation {kind!r}; choose from {', '.join(KINDS)}")
         if not hasattr(env.unwrapped, "data"):
-            raise ModelError(f"environment {env} has no MuJoCo `data`; a skin feels in MuJoCo environments only")
+            raise ModelError(f"environment {env} has no MuJoCo `data`; a skin works in MuJoCo environments only")
         self._sensor, self._kind = sensor, kind
         self._raster = Raster(sensor.skin.mesh(), _PIXELS)
         shapes = {

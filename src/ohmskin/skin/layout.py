@@ -96,4 +96,4 @@ def _check_holes(domain: Domain, positions: Floats, what: str) -> None:
             k = int(np.argmax(depth))
             place = [round(value, 6) for value in positions[k].tolist()]
             inside = f"{what.format(k, place)}, {depth[k]:.3g} m inside a hole"
-            raise SkinError(f'{inside}; move it or the hole, or use electrode.layout = "even", which goes round holes')
+            raise SkinError(f'{inside}; move it or the hole, or use electrode.layout = "even", which avoids holes')

@@ -40,7 +40,7 @@ def surface_of(text: str) -> Mesh:
         unpack = zlib.decompressobj()
         packed = unpack.decompress(base64.b64decode(text, validate=True), _MOST_BYTES)
         if not unpack.eof:
-            raise ValueError("cut short, or too long")
+            raise ValueError("truncated, or too long")
         (count,) = struct.unpack_from("<I", packed)
         nodes = np.frombuffer(packed, "<f4", 3 * count, 4).reshape(-1, 3)
         steps = np.frombuffer(packed, "<u4", offset=4 + nodes.nbytes).reshape(-1, 3)

@@ -66,4 +66,4 @@ class GuidedForces:
         except OSError as error:
             text = f"cannot write {path}: {error}; start ohmskin in a folder that can be written to"
             raise DataError(text) from error
-        return f"{'; '.join(words)}. Saved: newtons, in {path.absolute()}; use it with --skin {path.name}"
+        return f"{'; '.join(words)}. Force calibration saved in {path.absolute()}; use it with --skin {path.name}"

@@ -79,7 +79,7 @@ def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
 
 def _goals(goals: Sequence[Goal]) -> list[Block]:
     rows = [(g.text, g.bound, g.found, g.verdict, g.margin, g.data, g.note) for g in goals]
-    head = ("goal", "asked", "measured (95 %)", "verdict", "against what was asked", "from", "note")
+    head = ("goal", "required", "measured (95 %)", "verdict", "against the requirement", "from", "note")
     return [Table(head, rows)] if rows else []
 
 

@@ -255,7 +255,7 @@ export class Guide {
       return { title: verdict, text: `${text} ${saved} ${more}`, on: "Again" };
     }
     const title = `2. Press ${this._number} of ${this._places.length}`;
-    if (this._step === "lift") return { title, text: this._pairs.at(-1)[1] ? "Felt. Lift." : "Left out. Lift." };
+    if (this._step === "lift") return { title, text: this._pairs.at(-1)[1] ? "Detected. Lift." : "Skipped. Lift." };
     const grams = this._weights[this._pairs.length % this._weights.length];
     const how = this._weights.length ? `Put ${grams} g` : "Press";
     const at = `${how} at ${millimetres(this._places[this._pairs.length])}, where the map shows the target, and hold.`;

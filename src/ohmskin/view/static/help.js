@@ -9,7 +9,7 @@ const MARKS = [
   [
     "place",
     '<ellipse cx="14" cy="10" rx="9" ry="5.5" transform="rotate(-25 14 10)"/><path d="M10 10h8M14 6v8"/>',
-    "Place.",
+    "Position.",
     "The ellipse is the 95 % confidence region of the position; “±” is its longer half axis. Centroid modes have none.",
   ],
   [
@@ -53,7 +53,7 @@ const MARKS = [
     "all data are affected, such as by hum.",
   ],
 ];
-const LEGEND = { contact: "contact", press: "press", place: "place (95 %)", driven: "driven now", out: "left out" };
+const LEGEND = { contact: "contact", press: "press", place: "position (95 %)", driven: "driven now", out: "left out" };
 const FIGURES = [
   ["colour", "Change of sheet conductivity. Warm: it rises; blue: it falls. Most skins rise where they are pressed."],
   ["γ₀", "The threshold. Values below it may be noise, and have almost no colour."],
