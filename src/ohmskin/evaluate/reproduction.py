@@ -40,7 +40,7 @@ INTRODUCTION = (
     f"Sensing*, sections V-A and V-B, run again with ohmskin {ohmskin.__version__}. Every verdict is computed "
     f"from the data behind the pictures. A claim is **{YES}** if the medians over noise seeds say so and at "
     f"least 95 % of bootstrap resamples of the seeds agree; it is **{OPEN}** if fewer agree, and **{NO}** if "
-    "the medians say otherwise. Brackets hold 95 % bootstrap intervals."
+    "the medians say otherwise. Intervals in brackets are 95 % bootstrap intervals."
 )
 Done = Outcome[Settings]
 
@@ -63,7 +63,7 @@ def _short(done: Done, claims: Sequence[Claim]) -> list[Block]:
     key = sorted((claim for claim in claims if claim.key), key=lambda claim: _VERDICTS.index(claim.verdict))
     text = (
         f"**{yes} of {len(claims)} tested claims of the paper are {YES}, {undecided} are {OPEN} and {no} are {NO}.** "
-        f"Of the {len(key)} that matter most, below, {sum(claim.verdict == YES for claim in key)} are {YES}. "
+        f"Of the {len(key)} most important ones, below, {sum(claim.verdict == YES for claim in key)} are {YES}. "
         f"The largest share is {YES} for {best} ({100 * shares[best]:.0f} %), "
         f"the smallest for {worst} ({100 * shares[worst]:.0f} %)."
     )
@@ -154,7 +154,7 @@ def _assumptions(done: Done, _: str) -> list[Block]:
     found = sorted(assumed(done), key=lambda one: -sum(verdict == YES for verdict in one.verdicts))
     full = list(dict.fromkeys(f"*{one.title}*" for one in found if one.verdicts == (YES,) * 3))
     names = "Table I", "Fig. 7", "Fig. 8"
-    answers = ["**No single assumption brings out all three.**" if not full else f"**All three: {', '.join(full)}.**"]
+    answers = ["**No single assumption confirms all three.**" if not full else f"**All three: {', '.join(full)}.**"]
     for number, name in enumerate(names):
         yes = Counter(one.title for one in found if one.verdicts[number] == YES)
         every = Counter(one.title for one in found)

@@ -60,19 +60,19 @@ def _introduction(done: Done, key: Sequence[Goal]) -> list[Section]:
     data = (
         "Data come from two models of a touched sheet on meshes unlike the estimator's (docs/reproduce.md): discs of "
         "raised conductivity with point electrodes, and the contact-layer twin. Noise is white, of one standard "
-        "deviation for all: so many decibels below the largest voltage of the paper's base scan (12B), at "
+        "deviation for all, given in decibels below the largest voltage of the paper's base scan (12B), at "
         f"{1e3 * CURRENT:g} mA in every injection. The untouched reference is a mean of {QUIET} scans with that noise. "
         f"Fits expect contacts of about {1e3 * radius:.2g} mm radius; the twin's have 8 mm, the discs 10 mm."
     )
     readers = (
         "*Centroid*: that of the strongest region of the image (eq. 5, one-step Gauss-Newton) above the threshold "
         "gamma_0, which is learned from quiet scans. *Fit*: the strongest contact that explains the data "
-        "significantly. Where a reader shows no contact, the middle of the sheet is taken for it."
+        "significantly. Where a reader shows no contact, the middle of the sheet is used instead."
     )
     version = f"ohmskin {ohmskin.__version__}. Written by `ohmskin policies`"
     version = f"{version}; every number and verdict is computed from data."
     worlds = Table(("data", "contact", "largest 12B voltage", "noise"), described(done.settings.levels))
-    modes = Table(("mode", "what it drives"), [(key, title) for key, (title, *_) in SCHEMES.items()])
+    modes = Table(("mode", "drive"), [(key, title) for key, (title, *_) in SCHEMES.items()])
     how = Section("How it was done", [data, worlds, modes, readers])
     return [Section("Policies compared", [version, what], "#"), Section("Goals", [rule, *_goals(key)]), how]
 
@@ -127,12 +127,12 @@ def _driven(done: Done) -> list[Block]:
             stated, true = (f"{1e3 * np.sqrt(np.nanmean(each)):.2f}" for each in squares)
             rows.append((*row, _percent(off > MISS), " / ".join(inside), f"{stated} / {true}"))
     text = (
-        "*Driven*: source and sink of each injection are measured, too. Contact impedances are not known for sure; "
+        "*Driven*: source and sink of each injection are measured, too. Contact impedances are uncertain; "
         "those that differ do so since the calibration. *Self-calibrated*: places of electrodes and conductivity are "
         "estimated from the quiet scans. Discs have point electrodes, without contact impedance. "
         f"{task.corners} places lie in the corners, 10 to 18 mm from both sides. Mean errors in mm (95 %); how "
-        "often the true place is within the ellipse that is to hold it so often; the error's root mean square as "
-        "stated and as it is, in mm:"
+        "often the true place is within the 50 and 90 % ellipse; the root mean square of the error, stated and true, "
+        "in mm:"
     )
     head = ("data", "dB", "flaw", "mode", "reader", "open places", "corners", "all", f"off by over {1e3 * MISS:.0f} mm")
     return [text, Table((*head, "within the 50 / 90 % ellipse", "stated / true"), rows)]
@@ -149,7 +149,7 @@ def _time(done: Done) -> list[Block]:
     text = (
         "All schemes have the time that the paper's takes for its 28 injections: instruments with the times of the "
         "paper's skin that convert all voltages of an injection at once (parallel) or one by one (multiplexed; 12B "
-        "measures 9 voltages of an injection, the others 13). Fixed patterns are driven over and over. Discs, "
+        "measures 9 voltages of an injection, the others 13). Fixed patterns are repeated. Discs, "
         f"{task.decibels:g} dB."
     )
     head = ("instrument", "mode", "injections", *(f"{reader}: {_ERROR}" for reader in task.readers))
@@ -166,12 +166,12 @@ def _moving(done: Done) -> list[Block]:
         for t, key in enumerate(task.trackers):
             claimed = 1e3 * np.sqrt(np.nanmean(result["std"][t, :, SETTLE:] ** 2))
             square = 1e3 * np.sqrt(np.mean(errors(result, "tracked")[t, :, SETTLE:] ** 2))
-            claims = f"{claimed:.2f} claimed, {square:.2f} found"
+            claims = f"{claimed:.2f} stated, {square:.2f} true"
             others = _percent(result["count"][t, :, SETTLE:] != 1)
             rows.append((NAMES[world], *key.split("/"), "tracking", _mm(tracked[t]), claims, others))
     text = (
         f"A frame is {1e3 * PERIOD:g} ms, within which the contact rests. The root mean square of the "
-        "tracker's stated error is given beside that of the true one."
+        "tracker's stated error is given with that of the true one."
     )
     head = ("data", "mode", "injections", "estimator", _ERROR, "root mean square / mm", "frames with none or several")
     return [text, Table(head, rows)]
@@ -191,13 +191,13 @@ def _pairs(done: Done) -> list[Block]:
         "Share of pairs distinguished in per cent, by distance; a pair counts if both contacts are also placed closer "
         "to their own true place than half their distance. *Fit*: what the product counts and places by itself "
         "(`ContactFitter.split`). The ideal test is Neyman and "
-        "Pearson's between the pair and the single disc, of any place, size and strength, that looks most like it, "
-        "both known in every number: no test that takes each single disc for two in at most 1 % of cases does better. "
+        "Pearson's between the pair and the single disc, of any place, size and strength, that resembles it most, "
+        "all parameters of both known: no test that reports at most 1 % of single discs as two is better. "
         "It is given for the injections driven, contact impedances known or, as the fit allows for, changed by 20 % "
         "since the calibration; for every choice of 28 different ones (an upper bound), and for all "
         "120; contacts act linearly in it. Electrodes that carry the current are measured, too. No contact lies "
         "closer than 11 mm to an electrode: a disc over a point "
-        "electrode, whose field is singular, looks like nothing else."
+        "electrode, whose field is singular, resembles nothing else."
     )
     head = ("discs", "mode", "decided by", *(f"{1e3 * d:g} mm" for d in task.distances), "false twos")
     cells = [(*row, *(f"{100 * rate.mean():.0f}" for rate in rates), false) for *row, rates, false in rows]
@@ -250,7 +250,7 @@ def _detection(done: Done) -> list[Block]:
         ends = (away, _percent(result["ready"]), _percent(result["ghosts"] > 0))
         rows.append((NAMES[task.world], str(task.others), *late, *ends))
     head = ("data", "others tracked", "found in the 1st frame", f"within {WITHIN}", "within 5", "within 10")
-    ends = ("error then / mm", "all others were known", "one too many was reported before")
+    ends = ("error then / mm", "all others were tracked", "a false contact was reported before")
     return [Table((*head, *ends), rows)]
 
 
@@ -259,10 +259,10 @@ def _robust(done: Done) -> list[Block]:
     ways = list(next(iter(table.values())))
     rows = [(name, *(_mm(cells[way]) for way in ways)) for name, cells in table.items()]
     text = (
-        "What the estimator believes is wrong, one thing at a time and together: the electrodes' contact impedance is "
+        "The estimator's assumptions are wrong, one at a time and together: the electrodes' contact impedance is "
         "three times as high as usual, throughout or only since the calibration; each electrode is 2 mm (1 % of the "
-        "side) from where it is believed to be, in a random direction; the believed conductivity is uneven by 5 % (a "
-        "smooth random field; a common factor is calibrated away). Policies choose by the wrong model, too. Mean "
+        "side) from its assumed place, in a random direction; the assumed conductivity is uneven by 5 % (a "
+        "smooth random field; a common factor is calibrated away). Policies choose with the wrong model, too. Mean "
         "errors in mm (95 %):"
     )
     return [text, Table(("flaw", *(f"{key}, {reader}" for key, reader in ways)), rows)]
@@ -288,7 +288,7 @@ SECTIONS = {
     "press": ("Light presses, hard presses, and force", _press),
     "sensitivity": ("The lightest touch", robustness.sensitivity_tables),
     "detection": ("New contacts", _detection),
-    "quiet": ("Nothing there", lambda done: []),
+    "quiet": ("False contacts in quiet frames", lambda done: []),
     "trouble": ("Faults and interference", robustness.trouble_tables),
     "robust": ("With a flawed model, or a worn skin", _robust),
     "cost": ("What choosing costs", _cost),

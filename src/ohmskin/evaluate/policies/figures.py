@@ -138,11 +138,11 @@ def pairs(done: Done) -> list[Drawn]:
         axes.grid()
     grid[-1, -1].legend(*grid[0, -1].get_legend_handles_labels(), frameon=False, loc="lower right")
     caption = (
-        f"Two discs of 6 mm radius, or one; ideal tests take {100 * ALPHA:g} % of single contacts for two. "
+        f"Two discs of 6 mm radius, or one; ideal tests report {100 * ALPHA:g} % of single contacts as two. "
         f"{right.shape[3]} noise seeds at each of {right.shape[2]} places, drawn at random. Solid: contacts "
         "counted and placed by the fit; bands are 95 % bootstrap intervals over seeds. "
-        "Dotted: the ideal test on the same injections, which knows both hypotheses in every number, and all contact "
-        "impedances. Dash-dotted: an upper bound for it over every choice of 28 injections."
+        "Dotted: the ideal test on the same injections, with all parameters of both hypotheses, and all contact "
+        "impedances, known. Dash-dotted: an upper bound for it over every choice of 28 injections."
     )
     return [("pairs", canvas, caption)]
 

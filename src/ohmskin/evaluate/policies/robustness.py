@@ -109,7 +109,7 @@ def trouble_tables(done: Outcome[Any]) -> list[Block]:
     text = (
         "The loop itself (`Engine`) on the paper's virtual skin with its own instrument, calibrated as a user's is. "
         "A fault begins while nothing touches the skin, presses of 8 mm and 20 kPa are made, and the fault ends. "
-        "*False*: most quiet frames with a contact in any case; *reported*: the longest time until it is reported; "
+        "*False*: largest number of quiet frames with a contact; *reported*: the longest time until it is reported; "
         "*recovered*: the longest time from its end until no electrode is left out. Errors of presses are "
         "medians in mm; one counts as lost unless each of its frames shows exactly one contact."
     )
