@@ -31,7 +31,7 @@ SHOWN = {
     "fig7": ("Fig. 7", "Localisation at 81 places", curves.localisation),
     "fig8": ("Fig. 8", "Two-point discrimination", curves.discrimination),
     "sweep": ("Sweep", "What depends on noise and prior amplitude", curves.sweep),
-    "assumptions": ("Assumptions", "Which single assumption would bring out the paper's figures", assumptions),
+    "assumptions": ("Assumptions", "Which single assumption would confirm the paper's figures", assumptions),
 }
 _VERDICTS = (YES, OPEN, NO)  # best first
 MISS = 30e-3  # metres; a touch seen further away counts as missed
