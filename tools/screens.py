@@ -28,8 +28,11 @@ name = "fore"
 link = "forearm"
 device = "virtual:"
 """
-IMAGES = Path(__file__).parents[1] / "docs" / "images"
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "docs" / "images"
+TORSO = ("chest", "back", "left_arm", "right_arm", "left_fore", "right_fore", "belly", "head")
 FRAME = "window.ohmskin.frame"
+UNSEEN = ("--no-browser", "--port", "0")  # options of a page that no browser of the user opens
 
 
 @contextmanager
@@ -103,8 +106,9 @@ class Screens:
                 page.screenshot(path=self.made[-1], full_page=True)
         self.desk.set_viewport_size({"width": 1440, "height": 900})
 
-    def picture(self, name: str, theme: str) -> None:
-        """A picture of the documentation: what a desktop shows."""
+    def picture(self, name: str, theme: str, size: tuple[int, int] = (1440, 900)) -> None:
+        """A picture of the documentation: what a desktop of that size (px) shows."""
+        self.desk.set_viewport_size({"width": size[0], "height": size[1]})
         self.desk.evaluate(f"document.documentElement.dataset.theme = '{theme}'; document.activeElement.blur()")
         self.desk.mouse.move(1, 1)
         self.desk.wait_for_timeout(8000)  # until figures and scale have settled
@@ -138,9 +142,7 @@ def until(page: Page, condition: str, seconds: float = 300.0) -> None:
 
 def live(screens: Screens, stack: ExitStack, recording: Path) -> None:
     address, skin = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1"))
-    url, _ = stack.enter_context(
-        running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address, "--record", str(recording))
-    )
+    url, _ = stack.enter_context(running("live", "--no-demo", *UNSEEN, "--device", address, "--record", str(recording)))
     page = screens.open(url)
     page.wait_for_timeout(5000)  # until the scale has settled
     screens.take("quiet")
@@ -167,6 +169,12 @@ def live(screens: Screens, stack: ExitStack, recording: Path) -> None:
     until(page, f"{FRAME}.mode === '16T' && {FRAME}.contacts.length === 3")
     page.wait_for_timeout(1500)
     screens.take("tracking")
+    page.click('[data-mode="12B"]')
+    until(page, f"{FRAME}.mode === '12B' && {FRAME}.contacts.length > 0")
+    page.wait_for_timeout(1500)
+    screens.take("fixed")
+    page.click('[data-mode="16T"]')
+    until(page, f"{FRAME}.mode === '16T'")
     for each in (page, screens.phone):
         each.click("#expert summary")
     screens.take("expert")
@@ -184,7 +192,7 @@ def starting(screens: Screens, stack: ExitStack, recording: Path) -> None:
 
 def doubt(screens: Screens, stack: ExitStack, recording: Path) -> None:
     address, _ = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1", "--fault", "open 6"))
-    url, _ = stack.enter_context(running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address))
+    url, _ = stack.enter_context(running("live", "--no-demo", *UNSEEN, "--device", address))
     screens.open(url)
     screens.press((0.06, 0.13))
     screens.take("doubt")
@@ -195,9 +203,7 @@ def newtons(screens: Screens, stack: ExitStack, recording: Path) -> None:
     presses = ("--places", "2", "--weights", "200", "700")
     subprocess.run([sys.executable, "-m", "ohmskin", "calibrate", *presses, "--output", calibrated], check=True)
     address, skin = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1", "--skin", calibrated))
-    url, _ = stack.enter_context(
-        running("live", "--no-browser", "--no-demo", "--port", "0", "--device", address, "--skin", calibrated)
-    )
+    url, _ = stack.enter_context(running("live", "--no-demo", *UNSEEN, "--device", address, "--skin", calibrated))
     page = screens.open(url)
     screens.press((0.06, 0.13))
     until(page, f"{FRAME}.contacts[0]?.force && {FRAME}.gesture?.name === 'push'")
@@ -208,7 +214,7 @@ def newtons(screens: Screens, stack: ExitStack, recording: Path) -> None:
 
 
 def replay(screens: Screens, stack: ExitStack, recording: Path) -> None:
-    url, _ = stack.enter_context(running("replay", str(recording), "--no-browser", "--port", "0"))
+    url, _ = stack.enter_context(running("replay", str(recording), *UNSEEN))
     page = screens.open(url)
     page.wait_for_timeout(3000)
     screens.take("replay")
@@ -221,7 +227,7 @@ def replay(screens: Screens, stack: ExitStack, recording: Path) -> None:
 def body(screens: Screens, stack: ExitStack, recording: Path) -> None:
     described = recording.with_name("body.toml")
     described.write_text(BODY)
-    url, _ = stack.enter_context(running("patches", str(described), "--no-browser", "--port", "0"))
+    url, _ = stack.enter_context(running("patches", str(described), *UNSEEN))
     page = screens.open(url)
     until(page, f"{FRAME}.patches.every((patch) => patch.age !== null)")
     page.wait_for_timeout(3000)
@@ -231,8 +237,21 @@ def body(screens: Screens, stack: ExitStack, recording: Path) -> None:
     screens.take("patch")
 
 
+def robot(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    url, _ = stack.enter_context(running("patches", str(ROOT / "examples/body/body.toml"), "--demo", *UNSEEN))
+    until(screens.open(url), f"{FRAME}.patches.some((patch) => patch.contacts.length)")
+    screens.take("robot")
+
+
+def electrodes(screens: Screens, stack: ExitStack, recording: Path) -> None:
+    saved = str(recording.with_name("electrodes.toml"))
+    url, _ = stack.enter_context(running("electrodes", "--skin", "sleeve", "--save", saved, *UNSEEN))
+    screens.open(url, "document.querySelectorAll('#electrodes li').length === 16")
+    screens.take("electrodes")
+
+
 def docs(screens: Screens, stack: ExitStack, recording: Path) -> None:
-    url, _ = stack.enter_context(running("live", "--no-browser", "--no-demo", "--port", "0"))
+    url, _ = stack.enter_context(running("live", "--no-demo", *UNSEEN))
     page = screens.open(url)
     screens.phone.close()  # one viewer is enough
     screens.press((0.06, 0.13), (0.14, 0.06))
@@ -240,15 +259,37 @@ def docs(screens: Screens, stack: ExitStack, recording: Path) -> None:
     page.click('[data-mode="16T"]')
     until(page, f"{FRAME}.mode === '16T' && {FRAME}.contacts.length === 2")
     screens.picture("live-tracking.png", "dark")
+    screens.close()
+    _patches_of_docs(screens, stack, recording.with_name("torso.toml"))
+    screens.close()
+    url, _ = stack.enter_context(running("patches", str(ROOT / "examples/body/body.toml"), "--demo", *UNSEEN))
+    until(screens.open(url), f"{FRAME}.patches.every((patch) => patch.contacts.length)")
+    screens.picture("guide/body.png", "light", (1180, 640))
+
+
+def _patches_of_docs(screens: Screens, stack: ExitStack, described: Path) -> None:
+    """Eight patches that demonstration fingers press; the device of the last one is lost."""
+    address, head = stack.enter_context(running("serve-skin", "--port", "0", "--seed", "1"))
+    devices = dict.fromkeys(TORSO, "virtual:") | {TORSO[-1]: address}
+    tables = (f'[[patch]]\nname = "{name}"\nlink = "{name}_link"\ndevice = "{at}"\n' for name, at in devices.items())
+    described.write_text('name = "torso"\n' + "".join(tables))
+    url, _ = stack.enter_context(running("patches", str(described), "--demo", *UNSEEN))
+    page = screens.open(url, f"{FRAME}?.patches?.every((patch) => patch.age !== null)")
+    until(page, f"{FRAME}.patches.filter((patch) => patch.contacts.length).length >= 5")
+    head.terminate()
+    until(page, f"{FRAME}.patches.at(-1).age > 1")
+    screens.picture("guide/patches.png", "light", (1330, 880))
 
 
 SCENES: dict[Callable[[Screens, ExitStack, Path], None], set[str]] = {
-    live: {"quiet", "help", "guide", "one", "three", "tracking", "expert", "lost"},
+    live: {"quiet", "help", "guide", "one", "three", "tracking", "fixed", "expert", "lost"},
     starting: {"starting"},
     doubt: {"doubt"},
     newtons: {"newtons", "newtons-lost"},
     replay: {"replay", "replay-end"},
     body: {"body", "patch"},
+    robot: {"robot"},
+    electrodes: {"electrodes"},
     docs: {"docs"},
 }
 

@@ -172,7 +172,7 @@ class ContactFitter(DiscFitter):
     def refitted(
         self, nominal: Information, inflated: Information, before: Solution, search: bool = True
     ) -> tuple[Solution, bool] | None:
-        """Contacts of the previous frame, `before`, fitted to the data; whether there are surely no others.
+        """Contacts of the last frame, `before`, fitted to `nominal` and `inflated`; whether there are surely no others.
 
         None if a new search might not find them. It would find them if each exceeds the limit of a new contact, none
         may be a part of another, and the residual is no larger than usual, or than one that an earlier search could not

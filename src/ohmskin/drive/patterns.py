@@ -18,7 +18,7 @@ _MEASURED = 10  # electrodes at which a near pair is measured, beside its own
 
 
 def complete_pattern(electrodes: Electrodes | int) -> DrivePattern:
-    """All pairs of electrodes driven, all others measured: it contains every adaptive choice."""
+    """All pairs of `electrodes` (or of this number) driven, all others measured: it contains every adaptive choice."""
     n_elec = electrodes if isinstance(electrodes, int) else len(electrodes)
     return measure_others(all_pairs(n_elec), range(n_elec))
 
