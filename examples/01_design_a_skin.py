@@ -2,7 +2,7 @@
 Design a skin
 =============
 
-See where a skin feels well: the summed sensitivity of one scan, for electrodes on the rim and inside.
+Map where a skin is sensitive: the summed sensitivity of one scan, for electrodes on the rim and inside.
 Run it with ``python examples/01_design_a_skin.py [FOLDER]``.
 """
 

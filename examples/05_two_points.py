@@ -1,8 +1,8 @@
 """
-Tell two contacts from one
-==========================
+Distinguish two contacts from one
+=================================
 
-How far chi-square falls from one fitted disc to two, and how often that tells two contacts apart.
+How far chi-square falls from one fitted disc to two, and how often that distinguishes two contacts.
 Run it with ``python examples/05_two_points.py [FOLDER]``.
 """
 

@@ -2,7 +2,7 @@
 Learn from touch
 ================
 
-Tell a ball, a rod and a box from the voltages of a skin, simulated by MuJoCo and the virtual skin.
+Distinguish a ball, a rod and a box by the voltages of a skin, simulated by MuJoCo and the virtual skin.
 Needs MuJoCo: ``pip install 'ohmskin[robot]'``. Run it with ``python examples/06_learn_from_touch.py [FOLDER]``.
 """
 

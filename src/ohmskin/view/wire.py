@@ -70,7 +70,7 @@ def check_setup(setup: Mapping[str, Any]) -> dict[str, Any]:
             for name in ("radius", "pressure"):
                 low, high, usual = setup["press"][name]
                 if not low <= usual <= high:
-                    raise ViewError(f"setup press {name} is {setup['press'][name]}; need [least, largest, usual]")
+                    raise ViewError(f"setup press {name} is {setup['press'][name]}; need [min, max, default]")
         if setup.get("recording") is not None and not 0 <= setup["recording"]["length"] < math.inf:
             raise ViewError(f"setup recording is {setup['recording']}; need a length of 0 s or more")
         plain = json.loads(to_json({"type": "setup", "unit": "mS", **setup}))
