@@ -1,4 +1,4 @@
-"""Two electrodes come off; the data say which, and the image goes on without them.
+"""Two electrodes are disconnected: the data show which, and the image is made without them.
 
 python docs/guide/data_quality.py [FOLDER]
 """
@@ -16,7 +16,7 @@ from ohmskin.scan import Frame, assess
 
 
 def main(picture: Path) -> list[str]:
-    """Print what the data say, save a picture, and return the report's lines."""
+    """Print the report, save a picture, and return the report's lines."""
     skin = ohm.Skin.load("paper")
     virtual = ohm.VirtualSkin(skin, seed=1)
     pattern = ohm.adjacent(skin.electrodes.rings)

@@ -1,4 +1,4 @@
-"""A drive, an estimator and a prior of one's own: in the loop, on the page and in the skin file by their names.
+"""Your own drive, estimator and prior: in the loop, on the page and in the skin file by their names.
 
 python docs/guide/extend.py
 """

@@ -1,4 +1,4 @@
-"""Targets of a real tank: read others' data, judge them, image them, and measure the errors.
+"""Targets of a real tank: read others' data, check them, image them, and measure the errors.
 
 python docs/guide/import_tank.py DATA [FOLDER]
 """

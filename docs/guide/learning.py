@@ -1,4 +1,4 @@
-"""A skin that is not its model: judge its channels without labels, then learn positions from known presses.
+"""A skin that differs from its model: judge its channels without labels, then learn positions from known presses.
 
 python docs/guide/learning.py [FOLDER]
 """
@@ -56,7 +56,7 @@ print("\n".join(report.report()))
 learned = replace(skin, calibration=replace(skin.calibration, position_map=report.map.dump()))
 (folder / "learned.toml").write_text(learned.dump())
 
-# beside it: the skin as described, all channels alike
+# for comparison: the skin as described, all channels alike
 plain = ohm.SkinModel(described, described.transfer_model(), quiet)
 away = np.linalg.norm(read_places(plain, frames)[0] - pressed, axis=1)
 print(f"as described: mean error {1e3 * np.nanmean(away):.2f} mm, {np.isnan(away).sum()} not detected")

@@ -1,4 +1,4 @@
-"""Two fingers followed with four injections a frame: where they were, and where they are believed to be.
+"""Two fingers tracked with four injections a frame: true and estimated positions.
 
 python docs/guide/tracking.py [FOLDER]
 """
