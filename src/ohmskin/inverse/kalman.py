@@ -133,5 +133,5 @@ class Kalman:
         return KalmanState(mean, (covariance + covariance.T) / 2, noise + self.noise**2 * gain @ gain.T, self.modes)
 
     def reconstruct(self, *differences: Difference) -> Image:
-        """The image of one frame without earlier ones: that of `GaussNewton.reconstruct`."""
+        """The image of one frame alone, `differences`: that of `GaussNewton.reconstruct`."""
         return self.update(self.start(), *differences, elapsed=0.0).image
