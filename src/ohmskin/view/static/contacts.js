@@ -7,6 +7,7 @@ const SURE = 0.9; // confidence below which a contact looks doubtful
 const KEPT = 1.2; // how much stronger another contact must be to count as the strongest in its place
 const SMALL = 260; // px of width, below which a map has no room for labels of two lines
 const COVERED = 0.1; // px that a label may be farther away for each px² less of the image that it covers
+const CROSSED = 30; // px that a label may be farther away where its line would cross something taken
 const STAYS = 20; // px by which another place must be better than the one where a label is
 const REACH = 3; // radii of a contact within which its colour is kept free
 
@@ -198,11 +199,22 @@ function freePlace([x, y, width, height], [w, h], { taken, shown, right, bottom 
       const over = (boxes) => boxes.reduce((sum, other) => sum + overlap([px, py, w, h], other), 0);
       const [covered, side] = [50 * off + over(taken), `${gap} ${dx} ${dy}`];
       const stays = side === before ? -STAYS : 0;
-      const cost = gap * Math.hypot(dx, dy) + COVERED * over(shown) + (covered ? 1e3 + covered : stays);
+      const crossed = CROSSED * crossings([cx, cy, rx - gap, ry - gap], [px, py, w, h], taken);
+      const cost = gap * Math.hypot(dx, dy) + COVERED * over(shown) + crossed + (covered ? 1e3 + covered : stays);
       if (cost < least) [best, least] = [{ at: [px, py], covered, side }, cost];
     }
   }
   return best;
+}
+
+// How many boxes the line from an ellipse about (cx, cy) to a label crosses.
+function crossings([cx, cy, rx, ry], [px, py, w, h], boxes) {
+  const [dx, dy] = [Math.max(px, Math.min(px + w, cx)) - cx, Math.max(py, Math.min(py + h, cy)) - cy];
+  const from = Math.min(1, (Math.max(rx, ry) + 3) / (Math.hypot(dx, dy) || 1));
+  const points = [0.1, 0.3, 0.5, 0.7, 0.9].map((part) => from + part * (1 - from));
+  return boxes.filter(([bx, by, bw, bh]) =>
+    points.some((t) => overlap([cx + t * dx - 1, cy + t * dy - 1, 2, 2], [bx, by, bw, bh])),
+  ).length;
 }
 
 function overlap([ax, ay, aw, ah], [bx, by, bw, bh]) {
