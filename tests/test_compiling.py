@@ -132,4 +132,4 @@ def test_a_sign_of_life_comes_while_one_function_takes_long() -> None:
         until(lambda: len(told) == 2, 30)
         event.end_event("numba:compile", data=slow)
     assert told[0] == "compiling, once on this machine"
-    assert re.fullmatch(r"compiling, once on this machine; 1 functions in \d+ s", told[1])
+    assert re.fullmatch(r"compiling, once on this machine; 1 function in \d+ s", told[1])

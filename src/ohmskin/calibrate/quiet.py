@@ -76,7 +76,7 @@ def calibrate_quiet(
         report(f"the described electrodes and sheet are kept: {error}")
         return found
     worst = int(np.argmax(fit.moved))
-    apart = f"{1e3 * fit.moved.mean():.2g} mm, electrode {worst} {1e3 * fit.moved[worst]:.2g} mm"
+    apart = f"{1e3 * fit.moved.mean():.2g} mm on average, electrode {worst} by {1e3 * fit.moved[worst]:.2g} mm"
     left = f"{100 * fit.before:.2g} % of the quiet voltages unexplained before, {100 * fit.after:.2g} % now"
     report(f"electrodes are off by {apart}, the sheet is uneven by {100 * fit.uneven:.2g} %: {left}")
     return skin.calibration

@@ -38,7 +38,8 @@ class _Listener(event.Listener):
         now = time.monotonic()
         if self._under_way and now >= self._due:
             self._due = now + _REPORT_EVERY
-            spent = f"; {self.count} functions in {now - self._began:.0f} s" if now > self._began + 1 else ""
+            count = f"{self.count} function{'s' * (self.count != 1)}"
+            spent = f"; {count} in {now - self._began:.0f} s" if now > self._began + 1 else ""
             self._report(f"compiling, once on this machine{spent}")
 
 
