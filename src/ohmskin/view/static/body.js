@@ -3,6 +3,7 @@
 import { number, paint } from "./colour.js";
 import { doubtful, force, unsure } from "./contacts.js";
 import { INK } from "./ink.js";
+import { placed } from "./labels.js";
 import * as THREE from "./vendor/three.js";
 
 const SHORTEST = 500; // ms that a click presses
@@ -235,19 +236,26 @@ export class BodyView {
     if (this._fitted < 0) return;
     this._renderer.render(this._scene, this.camera);
     const high = this._canvas.clientHeight / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
+    const seen = this._labels.map((label) => {
+      const found = this.place(label.link, label.at);
+      const beside = (0.8 * label.up * high) / found.world.distanceTo(this.camera.position);
+      const text = label.name ? `${label.name}${label.text ? `\n${label.text}` : ""}` : label.text;
+      return { ...found, x: found.x + beside, text, begins: Boolean(label.name), moves: found.shown && !label.mark };
+    });
+    const { clientWidth, clientHeight } = this._canvas;
+    const free = placed(seen.filter(({ moves }) => moves), [clientWidth, clientHeight]).values();
     this._labels.forEach((label, which) => {
-      const { x, y, shown, world } = this.place(label.link, label.at);
+      const { shown, world, text, moves } = seen[which];
+      const [x, y] = moves ? free.next().value : [seen[which].x, seen[which].y];
       const line = this._line(which);
       line.hidden = !shown;
       const behind = label.normal && this._behind(label, world);
       line.dataset.kind = label.name ? "patch" : behind ? "behind" : "contact";
-      const text = label.name ? `${label.name}${label.text ? `\n${label.text}` : ""}` : label.text;
       if (line.textContent !== text) line.textContent = text;
       line.dataset.silent = Boolean(label.name && label.text);
       line.dataset.patch = label.name ?? label.of;
       line.dataset.mark = label.mark ?? "";
-      const beside = (0.8 * label.up * high) / world.distanceTo(this.camera.position);
-      const moved = `translate(${(x + beside).toFixed(1)}px, ${y.toFixed(1)}px)`;
+      const moved = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
       line.style.transform = `${label.name ? "translate(0, -50%)" : "translate(-50%, -50%)"} ${moved}`;
     });
     for (let which = this._labels.length; which < this._box.children.length; which++) this._line(which).hidden = true;

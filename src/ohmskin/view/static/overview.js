@@ -87,7 +87,7 @@ class Card {
   _lines({ contacts }, all) {
     const lines = contacts.map((contact) => {
       const place = contact.in.map((v) => number(1000 * v, 0)).join(", ");
-      const size = force(contact) ? `${force(contact)} N` : `${number(1e4 * contact.extent, 1)} cm²`;
+      const size = force(contact) ? `${force(contact)} N` : `${number(1e4 * contact.extent, 1)}\u00a0cm²`;
       return [`#${contact.id}: (${place}) mm`, size, unsure(contact)].filter(Boolean).join(" · ");
     });
     const left = lines.length - LINES + 1;

@@ -1,0 +1,24 @@
+// Labels over a picture of a body: inside it, and off each other.
+
+const [CHARACTER, LINE, PAD, EDGE] = [7, 17, 12, 2]; // px
+
+/**
+ * Where the anchors [x, y] of labels { x, y, text, begins } go in a picture of [width, height] px, so that all is seen:
+ * the middle of the left side of a label that `begins` there, else its middle. A label moves down where it would cover
+ * an earlier one.
+ */
+export function placed(labels, [width, height]) {
+  const boxes = [];
+  return labels.map(({ x, y, text, begins }) => {
+    const lines = text.split("\n");
+    const [w, h] = [CHARACTER * Math.max(...lines.map((line) => line.length)) + PAD, LINE * lines.length];
+    const within = (at, size, all) => Math.max(EDGE, Math.min(at, all - size - EDGE));
+    const left = within(begins ? x : x - w / 2, w, width);
+    let top = within(y - h / 2, h, height);
+    for (const box of boxes.sort((a, b) => a.top - b.top))
+      if (left < box.left + box.w && box.left < left + w && top < box.top + box.h && box.top < top + h)
+        top = box.top + box.h;
+    boxes.push({ left, top, w, h });
+    return [begins ? left : left + w / 2, top + h / 2];
+  });
+}
