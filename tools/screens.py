@@ -106,12 +106,13 @@ class Screens:
                 page.screenshot(path=self.made[-1], full_page=True)
         self.desk.set_viewport_size({"width": 1440, "height": 900})
 
-    def picture(self, name: str, theme: str, size: tuple[int, int] = (1440, 900)) -> None:
-        """A picture of the documentation: what a desktop of that size (px) shows."""
+    def picture(self, name: str, theme: str, size: tuple[int, int] = (1440, 900), when: str = "true") -> None:
+        """A picture of the documentation: what a desktop of that size (px) shows, at a moment of that condition."""
         self.desk.set_viewport_size({"width": size[0], "height": size[1]})
         self.desk.evaluate(f"document.documentElement.dataset.theme = '{theme}'; document.activeElement.blur()")
         self.desk.mouse.move(1, 1)
         self.desk.wait_for_timeout(8000)  # until figures and scale have settled
+        until(self.desk, when)
         self.made.append(IMAGES / name)
         self.desk.screenshot(path=self.made[-1])
 
@@ -264,7 +265,8 @@ def docs(screens: Screens, stack: ExitStack, recording: Path) -> None:
     screens.close()
     url, _ = stack.enter_context(running("patches", str(ROOT / "examples/body/body.toml"), "--demo", *UNSEEN))
     until(screens.open(url), f"{FRAME}.patches.every((patch) => patch.contacts.length)")
-    screens.picture("guide/body.png", "light", (1180, 640))
+    before = "document.querySelectorAll('#labels [data-kind=contact]:not([hidden])').length === 3"
+    screens.picture("guide/body.png", "light", (1180, 640), before)
 
 
 def _patches_of_docs(screens: Screens, stack: ExitStack, described: Path) -> None:

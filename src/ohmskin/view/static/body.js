@@ -295,7 +295,7 @@ export class BodyView {
     this._renderer.setSize(w, h, false);
     this.camera.aspect = w / h;
     this.camera.updateProjectionMatrix();
-    this._fitted = -1;
+    if (!this._moved) this._fitted = -1;
     this._fit();
     this._draw();
   }
