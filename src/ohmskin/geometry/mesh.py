@@ -208,7 +208,7 @@ class Mesh(ReadOnly):
         """The pattern of a sparse matrix that ties the nodes of each element; made once for all conductivities.
 
         In compressed columns: where each begins (n_nodes + 1,), the row of each entry (n_entries,), rising within a
-            column, and the entry (n_elem, dim + 1, dim + 1) of each row and column of an element's own matrix.
+        column, and the entry (n_elem, dim + 1, dim + 1) of each row and column of an element's own matrix.
         """
         entries = self.elements[:, None, :] * self.n_nodes + self.elements[:, :, None]
         entries, slots = np.unique(entries, return_inverse=True)

@@ -79,7 +79,7 @@ class TotalVariation(Reconstructor):
         amplitude: Relative conductivity change expected (1).
         outline: Length of outlines in the penalty above (m); larger gives more detail. Unless given, it is found for
             each frame by the discrepancy principle: the least variation that fits the data as well as their noise
-                allows.
+            allows.
         model_error: Error of the linear model as a share of the root mean square of the data; added to the noise (1).
         positive: Whether the image may be nowhere negative: pressing only raises conductivity.
         rounds: Most rounds for one weight.

@@ -175,7 +175,7 @@ class Baseline:
         """Learn from quiet frames, of one or several patterns.
 
         The noise is the scatter of repeated frames about their mean, at electrodes that carry no current: at the
-            others, errors of the current are as large. A pattern seen once has no scatter; if no pattern
+        others, errors of the current are as large. A pattern seen once has no scatter; if no pattern
         is repeated, the noise is taken from the disagreement of reciprocal measurements, which must be equal.
 
         Raises:

@@ -64,7 +64,7 @@ class Channels:
         """The difference as if the model held: gains put into the currents, and all errors as large as the noise (V).
 
         The error of a channel beyond its noise grows with the change: small changes keep their weight; for large ones
-            the channels that follow the model best have the largest weight. As in `Quality.weigh`, a lower weight means
+        the channels that follow the model best have the largest weight. As in `Quality.weigh`, a lower weight means
             less current.
         """
         gains, errors = self.of(difference.pattern)

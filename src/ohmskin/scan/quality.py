@@ -81,7 +81,7 @@ class Quality:
 
         A measurement with twice the
         error has the weight of one at half the current: current and voltage are scaled together, so that all have the
-            same noise and every estimator can use them unchanged.
+        same noise and every estimator can use them unchanged.
         """
         weight = self.weights[difference.pattern.quadruples].min(axis=1)
         weighed = difference.times(weight)

@@ -96,7 +96,7 @@ class SkinModel:
         """The change of a frame's voltages against the untouched skin, doubtful electrodes left out or of lower weight.
 
         The same applies to impossible values: of injections whose current does not flow, and at the end of the
-            converter's range.
+        converter's range.
         """
         flowing, sound, _, whole = self.soundness(frame)
         if not whole:

@@ -20,11 +20,11 @@ class ContactLayer:
 
     There are `columns` x `rows` of them, of equal size on the skin's map. If these are 0, there are as many as leave
     gaps of a tenth, with sides of `patch` on the skin: in rows where the scale of its map changes in one direction
-        only, as on a cone, and in rings about the middle where it changes only with the distance from there, as on a
+    only, as on a cone, and in rings about the middle where it changes only with the distance from there, as on a
         cap. On all other maps they have equal size on the map, and that size on the skin on average. The conductance
         per area between patch and sheet is ``conductance * (pressure / pressure_scale) ** exponent``. Foam has
         hysteresis and creep: while a press falls, the acting pressure exceeds the applied pressure by up to
-            `hysteresis`; under a lasting press the acting pressure grows by `creep`, with the time constant
+        `hysteresis`; under a lasting press the acting pressure grows by `creep`, with the time constant
             `creep_time`. Outside an indenter's edge pressure falls to 0 within `foam_spread`.
 
     Args:
