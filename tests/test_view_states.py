@@ -141,7 +141,7 @@ def test_help_explains_every_mark_by_mouse_and_by_keyboard(reader: Reader) -> No
         expect(dialog).to_be_visible()
         for term in (
             "Contact.",
-            "Place.",
+            "Position.",
             "Press",
             "Driven now:",
             "Crosshair:",
