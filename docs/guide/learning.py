@@ -18,7 +18,7 @@ folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(".")
 random = np.random.default_rng(1)
 described = ohm.Skin.load("paper-rim16")
 
-# the real one: electrodes up to 4 mm off along the rim, a sheet uneven by about 20 %, two injections without information
+# the real one: electrodes up to 4 mm off on the rim, a sheet uneven by about 20 %, two injections without information
 places = described.electrodes.positions.copy()
 for place in places:
     along = 0 if place[1] in (0.0, 0.2) else 1
