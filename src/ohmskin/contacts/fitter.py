@@ -329,9 +329,8 @@ class ContactFitter(DiscFitter):
     def are_two(self, nominal: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.
 
-        There are two if they gain more than noise and all errors of the model of one contact (`gain_of`), or if they
-        are so far apart that no shape of one contact resembles them, and they explain most of the residual of one
-        beyond errors of the model.
+        There are two if they gain more than noise and all errors of the model of one (`gain_of`), or if they are so far
+        apart that no shape of one resembles them, and they explain most of the residual of one beyond the model error.
 
         Args:
             nominal: What is measured.

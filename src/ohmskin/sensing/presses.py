@@ -135,8 +135,7 @@ class PressFitter:
     def fit_layer(self, presses: Sequence[KnownPress]) -> FittedLayer:
         """The layer that explains presses of known force: about ten, at places and forces all over the range.
 
-        A press
-        with falling force follows a stronger one at the same place: such pairs determine the foam's hysteresis.
+        One with falling force follows a stronger one at the same place: such pairs determine the foam's hysteresis.
 
         Raises:
             DataError: If there are fewer than two, a force is not positive, the first one has a falling force, or one
@@ -309,8 +308,7 @@ class PressFitter:
 
     def fitted(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
         """Presses, `params` (4 n,) of a `covariance` (4 n, 4 n), with forces; uncertainty of the layer included. Errors
-        are of the logarithm, at most its prior's: that of a force is the distance to one standard deviation above
-        it."""
+        are of the logarithm, at most its prior's: that of a force is of the upper one."""
         fitted, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))

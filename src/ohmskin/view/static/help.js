@@ -5,12 +5,18 @@ const byId = (id) => document.getElementById(id);
 // Name, shape in 28 x 20, what it is, more, and whether it is there on virtual skins only. Its colour is in the style.
 const MARKS = [
   ["contact", '<circle cx="14" cy="10" r="7.5"/>', "Contact.", "The circle has the area of the contact’s extent."],
-  ["unsure", '<circle cx="14" cy="10" r="7.5" stroke-dasharray="2 3"/>', "Doubtful contact:", "confidence below 90\u00a0%."],
+  [
+    "unsure",
+    '<circle cx="14" cy="10" r="7.5" stroke-dasharray="2 3"/>',
+    "Doubtful contact:",
+    "confidence below 90\u00a0%.",
+  ],
   [
     "place",
     '<ellipse cx="14" cy="10" rx="9" ry="5.5" transform="rotate(-25 14 10)"/><path d="M10 10h8M14 6v8"/>',
     "Position.",
-    "The ellipse is the 95\u00a0% confidence region of the position; “±” is its longer half axis. Centroid modes have none.",
+    "The ellipse is the 95\u00a0% confidence region of the position; “±” is its longer half axis. " +
+      "Centroid modes have none.",
   ],
   [
     "press",
@@ -53,7 +59,13 @@ const MARKS = [
     "all data are affected, such as by hum.",
   ],
 ];
-const LEGEND = { contact: "contact", press: "press", place: "position (95\u00a0%)", driven: "driven now", out: "left out" };
+const LEGEND = {
+  contact: "contact",
+  press: "press",
+  place: "position (95\u00a0%)",
+  driven: "driven now",
+  out: "left out",
+};
 const FIGURES = [
   ["colour", "Change of sheet conductivity. Warm: it rises; blue: it falls. Most skins rise where they are pressed."],
   ["γ₀", "The threshold. Values below it may be noise, and have almost no colour."],
