@@ -157,14 +157,14 @@ mean in the corners. *Driven*: the electrodes that carry the current are measure
 ## What it says
 
 - **The reader has the largest effect.** With the same drive, contacts fitted to the data have errors {gain} times
-smaller (geometric mean over drives and worlds) than centroids of the image.
+  smaller (geometric mean over drives and worlds) than centroids of the image.
 - **Driven electrodes carry the information on corners.** With the same drive and reader (fit), measuring them
   divides the error by {driven_open}, in the corners by {driven_corners} (geometric means).
 - **Adaptive drives are compared with the best fixed set of 28 injections.** With the same reader (fit), the drive by
   position information has {p_over_best} of its error (in the order above), the paper's eq. (7) {o_over_best}; with
   driven electrodes {p_over_best_driven} and {o_over_best_driven}. {verdict}
 - **The default mode is {default}**: of the modes that ship it has the least error, as a geometric mean over the three
-worlds. `tests/test_sensing.py` checks that with this table.
+  worlds. `tests/test_sensing.py` checks that with this table.
 """
 
 
