@@ -6,7 +6,7 @@ before). What the contacts do not explain is kept for a dozen frames and searche
 is learned as drift. The rules are in docs/guide/tracking.md.
 """
 
-from math import sqrt
+from math import exp
 
 import numpy as np
 
@@ -61,8 +61,7 @@ class ContactFilter:
             start,
             common_drift=common_drift,
             drift=state.drift,
-            newest_energy=state.newest_energy,
-            kept_signal=state.kept_signal,
+            recent_energy=state.recent_energy,
             next_id=state.next_id,
         )
 
@@ -127,9 +126,8 @@ class ContactFilter:
         observation = Observation(changed(difference, volts=found.volts), found)
         data = observation.data
         known = found.predicted if before.tracks else None
-        # a press that ends within a frame, what foam keeps of it, and model error learned as drift are no contacts
-        kept = self.motion.kept(before.kept_signal, sqrt(found.energy), elapsed)
-        energy = max(found.energy, before.newest_energy, kept**2)
+        # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
+        energy = max(found.energy, before.recent_energy * exp(-2 * elapsed / self.motion.creep_time))
         newest = Residuals(
             observation,
             data.reduced_to(found.innovation, known),
@@ -147,8 +145,7 @@ class ContactFilter:
             covariance=covariance,
             common_drift=found.common,
             history=(newest, *before.history[: LONGEST - 1]),
-            newest_energy=found.energy,
-            kept_signal=kept,
+            recent_energy=energy,
             turn=before.turn + 1,
             suspects=(),
             covered=covered,
