@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ohmskin.arrays import Floats
 from ohmskin.contacts import find_regions
 from ohmskin.drive import (
     DRIVES,
@@ -124,7 +125,7 @@ def test_where_one_more_contact_may_be_every_other_frame_measures_there_alone(ki
 def test_all_loops_of_a_skin_share_one_ranking(monkeypatch: pytest.MonkeyPatch) -> None:
     made = list[str]()
 
-    def counted(name: str, _: object, make: Callable[[], Ranking]) -> Ranking:
+    def counted(name: str, _: object, make: Callable[[], dict[str, Floats]]) -> dict[str, Floats]:
         made.append(name)
         return make()
 

@@ -5,23 +5,23 @@ that this runs on, so that nothing stale is read. What is damaged is made anew; 
 """
 
 import hashlib
+import io
 import os
-import pickle
 import sys
 import tempfile
-import zlib
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from platformdirs import user_cache_path
 
-V = TypeVar("V")
+Arrays = dict[str, NDArray[Any]]
 LARGEST, ROOM = 64 * 2**20, 512 * 2**20  # bytes of one, and of all, of which the longest unused ones go
 _MAKERS = ("geometry", "scan", "forward", "drive")  # packages whose results are kept
 
@@ -32,27 +32,28 @@ def cache_folder() -> Path:
     return Path(given) if given else user_cache_path("ohmskin", appauthor=False)
 
 
-def cached(name: str, inputs: tuple[NDArray[np.generic] | float | str | None, ...], make: Callable[[], V]) -> V:
+def cached(
+    name: str, inputs: tuple[NDArray[np.generic] | float | str | None, ...], make: Callable[[], Arrays]
+) -> Arrays:
     """What `make` gave when it was last called with the same inputs on this machine, or gives now.
 
     Args:
         name: Of what is made.
         inputs: All that it depends on.
-        make: Makes it; it must be possible to pickle what it gives.
+        make: Makes it: arrays by name.
     """
     path = cache_folder() / f"{name}-{_digest(name, *inputs)}"
-    # whatever a damaged file holds, it is made anew
-    with suppress(Exception):
-        content = path.read_bytes()
-        if zlib.crc32(content[4:]).to_bytes(4, "little") == content[:4]:
-            value: V = pickle.loads(memoryview(content)[4:])
-            os.utime(path)
-            return value
+    with suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):  # a damaged file is made anew
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+            found = {key: kept[key] for key in kept.files}
+        os.utime(path)
+        return found
     made = make()
-    content = pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL)
-    if len(content) < LARGEST:
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **made)
+    if content.tell() < LARGEST:
         with suppress(OSError):
-            _write(path, zlib.crc32(content).to_bytes(4, "little") + content)
+            _write(path, content.getvalue())
     return made
 
 

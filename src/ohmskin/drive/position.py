@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import product
 from math import atan2, cos, hypot, sin, sqrt
+from typing import Self
 
 import numpy as np
 
@@ -89,6 +90,14 @@ class Ranking:
             chosen, self.values[at] = _ranked(search, depth)
             self.order[at] = near[chosen]
         self._low, self._cell, self._order = low.tolist(), width.tolist(), self.order.tolist()
+
+    @classmethod
+    def of(cls, order: Ints, values: Floats, low: Floats, cell: Floats) -> Self:
+        """A ranking made before, of its attributes, its grid's lowest corner (2,) and the width (2,) of a cell (m)."""
+        ranking = object.__new__(cls)
+        ranking.order, ranking.values, ranking._shape = order, values, list(order.shape[:2])
+        ranking._low, ranking._cell, ranking._order = low.tolist(), cell.tolist(), order.tolist()
+        return ranking
 
     def cell_of(self, position: Sequence[float] | Floats) -> tuple[int, int]:
         """The cell of a position (2,) in metres; the closest one for positions off the sheet."""
@@ -257,7 +266,12 @@ def _ranking(
     weights = weighed.data, weighed.indices, weighed.indptr, None if sharp is None else sharp[1]
     told = *table.content, table.electrodes, candidates.pattern.quadruples, *weights, candidates.pairs.ends
     given = depth, repr(known), position, effect_spread, size
-    return cached("ranking", (*told, *given), lambda: Ranking(table, candidates, depth, known, prior, size=size))
+
+    def make() -> dict[str, Floats | Ints]:
+        made = Ranking(table, candidates, depth, known, prior, size=size)
+        return {"order": made.order, "values": made.values, "low": np.array(made._low), "cell": np.array(made._cell)}
+
+    return Ranking.of(**cached("ranking", (*told, *given), make))
 
 
 def _sigma_points(target: Target) -> list[tuple[float, float]]:

@@ -8,6 +8,7 @@ laplace f + ...).
 
 from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -127,15 +128,24 @@ class ContactTable:
     @classmethod
     def kept(cls, model: TransferModel, radius: float, pitch: float) -> "ContactTable":
         """The same, made once on this machine: see `cached`. Arguments and errors as of `ContactTable`."""
-        mesh, electrodes, solved = (
-            model.mesh,
-            model.electrodes.positions,
-            (model.potentials, model.electrode_potentials),
-        )
-        read = (mesh.nodes, mesh.elements, mesh.period, model.gradients, model.conductivity, *solved, electrodes)
-        table = cached("contacts", (*read, model.pairs.ends, radius, pitch), lambda: cls(model, radius, pitch))
-        table.pairs = model.pairs
+        mesh, electrodes = model.mesh, model.electrodes.positions
+        solved = model.gradients, model.conductivity, model.potentials, model.electrode_potentials
+        read = mesh.nodes, mesh.elements, mesh.period, *solved, electrodes, model.pairs.ends, radius, pitch
+        found = cached("contacts", read, lambda: cls(model, radius, pitch)._arrays())
+        table = object.__new__(cls)
+        table.radius, table.n_elec, table.period, table._gain = radius, len(model.electrodes), mesh.period, 1.0
+        table.pairs, table.electrodes = model.pairs, electrodes
+        high, closest, reach = (found.pop(name) for name in ("high", "closest", "reach"))
+        vars(table).update(found)
+        table.sheet = table._low, high, table._pitch, closest, float(reach), table.period
         return table
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """All that takes time to make."""
+        names = ("_low", "_steps", "_pitch", "_fields", "_knots", "places", "whole")
+        _, high, _, closest, reach, _ = self.sheet
+        rest = {"high": high, "closest": closest, "reach": np.array(reach)}
+        return {name: getattr(self, name) for name in names} | rest
 
     @property
     def content(self) -> tuple[Floats | Singles | Ints | float, ...]:
