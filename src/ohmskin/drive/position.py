@@ -93,7 +93,13 @@ class Ranking:
 
     @classmethod
     def of(cls, order: Ints, values: Floats, low: Floats, cell: Floats) -> Self:
-        """A ranking made before, of its attributes, its grid's lowest corner (2,) and the width (2,) of a cell (m)."""
+        """A ranking made before.
+
+        Args:
+            order, values: Its attributes.
+            low: (2,) lowest corner of its grid (m).
+            cell: (2,) width of a cell (m).
+        """
         ranking = object.__new__(cls)
         ranking.order, ranking.values, ranking._shape = order, values, list(order.shape[:2])
         ranking._low, ranking._cell, ranking._order = low.tolist(), cell.tolist(), order.tolist()
