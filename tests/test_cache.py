@@ -108,12 +108,14 @@ def test_another_process_reads_what_one_has_made(folder: Path) -> None:
         ranking = {drive}
         print(ranking.order.sum(), float(ranking.values.sum()).hex())
         """
-    told = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        for _ in range(2)
-    ]
+    told, files = list[str](), list[dict[str, int]]()
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        told.append(done.stdout)
+        files.append({file.name: file.stat().st_ino for file in folder.iterdir()})
     assert told[0] == told[1] != ""
-    assert {file.name.split("-")[0] for file in folder.iterdir()} == {"contacts", "ranking"}
+    assert {name.split("-")[0] for name in files[0]} == {"contacts", "ranking"}
+    assert files[0] == files[1]  # nothing was written again
 
 
 def test_the_folder_is_the_users_unless_another_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

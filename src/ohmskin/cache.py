@@ -9,7 +9,6 @@ import io
 import os
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -43,15 +42,15 @@ def cached(
         make: Makes it: arrays by name.
     """
     path = cache_folder() / f"{name}-{_digest(name, *inputs)}"
-    with suppress(OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):  # a damaged file is made anew
+    with suppress(Exception):  # whatever a damaged file raises, it is made anew
         with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             found = {key: kept[key] for key in kept.files}
         os.utime(path)
         return found
     made = make()
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **made)
-    if content.tell() < LARGEST:
+    if sum(one.nbytes for one in made.values()) < LARGEST:
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **made)
         with suppress(OSError):
             _write(path, content.getvalue())
     return made

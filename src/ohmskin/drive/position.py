@@ -268,8 +268,9 @@ def _ranking(
     size: float = 0.0,
 ) -> Ranking:
     prior = ContactPrior.usual(table.radius, position, effect_spread)
-    weighed, sharp = candidates.weights, candidates.sharp
-    weights = weighed.data, weighed.indices, weighed.indptr, None if sharp is None else sharp[1]
+    sharp, contacts = candidates.sharp or (candidates.weights, None)
+    matrices = [part for one in (candidates.weights, sharp) for part in (one.data, one.indices, one.indptr)]
+    weights = *matrices, contacts
     told = *table.content, table.electrodes, candidates.pattern.quadruples, *weights, candidates.pairs.ends
     given = depth, repr(known), position, effect_spread, size
 
