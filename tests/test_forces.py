@@ -245,7 +245,7 @@ def test_a_refused_step_is_damped_at_once(engine: Engine, monkeypatch: pytest.Mo
 
 
 def test_patches_are_prepared_in_a_share_of_idle_time(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One takes 6 ms: in every frame of 9 ms that would be most of a core."""
+    """One takes some 5 ms: in every frame of 9 ms that would be half of a core."""
     assert engine.sensor is not None
     follower, made = engine.sensor.forces, list[int]()
     assert isinstance(follower, PressFollower)

@@ -126,6 +126,9 @@ def test_fits_move_what_is_deep_in_a_hole_onto_the_sheet_also_across_the_seam() 
     assert (skin.domain.depth(moved) > -table.radius).all()
     assert skin.domain.depth(moved[:2]).min() > -2e-3
     np.testing.assert_array_equal(moved[3], places[3])
+    nowhere = np.array([[np.nan, 0.07], [0.12, np.nan]])
+    all_onto(nowhere, table.sheet)
+    assert np.isnan(nowhere).any(axis=1).all()
     assert skin.domain.depth(table.places).min() > -table.radius / 2
 
 

@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from ohmskin.contacts.kernels import all_onto
 from ohmskin.errors import ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.geometry import Disc, Electrodes, Mesh, Rectangle, mesh_domain
@@ -112,6 +113,14 @@ def test_places_off_the_sheet_count_as_the_closest_on_it() -> None:
     np.testing.assert_allclose(
         table()([[0.1, 0.07]], 5.0).values, table()([[0.1, 0.07]], 3 * RADIUS).values, rtol=1e-12
     )
+
+
+def test_a_place_that_is_no_number_has_no_response_and_stays_where_it_is() -> None:
+    places = np.array([[np.nan, 0.07], [0.1, np.nan], [0.1, 0.07]])
+    assert np.isnan(table()(places).values).all(axis=1).tolist() == [True, True, False]
+    moved = places.copy()
+    all_onto(moved, table().sheet)
+    np.testing.assert_array_equal(moved, places)
 
 
 def test_whole_contacts_are_a_radius_from_the_rim_and_all_places_are_on_the_sheet() -> None:

@@ -20,7 +20,10 @@ _ENOUGH = 0.02  # gain in squared misfit below which a fit stops: a seventh of a
 def onto(
     position: Floats, low: Floats, high: Floats, pitch: Floats, closest: Floats, reach: float, period: float
 ) -> None:
-    """Moves a position (2,) onto the sheet, in place; round a closed band any x is on it, but for holes."""
+    """Moves a position (2 or more,) onto the sheet, in place; round a closed band any x is on it, but for holes. One
+    that is no number stays."""
+    if np.isnan(position[0] + position[1]):
+        return
     for axis in range(1 if period > 0.0 else 0, 2):
         position[axis] = min(max(position[axis], low[axis]), high[axis])
     if reach == np.inf:  # all of the table's rectangle is sheet
@@ -36,7 +39,7 @@ def onto(
 
 @njit(cache=True, nogil=True)
 def all_onto(positions: Floats, sheet: Grid) -> None:
-    """Moves positions (n, 2) onto the sheet, in place; of a closed band to x from 0 to below its period."""
+    """Moves positions (n, 2 or more) onto the sheet, in place; of a closed band to x from 0 to below its period."""
     for k in range(len(positions)):
         onto(positions[k], sheet[0], sheet[1], sheet[2], sheet[3], sheet[4], sheet[5])
         if sheet[5] > 0.0:

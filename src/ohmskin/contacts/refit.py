@@ -52,10 +52,9 @@ def refit(
     """
     radius, least, smallest, largest, error, bar, split_bar = settings[:7]
     count, n = len(white[0][1]), len(params)
-    places = params[:, :2].copy()
-    all_onto(places, sheet)
+    all_onto(params, sheet)
     for k in range(n):
-        params[k, :2], params[k, 3] = places[k], min(max(params[k, 3], smallest), largest)
+        params[k, 3] = min(max(params[k, 3], smallest), largest)
     common, doubts = np.zeros((1, len(nominal[2]))), np.zeros(DOUBTS)
     common[0, -1] = COMMON
     shapes = shapes_of(params, radius, error, spline)
@@ -115,7 +114,10 @@ def shapes_of(params: Floats, radius: float, error: float, spline: Spline) -> Fl
     lopsided(params[small], spline[7], spline[1], spline[2], spline[3], spline[4], spline[8], out)
     for k in range(len(small)):
         effect = effects[small[k]]
-        out[2 * k : 2 * k + 2] *= LOPSIDED * error * effect * (1 - effect / most) ** 2
+        share = LOPSIDED * error * effect * (1 - effect / most) ** 2
+        for p in range(out.shape[1]):
+            out[2 * k, p] *= share
+            out[2 * k + 1, p] *= share
     return out
 
 
@@ -134,18 +136,17 @@ def split_gains(left: Quadratic, one: Floats, radius: float, sheet: Grid, spline
     """
     own, many = np.sqrt(one[3]), len(AXES)
     axes = np.empty((2 * many if own > WIDE * radius else many, 2))
-    for k in range(len(axes)):
-        axes[k] = (radius if k < many else own) * AXES[k % many]
-    places = np.empty((2 * len(axes) + 1, 2))
-    for k in range(len(places)):
-        places[k] = one[:2]
-    places[: len(axes)] += axes
-    places[len(axes) : -1] -= axes
-    all_onto(places, sheet)
-    discs, found = np.empty((len(places), 3)), np.empty((len(places), 4, len(spline[8])))
-    discs[:, :2], discs[:, 2] = places, min(one[3], spline[5][-1])
+    n = len(axes)
+    discs, found = np.empty((2 * n + 1, 3)), np.empty((2 * n + 1, 4, len(spline[8])))
+    discs[:, 2] = min(one[3], spline[5][-1])
+    for axis in range(2):
+        discs[2 * n, axis] = one[axis]
+        for k in range(n):
+            axes[k, axis] = (radius if k < many else own) * AXES[k % many, axis]
+            discs[k, axis], discs[n + k, axis] = one[axis] + axes[k, axis], one[axis] - axes[k, axis]
+    all_onto(discs, sheet)
     respond_at(discs, spline, found)
-    bend = found[: len(axes), 2] + found[len(axes) : -1, 2] - 2 * found[-1, 2]
+    bend = found[:n, 2] + found[n:-1, 2] - 2 * found[-1, 2]
     power, height = norms(left[0], left[1], bend), np.empty(len(axes))
     for k in range(len(axes)):
         height[k] = dot(left[2], bend[k]) / max(power[k], 1e-6 * power.max())
@@ -167,7 +168,9 @@ def flat_prior(white: Quadratic, directions: Floats) -> Floats:
     seen = np.flatnonzero(size > 0)
     out = directions[seen]
     for k in range(len(seen)):
-        out[k] /= FLAT * size[seen[k]]
+        share = FLAT * size[seen[k]]
+        for p in range(out.shape[1]):
+            out[k, p] /= share
     return out
 
 

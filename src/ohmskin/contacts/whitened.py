@@ -250,7 +250,8 @@ def marginalise_errors(
     columns, sizes, loading, quiet, starts, _ = rows
     pairs, k, injections = len(contacts), contacts.shape[1], len(starts) - 1
     changes = np.zeros((pairs + 1, k))  # the last of no pair
-    changes[:pairs] = contacts
+    for p in range(pairs):
+        copy(contacts[p], changes[p])
     # each further error, and last the data: in the gradient, beside quiet data, and with each other
     error, seen = np.empty(k + 1), np.zeros((pairs + 2, k + 1))
     inner, own, along = np.zeros((injections, k + 1)), np.zeros((k + 1, k + 1)), np.zeros((injections, pairs + 2))
@@ -323,8 +324,8 @@ def _marginalised(
             own[i, j] = np.sqrt(total) if i == j else total / own[j, j]
         for j in range(i):
             add(-own[i, j], seen[j], seen[i])
-        if i < k:
-            seen[i] /= own[i, i]
+        for p in range(seen.shape[1] if i < k else 0):
+            seen[i, p] /= own[i, i]
     constant, root = own[k, k], np.sqrt(share)
     for j in range(k):
         constant -= own[k, j] ** 2

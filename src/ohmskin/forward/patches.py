@@ -14,6 +14,7 @@ the area of a contact, with mirror images beyond the rim, less what the mesh mak
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.sparse as sp
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
@@ -30,6 +31,8 @@ from ohmskin.geometry import Mesh
 from ohmskin.geometry.periodic import folded, shortest, tree
 
 _NEAR = 2.5  # edges of the mesh from a contact within which it does not resolve what the contact causes
+_ALIKE = 1e-9  # m
+_MOST_ALIKE = 32  # tables of the logarithm's means, of 0.7 MB each
 _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contacts is looked at
 
 
@@ -134,6 +137,16 @@ class FloatingPatches:
         after = np.asarray(self.model.transfer_resistance - (drop + drop.T) / 2)
         return after, currents / joint[touching, None]
 
+    def prepare(self, patch: int) -> None:
+        """Compute what a press on a patch needs, so that the first one there takes no longer than others.
+
+        Args:
+            patch: Its number, one of `patches`.
+        """
+        self.update.green_of(np.unique(self._corners[self.patches == patch]))
+        if self._near is not None:
+            self._near.of(patch)
+
     def many(self, cases: Sequence[tuple[Ints, Floats]]) -> Floats:
         """(n, n_elec, n_elec) transfer resistances in ohms of n `cases`, several times faster than one by one.
 
@@ -225,6 +238,11 @@ class _NearField:
         self._own, self._edge = own, float(np.sqrt(4 / np.sqrt(3) * mesh.measures[self._element].max()))
         self._middles = folded(self._middles, mesh.period)
         self._nodes, self._tree = tree(mesh.nodes, mesh.period), tree(self._middles, mesh.period)
+        self._reach = 2 * self._half + _NEAR * self._edge  # m, from the middle of a patch
+        corner = np.arange(mesh.elements.size)
+        shape = (mesh.n_nodes, mesh.n_elem)
+        self._elements_of = sp.csr_array((np.ones(corner.size), (mesh.elements.ravel(), corner // 3)), shape)
+        self._alike: dict[bytes, Floats] = {}
         self._made: dict[int, tuple[Ints, NDArray[np.int16], float]] = {}  # a quarter of the memory, to 2e-5 of a peak
         self._table: tuple[Ints, Ints, Floats] | None = None
 
@@ -233,13 +251,17 @@ class _NearField:
         row = np.full(len(self.points), -1)
         row[touching] = np.arange(len(touching))
         missed = np.zeros_like(green)
-        for number in numbers:
-            slot = self._slot[int(number)]
-            near, values, unit = self._kept(slot)
-            targets, sources = row[near], row[self._own[slot]]
+        for number in numbers.tolist():
+            near, values, unit = self.of(number)
+            targets, sources = row[near], row[self._own[self._slot[number]]]
             at, by = targets >= 0, sources >= 0
             missed[np.ix_(targets[at], sources[by])] = unit * values[np.ix_(at, by)]
         green += (missed + missed.T) / 2
+
+    def of(self, number: int) -> tuple[Ints, NDArray[np.int16], float]:
+        """Of the patch with this number: contacts (n_near,) near it, what the mesh misses there of each of its contacts
+        (n_near, n_own), and the unit of that (ohm)."""
+        return self._kept(self._slot[number])
 
     def table(self, slots: Ints) -> tuple[Ints, Ints, Floats]:
         """Contacts of each patch and near it, and what the mesh misses: what `pressed` takes, of `slots` at least."""
@@ -247,7 +269,7 @@ class _NearField:
             own = np.full((len(self._own), max(map(len, self._own))), -1)
             for slot, points in enumerate(self._own):
                 own[slot, : len(points)] = points
-            around = self._tree.query_ball_point(self._middles, 2 * self._half + _NEAR * self._edge, return_length=True)
+            around = self._tree.query_ball_point(self._middles, self._reach, return_length=True)
             width = int(around.max()) * own.shape[1]
             self._table = own, np.full((len(own), width), -1), np.zeros((len(own), width, own.shape[1]))
         own, near, missed = self._table
@@ -270,38 +292,53 @@ class _NearField:
         mesh, own, middle = self.model.mesh, self._own[slot], self._middles[slot]
         even = self._even(self._element[own[0]])
         turn = np.linalg.inv(even).T
-        places, points = (shortest(some - middle, mesh.period) @ turn for some in (mesh.nodes, self.points))
-        sides = self.sizes[own] @ turn
-        reach = 2 * self._half + _NEAR * self._edge
-        near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, reach))])
         inside = np.zeros(mesh.n_nodes, bool)
         inside[self._nodes.query_ball_point(middle, self._half + _AROUND * self._edge)] = True
-        count = inside[mesh.elements].sum(axis=1)
-        part, cut = np.flatnonzero(count == 3), (count > 0) & (count < 3)
+        touched = np.unique(self._elements_of[inside].indices)
+        count = inside[mesh.elements[touched]].sum(axis=1)
+        part, cut = touched[count == 3], touched[count < 3]
         nodes, matrix = local_stiffness(mesh.gradients[part] @ even, mesh.measures[part], mesh.elements[part])
         held = np.zeros(mesh.n_nodes, bool)
         held[mesh.elements[cut]] = True
         held = held[nodes]
         row = np.full(mesh.n_nodes, -1)
         row[nodes] = np.arange(len(nodes))
-        near = near[(row[self.corners[near]] >= 0).all(axis=1)]
-        rim = mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]
-        mirrored = self._mirrored(points[own], places[rim])
-        images = [points[own], *(one for one in mirrored if (mesh.locate(middle + one @ even.T)[0] < 0).all())]
+        near = np.concatenate([self._own[k] for k in sorted(self._tree.query_ball_point(middle, self._reach))])
+        places, points, contacts = (
+            shortest(some - middle, mesh.period) @ turn
+            for some in (mesh.nodes[nodes], self.points[near], self.points[own])
+        )
+        sides = self.sizes[own] @ turn
+        exact = self._log_means(points, contacts, sides)
+        resolved = (row[self.corners[near]] >= 0).all(axis=1)
+        near, points, exact = near[resolved], points[resolved], exact[resolved]
+        rim = row[mesh.boundary[(row[mesh.boundary] >= 0).all(axis=1)]]
+        mirrored = self._mirrored(contacts, places[rim])
+        beyond = [one for one in mirrored if (mesh.locate(middle + one @ even.T)[0] < 0).all()]
         load = np.zeros((len(nodes), len(own)))
         for corner, weight in zip(row[self.corners[own]].T, self.weights[own].T, strict=True):
             load[corner, np.arange(len(own))] += weight
-        exact, there = np.zeros((len(near), len(own))), np.zeros((held.sum(), len(own)))
-        for image in images:
-            exact -= log_means(points[near], image, sides) / (2 * np.pi)
-            there -= log_means(places[nodes[held]], image, 1e-9 * sides) / (2 * np.pi)
-            add_flux(load, row[rim], places[rim], image, np.zeros(2))
+        there = np.zeros((held.sum(), len(own)))
+        for image in [contacts, *beyond]:
+            there -= log_means(places[held], image, 1e-9 * sides) / (2 * np.pi)
+            add_flux(load, rim, places[rim], image, np.zeros(2))
+        for image in beyond:
+            exact = exact + log_means(points, image, sides)
         free = ~held
         values = np.empty((len(nodes), len(own)))
         values[held] = there
         values[free] = np.linalg.solve(matrix[np.ix_(free, free)], load[free] - matrix[np.ix_(free, held)] @ there)
         meshed = np.einsum("pk,pko->po", self.weights[near], values[row[self.corners[near]]])
-        return near, np.asarray((exact - meshed) / self.model.conductivity[self._element[own]])
+        return near, np.asarray((exact / (-2 * np.pi) - meshed) / self.model.conductivity[self._element[own]])
+
+    def _log_means(self, points: Floats, contacts: Floats, sides: Floats) -> Floats:
+        """`log_means`, computed once for patches among patches that lie alike."""
+        alike = np.rint(np.vstack([points, contacts, sides.reshape(-1, 2)]) / _ALIKE).tobytes()
+        if (known := self._alike.get(alike)) is None:
+            known = log_means(points, contacts, sides)
+            if len(self._alike) < _MOST_ALIKE:
+                self._alike[alike] = known
+        return known
 
     def _even(self, element: int) -> Floats:
         """Directions (2, 2), as columns, of coordinates in which the sheet there conducts alike in all directions."""

@@ -85,7 +85,7 @@ def fill_groups(
                         slope = gradients[e, k, d] * root
                         for n in range(n_elec):
                             row[n] += slope * potentials[elements[e, k], n]
-            grams[g] = np.dot(fields.T, fields)
+            np.dot(fields.T, fields, grams[g])
         for pair in range(len(pairs)):
             i, j = pairs[pair]
             for g in range(count):

@@ -21,7 +21,7 @@ def weigh(
         x -= period * np.floor(x / period)
     for axis in range(2):
         at = min(max(((y if axis else x) - low[axis]) / pitch[axis], 0.0), float(steps[axis]))
-        first[axis] = min(int(at), steps[axis] - 1)
+        first[axis] = min(int(at), steps[axis] - 1) if at > 0.0 else 0  # if it is no number, too: nor are the weights
         t = at - first[axis]
         s, value, slope = 1 - t, weights[axis, 0], weights[axis, 1]
         value[0], value[1], value[3] = s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, t**3 / 6

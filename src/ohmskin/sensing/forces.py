@@ -35,7 +35,7 @@ _JUMPED = 0.05  # share of the squared signal that changes at once where presses
 _UNLIKELY = 20.0  # squared misfit beyond that of the best fit, from which on another one is given up
 _LOST = 4e-3  # m from its contact, beyond which a press is looked for afresh
 _MOST = 1200  # contacts of patches under presses near each other, some three fingers: time goes with the cube
-_PREPARING = 0.05  # s of idle time for which one patch is prepared, which takes 6 ms
+_PREPARING = 0.2  # s of idle time for which one patch is prepared, which takes some 5 ms
 _CHANGED, _CREPT = 0.05, 0.25  # logarithm of a pressure, and share of the time in which foam creeps, worth following
 _UNKNOWN_SIZE = 0.5  # share of a force that is not known where the size of what presses is not
 

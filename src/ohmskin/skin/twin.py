@@ -220,13 +220,12 @@ class PressedSheet:
         return len(self._near_any((press.position, press.radius + spread) for press in presses))
 
     def prepare(self) -> None:
-        """Compute the functions of one more patch, in about 6 ms, so that the first press there takes no longer than
-        others.
+        """`FloatingPatches.prepare` of one more patch.
 
         For a thousand patches at most, because memory grows with the square of their number.
         """
         if (patch := next(self._unprepared, None)) is not None:
-            self._patches.transfer_resistance(np.where(self._patches.patches == patch, 1e-6, 0.0))
+            self._patches.prepare(patch)
 
     def distances(self, places: Floats, press: Press) -> Floats:
         """How far (...) places (..., 2) of the map are from the middle of a press, on the skin (m)."""

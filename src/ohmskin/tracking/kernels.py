@@ -10,7 +10,7 @@ from ohmskin.contacts.kernels import SQUARE_STD, all_onto, refined
 from ohmskin.contacts.misfit import COMMON, norms, subtract
 from ohmskin.contacts.refit import flat_prior, marginalised, scores, shapes_of
 from ohmskin.contacts.solution import inverse
-from ohmskin.contacts.whitened import ErrorTerms, Quadratic, Reduced, Scan, add, dot, likelihood
+from ohmskin.contacts.whitened import ErrorTerms, Quadratic, Reduced, Scan, add, copy, dot, likelihood
 from ohmskin.forward.splines import Grid, Spline
 
 _ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
@@ -96,9 +96,7 @@ def advanced(
         mean[k, 3] = sized * mean[k, 3] + (1 - sized) * square
         for axis in range(2):
             mean[k, 4 + axis] *= kept
-    places = mean[:, :2].copy()
-    all_onto(places, sheet)
-    mean[:, :2] = places
+    all_onto(mean, sheet)
 
 
 @njit(cache=True, nogil=True)
@@ -144,10 +142,13 @@ def updated(
     evidence = wide
     for again in range(2):
         if n:
-            mean[:], covariance[:] = start, spread
-            params, caused[:pairs], predicted[:pairs], slopes = _corrected(
-                mean, covariance, before, evidence, settings, sheet, spline
-            )
+            for i in range(n):
+                copy(start[i], mean[i])
+            for i in range(len(covariance)):
+                copy(spread[i], covariance[i])
+            params, added, foreseen, slopes = _corrected(mean, covariance, before, evidence, settings, sheet, spline)
+            copy(added, caused[:pairs])
+            copy(foreseen, predicted[:pairs])
             vector, constant = subtract(nominal[0], nominal[1], nominal[2], nominal[3], predicted)
             innovation = marginalised((nominal[0], nominal[1], vector, constant), _spread(before, slopes))
             left = subtract(white[0], white[1], white[2], white[3], predicted)[1]
