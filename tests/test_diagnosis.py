@@ -170,7 +170,7 @@ def test_touches_of_any_kind_are_not_doubted(engine: Engine) -> None:
         run(engine, 2)
 
 
-@pytest.mark.parametrize("electrode", [0, 5, 7, 14])
+@pytest.mark.parametrize("electrode", [0, 5, 7, 12, 14])
 def test_an_electrode_that_opens_is_named_and_left_out_until_it_is_mended(engine: Engine, electrode: int) -> None:
     device = device_of(engine)
     run(engine, 10)

@@ -733,6 +733,19 @@ def test_recent_frames_make_up_a_scan() -> None:
     assert sum(d.pattern.n_inj for d in state.recent(1000)) == 36
 
 
+def test_what_the_skin_keeps_of_a_press_grows_while_it_lasts_and_fades_after_it() -> None:
+    motion = Motion(drift_time=5.0, creep_time=30.0)
+    short, long = motion.kept(0.0, 100.0, 0.05), motion.kept(0.0, 100.0, 30.0)
+    assert short == pytest.approx(1.0, rel=0.01)
+    assert 99 < long < 100
+    kept = 0.0
+    for _ in range(100):
+        kept = motion.kept(kept, 100.0, 0.01)
+    assert kept == pytest.approx(motion.kept(0.0, 100.0, 1.0))
+    assert motion.kept(long, 0.0, 30.0) == pytest.approx(long / np.e)
+    assert motion.kept(long, 20.0, 1e4) == 20.0
+
+
 def test_a_frame_without_data_and_settings_out_of_range_are_refused() -> None:
     rig = Rig("discs", 50, 13)
     empty = rig.measure(base_pattern(SKIN.electrodes))

@@ -253,7 +253,7 @@ def test_patches_are_prepared_in_a_share_of_idle_time(engine: Engine, monkeypatc
     state = Presses()
     for _ in range(100):
         state, _ = follower.update(state, (), (), 9e-3)
-    assert 10 <= len(made) <= 20
+    assert 3 <= len(made) <= 5
 
 
 def test_a_palm_is_felt_without_a_force_that_would_hold_up_the_loop(engine: Engine) -> None:

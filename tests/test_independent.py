@@ -137,7 +137,7 @@ def test_one_press_is_one_contact(loop: Loop, mode: str) -> None:
 
 
 def test_a_press_just_after_another_was_lifted_is_tracked_soon(loop: Loop) -> None:
-    """At 28 of 30 places within nine frames, 6 mm at most from the truth."""
+    """At 29 of 30 places within nine frames, 6 mm at most from the truth, however strong the one before was."""
     device, engine = loop
     engine.set_mode("16T")
     soon = []
@@ -147,7 +147,7 @@ def test_a_press_just_after_another_was_lifted_is_tracked_soon(loop: Loop) -> No
         device.sheet.touch({})
         felt(engine, 8)
     engine.set_mode("16P")
-    assert sum(soon) >= 28
+    assert sum(soon) >= 29
 
 
 @pytest.mark.parametrize("mode", ["16P", "16T"])

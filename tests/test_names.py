@@ -13,7 +13,7 @@ PRIVATE = {  # what nobody else calls so, with what the field does
     "believed": "prior",
     "desk": "the sensor, the engine",
     "door": "server, guard",
-    "echo": "recent_energy",
+    "echo": "kept_signal",
     "explainer": "ContactFitter",
     "falls": "bipolar",
     "far": "remote",

@@ -97,7 +97,7 @@ def _from_one_electrode(
     state: TrackState, fitter: ContactFitter, found: Solution, used: Sequence[Residuals]
 ) -> tuple[int, int] | None:
     """The electrode whose voltages alone show a contact that others should see, too, and the frame in which they
-    show it most; None where others do.
+    show it most, of those that no electrode is blamed for yet; None where others do.
 
     Its voltages have changed by far more than all others, on which the contact's effect would be larger than it is.
     """
@@ -121,7 +121,8 @@ def _from_one_electrode(
         return None
     suspect = int(np.argmax(np.where(alone, stands_out, 0.0)))
     starts = np.cumsum([0, *(len(scan.volts) for scan in scans[:-1])])
-    return suspect, int(np.argmax(np.add.reduceat(seen**2 * own[:, suspect], starts)))
+    shown = np.add.reduceat(seen**2 * own[:, suspect], starts)
+    return suspect, int(np.argmax(np.where([one.only_electrode is None for one in used], shown, -1.0)))
 
 
 def _updated(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:

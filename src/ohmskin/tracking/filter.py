@@ -6,7 +6,7 @@ before). What the contacts do not explain is kept for a dozen frames and searche
 is learned as drift. The rules are in docs/guide/tracking.md.
 """
 
-from math import exp
+from math import sqrt
 
 import numpy as np
 
@@ -61,7 +61,8 @@ class ContactFilter:
             start,
             common_drift=common_drift,
             drift=state.drift,
-            recent_energy=state.recent_energy,
+            newest_energy=state.newest_energy,
+            kept_signal=state.kept_signal,
             next_id=state.next_id,
         )
 
@@ -91,7 +92,7 @@ class ContactFilter:
         state = with_lifts(state, fitter, self.bar, motion.settling_time, elapsed)
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
-        if state.turn % _LEARN_EVERY == 0 and state.history:
+        if state.turn % _LEARN_EVERY == 0 and state.history and state.history[0].only_electrode is None:
             state = with_learned_drift(state, fitter, motion, _LEARN_EVERY * elapsed)
         unexplained = state.unexplained if state.pressing else 0.0
         if state.pressing and state.history[:1] != (newest,):  # there are other contacts than those held by the frame
@@ -126,8 +127,9 @@ class ContactFilter:
         observation = Observation(changed(difference, volts=found.volts), found)
         data = observation.data
         known = found.predicted if before.tracks else None
-        # what the foam keeps of a press, and model error learned as drift, must not be taken for contacts
-        energy = max(found.energy, before.recent_energy * exp(-2 * elapsed / self.motion.creep_time))
+        # a press that ends within a frame, what foam keeps of it, and model error learned as drift are no contacts
+        kept = self.motion.kept(before.kept_signal, sqrt(found.energy), elapsed)
+        energy = max(found.energy, before.newest_energy, kept**2)
         newest = Residuals(
             observation,
             data.reduced_to(found.innovation, known),
@@ -145,7 +147,8 @@ class ContactFilter:
             covariance=covariance,
             common_drift=found.common,
             history=(newest, *before.history[: LONGEST - 1]),
-            recent_energy=energy,
+            newest_energy=found.energy,
+            kept_signal=kept,
             turn=before.turn + 1,
             suspects=(),
             covered=covered,

@@ -1,6 +1,7 @@
 """Motion: how contacts and the skin may change, and what is believed some time later with nothing measured since."""
 
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 
@@ -25,7 +26,8 @@ class Motion:
         common_walk: Random walk of the common factor of all resistances in a second (1/sqrt(s)); temperature.
         drift_time: Time over which what no contact explains becomes part of the baseline (s).
         settling_time: The same for the rest of a lifted contact (s).
-        creep_time: Time in which foam recovers from a press (s); until then a weak signal is not a contact.
+        creep_time: Time in which foam recovers from a press (s); until then a weak signal is not a contact. What foam
+            keeps, like what is learned as drift, grows over `drift_time`.
 
     Raises:
         ModelError: If one is not positive.
@@ -42,6 +44,12 @@ class Motion:
 
     def __post_init__(self) -> None:
         check_positive(**vars(self))
+
+    def kept(self, before: float, signal: float, elapsed: float) -> float:
+        """What the skin keeps of contacts a time `elapsed` (s) after it kept `before`, if they cause a `signal` (1)."""
+        if signal > before:
+            return signal + (before - signal) * exp(-elapsed / self.drift_time)
+        return max(signal, before * exp(-elapsed / self.creep_time))
 
 
 def moved(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:

@@ -47,8 +47,8 @@ class TrackState:
         next_id: The id of the next contact.
         turn: Frames so far.
         time: Since the start (s).
-        recent_energy: Squared signal of the contacts, or of former ones until the foam has recovered, over the noise's
-            variance (1).
+        newest_energy: Squared size of what contacts cause of the newest frame, over the noise's variance (1).
+        kept_signal: Size of what foam and learned drift may keep of contacts, over the noise (1).
         history: The last frames, newest first.
         unexplained: Share of the newest frame's data that the contacts do not explain.
         suspects: Electrodes that alone showed a contact in the newest frame.
@@ -67,7 +67,8 @@ class TrackState:
     next_id: int = 1
     turn: int = 0
     time: float = 0.0
-    recent_energy: float = 0.0
+    newest_energy: float = 0.0
+    kept_signal: float = 0.0
     history: tuple[Residuals, ...] = field(default=(), repr=False)
     unexplained: float = 0.0
     suspects: tuple[int, ...] = ()
