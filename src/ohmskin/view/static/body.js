@@ -229,7 +229,7 @@ export class BodyView {
     const size = told ? `${told} N` : patch.newtons ? "force not known yet" : "uncalibrated";
     const text = [`#${id}`, size, unsure(contact), own && "self-touch"].filter(Boolean).join(" · ");
     const tail = at.map((v, axis) => v + (length + 0.01) * normal[axis]);
-    this._labels.push({ link: patch.link, at: tail, up: 0, text, normal, of: patch.name });
+    this._labels.push({ link: patch.link, at: tail, up: 0, text, normal, of: patch.name, foot: at });
   }
 
   _draw() {
@@ -243,7 +243,8 @@ export class BodyView {
       return { ...found, x: found.x + beside, text, begins: Boolean(label.name), moves: found.shown && !label.mark };
     });
     const { clientWidth, clientHeight } = this._canvas;
-    const free = placed(seen.filter(({ moves }) => moves), [clientWidth, clientHeight]).values();
+    const contacts = this._labels.filter(({ foot }) => foot).map(({ link, foot }) => this.place(link, foot));
+    const free = placed(seen.filter(({ moves }) => moves), [clientWidth, clientHeight], contacts).values();
     this._labels.forEach((label, which) => {
       const { shown, world, text, moves } = seen[which];
       const [x, y] = moves ? free.next().value : [seen[which].x, seen[which].y];
