@@ -589,3 +589,16 @@ def test_a_current_source_stops_at_its_limit_and_says_so() -> None:
     frame = VirtualSkin(skin, 0).scan(adjacent([skin.electrodes.rings[0]]))
     assert FrameFlag.CURRENT_LIMIT in frame.flags
     assert frame.currents.max() < 0.021
+
+
+def test_a_press_on_a_prepared_patch_computes_no_near_field(monkeypatch: pytest.MonkeyPatch) -> None:
+    sheet = PressedSheet(Skin.load("paper"), contacts=4)
+    sheet.prepare()  # the first patch, in the corner
+
+    def refused(*_: object) -> None:
+        raise AssertionError("computed anew")
+
+    monkeypatch.setattr("ohmskin.forward.near_field.log_means", refused)
+    assert (sheet.transfer_resistance([Press((4e-3, 4e-3), 1e-3, 1e4)]) != sheet.untouched).any()
+    with pytest.raises(AssertionError, match="computed anew"):
+        sheet.transfer_resistance([Press((0.05, 0.15), 1e-3, 1e4)])

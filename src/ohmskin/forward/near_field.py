@@ -12,7 +12,7 @@ from ohmskin.forward.transfer import TransferModel
 from ohmskin.geometry.periodic import folded, shortest, tree
 
 _NEAR = 2.5  # edges of the mesh from a contact within which it does not resolve what the contact causes
-_ALIKE = 1e-9  # m
+_ALIKE = 1e-9  # m, to which places and sides are the same where patches lie alike
 _MOST_ALIKE = 32  # tables of the logarithm's means, of 0.7 MB each
 _AROUND = 4.0  # edges round a patch to which what the mesh makes of its contacts is looked at
 
