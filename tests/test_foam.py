@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ohmskin.arrays import Floats
 from ohmskin.drive import complete_pattern
 from ohmskin.engine import Engine
-from ohmskin.sensing import KnownPress, PressFitter
+from ohmskin.sensing import KnownPress, PressFitter, fit_layer
 from ohmskin.skin import Calibration, ContactLayer, Foam, Press, Skin, VirtualSkin
 
 LAYER = ContactLayer(hysteresis=0.3, creep=0.15, creep_time=3.0)
@@ -111,7 +111,7 @@ def calibrated() -> Skin:
             engine.press(0, (place[0], place[1]), 8e-3, 0.0)
             for _ in range(4):
                 engine.step()
-        found = PressFitter(known).fit_layer(presses)
+        found = fit_layer(PressFitter(known), presses)
     assert found.hysteresis == pytest.approx(0.3, abs=0.08)
     return replace(wrong, calibration=found.put_into(Calibration()))
 

@@ -25,7 +25,7 @@ from ohmskin.outlets.messages import encode_contacts, encode_wrench
 from ohmskin.outlets.publisher import Publisher
 from ohmskin.recording import Recorder
 from ohmskin.recording.export import CONTACT_COLUMNS
-from ohmskin.sensing import KnownPress, PressFitter
+from ohmskin.sensing import KnownPress, PressFitter, fit_layer
 from ohmskin.sensing.forces import Presses, PressFollower, forces_of
 from ohmskin.skin import Calibration, Press, Skin, VirtualSkin
 from ohmskin.view.session import shown_contact
@@ -52,7 +52,7 @@ def calibrated() -> Skin:
             assert touches[-1].contacts[0].force is None  # it is not calibrated
             scans = tuple(known.difference(frame) for touch in touches for frame in touch.percept.frames)
             presses.append(KnownPress(float(force), touches[-1].contacts[0], scans))
-        found = PressFitter(known).fit_layer(presses)
+        found = fit_layer(PressFitter(known), presses)
     return replace(wrong, calibration=found.put_into(Calibration()))
 
 

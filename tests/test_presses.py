@@ -11,7 +11,7 @@ from ohmskin.errors import DataError
 from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.scan import Difference
-from ohmskin.sensing import KnownPress, PressFitter, SkinModel, modes
+from ohmskin.sensing import KnownPress, PressFitter, SkinModel, fit_layer, modes
 from ohmskin.skin import Press, PressedSheet, Skin
 
 FRAMES = 10  # 0.1 s at a hundred frames a second
@@ -103,15 +103,19 @@ def test_ten_known_presses_calibrate_the_layer() -> None:
     wrong.skin = replace(
         wrong.skin, contact_layer=replace(true, conductance=1.5 * true.conductance, exponent=true.exponent - 0.15)
     )
-    found = PressFitter(wrong).fit_layer(some(10, 2, 7e-3, [2e3, 4e3, 8e3, 15e3, 30e3]))
+    presses = some(10, 2, 7e-3, [2e3, 4e3, 8e3, 15e3, 30e3])
+    found = fit_layer(PressFitter(wrong), presses)
     assert np.log(found.conductance / true.conductance) == pytest.approx(0, abs=3 * found.conductance_std)
     assert found.exponent == pytest.approx(true.exponent, abs=3 * found.exponent_std)
     assert found.conductance_std < 0.25
     assert found.exponent_std < 0.12
-    assert found.unexplained < 0.2
+    assert found.unexplained < 0.02
     skin = replace(wrong.skin, calibration=found.put_into(wrong.skin.calibration))
     assert skin.calibrated_layer.exponent == found.exponent
     assert skin.contact_layer.exponent == wrong.skin.contact_layer.exponent
+    mixed_up = [replace(one, force=other.force) for one, other in zip(presses, reversed(presses), strict=True)]
+    with pytest.raises(DataError, match="check which force belongs to which press"):
+        fit_layer(PressFitter(wrong), mixed_up)
 
 
 def test_impossible_presses_are_refused() -> None:
@@ -119,4 +123,4 @@ def test_impossible_presses_are_refused() -> None:
     assert fitter().fit((), *press.scans) == ()
     for bad in ([press], [press, replace(press, force=0.0)], [press, replace(press, force=np.nan)]):
         with pytest.raises(DataError, match="give two or more, each above 0 N"):
-            fitter().fit_layer(bad)
+            fit_layer(fitter(), bad)

@@ -7,7 +7,7 @@ from ohmskin.calibrate.force import ForceCurve, fit_auxiliary, fit_force
 from ohmskin.calibrate.instrumented import ForceSampler
 from ohmskin.calibrate.presses import PressGuide
 from ohmskin.errors import OhmskinError
-from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, SkinModel
+from ohmskin.sensing import FittedLayer, KnownPress, PressFitter, SkinModel, fit_layer
 from ohmskin.skin import Calibration
 
 Presses: TypeAlias = PressGuide | ForceSampler
@@ -50,7 +50,7 @@ def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple
 def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLayer | None, str]:
     """The contact layer, if the presses determine it, and a message; presses that fit no model are kept."""
     try:
-        layer = fitter.fit_layer(presses)
+        layer = fit_layer(fitter, presses)
     except OhmskinError as error:
         return None, f"note: the described contact layer is kept: {error}"
     told = f"contact layer {layer.conductance:.4g} S/m2 +- {100 * layer.conductance_std:.2g} %, growing with"

@@ -3,10 +3,11 @@
 from ohmskin.sensing.build import READERS, build, drive_of, perceive
 from ohmskin.sensing.compiled import CompiledCycle
 from ohmskin.sensing.diagnosis import Cause, Diagnosis, Finding
+from ohmskin.sensing.layer_fit import FittedLayer, KnownPress, fit_layer
 from ohmskin.sensing.learned import LearnedReader
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.modes import DEFAULT, MODES, RECORDED, default_mode, mode_named, modes, recorded_mode
-from ohmskin.sensing.presses import FittedLayer, FittedPress, KnownPress, PressFitter
+from ohmskin.sensing.presses import FittedPress, PressFitter
 from ohmskin.sensing.readers import Belief, DetectionReader, FilterReader, FitReader, Reader
 from ohmskin.sensing.sensor import Percept, Scan, Sensor, SensorState, Thresholds
 
@@ -38,6 +39,7 @@ __all__ = [
     "build",
     "default_mode",
     "drive_of",
+    "fit_layer",
     "mode_named",
     "modes",
     "perceive",

@@ -4,13 +4,13 @@ A fit of presses from nothing takes some twelve evaluations of 5 ms. From one fr
 the information of the last frames is summed, and solved for small changes of the presses about where the model was
 evaluated last. It is evaluated anew when they have changed by more, or are not found yet. Since light and wide may look
 like hard and narrow, several fits are followed until all but one are far less likely, and then another size is tried
-beside it. The logarithm of a force is the mean of fits that are found, by likelihood; how all differ is a part of its
-error.
+beside it. The force told is the median of fits that are found, by probability; how all differ is a part of its error.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import exp, expm1, hypot, log, sqrt
+from math import exp, hypot, log, sqrt
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -23,12 +23,11 @@ from ohmskin.contacts.solution import inverse
 from ohmskin.errors import ModelError
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
-from ohmskin.sensing.presses import FittedPress, PressFitter
+from ohmskin.sensing.presses import LINEAR, FittedPress, Optimum, PressFitter, cost_of, distinct, small
 from ohmskin.skin import Foam, Mode, Press
 
 _KEPT = 0.05  # s for which a press is taken to stay as it is
 _SIZES = (0.6, 1.0, 1.4)  # usual radii from which fits start
-_LINEAR = np.array([5e-4, 5e-4, 0.1, 0.2])  # m, m, logarithms of radius and pressure: changes that are small
 _OTHER = 1.4  # factor of the radius to the next fit that is tried
 _DAMPED = 1e-2  # at the start; a step damped by more is no measure of the distance to the best
 _JUMPED = 0.05  # share of the squared signal that changes at once where presses may be of another size since
@@ -170,7 +169,7 @@ class PressFollower:
 
     def _lost(self, state: Presses, contacts: Sequence[Contact]) -> bool:
         """Whether a press is far from its contact."""
-        places = [fit.params.reshape(-1, len(_LINEAR))[:, :2] for fit in state.fits[:1]]
+        places = [fit.params.reshape(-1, len(LINEAR))[:, :2] for fit in state.fits[:1]]
         now = np.array([contact.position for contact in contacts])
         away = [self.fitter.known.fitter.table.offsets(own, now) for own in places]
         return any(bool((np.hypot(*one.T) > _LOST).any()) for one in away)
@@ -187,7 +186,7 @@ class PressFollower:
         """Fits of several sizes at contacts; presses with an estimate as they were."""
         fits = list[Fit]()
         for size in _SIZES if len(estimates) < len(contacts) else _SIZES[:1]:
-            params = self.fitter.start(contacts, size).reshape(-1, len(_LINEAR))
+            params = self.fitter.start(contacts, size).reshape(-1, len(LINEAR))
             for own, contact in zip(params, contacts, strict=True):
                 if (known := estimates.get(contact.id)) is not None:
                     own[2:] = np.log([known.press.radius, known.press.pressure])
@@ -220,11 +219,12 @@ class PressFollower:
     def _improved(self, state: Presses) -> Presses:
         """The state with presses that explain its data better."""
         assert state.data is not None
-        fits = sorted((one for fit in state.fits for one in self._stepped(fit, state.data)), key=lambda fit: fit.cost)
+        fits = sorted((one for fit in state.fits for one in self._stepped(fit, state.data)), key=cost_of)
         if not fits:
             return Presses(state.ids)
         if fits[0].found is not None:
-            fits = _distinct([fit for fit in fits if fit.found is None or fit.cost < fits[0].cost + _UNLIKELY])
+            likely = [fit for fit in fits if fit.found is None or fit.cost < fits[0].cost + _UNLIKELY]
+            fits = distinct(likely, attrgetter("best"))
         estimates = self._estimates(state, fits)
         if len(fits) == 1 and fits[0].found is not None:
             fits += self._other(fits[0], state.wider)
@@ -232,16 +232,14 @@ class PressFollower:
 
     def _other(self, fit: Fit, wider: bool) -> list[Fit]:
         """Presses of another size than a fit's, and of the same force, about."""
-        params = fit.best.reshape(-1, len(_LINEAR)).copy()
-        params[:, 2:] += np.log(_OTHER) * np.array([1.0, -2.0]) * (1 if wider else -1)
-        return self._evaluated(self.fitter.moved(params.ravel(), np.zeros(params.size)))
+        return self._evaluated(self.fitter.resized(fit.best, _OTHER if wider else 1 / _OTHER))
 
     def _stepped(self, fit: Fit, data: NormalEquations) -> list[Fit]:
         """A fit closer to the data: solved for, if that is near to where it is linear, else evaluated there."""
         fitter = self.fitter
         cost, normal, gradient = fitter.cost(data, fit.params, fit.caused, fit.slopes)
         step = _step(normal, gradient, fit.damping)
-        if not _near(step):
+        if not small(step):
             if not (after := self._evaluated(fitter.moved(fit.params, step))):
                 return []
             trial = fitter.cost(data, after[0].params, after[0].caused, after[0].slopes)
@@ -252,7 +250,7 @@ class PressFollower:
                 fit = replace(fit, damping=max(8 * fit.damping, _DAMPED))  # bold as many good steps made it
             step = _step(normal, gradient, fit.damping)
         cost -= float(step @ gradient)
-        near, covariance = _near(step) and fit.damping <= _DAMPED, inverse(normal)
+        near, covariance = small(step) and fit.damping <= _DAMPED, inverse(normal)
         if not near:  # how far it is from here to the best is not known
             covariance = covariance + np.outer(step, step)
         found = None if fit.found is None and not near else fitter.moved(fit.params, step)
@@ -265,18 +263,10 @@ class PressFollower:
         """
         if all(fit.found is None for fit in fits):
             return {}
-        there, costs = np.array([fit.found is not None for fit in fits]), np.array([fit.cost for fit in fits])
-        shares = np.exp(np.minimum(costs[there].min() - costs, 0.0) / 2)
-        likely = [self.fitter.fitted(fit.best, fit.covariance) for fit in fits if fit.covariance is not None]
-        estimates = {}
-        for number, presses in zip(state.ids, zip(*likely, strict=True), strict=True):
-            logs = np.log([press.force for press in presses])
-            mean = float(np.average(logs, weights=shares * there))
-            squares = np.log1p([press.force_std / press.force for press in presses]) ** 2 + (logs - mean) ** 2
-            best = presses[int(there.argmax())]
-            std = sqrt(float(np.average(squares, weights=shares)))
-            estimates[number] = best.scaled(exp(mean) / best.force, expm1(std))
-        return estimates
+        tried = [(fit, fit.covariance) for fit in fits if fit.covariance is not None]
+        optima = [Optimum(fit.best, fit.cost, covariance) for fit, covariance in tried]
+        told = self.fitter.weighed(optima, [fit.found is not None for fit, _ in tried])
+        return dict(zip(state.ids, told, strict=True))
 
 
 class CalibratedForces:
@@ -320,26 +310,13 @@ def _changed(fit: Fit, before: NormalEquations, now: NormalEquations) -> tuple[f
     have jumped."""
     found, normals = [], []
     for one in (before, now):
-        normals.append(fit.slopes.T @ one.matrix @ fit.slopes + np.diag(np.tile(_LINEAR, len(fit.params) // 4) ** -2.0))
+        normals.append(fit.slopes.T @ one.matrix @ fit.slopes + np.diag(np.tile(LINEAR, len(fit.params) // 4) ** -2.0))
         found.append(np.linalg.solve(normals[-1], fit.slopes.T @ (one.vector - one.matrix @ fit.caused)))
     step = found[1] - found[0]
     both = inverse(normals[0]) + inverse(normals[1])
     square = float(step @ np.linalg.solve(both, step))
     jumped = square > _JUMPED * max(before.constant, now.constant)
     return max((square - len(step)) / sqrt(2 * len(step)) - 1, 0.0), jumped
-
-
-def _near(step: Floats) -> bool:
-    return bool((np.abs(step.reshape(-1, len(_LINEAR))) <= _LINEAR).all())
-
-
-def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """Fits, those left out that are the same as a better one."""
-    kept = list[Fit]()
-    for fit in fits:
-        if not any(_near(fit.best - other.best) for other in kept):
-            kept.append(fit)
-    return kept
 
 
 def _with_force(contact: Contact, press: FittedPress | None) -> Contact:

@@ -14,7 +14,7 @@ from ohmskin.evaluate.result import Result
 from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.scan import Difference
-from ohmskin.sensing import KnownPress, PressFitter
+from ohmskin.sensing import KnownPress, PressFitter, fit_layer
 from ohmskin.skin import Press, Skin
 
 FOOT = 7e-3  # m, radius of what presses of known force are made with
@@ -98,7 +98,7 @@ class ForceErrors:
             press = Press((float(place[0]), float(place[1])), FOOT, KNOWN[k % len(KNOWN)])
             contacts, frames = self._measured(world, press, k)
             known.append(KnownPress(press.force(layer.foam_spread), contacts[0], sum(frames, ())))
-        found = fitters[1].fit_layer(known)
+        found = fit_layer(fitters[1], known)
         calibrated = replace(skin, contact_layer=wrong, calibration=found.put_into(skin.calibration))
         fitters.append(self._fitter(world, calibrated))
         force, std = np.full(shape, np.nan), np.full(shape, np.nan)
