@@ -2,6 +2,7 @@
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 from numpy.typing import NDArray
 
 from ohmskin.arrays import Floats, Ints
@@ -51,13 +52,9 @@ class NearField:
         """Add it to the potentials (n, n) that contacts `touching` (n,), of patches `numbers`, cause at each other."""
         row = np.full(len(self.points), -1)
         row[touching] = np.arange(len(touching))
-        missed = np.zeros_like(green)
         for number in numbers.tolist():
             near, values, unit = self.of(number)
-            targets, sources = row[near], row[self._own[self._slot[number]]]
-            at, by = targets >= 0, sources >= 0
-            missed[np.ix_(targets[at], sources[by])] = unit * values[np.ix_(at, by)]
-        green += (missed + missed.T) / 2
+            _add(green, unit / 2, values, row[near], row[self._own[self._slot[number]]])
 
     def of(self, number: int) -> tuple[Ints, NDArray[np.int16], float]:
         """Of the patch with this number: contacts (n_near,) near it, what the mesh misses there of each of its contacts
@@ -161,3 +158,18 @@ class NearField:
         for start, normal in mirrors:
             images += [image - 2 * ((image - start) @ normal)[:, None] * normal for image in images]
         return images[1:]
+
+
+@njit(cache=True, nogil=True)
+def _add(green: Floats, unit: float, values: NDArray[np.int16], rows: Ints, columns: Ints) -> None:
+    """Add `values` (n, m), in a unit, at rows (n,) and columns (m,) and the other way round; -1 is nowhere."""
+    for a in range(len(rows)):
+        i = rows[a]
+        if i < 0:
+            continue
+        for b in range(len(columns)):
+            j = columns[b]
+            if j >= 0:
+                value = unit * values[a, b]
+                green[i, j] += value
+                green[j, i] += value
