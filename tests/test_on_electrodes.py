@@ -53,3 +53,30 @@ def test_a_press_right_on_an_inner_electrode_is_one_contact() -> None:
     found = np.concatenate([errors(dome, seed, reach=2e-3) for seed in SEEDS])
     assert np.isnan(found).sum() <= 2
     assert np.nanmax(found) < 4e-3
+
+
+@pytest.mark.parametrize("others", [(), ((0.03, 0.1),)])
+def test_a_press_that_comes_on_an_inner_electrode_is_tracked_as_one_from_its_first_frame(
+    others: tuple[tuple[float, float], ...],
+) -> None:
+    """Of such presses 31 of 48 had come as two contacts, for up to nine frames, and 14 of 72 beside another one."""
+    skin, random, more = Skin.load("paper"), np.random.default_rng(7), 0
+    beside = [Press(place, 8e-3, 15e3) for place in others]
+    for seed in SEEDS[:2]:
+        twin, mode = VirtualSkin(skin, seed=seed, contacts=4), modes(skin)["16T"]
+        quiet = [twin.scan(pattern) for pattern in drive_of(mode, skin).patterns for _ in range(10)]
+        sensor = build(mode, SkinModel(skin, skin.transfer_model(), quiet))
+        for electrode in np.repeat(skin.electrodes.positions[len(skin.electrodes.rings[0]) :], 4, axis=0):
+            x, y = (electrode + random.uniform(-3e-3, 3e-3, 2)).tolist()
+            twin.reset(seed, beside)
+            state = sensor.start()
+            for _ in range(16):
+                state, _ = sensor.step(state, twin.scan)
+            twin.press(9, x, y, 8e-3, 20e3)
+            counts = []
+            for _ in range(8):
+                state, percept = sensor.step(state, twin.scan)
+                counts.append(len(percept.contacts) - len(beside))
+            assert counts[-1] == 1
+            more += max(counts) > 1
+    assert more <= 3  # of 32

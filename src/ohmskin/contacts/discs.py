@@ -110,7 +110,7 @@ class DiscFitter:
         """The electrodes under contacts (n, 4)."""
         return list(kernels.covering(params, self.table.electrodes, self.table.period).tolist())
 
-    def _uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
+    def uncovered(self, data: Information, covered: tuple[int, ...]) -> Information:
         """Data of which nothing that the resistances of some electrodes do is taken to be known."""
         return data.excluding(in_series(covered, self.table.pairs)) if covered else data
 
@@ -137,7 +137,7 @@ class DiscFitter:
             middle = self.onto(pair[:1, :2] + share * self.table.offsets(pair[1:, :2], pair[:1, :2]))[0]
             squares = ((size * self.table.radius) ** 2 for size in _SIZES)
             starts = np.array([np.vstack([others, [*middle, pair[:, 2].sum(), square]]) for square in squares])
-            left, usual = (self._uncovered(one, covered) for one in (inflated, nominal))
+            left, usual = (self.uncovered(one, covered) for one in (inflated, nominal))
             one = self.refine(left, starts, *self.prior(starts[0]))
             if {*covered} <= {*self.covered(one.params)} and not self.poor(usual, one.cost):
                 return self.joined(nominal, inflated, one, covered)

@@ -128,7 +128,7 @@ class ContactFitter(DiscFitter):
         if last is not None and before is not None:
             found, covered = last[0], before.covered
             everything = self._marginalised_shapes(whole, before.params)
-            nominal, inflated = (self._uncovered(one, covered) for one in everything)
+            nominal, inflated = (self.uncovered(one, covered) for one in everything)
         while len(found.params) < self.most:
             left = nominal.minus(found.caused) if len(found.params) else nominal
             beside = left.marginalised_flat(found.slopes) if len(found.params) else left
@@ -156,7 +156,7 @@ class ContactFitter(DiscFitter):
                 break
             for _ in range(2):  # where they are by then, they have other shapes
                 everything = self._marginalised_shapes(whole, found.params)
-                nominal, inflated = (self._uncovered(one, covered) for one in everything)
+                nominal, inflated = (self.uncovered(one, covered) for one in everything)
                 if everything is not whole or len(found.params) > 1:
                     found = self.refine(inflated, found.params, *self.prior(found.params))
         covered, found = self._beside_electrodes(everything[1], found, covered)
@@ -195,7 +195,7 @@ class ContactFitter(DiscFitter):
             away = np.linalg.norm(self.table.offsets(params[:, None, :2], params[:, :2]), axis=2)
             if (away < NEAR * self.table.radius).sum() > len(params):  # any but each of itself
                 return None
-        nominal, inflated = self._uncovered(nominal, before.covered), self._uncovered(inflated, before.covered)
+        nominal, inflated = self.uncovered(nominal, before.covered), self.uncovered(inflated, before.covered)
         state, cost, normal, caused, slopes, shapes, doubts = refit.refit(
             nominal.misfit.part,
             inflated.misfit.part,
@@ -236,7 +236,7 @@ class ContactFitter(DiscFitter):
             looks += [(number, [found.params, found.params[:0]]) for number in self._likely(nominal, found, covered)]
         for number, replaced in looks:
             under = *covered, int(number)
-            nominal, inflated = (self._uncovered(one, under) for one in everything)
+            nominal, inflated = (self.uncovered(one, under) for one in everything)
             for others in replaced if len(replaced[0]) else replaced[:1]:
                 rest = self.refine(inflated, others) if len(others) else nothing(len(found.caused))
                 score, power = self.scores(nominal.minus(rest.caused).marginalised_flat(rest.slopes))
@@ -257,7 +257,7 @@ class ContactFitter(DiscFitter):
         under = (*covered, *(number for number in self.covered(found.params) if number not in covered))
         if under == covered:
             return covered, found
-        beside = self.refine(self._uncovered(data, under), found.params, *self.prior(found.params))
+        beside = self.refine(self.uncovered(data, under), found.params, *self.prior(found.params))
         return (under, beside) if {*under} <= {*self.covered(beside.params)} else (covered, found)
 
     def _likely(self, data: Information, found: Solution, covered: tuple[int, ...]) -> list[int]:

@@ -297,8 +297,10 @@ class FilterReader:
         recent = state.recent(self.injections)
         estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed)
         belief = Belief(estimate, contacts, contacts, state, suspects=suspects, unexplained=state.unexplained)
-        search_targets = () if state.possible is None else (Target.possible(state.possible, self.fitter.table.radius),)
-        return changed(belief, explains=self.filter.explains(state), search_targets=search_targets)
+        if state.possible >= 0:
+            place = Target.possible(self.fitter.places[state.possible], self.fitter.table.radius)
+            belief = changed(belief, search_targets=(place,))
+        return changed(belief, explains=self.filter.explains(state))
 
 
 def centroid(known: SkinModel, estimator: Estimator, threshold: float) -> Reader:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from ohmskin.arrays import Floats, changed
+from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
@@ -44,36 +44,38 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         common: Share of the noise's variance that is the same in all frames: it does not average out.
         speed: Standard deviation of a contact's velocity (m/s).
     """
-    possible = None
+    possible = -1
     while len(state.pressing) < fitter.most:
         count, place, height = _most_significant(state.history, fitter, common)
         if height < bar:
-            possible = fitter.places[place] if height > POSSIBLE else None
+            possible = place if height > POSSIBLE else -1
             break
         used = state.history[:count]
         found = _added(used, fitter)
         if (alone := _from_one_electrode(state, fitter, found, used)) is not None:
             suspect, frame = alone
-            history = [*state.history]
-            history[frame] = with_scores(changed(history[frame], only_electrode=suspect), fitter)
-            blamed = [residuals.only_electrode for residuals in history].count(suspect) >= _BLAMED
-            state = changed(state, history=tuple(history), suspects=(suspect,) if blamed else state.suspects)
+            frames = [*state.history]
+            frames[frame] = with_scores(changed(frames[frame], only_electrode=suspect), fitter)
+            blamed = [residuals.only_electrode for residuals in frames].count(suspect) >= _BLAMED
+            state = changed(state, history=tuple(frames), suspects=(suspect,) if blamed else state.suspects)
             continue
         if not state.pressing:  # several may have come at once, and one alone would be led astray by the others
             observations = [residuals.observation for residuals in used]
             nominal = Information.combined([observation.nominal for observation in observations])
-            several = fitter.fit_information(
-                nominal, Information.combined([observation.inflated for observation in observations])
-            )
-            found = several if len(several.params) > 1 else found
+            inflated = Information.combined([observation.inflated for observation in observations])
+        else:
+            nominal = Information.combined([residuals.marginal_innovation for residuals in used])
+            inflated = nominal.scaled(fitter.allowance(nominal))
+        several = fitter.fit_information(nominal, inflated)
+        if len(several.params) == 1 or (len(several.params) and not state.pressing):
+            found = several
         moved = speed * (state.time - used[-1].time) / 2
         for params, covariance in zip(found.params, found.covariances, strict=True):
             covariance[[0, 1], [0, 1]] += moved**2
             state = state.with_contact(params, covariance, speed)
         variance = state.common_drift[1]
-        state = changed(
-            state, history=tuple(_updated(residuals, fitter, found.params, variance) for residuals in state.history)
-        )
+        history = tuple(_updated(residuals, fitter, found, variance) for residuals in state.history)
+        state = changed(state, history=history, covered=tuple(sorted({*state.covered, *found.covered})))
     return changed(state, possible=possible)
 
 
@@ -125,15 +127,17 @@ def _from_one_electrode(
     return suspect, int(np.argmax(np.where([one.only_electrode is None for one in used], shown, -1.0)))
 
 
-def _updated(residuals: Residuals, fitter: ContactFitter, params: Floats, variance: float) -> Residuals:
-    """The residuals after one contact more (1, 4) has been found in them, given the variance of the common change."""
-    caused, slopes = fitter.responses(params)
-    data, innovation = residuals.observation.data, residuals.innovation.minus(caused).marginalised_flat(slopes)
+def _updated(residuals: Residuals, fitter: ContactFitter, found: Solution, variance: float) -> Residuals:
+    """The residuals after one contact more, or several, have been found in them, given the variance of the common
+    change."""
+    caused, slopes = fitter.responses(found.params)
+    data = residuals.observation.data
+    innovation = fitter.uncovered(residuals.innovation.minus(caused).marginalised_flat(slopes), found.covered)
     reviewed = changed(
         residuals,
         innovation=innovation,
-        residual=residuals.residual.minus(caused),
+        residual=fitter.uncovered(residuals.residual.minus(caused), found.covered),
         energy=residuals.energy + energy_of(data.misfit.part, data.white.part, caused),
-        marginal_innovation=innovation.marginalised_common(variance).marginalised(fitter.shapes(params)),
+        marginal_innovation=innovation.marginalised_common(variance).marginalised(fitter.shapes(found.params)),
     )
     return with_scores(reviewed, fitter)

@@ -120,7 +120,16 @@ class ContactFilter:
         unknown = np.ascontiguousarray(in_series(covered, pairs).T) if covered else np.empty((0, len(pairs)))
         pressing = len(before.pressing) == len(before.tracks)
         found = kernels.updated(
-            scan, errors, unknown, before.drift, before.common_drift, mean, covariance, pressing, *self.fitter.compiled
+            scan,
+            errors,
+            unknown,
+            before.drift,
+            before.common_drift,
+            mean,
+            covariance,
+            pressing,
+            before.possible,
+            *self.fitter.compiled,
         )
         if not found.likelihood[-1]:
             raise DataError(NO_DATA)

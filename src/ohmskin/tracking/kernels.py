@@ -15,7 +15,7 @@ from ohmskin.forward.splines import Grid, Spline
 
 _ROUNDS = 3  # of the iterated extended Kalman filter: between two frames little changes
 _BALANCE = 1e-12  # share of a variance added to it, so that rounding cannot make a covariance indefinite
-POSSIBLE = 4.0  # standard deviations from which on one more contact may be there
+POSSIBLE = 3.0  # standard deviations from which on one more contact may be there
 _RESTING = 0.5  # share of the model's error of contacts known that may change from one frame to the next, if they rest
 _OTHERWISE = 2.0  # times the signal marginalised over all errors by which a contact's model errs at most
 
@@ -102,7 +102,8 @@ def advanced(
 @njit(cache=True, nogil=True)
 def updated(
     scan: Scan, errors: ErrorTerms, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
-    covariance: Floats, pressing: bool, settings: Floats, sheet: Grid, spline: Spline, candidates: Singles,
+    covariance: Floats, pressing: bool, possible: int, settings: Floats, sheet: Grid, spline: Spline,
+    candidates: Singles,
 ) -> Update:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and scores for others.
 
@@ -119,6 +120,7 @@ def updated(
         mean: Contacts as predicted.
         covariance: Of all of them together.
         pressing: Whether none of them is lifted.
+        possible: Place of one contact more that the last frames make possible; -1: none.
         settings: Usual radius (m), least effect (m2), smallest and largest squared radius (m2), the model's error (1).
         sheet: Where contacts may be.
         spline: What they do.
@@ -139,8 +141,10 @@ def updated(
     own, wide = marginalised(nominal, direction), marginalised(inflated, direction)
     caused, predicted, innovation, left = np.zeros(pairs + 1), np.zeros(pairs + 1), nominal, white[3]
     before, start, spread, params = _parameters(covariance), mean.copy(), covariance.copy(), mean[:, :4].copy()
-    evidence = wide
-    for again in range(2):
+    evidence, first = wide, 0
+    if n and pressing and possible >= 0:
+        first, evidence = 1, _beside(wide, white, candidates, possible)
+    for again in range(first, 2):
         if n:
             for i in range(n):
                 copy(start[i], mean[i])
@@ -164,8 +168,7 @@ def updated(
         )  # fmt: skip
         if height < POSSIBLE:
             break
-        more = candidates[:pairs, place].astype(np.float64).reshape((1, -1))
-        evidence = marginalised(wide, flat_prior(white, more))
+        evidence = _beside(wide, white, candidates, place)
     signals = 0.0, 0.0
     if n:
         direction[0, pairs] = COMMON
@@ -178,6 +181,13 @@ def updated(
         _reduced(marginal_innovation),
         (nominal[1], vector, constant), caused, predicted, common, energy, signals, score, power,
     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _beside(evidence: Quadratic, white: Quadratic, candidates: Singles, place: int) -> Quadratic:
+    """The evidence beside a contact at that place, whatever its effect."""
+    more = candidates[:-1, place].astype(np.float64).reshape((1, -1))
+    return marginalised(evidence, flat_prior(white, more))
 
 
 @njit(cache=True, nogil=True)

@@ -55,7 +55,7 @@ class TrackState:
         covered: Electrodes under contacts, whose resistance is treated as unknown, see `Solution`.
         refuted: Residual over the usual one when others were last searched without success (1); 0: the contacts
             explained the last frames at the last revision; below 1: they did not, for the first time.
-        possible: (2,) where one more contact may be, if so (m).
+        possible: Number of the place where one more contact may be; -1: none may.
     """
 
     tracks: tuple[Track, ...]
@@ -74,7 +74,7 @@ class TrackState:
     suspects: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
     refuted: float = 0.0
-    possible: Floats | None = None
+    possible: int = -1
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
         """The newest frames with at least this number of injections together, without drift and temperature, newest
