@@ -4,7 +4,7 @@ A fit of presses from nothing takes some twelve evaluations of 5 ms. From one fr
 the information of the last frames is summed, and solved for small changes of the presses about where the model was
 evaluated last. It is evaluated anew when they have changed by more, or are not found yet. Since light and wide may look
 like hard and narrow, several fits are followed until all but one are far less likely, and then another size is tried
-beside it. The force told is the median of fits that are found, by probability; how all differ is a part of its error.
+beside it. The force told is the median of fits that are found, by likelihood; how all differ is a part of its error.
 """
 
 from collections.abc import Sequence

@@ -222,15 +222,15 @@ class PressFitter:
     def weighed(self, fits: Sequence[Optimum], settled: Sequence[bool] = ()) -> tuple[FittedPress, ...]:
         """The presses, by all that they may be.
 
-        Light and wide may explain data as well as hard and narrow. So each of the `fits` has its share of the
-        probability (Laplace's approximation); the force told is the median, and how all differ is a part of its error.
+        Light and wide may explain data as well as hard and narrow. So each of the `fits` has its share, by likelihood;
+        the force told is the median, and how all differ is a part of its error.
 
         Args:
             fits: What presses may be, the likeliest first.
             settled: Which of them count for the median; all unless given.
         """
         there = np.array(settled or [True] * len(fits))
-        costs = np.array([fit.cost - np.linalg.slogdet(fit.covariance)[1] for fit in fits])
+        costs = np.array([fit.cost for fit in fits])
         shares = np.exp(np.minimum(costs[there].min() - costs, 0.0) / 2)
         likely, best = [self._fitted(fit.params, fit.covariance) for fit in fits], int(there.argmax())
         told = []
