@@ -112,7 +112,7 @@ class PressFitter:
         return self.weighed(distinct(sorted(found, key=cost_of), attrgetter("params")))
 
     def growth(self, params: Floats) -> float:
-        """Derivative of the logarithm of the force by that of the radius, at one pressure."""
+        """Derivative of the logarithm of a force by that of the radius, at one pressure; `params` (4,) of the press."""
         spread, radius = self.known.skin.contact_layer.foam_spread, float(np.exp(params[2]))
         return radius * (6 * radius + 3 * spread) / (3 * radius**2 + 3 * radius * spread + spread**2)
 
@@ -137,11 +137,12 @@ class PressFitter:
         return [self.press(one) for one in params.reshape(-1, _PER_PRESS)]
 
     def press(self, params: Floats) -> Press:
+        """The press of `params` (4,), as `start` gives them."""
         x, y, radius, pressure = (float(value) for value in params)
         return Press((x, y), float(np.exp(radius)), float(np.exp(pressure)))
 
     def within(self, params: Floats) -> Floats:
-        """Parameters (4 n,) with places on the sheet, radii and pressures not absurd."""
+        """Parameters `params` (4 n,) with places on the sheet, radii and pressures not absurd."""
         inside = params.reshape(-1, _PER_PRESS).copy()
         inside[:, :2] = self.known.fitter.onto(inside[:, :2])
         reach = np.log([_WIDER, _HARDER])
@@ -202,7 +203,8 @@ class PressFitter:
 
     @staticmethod
     def explained(data: NormalEquations, caused: Floats, slopes: Floats) -> Cost:
-        """Cost, curvature and downhill gradient of what is caused, up to a common error of all of it."""
+        """Cost, curvature and downhill gradient in `data` of what is `caused` (n_pairs,) (ohm), up to a common error of
+        all of it, by its `slopes` (n_pairs, k)."""
         matrix, vector = data.matrix, data.vector
         left, seen = vector - matrix @ caused, matrix @ slopes
         error = _AMPLITUDE * caused
@@ -213,7 +215,7 @@ class PressFitter:
         return float(cost), normal, slopes.T @ (left - share * felt * (error @ left))
 
     def prior(self, presses: Floats) -> tuple[float, Floats, Floats]:
-        """What is known of presses (n, 4) before: its cost, precision (4 n,) and pull (4 n,)."""
+        """What is known of `presses` (n, 4) before: its cost, precision (4 n,) and pull (4 n,)."""
         off = np.zeros_like(presses)
         off[:, 2:] = (self.usual - presses[:, 2:]) / _SPREAD
         stds = np.tile([*[2 * self.known.fitter.table.radius] * 2, *_SPREAD], len(presses))

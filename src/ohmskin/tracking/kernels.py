@@ -143,7 +143,7 @@ def updated(
     before, start, spread, params = _parameters(covariance), mean.copy(), covariance.copy(), mean[:, :4].copy()
     evidence, first = wide, 0
     if n and pressing and possible >= 0:
-        first, evidence = 1, _beside(wide, white, candidates, possible)
+        first, evidence = 1, _marginalised_over(wide, white, candidates, possible)
     for again in range(first, 2):
         if n:
             for i in range(n):
@@ -168,7 +168,7 @@ def updated(
         )  # fmt: skip
         if height < POSSIBLE:
             break
-        evidence = _beside(wide, white, candidates, place)
+        evidence = _marginalised_over(wide, white, candidates, place)
     signals = 0.0, 0.0
     if n:
         direction[0, pairs] = COMMON
@@ -184,7 +184,7 @@ def updated(
 
 
 @njit(cache=True, nogil=True)
-def _beside(evidence: Quadratic, white: Quadratic, candidates: Singles, place: int) -> Quadratic:
+def _marginalised_over(evidence: Quadratic, white: Quadratic, candidates: Singles, place: int) -> Quadratic:
     """The evidence beside a contact at that place, whatever its effect."""
     more = candidates[:-1, place].astype(np.float64).reshape((1, -1))
     return marginalised(evidence, flat_prior(white, more))
