@@ -9,15 +9,19 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Collection, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from command_line import ohmskin
 from flawed import flawed_skin
 from test_learn import table
+from waiting import until
 
 from ohmskin.bench.run import GROUPS
+from ohmskin.body import Body
 from ohmskin.cli import app
+from ohmskin.client import Client
 from ohmskin.device.server import DeviceServer
 from ohmskin.device.virtual import VirtualInstrument
 from ohmskin.evaluate.plan import FIGURES
@@ -32,7 +36,7 @@ BESIDE = {  # so that they end by themselves, and press the skin that is there
     "patches": "--headless --seconds=5",
     "press": "--device=tcp://127.0.0.1:7155",
     "robot": "--pokes=1",
-    "--body": "--hugs=1 --self-touches=1 --free=1",
+    "--body": "--hugs=0 --self-touches=0 --free=1",
     "reproduce": "--only=fig3 --seeds=1 --noise=45 --amplitude=0.1 --jobs=1",
 }
 ELSEWHERE = {  # what cannot be run here, and what runs it
@@ -50,8 +54,8 @@ FEWER = {
     "--seconds": "1",
     "--start": "0.1",
     "--pokes": "1",
-    "--hugs": "1",
-    "--self-touches": "1",
+    "--hugs": "0",
+    "--self-touches": "0",
     "--free": "1",
     "--count": "3",
     "--injections": "16",
@@ -96,6 +100,21 @@ def alone(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment)
 
 
+def until_all_are_felt(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
+    """`ohmskin patches`, ended once each of its skins has given some frames, not after some seconds (the last word)."""
+    command = [sys.executable, "-m", "ohmskin", *arguments[:-1], "120"]
+    with (
+        subprocess.Popen(command, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process,
+        closing(Client(f"shm:{Body.load(cwd / arguments[1]).name}")) as client,
+    ):
+        try:
+            until(lambda: (told := client.newest()) and min(patch.sequence for patch in told.patches) > 20)
+        finally:
+            process.terminate()
+        said = process.communicate(timeout=60)[1]
+    return subprocess.CompletedProcess(arguments, process.returncode, "", said)
+
+
 def runs(words: list[str]) -> bool:
     """Whether a command is run here: not by other tests, for minutes, or on files of others."""
     return not (words[0] in ELSEWHERE or (words[0] in STUDIES and "--only" in words) or {*words} & OF_OTHERS)
@@ -117,15 +136,14 @@ def run_all(page: Path, folder: Path, device: str) -> list[str]:
             elif not {"--headless", "--device", "--compare"} & {*words} or words[0] == "live":
                 more = [option.split("=") for word in words for option in BESIDE.get(word, "").split()]
                 words += [word for option in more if option[0] not in words for word in option]
-            if words[0] == "patches" and "--record" in words:
-                words[-1] = "60"  # s, until its skins are there on a busy machine, too
             words += ["--name", "documentation"] if "--publish" in words and words[0] == "live" else []  # not "skin"
             ran.append(words[0])
             if words[0] in ONCE and (*words, device == "virtual:") in RAN:
                 continue
             RAN.add((*words, device == "virtual:"))
             words = [device if word in DEVICES else word.replace("eth0", "lo") for word in words]
-            done = (alone if words[0] == "robot" else ohmskin)(*words, cwd=folder)
+            by_itself = until_all_are_felt if {"patches", "--record"} <= {*words} else ohmskin
+            done = (alone if words[0] == "robot" else by_itself)(*words, cwd=folder)
             assert done.returncode == int("--fault" in words), f"{words}: {done.stderr}"  # 1: it found the fault
     return ran
 

@@ -116,7 +116,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every figure once, with little data; warnings are errors."""
     folder = tmp_path_factory.mktemp("paper")
     seen = plan(TINY)
-    path = reproduce(folder, TINY, jobs=2)
+    path = reproduce(folder, TINY, jobs=1)
     assert path == folder / "report.html"
     assert len(list((folder / "cache").glob("*.npz"))) == len(
         {task for group in seen.values() for task in group.values()}

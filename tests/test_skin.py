@@ -268,7 +268,7 @@ def test_a_press_does_what_finite_differences_say_whatever_the_mesh(name: str) -
         assert np.abs(sheet.untouched - exactly("none")).max() < 0.01 * exactly("none").max()
         error = np.linalg.norm(sheet.transfer_resistance(PRESSES[name]) - sheet.untouched - expected)
         # a press smaller than a patch has its edge in the middle of few contacts
-        assert error < (0.08 if name == "small" else 0.03) * np.linalg.norm(expected)
+        assert error < (0.07 if name == "small" else 0.035) * np.linalg.norm(expected)
 
 
 def test_transfer_resistances_are_symmetric_against_the_last_electrode() -> None:
@@ -523,7 +523,7 @@ def test_presses_that_would_take_minutes_to_model_are_refused_and_change_nothing
     skin = VirtualSkin(Skin.load("paper"), seed=0)
     skin.press(1, 0.1, 0.1, 8e-3, 2e4)
     before, resistance = skin.presses, skin.transfer_resistance
-    with pytest.raises(SkinError, match=r"36\d+ contacts of patches take about \d+ s to model; allowed are 5000"):
+    with pytest.raises(SkinError, match=r"20\d+ contacts of patches take about \d+ s to model; allowed are 5000"):
         skin.press(2, 0.1, 0.1, 1.0, 2e4)
     assert skin.presses == before
     assert skin.transfer_resistance is resistance

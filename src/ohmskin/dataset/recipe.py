@@ -14,7 +14,7 @@ from ohmskin.skin import Press, Skin, VirtualSkin
 
 COMPLETE = "complete"
 _TRIES = 200  # places tried for a contact that must keep its distance
-_CONTACTS = 4  # between sheet and patch along each side: ten times as quick as with the twin's own eight
+_CONTACTS = 4  # between sheet and patch along each side: twice as quick as with the twin's own six
 
 
 @dataclass(frozen=True)

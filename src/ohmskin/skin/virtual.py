@@ -41,7 +41,7 @@ class VirtualSkin:
         SkinError: If a fault names an electrode that is not there, or two faults name the same one.
     """
 
-    def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = (), contacts: int = 8) -> None:
+    def __init__(self, skin: Skin, seed: int | None = None, faults: Sequence[Fault] = (), contacts: int = 6) -> None:
         self.skin, self._contacts = skin, contacts
         self._wire(faults)
         self.reset(seed)
