@@ -22,7 +22,7 @@ from ohmskin.skin import Skin
 
 _RETRY_AFTER = 1.0
 _REPORT_EVERY = 0.5
-_PRESS_EVERY = 1 / 30  # s: a press takes a virtual skin as long as 25 scans
+_PRESS_EVERY = 1 / 30  # s: a press takes a virtual skin as long as ten scans
 
 
 def sense(settings: dict[str, Any], answer: Callable[..., None], stop: threading.Event) -> None:

@@ -130,10 +130,11 @@ class NearField:
         return near, np.asarray((exact / (-2 * np.pi) - meshed) / self.model.conductivity[self._element[own]])
 
     def _log_means(self, points: Floats, contacts: Floats, sides: Floats) -> Floats:
-        """`log_means`, computed once for patches among patches that lie alike."""
-        alike = np.rint(np.vstack([points, contacts, sides.reshape(-1, 2)]) / _ALIKE).tobytes()
-        if (known := self._alike.get(alike)) is None:
-            known = log_means(points, contacts, sides)
+        """`log_means`, computed once for patches among patches that lie alike, whichever comes first."""
+        rounded = np.rint(np.vstack([points, contacts, sides.reshape(-1, 2)]) / _ALIKE) + 0.0
+        if (known := self._alike.get(alike := rounded.tobytes())) is None:
+            points, contacts, sides = np.split(_ALIKE * rounded, np.cumsum([len(points), len(contacts)]))
+            known = log_means(points, contacts, sides.reshape(-1, 2, 2))
             if len(self._alike) < _MOST_ALIKE:
                 self._alike[alike] = known
         return known
