@@ -147,8 +147,8 @@ def _learned(sensor: Sensor, finder: ContactFinder) -> tuple[Thresholds, float]:
         base.append(finder.highest(percept.base_image))
         final.append(finder.highest(percept.image))
         seconds = min(seconds, time.monotonic() - started)  # the quickest: the first prepares much
-        begin = min(begin, time.monotonic())
-        if repeats < _LEAST_QUIET or (number + 1 >= _LEAST_QUIET and time.monotonic() - begin > _PATIENCE):
+        begin = min(begin, time.thread_time())  # what others on the machine do must not count
+        if repeats < _LEAST_QUIET or (number + 1 >= _LEAST_QUIET and time.thread_time() - begin > _PATIENCE):
             break
     if len(base) < _LEAST_QUIET:
         predicted = _SIGMAS * float(percept.image.contrast_std(np.arange(len(percept.image.values))).max())
