@@ -36,7 +36,7 @@ BESIDE = {  # so that they end by themselves, and press the skin that is there
     "patches": "--headless --seconds=5",
     "press": "--device=tcp://127.0.0.1:7155",
     "robot": "--pokes=1",
-    "--body": "--hugs=0 --self-touches=0 --free=1",
+    "--body": "--hugs=1 --self-touches=1 --free=1",
     "reproduce": "--only=fig3 --seeds=1 --noise=45 --amplitude=0.1 --jobs=1",
 }
 ELSEWHERE = {  # what cannot be run here, and what runs it
@@ -54,8 +54,8 @@ FEWER = {
     "--seconds": "1",
     "--start": "0.1",
     "--pokes": "1",
-    "--hugs": "0",
-    "--self-touches": "0",
+    "--hugs": "1",
+    "--self-touches": "1",
     "--free": "1",
     "--count": "3",
     "--injections": "16",

@@ -119,7 +119,8 @@ def card(recipe: Recipe) -> str:
         *("", "| split | digits | share |", "|---|---|---|", *splits),
         *("", "## Limits", ""),
         "All samples are of one skin as it is described: no electrode is displaced, no channel is faulty, nothing",
-        "drifts. Patches have 4 x 4 contacts, which changes the signal of a press by up to 5 %. Presses are even",
+        "drifts. Patches have 4 x 4 contacts, which changes the signal of a press by up to 7 %, across the",
+        "rim by up to 13 %. Presses are even",
         "discs: no shapes, no shear, no motion; samples are independent. They do not show accuracy on a real skin.",
     ]
     return "\n".join(lines) + "\n"
