@@ -1,7 +1,10 @@
 """Data sets: the same whoever makes them, resumable, and true to the twin."""
 
+import multiprocessing
 import os
+import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +13,7 @@ import numpy as np
 import pytest
 import zarr
 from command_line import ohmskin
+from waiting import until
 
 from ohmskin import Skin
 from ohmskin.dataset import SPLITS, Recipe, TouchData, generate
@@ -157,6 +161,15 @@ def test_tasks_in_flight_are_bounded() -> None:
     next(results)
     assert started <= 2 * runner._AHEAD
     assert 1 + sum(1 for _ in results) == 40
+
+
+def test_what_runs_is_stopped_once_nobody_waits_for_it() -> None:
+    from ohmskin.evaluate import runner
+
+    results = runner.spread([SimpleNamespace(run=run) for run in (os.getpid, partial(time.sleep, 600))], 2)
+    next(results)
+    results.close()
+    until(lambda: not multiprocessing.active_children())
 
 
 def test_command_line(tmp_path: Path) -> None:

@@ -95,8 +95,9 @@ def _on_cores(tasks: list[Task], jobs: int) -> Iterator[tuple[Task, Result]]:
             "A script must start its run below: if __name__ == '__main__':"
         ) from error
     finally:
+        running = list((pool._processes or {}).values())  # of which nothing is known after the shutdown
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in list((pool._processes or {}).values()):  # no public way to stop a running task
+        for process in running:  # before Python 3.14 there is no public way to stop a running task
             process.terminate()
 
 

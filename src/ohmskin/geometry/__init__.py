@@ -9,7 +9,7 @@ from ohmskin.geometry.files import read_groups, read_mesh, write_mesh
 from ohmskin.geometry.flatten import MeshChart, flat_patch
 from ohmskin.geometry.graded import mesh_graded, mesh_surface
 from ohmskin.geometry.mesh import Mesh
-from ohmskin.geometry.meshing import electrode_points, mesh_domain
+from ohmskin.geometry.meshing import electrode_points, kept_mesh, mesh_domain
 from ohmskin.geometry.polygon import Polygon
 from ohmskin.geometry.raster import Raster
 from ohmskin.geometry.thick import thicken
@@ -31,6 +31,7 @@ __all__ = [
     "RevolutionChart",
     "electrode_points",
     "flat_patch",
+    "kept_mesh",
     "mesh_domain",
     "mesh_graded",
     "mesh_surface",

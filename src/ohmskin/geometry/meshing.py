@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, cKDTree
 
 from ohmskin.arrays import Floats, Ints
+from ohmskin.cache import cached
 from ohmskin.errors import GeometryError
 from ohmskin.geometry.band import Band
 from ohmskin.geometry.domain import Disc, Domain
@@ -20,6 +21,8 @@ _RINGS = (  # radii of a disc electrode, and nodes there
     *((1.0, 24), (0.5, 8), (0.8, 16), (0.92, 24), (1.08, 24), (1.2, 20)),
     *((1.5, 20), (1.9, 20), (2.4, 20), (3.1, 20), (4.0, 20)),
 )
+
+_ALONG = 100  # places along a rim that tell it from others, beside its corners
 
 _ROUND = 1e-9  # share of a triangle's size within which four corners are on one circle
 
@@ -91,6 +94,18 @@ def mesh_domain(
     if isinstance(domain, Polygon | Band | Holed):
         return checked_mesh(nodes, triangles, domain, size)
     return Mesh(nodes, triangles)
+
+
+def kept_mesh(domain: Domain, size: float, points: Floats, closest: float) -> Mesh:
+    """`mesh_domain` of these, or what it gave when it was last called with them on this machine, see `cached`."""
+    loops = [(loop.perimeter, loop.rim(loop.corners), loop) for loop in (domain, *domain.holes)]
+    rims = [np.vstack([corners, loop.rim(np.arange(_ALONG) * (around / _ALONG))]) for around, corners, loop in loops]
+
+    def make() -> dict[str, Floats | Ints]:
+        mesh = mesh_domain(domain, size, points, closest=closest)
+        return {"nodes": mesh.nodes, "elements": mesh.elements}
+
+    return Mesh(**cached("mesh", (domain.period, size, closest, points, *rims), make), period=domain.period)
 
 
 def key_points(domain: Domain, electrodes: Electrodes) -> Floats:

@@ -20,7 +20,7 @@ from ohmskin.drive import Candidates, candidate_pairs, candidate_pattern, pair_c
 from ohmskin.errors import SkinError, shown
 from ohmskin.forward import ContactTable, TransferModel, VoltageSource
 from ohmskin.forward.conductivity import cosines
-from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, mesh_domain
+from ohmskin.geometry import Chart, Domain, Electrodes, Mesh, electrode_points, kept_mesh
 from ohmskin.scan import Cost, Pairs
 from ohmskin.skin.auxiliary import Auxiliary
 from ohmskin.skin.calibration import Calibration
@@ -316,7 +316,7 @@ class Skin:
 
 @lru_cache(maxsize=8)  # skins that differ in what was calibrated have the same one
 def _mesh(domain: Domain, size: float, points: bytes, closest: float = 0.1) -> Mesh:
-    return mesh_domain(domain, size, np.frombuffer(points).reshape(-1, 2), closest=closest)
+    return kept_mesh(domain, size, np.frombuffer(points).reshape(-1, 2), closest)
 
 
 @lru_cache(maxsize=8)
