@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
 from ohmskin.arrays import Floats, Ints
+from ohmskin.cache import cached
 from ohmskin.drive.design import CURRENT, Candidates, exchange, whitened
 from ohmskin.drive.drive import Drive, Target
 from ohmskin.errors import ModelError
@@ -147,8 +148,19 @@ def best_fixed(table: ContactTable, candidates: Candidates, injections: int, pla
     """
     prior = ContactPrior.usual(table.radius)
     places = spread_places(table) if places is None else np.asarray(places, float)
-    rows = candidates.rows(contact_columns(table, prior.at(places)))
-    return exchange(rows, prior.covariance(), injections, position_goals(1))
+
+    def make() -> dict[str, Ints]:
+        rows = candidates.rows(contact_columns(table, prior.at(places)))
+        return {"chosen": exchange(rows, prior.covariance(), injections, position_goals(1))}
+
+    return cached("best-fixed", (*told(table, candidates), injections, places), make)["chosen"]
+
+
+def told(table: ContactTable, candidates: Candidates) -> tuple[NDArray[np.generic] | float | None, ...]:
+    """All that is told of responses and injections, as inputs of `cached`."""
+    sharp, contacts = candidates.sharp or (candidates.weights, None)
+    matrices = [part for one in (candidates.weights, sharp) for part in (one.data, one.indices, one.indptr)]
+    return *table.content, table.electrodes, candidates.pattern.quadruples, *matrices, contacts, candidates.pairs.ends
 
 
 def spread_places(table: ContactTable, count: int = 150) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.cache import cached
-from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals
+from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals, told
 from ohmskin.drive.design import Candidates, Search
 from ohmskin.drive.drive import Exploration, SecondScan, Target
 from ohmskin.drive.patterns import numbers_of, part_of
@@ -268,17 +268,13 @@ def _ranking(
     size: float = 0.0,
 ) -> Ranking:
     prior = ContactPrior.usual(table.radius, position, effect_spread)
-    sharp, contacts = candidates.sharp or (candidates.weights, None)
-    matrices = [part for one in (candidates.weights, sharp) for part in (one.data, one.indices, one.indptr)]
-    weights = *matrices, contacts
-    told = *table.content, table.electrodes, candidates.pattern.quadruples, *weights, candidates.pairs.ends
     given = depth, repr(known), position, effect_spread, size
 
     def make() -> dict[str, Floats | Ints]:
         made = Ranking(table, candidates, depth, known, prior, size=size)
         return {"order": made.order, "values": made.values, "low": np.array(made._low), "cell": np.array(made._cell)}
 
-    return Ranking.of(**cached("ranking", (*told, *given), make))
+    return Ranking.of(**cached("ranking", (*told(table, candidates), *given), make))
 
 
 def _sigma_points(target: Target) -> list[tuple[float, float]]:

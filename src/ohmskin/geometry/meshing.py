@@ -105,7 +105,8 @@ def kept_mesh(domain: Domain, size: float, points: Floats, closest: float) -> Me
         mesh = mesh_domain(domain, size, points, closest=closest)
         return {"nodes": mesh.nodes, "elements": mesh.elements}
 
-    return Mesh(**cached("mesh", (domain.period, size, closest, points, *rims), make), period=domain.period)
+    found = cached("mesh", (domain.period, size, closest, points, *rims), make)
+    return Mesh(found["nodes"], found["elements"], period=domain.period)
 
 
 def key_points(domain: Domain, electrodes: Electrodes) -> Floats:
