@@ -33,7 +33,7 @@ PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.m
 BESIDE = {  # so that they end by themselves, and press the skin that is there
     "live": "--headless --seconds=1",
     "replay": "--headless",
-    "patches": "--headless --seconds=5",
+    "patches": "--headless --seconds=2",
     "press": "--device=tcp://127.0.0.1:7155",
     "robot": "--pokes=1",
     "--body": "--hugs=1 --self-touches=1 --free=1",

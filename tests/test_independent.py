@@ -15,9 +15,15 @@ Loop = tuple[IndependentDevice, Engine]
 
 
 @pytest.fixture(scope="module", params=[0, 1])
-def loop(request: pytest.FixtureRequest) -> Iterator[Loop]:
+def seed(request: pytest.FixtureRequest) -> int:
+    """Of the device's noise; what takes long looks at one half with each."""
+    return int(request.param)
+
+
+@pytest.fixture(scope="module")
+def loop(seed: int) -> Iterator[Loop]:
     """Calibrated while frames spiked and were missing."""
-    device = IndependentDevice(request.param)
+    device = IndependentDevice(seed)
     with Engine(lambda: connect(device.url), Skin.load("paper")) as engine:
         device.odd = [""] * 7 + ["spike"] + [""] * 5 + ["nan", "", "spike"]
         engine.calibrate()
@@ -89,13 +95,13 @@ def test_a_slide_leaves_nothing_behind(loop: Loop) -> None:
         assert not any(touch.contacts for touch in felt(engine, 60)[3:])
 
 
-def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
+def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop, seed: int) -> None:
     """Positions err by half more, at most, in the mean over electrodes and places."""
     device, engine = loop
     some = [(x, y) for x, y in np.random.default_rng(7).uniform(0.02, 0.18, (12, 2))]
     sound = [errors(pressed(loop, place), place)[0] for place in some]
     broken: list[float] = []
-    for electrode in (0, 5, 12, 15):
+    for electrode in ((0, 12), (5, 15))[seed]:
         device.opened = {electrode}
         touches = felt(engine, 200)
         assert any(electrode in one.cause.electrodes for touch in touches[:60] for one in touch.percept.findings)
@@ -150,10 +156,9 @@ def test_a_press_just_after_another_was_lifted_is_tracked_soon(loop: Loop) -> No
     assert sum(soon) >= 29
 
 
-@pytest.mark.parametrize("mode", ["16P", "16T"])
-def test_presses_are_felt_under_hum(loop: Loop, mode: str) -> None:
+def test_presses_are_felt_under_hum(loop: Loop, seed: int) -> None:
     device, engine = loop
-    engine.set_mode(mode)
+    engine.set_mode(("16P", "16T")[seed])
     sound, odd = presses(loop)
     for device.hum in (1e-3, 5e-3):
         felt(engine, 20)

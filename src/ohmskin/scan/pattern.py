@@ -135,7 +135,7 @@ class DrivePattern(ReadOnly):
 
     def uses(self, electrodes: ArrayLike) -> NDArray[np.bool_]:
         """Whether each measurement (n_meas,) involves any of `electrodes`, one or several, driven or measured."""
-        return np.asarray(np.isin(self.quadruples, electrodes).any(axis=1))
+        return np.asarray((self.quadruples[..., None] == np.atleast_1d(electrodes)).any(axis=(1, 2)))
 
     @cached_property
     def digest(self) -> int:
