@@ -12,6 +12,8 @@ from ohmskin import Skin
 from ohmskin.arrays import Floats
 from ohmskin.cache import cache_folder, cached
 from ohmskin.forward import ContactTable
+from ohmskin.geometry import Band, Disc, Domain, Polygon, kept_mesh, mesh_domain
+from ohmskin.geometry.holes import Holed
 
 PAPER = Skin.load("paper")
 NUMBERS = np.arange(4.0)
@@ -86,7 +88,7 @@ def test_what_is_too_large_is_not_kept(folder: Path, monkeypatch: pytest.MonkeyP
 def test_tables_that_were_kept_are_those_that_are_made(folder: Path) -> None:
     model = PAPER.electrode_model()
     first, second = (ContactTable.kept(model, 8e-3, 4e-3) for _ in range(2))
-    assert len(list(folder.iterdir())) == 1
+    assert len(list(folder.glob("contacts-*"))) == 1
     anew = ContactTable(model, 8e-3, 4e-3)
     for table in (first, second):
         assert table.pairs is model.pairs
@@ -94,6 +96,29 @@ def test_tables_that_were_kept_are_those_that_are_made(folder: Path) -> None:
             np.testing.assert_array_equal(one, other)
     harder = model.with_conductivity(2 * model.conductivity)
     assert not np.array_equal(ContactTable.kept(harder, 8e-3, 4e-3).content[0], anew.content[0])
+
+
+def test_meshes_that_were_kept_are_those_that_are_made(folder: Path) -> None:
+    square, corner = [(0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1)], np.array([[0.05, 0.0]])
+    domains: list[Domain] = [
+        Polygon(square),
+        Polygon([*square[:3], (1e-9, 0.1)]),
+        Polygon(square, [[(0.03, 0.03), (0.07, 0.03), (0.07, 0.07)]]),
+        Holed(Polygon(square), [[(0.03, 0.03), (0.07, 0.03), (0.07, 0.06)]]),
+        Disc(0.05),
+        Band(0.1, 0.1),
+    ]
+    for number, domain in enumerate(domains, 1):
+        points = corner if isinstance(domain, Polygon | Holed) else np.empty((0, 2))
+        anew = mesh_domain(domain, 8e-3, points, closest=0.05)
+        for mesh in (kept_mesh(domain, 8e-3, points, 0.05) for _ in range(2)):
+            np.testing.assert_array_equal(mesh.nodes, anew.nodes)
+            np.testing.assert_array_equal(mesh.elements, anew.elements)
+            assert mesh.period == anew.period
+        assert len(list(folder.iterdir())) == number
+    for size, points, closest in ((7e-3, corner, 0.05), (8e-3, corner * 1.02, 0.05), (8e-3, corner, 0.06)):
+        kept_mesh(domains[0], size, points, closest)
+    assert len(list(folder.iterdir())) == len(domains) + 3
 
 
 def test_another_process_reads_what_one_has_made(folder: Path) -> None:
@@ -114,7 +139,7 @@ def test_another_process_reads_what_one_has_made(folder: Path) -> None:
         told.append(done.stdout)
         files.append({file.name: file.stat().st_ino for file in folder.iterdir()})
     assert told[0] == told[1] != ""
-    assert {name.split("-")[0] for name in files[0]} == {"contacts", "ranking"}
+    assert {name.split("-")[0] for name in files[0]} == {"contacts", "mesh", "ranking"}
     assert files[0] == files[1]  # nothing was written again
 
 

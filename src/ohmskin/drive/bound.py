@@ -153,11 +153,16 @@ def best_fixed(table: ContactTable, candidates: Candidates, injections: int, pla
         rows = candidates.rows(contact_columns(table, prior.at(places)))
         return {"chosen": exchange(rows, prior.covariance(), injections, position_goals(1))}
 
-    return cached("best-fixed", (*told(table, candidates), injections, places), make)["chosen"]
+    return cached("best-fixed", (*design_inputs(table, candidates), injections, places), make)["chosen"]
 
 
-def told(table: ContactTable, candidates: Candidates) -> tuple[NDArray[np.generic] | float | None, ...]:
-    """All that is told of responses and injections, as inputs of `cached`."""
+def design_inputs(table: ContactTable, candidates: Candidates) -> tuple[NDArray[np.generic] | float | None, ...]:
+    """All that a choice of injections depends on, as inputs of `cached`.
+
+    Args:
+        table: Responses of contacts.
+        candidates: The injections to choose from.
+    """
     sharp, contacts = candidates.sharp or (candidates.weights, None)
     matrices = [part for one in (candidates.weights, sharp) for part in (one.data, one.indices, one.indptr)]
     return *table.content, table.electrodes, candidates.pattern.quadruples, *matrices, contacts, candidates.pairs.ends

@@ -15,7 +15,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, Ints
 from ohmskin.cache import cached
-from ohmskin.drive.bound import ContactPrior, contact_columns, position_goals, told
+from ohmskin.drive.bound import ContactPrior, contact_columns, design_inputs, position_goals
 from ohmskin.drive.design import Candidates, Search
 from ohmskin.drive.drive import Exploration, SecondScan, Target
 from ohmskin.drive.patterns import numbers_of, part_of
@@ -274,7 +274,7 @@ def _ranking(
         made = Ranking(table, candidates, depth, known, prior, size=size)
         return {"order": made.order, "values": made.values, "low": np.array(made._low), "cell": np.array(made._cell)}
 
-    return Ranking.of(**cached("ranking", (*told(table, candidates), *given), make))
+    return Ranking.of(**cached("ranking", (*design_inputs(table, candidates), *given), make))
 
 
 def _sigma_points(target: Target) -> list[tuple[float, float]]:

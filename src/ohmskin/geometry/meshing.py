@@ -97,7 +97,14 @@ def mesh_domain(
 
 
 def kept_mesh(domain: Domain, size: float, points: Floats, closest: float) -> Mesh:
-    """`mesh_domain` of these, or what it gave when it was last called with them on this machine, see `cached`."""
+    """The mesh that `mesh_domain` makes, or made on this machine before, see `cached`; arguments and errors likewise.
+
+    Args:
+        domain: What to mesh.
+        size: Edge length aimed at (m).
+        points: Points (n, 2) in metres that become nodes exactly.
+        closest: Share of `size` that points must be apart.
+    """
     loops = [(loop.perimeter, loop.rim(loop.corners), loop) for loop in (domain, *domain.holes)]
     rims = [np.vstack([corners, loop.rim(np.arange(_ALONG) * (around / _ALONG))]) for around, corners, loop in loops]
 
