@@ -1,6 +1,7 @@
 """What contradicts is left out and told: loose wires, hum, offsets, spikes, clipping, currents that cannot be."""
 
 import re
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -373,7 +374,7 @@ def test_a_current_that_failed_once_is_not_told_for_ever(engine: Engine) -> None
     assert after.silent == {13: 0.0}
 
 
-@pytest.mark.parametrize("engine", ["16T"], indirect=True)
+@pytest.mark.parametrize("engine", ["16P", "16T"], indirect=True)
 def test_what_no_contacts_explain_is_told_and_lowers_confidence(engine: Engine) -> None:
     run(engine, 10)
     engine.press(0, AT, RADIUS, PRESSURE)
@@ -387,6 +388,34 @@ def test_what_no_contacts_explain_is_told_and_lowers_confidence(engine: Engine) 
         (touch,) = run(engine, 1)
         assert device.virtual.time < begin + 1.0
     assert all(contact.confidence <= 0.5 for contact in touch.contacts)
+
+
+@pytest.mark.parametrize("engine", ["16P"], indirect=True)
+def test_what_a_search_could_not_explain_is_not_searched_again_in_every_frame(engine: Engine) -> None:
+    """A frame that takes a hundred times as long as others leaves a robot without touch where it needs it most."""
+
+    def seconds(frames: int) -> Floats:
+        taken = []
+        for _ in range(frames):
+            begin = time.thread_time()
+            run(engine, 1)
+            taken.append(time.thread_time() - begin)
+        return np.array(taken)
+
+    run(engine, 10)
+    engine.press(0, AT, RADIUS, PRESSURE)
+    usual = seconds(40)
+    engine.press(0, AT, RADIUS, 0.0)
+    run(engine, 12)
+    device = device_of(engine)
+    device.virtual.rewire(Fault("swap", (1, 7)))
+    assert np.median(seconds(40)) < 10 * np.median(usual)
+    device.virtual.rewire()
+    assert sum(counts(run(engine, 40)[3:])) == 0
+    engine.press(0, AT, RADIUS, PRESSURE)
+    felt = run(engine, 16)[8:]
+    assert set(counts(felt)) == {1}
+    assert np.median(misses(felt)) < 3e-3
 
 
 @pytest.mark.parametrize("engine", ["16P"], indirect=True)

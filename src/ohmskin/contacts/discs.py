@@ -8,7 +8,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from ohmskin.arrays import Floats, Ints
+from ohmskin.arrays import Floats, Ints, changed
 from ohmskin.contacts import kernels, refit
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.information import Errors, Information
@@ -24,7 +24,9 @@ NEAR = 4.0  # radii, within which two contacts may be one
 APART = 1.15  # of the sum of their radii, from which on no shape of one contact looks like two
 _SIZES = 0.7, 1.0, 1.6  # usual radii, from which the fit of one contact in place of two starts
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
+_SAME = 1.4  # times what is left of one frame's data which the next one may leave if it is to show the same
 cost_of = attrgetter("cost")
+Both = tuple[Information, Information]  # with nominal noise, and with noise inflated by the model's error
 
 
 class DiscFitter:
@@ -225,6 +227,28 @@ class DiscFitter:
             if cost < best.cost or not len(best.params):
                 best = Solution(one, cost, normal, caused, slopes.T)
         return best
+
+    def beside_shapes(self, both: Both, params: Floats) -> Both:
+        """Information without what it says of the shapes of contacts (n, 4)."""
+        shapes = self.shapes(params)
+        return (both[0].marginalised(shapes), both[1].marginalised(shapes)) if shapes.size else both
+
+    def followed(self, nominal: Information, inflated: Information, before: Solution) -> Solution | None:
+        """Contacts that explained the last frame poorly, fitted to one that looks the same: a search would take long,
+        and in vain. None where they explained it, or this one looks different.
+
+        Args:
+            nominal: What is measured.
+            inflated: The same, with the model's error as noise.
+            before: The contacts of the last frame.
+        """
+        if not (before.poor and len(before.params)):
+            return None
+        nominal, inflated = (self.uncovered(one.marginalised_common(), before.covered) for one in (nominal, inflated))
+        found = self.refine(inflated, before.params, *self.prior(before.params))
+        if not 1 / _SAME < self.relative_cost(nominal, found.cost) / before.poor < _SAME:
+            return None
+        return changed(found, covered=before.covered, shapes=self.shapes(found.params), poor=before.poor)
 
     def contact(self, params: Floats, covariance: Floats) -> Contact:
         """A contact to report, from its parameters (4,) and their covariance (4, 4)."""

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import refit
-from ohmskin.contacts.discs import APART, NEAR, DiscFitter, cost_of, similarity_prior
+from ohmskin.contacts.discs import APART, NEAR, Both, DiscFitter, cost_of, similarity_prior
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.misfit import pair_products
@@ -36,7 +36,6 @@ _MORE = 1.2  # times the doubts that a search found nothing about, from which on
 _PATIENT = sqrt(CLEAR)  # what is accepted of doubts that one scan of several leaves
 _ALL = np.full(refit.DOUBTS, np.inf)
 
-_Both = tuple[Information, Information]  # with nominal noise, and with noise inflated by the model's error
 _Over = tuple[tuple[int, ...], Information, Information, Solution]  # electrodes covered, what is left beside, contacts
 
 
@@ -122,12 +121,14 @@ class ContactFitter(DiscFitter):
         last = None if before is None else self.refitted(nominal, inflated, before)
         if last is not None and last[1]:
             return last[0]
+        if same := before and self.followed(nominal, inflated, before):
+            return same
         given = nominal, inflated
         nominal, inflated = everything = whole = nominal.marginalised_common(), inflated.marginalised_common()
         found, covered = changed(nothing(len(self.table.pairs)), cost=inflated.misfit.constant), tuple[int, ...]()
         if last is not None and before is not None:
             found, covered = last[0], before.covered
-            everything = self._marginalised_shapes(whole, before.params)
+            everything = self.beside_shapes(whole, before.params)
             nominal, inflated = (self.uncovered(one, covered) for one in everything)
         while len(found.params) < self.most:
             left = nominal.minus(found.caused) if len(found.params) else nominal
@@ -155,19 +156,17 @@ class ContactFitter(DiscFitter):
             else:
                 break
             for _ in range(2):  # where they are by then, they have other shapes
-                everything = self._marginalised_shapes(whole, found.params)
+                everything = self.beside_shapes(whole, found.params)
                 nominal, inflated = (self.uncovered(one, covered) for one in everything)
                 if everything is not whole or len(found.params) > 1:
                     found = self.refine(inflated, found.params, *self.prior(found.params))
         covered, found = self._beside_electrodes(everything[1], found, covered)
         found = self.joined(*everything, found, covered)
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
-        known = None if before is None else self._refitted(*given, found)
-        return found if known is None else changed(found, doubts=known[0].doubts)
-
-    def _marginalised_shapes(self, whole: _Both, params: Floats) -> _Both:
-        shapes = self.shapes(params)
-        return (whole[0].marginalised(shapes), whole[1].marginalised(shapes)) if shapes.size else whole
+        if before is None or (known := self._refitted(*given, found)) is None:
+            poor = self.relative_cost(everything[0], found.cost)
+            return changed(found, poor=poor if before and poor > 1 else 0.0)
+        return changed(found, doubts=known[0].doubts)
 
     def refitted(
         self, nominal: Information, inflated: Information, before: Solution, search: bool = True
@@ -214,7 +213,7 @@ class ContactFitter(DiscFitter):
         return found.cost + self.bar**2 * (len(found.params) + _COVERED * covered)
 
     def _over_an_electrode(
-        self, everything: _Both, found: Solution, covered: tuple[int, ...], better: bool
+        self, everything: Both, found: Solution, covered: tuple[int, ...], better: bool
     ) -> _Over | None:
         """The data explained by a contact that covers one electrode more, if that explains them significantly better.
 

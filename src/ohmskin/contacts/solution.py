@@ -23,7 +23,9 @@ class Solution:
         covered: Electrodes under them, whose resistance is treated as unknown.
         shapes: (n_pairs, 2 k) further changes due to small contacts, which are anisotropic, for one standard deviation
             of each (ohm); None: only discs were fitted.
-        doubts: (5,) remaining doubts after a search without a result, see `followed`; None: there was no search.
+        doubts: (5,) remaining doubts after a search without a result, see `refitted`; None: there was no search.
+        poor: How many times more than usual it leaves of the data, see `relative_cost`, although everything else was
+            tried, and contacts cannot be judged one by one; 0 of all others.
     """
 
     params: Floats
@@ -34,6 +36,7 @@ class Solution:
     covered: tuple[int, ...] = ()
     shapes: Floats | None = None
     doubts: Floats | None = None
+    poor: float = 0.0
 
     @property
     def covariance(self) -> Floats:

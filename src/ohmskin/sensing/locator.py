@@ -37,17 +37,16 @@ class Locator:
     def targets(self, scans: Sequence[Difference], base_estimate: Estimate, before: Belief) -> list[Target]:
         """The contacts, strongest first; the likeliest place where there seems to be none, which finds weak ones.
 
-        Those that were fitted to the last frame are taken as they were while they still explain the scans; whether more
-        have come is estimated from all scans.
+        Those that were fitted to the last frame are taken as they were while they still explain the scans, or where
+        nothing explained them; whether more have come is estimated from all scans.
         """
         if self.fitter is None:
             return self._regions(base_estimate.image)
-        if before.solution is not None and len(before.detections) and self._still(scans, before, before.solution):
+        known = before.solution
+        if known is not None and before.detections and (known.poor or self._still(scans, before, known)):
             return targets_of(before.detections)
         nominal, inflated = self.fitter.information(*scans)
-        last = (
-            None if before.solution is None else self.fitter.refitted(nominal, inflated, before.solution, search=False)
-        )
+        last = None if known is None else self.fitter.refitted(nominal, inflated, known, search=False)
         found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.fit_information(nominal, inflated)))
         if found:
             return found
