@@ -235,7 +235,7 @@ class DiscFitter:
 
     def followed(self, nominal: Information, inflated: Information, before: Solution) -> Solution | None:
         """Contacts that explained the last frame poorly, fitted to one that looks the same: a search would take long,
-        and in vain. None where they explained it, or this one looks different.
+        without success. None where they explained it, or this one looks different.
 
         Args:
             nominal: What is measured.
