@@ -604,6 +604,27 @@ def test_what_a_search_found_nothing_about_is_searched_again_only_if_there_is_mo
         assert judge.refitted(told, wary, replace(searched, doubts=0.8 * searched.doubts)) is None
 
 
+def test_contacts_that_explain_data_poorly_are_followed_only_while_data_look_the_same() -> None:
+    """One contact, which is all that is looked for, where two press. Where one of them is lifted, what is left may be as
+    large by chance: it is at one of 16."""
+    judge, rig, alike = fitter("discs", 50, most=1), Rig("discs", 50, 3), 0
+    for at, elsewhere in zip(PLACES, PLACES[1:] + PLACES[:1], strict=True):
+        pressed = press("discs", at), press("discs", elsewhere)
+        told, wary = judge.information(rig.measure(COMPLETE, *pressed))
+        found = judge.fit_information(told, wary)
+        assert judge.poor(told.marginalised_common(), found.cost)
+        before = replace(found, poor=told.signals(found.caused)[1])
+        told, wary = judge.information(rig.measure(COMPLETE, *pressed))
+        same = judge.followed(told, wary, before)
+        assert same is not None
+        np.testing.assert_allclose(same.params[:, :2], found.params[:, :2], atol=1e-3)
+        assert judge.followed(told, wary, found) is None  # which had not been searched for without success
+        none, *one = (judge.information(rig.measure(COMPLETE, *others)) for others in ([], pressed[:1], pressed[1:]))
+        assert judge.followed(*none, before) is None
+        alike += sum(judge.followed(*each, before) is not None for each in one)
+    assert alike <= 1
+
+
 def test_the_rate_of_false_alarms_is_shared_by_the_windows_in_which_contacts_are_looked_for() -> None:
     judge = fitter("discs", 50)
     assert 7 * norm.sf(birth_threshold(judge)) == pytest.approx(norm.sf(judge.bar), rel=1e-9)

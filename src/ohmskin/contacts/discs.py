@@ -24,8 +24,8 @@ NEAR = 4.0  # radii, within which two contacts may be one
 APART = 1.15  # of the sum of their radii, from which on no shape of one contact looks like two
 _SIZES = 0.7, 1.0, 1.6  # usual radii, from which the fit of one contact in place of two starts
 _BLUR = 1.4  # radii times the model's error: how far that may move a contact
-FAINT = 3.0  # standard deviations of its effect below which a contact is none
-_SAME = 1.4  # times what is left of one frame's data which the next one may leave if it is to show the same
+_SAME = 1.2  # times what is left of one frame's data which the next one may leave if it is to show the same
+_ALTERED = 2.0  # times the effect that a contact then may have
 cost_of = attrgetter("cost")
 Both = tuple[Information, Information]  # with nominal noise, and with noise inflated by the model's error
 
@@ -245,13 +245,13 @@ class DiscFitter:
         """
         if not (before.poor and len(before.params)):
             return None
-        nominal, inflated = (self.uncovered(one.marginalised_common(), before.covered) for one in (nominal, inflated))
-        found = self.refine(inflated, before.params, *self.prior(before.params))
-        sure = [
-            abs(effect) / effect_std(one) for effect, one in zip(found.params[:, 2], found.covariances, strict=True)
-        ]
-        same = 1 / _SAME < self.relative_cost(nominal, found.cost) / before.poor < _SAME
-        if not same or min(sure) < FAINT:
+        beside = self.uncovered(inflated.marginalised_common(), before.covered)
+        found = self.refine(beside, before.params, *self.prior(before.params))
+        left = nominal.signals(found.caused)[1] / before.poor
+        effects = found.params[:, 2] / before.params[:, 2]
+        away = np.linalg.norm(self.table.offsets(found.params[:, :2], before.params[:, :2]), axis=1)
+        alike = 1 / _SAME < left < _SAME and effects.min() > 1 / _ALTERED and effects.max() < _ALTERED
+        if not alike or away.max() > self.table.radius:
             return None
         return changed(found, covered=before.covered, shapes=self.shapes(found.params), poor=before.poor)
 

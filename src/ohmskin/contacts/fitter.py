@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import refit
-from ohmskin.contacts.discs import APART, FAINT, NEAR, Both, DiscFitter, cost_of, similarity_prior
+from ohmskin.contacts.discs import APART, NEAR, Both, DiscFitter, cost_of, similarity_prior
 from ohmskin.contacts.information import Errors, Information
 from ohmskin.contacts.kernels import STRONG
 from ohmskin.contacts.misfit import pair_products
@@ -30,6 +30,7 @@ _LOST = 0.7  # share of the data that contacts leave which explain little
 _COVERED = 0.25  # cost of an electrode with a flat prior, as a share of a contact's
 _WIDEST = 2.0  # usual radii of a contact beyond which a pair must be as far apart as it is wide
 _FEW = 8  # rounds of a fit that show which axis of a split is the best
+FAINT = 3.0  # standard deviations of its effect below which a contact is none
 _MORE = 1.2  # times the doubts that a search found nothing about, from which on contacts are looked for again
 _PATIENT = sqrt(CLEAR)  # what is accepted of doubts that one scan of several leaves
 _ALL = np.full(refit.DOUBTS, np.inf)
@@ -162,8 +163,8 @@ class ContactFitter(DiscFitter):
         found = self.joined(*everything, found, covered)
         found = changed(found, covered=covered, shapes=self.shapes(found.params))
         if before is None or (known := self._refitted(*given, found)) is None:
-            poor = self.relative_cost(everything[0], found.cost)
-            return changed(found, poor=poor if before and poor > 1 else 0.0)
+            poor = before is not None and self.poor(everything[0], found.cost)
+            return changed(found, poor=given[0].signals(found.caused)[1] if poor else 0.0)
         return changed(found, doubts=known[0].doubts)
 
     def refitted(

@@ -24,8 +24,8 @@ class Solution:
         shapes: (n_pairs, 2 k) further changes due to small contacts, which are anisotropic, for one standard deviation
             of each (ohm); None: only discs were fitted.
         doubts: (5,) remaining doubts after a search without a result, see `refitted`; None: there was no search.
-        poor: How many times more than usual it leaves of the data, see `relative_cost`, although everything else was
-            tried, and contacts cannot be judged one by one; 0 of all others.
+        poor: What it leaves of the data beyond noise, squared and in units of the noise's variance, if that is more
+            than usual although all else was tried, and contacts cannot be judged one by one; 0 of all others.
     """
 
     params: Floats

@@ -3,8 +3,8 @@
 import numpy as np
 
 from ohmskin.arrays import changed
-from ohmskin.contacts.discs import FAINT, NEAR
-from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.discs import NEAR
+from ohmskin.contacts.fitter import FAINT, ContactFitter
 from ohmskin.tracking.state import STATE, Track, TrackState
 
 _LIFTED, _AGAIN = 0.1, 0.2  # shares of its peak below which a contact is lifted, above which it is there again
