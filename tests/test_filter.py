@@ -605,8 +605,10 @@ def test_what_a_search_found_nothing_about_is_searched_again_only_if_there_is_mo
 
 
 def test_contacts_that_explain_data_poorly_are_followed_only_while_data_look_the_same() -> None:
-    """One contact, which is all that is looked for, where two press. Where one of them is lifted, what is left may be as
-    large by chance: it is at one of 16."""
+    """One contact, which is all that is looked for, where two press.
+
+    Where one of them is lifted, what is left may be as large by chance: it is at one of 16.
+    """
     judge, rig, alike = fitter("discs", 50, most=1), Rig("discs", 50, 3), 0
     for at, elsewhere in zip(PLACES, PLACES[1:] + PLACES[:1], strict=True):
         pressed = press("discs", at), press("discs", elsewhere)
