@@ -374,7 +374,7 @@ def test_a_current_that_failed_once_is_not_told_for_ever(engine: Engine) -> None
     assert after.silent == {13: 0.0}
 
 
-@pytest.mark.parametrize("engine", ["16P", "16T"], indirect=True)
+@pytest.mark.parametrize("engine", ["16T"], indirect=True)
 def test_what_no_contacts_explain_is_told_and_lowers_confidence(engine: Engine) -> None:
     run(engine, 10)
     engine.press(0, AT, RADIUS, PRESSURE)

@@ -115,7 +115,6 @@ LONG = {
     "test_diagnosis.py::test_voltages_behind*[[]*-inf": "no current, one far too large, and none at all",
     "test_diagnosis.py::test_an_electrode_that_opens*[[]*-0": "one on the rim and one inside",
     "test_diagnosis.py::test_an_electrode_that_opens*[[]*-7": "one on the rim and one inside",
-    "test_diagnosis.py::test_what_no_contacts*[[]16T": "the same of `16P`",
     "test_documentation.py::test_a_newcomer": "that every command is understood, and each command in test_cli.py",
     "test_documentation.py::test_a_first_session": "that every command is understood, and each command in test_cli.py",
     "test_documentation.py::test_commands_of_guides": "that every command is understood, and each in its own tests",
