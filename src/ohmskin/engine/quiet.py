@@ -169,8 +169,6 @@ def _outliers(frames: Sequence[Frame]) -> Bools:
 
 def _median(values: Floats) -> Floats:
     """Median (n,) of what is known of each column of (m, n); NaN where nothing is."""
-    if np.isfinite(values).all():  # 20 times quicker
-        return np.asarray(np.median(values, axis=0))
     known = np.isfinite(values).any(axis=0)
     medians = np.full(values.shape[1], np.nan)
     medians[known] = np.nanmedian(values[:, known], axis=0)
