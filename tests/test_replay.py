@@ -341,6 +341,18 @@ def test_a_recording_without_images_is_exported_without_images(tmp_path: Path) -
     assert "image_x_m" not in shapes
 
 
+def test_a_picture_shows_a_contact_that_other_cycles_confirm(recorded: tuple[Path, list[ohm.Touch]]) -> None:
+    path, _ = recorded
+    *_, touched, _, _ = (cycle for cycle in reimage(path) if cycle.touch.contacts and cycle.touch.percept.detections)
+    quiet = next(iter(reimage(path)))
+    assert not quiet.touch.percept.detections
+    assert not quiet.touch.contacts
+    alone = replace(touched, touch=replace(touched.touch, contacts=()))  # as noise makes of one cycle in thousands
+    assert strongest([alone, touched, quiet]) is touched
+    assert strongest([alone, quiet]) is quiet
+    assert strongest([alone]) is alone
+
+
 def test_pictures_and_films(
     recorded: tuple[Path, list[ohm.Touch]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -204,17 +204,20 @@ def write_video(path: Path, cycles: Iterable[Replayed], rate: float = 25.0) -> i
 
 
 def strongest(cycles: Iterable[Replayed]) -> Replayed:
-    """The cycle with the strongest contact, or the highest image if there is none.
+    """The cycle with the strongest contact that cycles before it confirm; without any, the highest image.
+
+    Of many quiet cycles noise lets some show a contact; without a confirmed one, those come last.
 
     Raises:
         DataError: If there is no cycle.
     """
-    best, height = None, (False, -np.inf)
+    best, height = None, (-1, -np.inf)
     for cycle in cycles:
-        contacts = cycle.touch.percept.detections  # of this image alone: tracking needs some cycles before it
-        most = max((abs(c.strength) for c in contacts), default=float(np.abs(cycle.touch.percept.image.values).max()))
-        if (bool(contacts), most) > height:
-            best, height = cycle, (bool(contacts), most)
+        detections, contacts = cycle.touch.percept.detections, cycle.touch.contacts
+        rank = 2 if detections and contacts else 0 if detections or contacts else 1
+        most = max((abs(c.strength) for c in detections), default=float(np.abs(cycle.touch.percept.image.values).max()))
+        if (rank, most) > height:
+            best, height = cycle, (rank, most)
     if best is None:
         raise DataError("nothing was recorded in that time; choose another --start and --seconds")
     return best
