@@ -228,3 +228,31 @@ def test_the_guides_example_follows_both_fingers_and_its_page_shows_it(
     runpy.run_path(str(script), run_name="__main__")
     assert capsys.readouterr().out.count("contact ") == 2
     assert (tmp_path / "tracking.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("channels", [3, None])
+def test_spikes_and_bursts_of_noise_make_hardly_a_contact_and_hide_none(
+    skin: Skin, channels: int | None, seed: int
+) -> None:
+    device, random = DirectDevice(VirtualSkin(skin, seed)), np.random.default_rng(seed)
+
+    def spoiled(frame: Frame) -> Frame:
+        """Every twentieth frame, about: 5 mV on up to three channels, or five times the noise on all."""
+        if random.random() > 0.05:
+            return frame
+        count = len(frame.voltages)
+        which = np.arange(count) if channels is None else random.choice(count, random.integers(1, channels + 1))
+        size = 5 * skin.converter.noise if channels is None else 5e-3
+        voltages = frame.voltages.copy()
+        voltages[which] += random.normal(0, size, len(which))
+        return replace(frame, voltages=voltages)
+
+    with open_engine(skin, device) as engine:
+        engine.calibrate()
+        device.spoil = spoiled
+        assert sum(bool(run(engine, 1).contacts) for _ in range(1000)) <= 3
+        for k, place in enumerate(PLACES):
+            engine.press(k, place, 8e-3, 10e3)
+            late = [miss(run(engine, 1), place) < 6e-3 for _ in range(4)].index(True)
+            assert late < 3

@@ -1,6 +1,7 @@
 """Births: new contacts, where one more explains what is left of the last frames significantly better."""
 
 from collections.abc import Sequence
+from math import sqrt
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -18,6 +19,8 @@ _ENOUGH, _SHORT = 6.0, 0.6  # standard deviations of a contact's effect without 
 _BLAMED = 3  # of the newest frames in which one electrode alone shows a contact, from which on its wire is loose
 _NOTHING = 1e-9  # share of the power that a frame keeps whose score counts for nothing
 _GROSS = 10.0  # times all other changes, by which those of a loose wire are larger
+_POOR = 0.1  # of what contacts explain of one frame that they may leave, beyond what is usual, to be believed at once
+_REPEATED, _NEAR = 3, 2.5  # frames and usual radii within which a doubted contact that is seen again is one
 LONGEST = int(_WINDOWS[-1])
 
 
@@ -27,9 +30,9 @@ def birth_threshold(fitter: ContactFitter) -> float:
 
 
 def with_scores(residuals: Residuals, fitter: ContactFitter) -> Residuals:
-    """The residuals with their scores; one electrode alone is no evidence of a contact."""
+    """The residuals with their scores; those that are not sound are no evidence of a contact."""
     score, power = fitter.scores(residuals.marginal_innovation)
-    if residuals.only_electrode is not None:
+    if not residuals.sound:
         score, power = np.zeros_like(score), _NOTHING * power
     return changed(residuals, score=score, power=power)
 
@@ -52,8 +55,8 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
             break
         used = state.history[:count]
         found = _added(used, fitter)
-        if (alone := _from_one_electrode(state, fitter, found, used)) is not None:
-            suspect, frame = alone
+        if (loose := _from_one_electrode(state, fitter, found, used)) is not None:
+            suspect, frame = loose
             frames = [*state.history]
             frames[frame] = with_scores(changed(frames[frame], only_electrode=suspect), fitter)
             blamed = [residuals.only_electrode for residuals in frames].count(suspect) >= _BLAMED
@@ -69,6 +72,11 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         several = fitter.fit_information(nominal, inflated)
         if len(several.params) == 1 or (len(several.params) and not state.pressing):
             found = several
+        alone = count == 1 and not _seen_before(place, state.history, fitter)
+        if alone and _is_poor(used[0], nominal, fitter, found):
+            newest = with_scores(changed(used[0], doubted=place), fitter)
+            state = changed(state, history=(newest, *state.history[1:]))
+            continue
         moved = speed * (state.time - used[-1].time) / 2
         for params, covariance in zip(found.params, found.covariances, strict=True):
             covariance[[0, 1], [0, 1]] += moved**2
@@ -125,6 +133,22 @@ def _from_one_electrode(
     starts = np.cumsum([0, *(len(scan.volts) for scan in scans[:-1])])
     shown = np.add.reduceat(seen**2 * own[:, suspect], starts)
     return suspect, int(np.argmax(np.where([one.only_electrode is None for one in used], shown, -1.0)))
+
+
+def _seen_before(place: int, history: Sequence[Residuals], fitter: ContactFitter) -> bool:
+    """Whether a frame shortly before the newest one was doubted for a contact near a place."""
+    doubted = [residuals.doubted for residuals in history[1 : 1 + _REPEATED] if residuals.doubted is not None]
+    away = fitter.table.offsets(fitter.places[doubted], np.tile(fitter.places[place], (len(doubted), 1)))
+    return bool((np.hypot(*away.T) < fitter.table.radius * _NEAR).any())
+
+
+def _is_poor(newest: Residuals, data: Information, fitter: ContactFitter, found: Solution) -> bool:
+    """Whether contacts leave more of the newest frame's `data` than is usual, by a good part of what they explain."""
+    whole = newest.observation.data
+    share = fitter.allowance(whole)
+    before, left = (share * one.misfit.constant for one in (data, data.minus(found.caused)))
+    usual = (1 + 2 * sqrt(2 / whole.count)) / fitter.relative_cost(whole, 1.0)
+    return bool(left - usual > _POOR * (before - left))
 
 
 def _updated(residuals: Residuals, fitter: ContactFitter, found: Solution, variance: float) -> Residuals:

@@ -92,7 +92,7 @@ class ContactFilter:
         state = with_lifts(state, fitter, self.bar, motion.settling_time, elapsed)
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
-        if state.turn % _LEARN_EVERY == 0 and state.history and state.history[0].only_electrode is None:
+        if state.turn % _LEARN_EVERY == 0 and state.history and state.history[0].sound:
             state = with_learned_drift(state, fitter, motion, _LEARN_EVERY * elapsed)
         unexplained = state.unexplained if state.pressing else 0.0
         if state.pressing and state.history[:1] != (newest,):  # there are other contacts than those held by the frame
@@ -100,10 +100,13 @@ class ContactFilter:
         return changed(state, contacts=self._contacts(state), unexplained=unexplained)
 
     def explains(self, state: TrackState) -> bool:
-        """Whether contacts, if there are any in a `state`, explain the newest frame as well as usual."""
-        if not state.pressing or not state.history:
+        """Whether contacts, if there are any in a `state`, explain the newest frame as well as usual; none that is
+        doubted."""
+        if not state.history:
             return not state.pressing
         newest = state.history[0]
+        if not state.pressing or newest.doubted is not None:
+            return newest.doubted is None
         data = newest.observation.data
         return not self.fitter.poor(data, newest.residual.misfit.constant * self.fitter.allowance(data))
 

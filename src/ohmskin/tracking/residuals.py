@@ -56,6 +56,8 @@ class Residuals:
         marginal_innovation: The innovation marginalised over the common change, as far as that is not known.
         score, power: (n_places,) of a contact more at each place.
         only_electrode: The electrode whose voltages alone showed a contact that others should have shown, too.
+        doubted: Number of the place where it alone showed a contact, most of it unexplained all the same, as spikes and
+            bursts of noise do.
     """
 
     observation: Observation
@@ -68,3 +70,9 @@ class Residuals:
     score: Floats | Singles = field(default_factory=lambda: np.empty(0))
     power: Floats | Singles = field(default_factory=lambda: np.empty(0))
     only_electrode: int | None = None
+    doubted: int | None = None
+
+    @property
+    def sound(self) -> bool:
+        """Whether neither a single electrode's voltages nor spikes or noise are what the frame shows."""
+        return self.only_electrode is None and self.doubted is None
