@@ -138,7 +138,7 @@ def _from_one_electrode(
 def _seen_before(place: int, history: Sequence[Residuals], fitter: ContactFitter) -> bool:
     """Whether a frame shortly before the newest one was doubted for a contact near a place."""
     doubted = [residuals.doubted for residuals in history[1 : 1 + _REPEATED] if residuals.doubted is not None]
-    away = fitter.table.offsets(fitter.places[doubted], np.tile(fitter.places[place], (len(doubted), 1)))
+    away = fitter.table.offsets(fitter.places[doubted], fitter.places[place])
     return bool((np.hypot(*away.T) < fitter.table.radius * _NEAR).any())
 
 

@@ -56,8 +56,8 @@ class Residuals:
         marginal_innovation: The innovation marginalised over the common change, as far as that is not known.
         score, power: (n_places,) of a contact more at each place.
         only_electrode: The electrode whose voltages alone showed a contact that others should have shown, too.
-        doubted: Number of the place where it alone showed a contact, most of it unexplained all the same, as spikes and
-            bursts of noise do.
+        doubted: Number of the place where it alone showed a contact that explains it poorly, as spikes and bursts of
+            noise do; None: no such contact.
     """
 
     observation: Observation
