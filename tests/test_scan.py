@@ -1,5 +1,6 @@
 """Drive patterns as linear combinations of electrode pairs, and what is learned from an untouched skin."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -245,6 +246,16 @@ def test_the_reference_serves_any_direction_and_order_of_its_measurements(seed: 
         measured += [(k, *row) for row in rows]
     shuffled = DrivePattern(np.array(injected), np.array(measured))
     np.testing.assert_allclose(baseline.reference(shuffled), four_terminal(s, shuffled), atol=1e-11)
+
+
+def test_each_polarity_of_a_current_has_a_reference_of_its_own() -> None:
+    """A device may measure it with another gain."""
+    s, pattern = transfer_matrix(16), adjacent(PAPER)
+    turned = DrivePattern(pattern.injections[:, ::-1], pattern.measurements)
+    one, other = frame_of(s, pattern), frame_of(s, turned)
+    baseline = Baseline.learn([one, one, replace(other, currents=1.01 * other.currents)] * 2)
+    np.testing.assert_allclose(baseline.reference(pattern), four_terminal(s, pattern), atol=1e-11)
+    np.testing.assert_allclose(baseline.reference(turned), four_terminal(s, turned) / 1.01, atol=1e-11)
 
 
 def test_a_measurement_never_seen_while_quiet_is_named() -> None:

@@ -322,7 +322,9 @@ class ContactFitter(DiscFitter):
         best = self.refine(inflated, starts, mean, information, _FEW)
         two = self.refine(inflated, best.params, mean, information)
         least = _OVERLAP if own < _WIDEST * usual else APART
-        return two if self._distance(two.params[-2:]) > least and self.are_two(nominal, found, two, bar) else None
+        gap = float(np.linalg.norm(self.table.offsets(*two.params[-2:, :2])))
+        apart = gap > usual and self._distance(two.params[-2:]) > least
+        return two if apart and self.are_two(nominal, found, two, bar) else None
 
     def are_two(self, nominal: Information, one: Solution, two: Solution, bar: float, share: float = 1.0) -> bool:
         """Whether there are two contacts, the last ones, rather than one.

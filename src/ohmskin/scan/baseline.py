@@ -15,7 +15,7 @@ from ohmskin.scan.frame import Frame
 from ohmskin.scan.pairs import Pairs
 from ohmskin.scan.pattern import DrivePattern
 
-_SHIFT = np.int64(1) << np.arange(48, -1, -16, dtype=np.int64)  # electrode numbers fit 15 bits
+_SHIFT = np.int64(1) << np.arange(45, -1, -15, dtype=np.int64)  # electrode numbers fit 15 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,8 @@ class Baseline:
     skin.
 
     Args:
-        keys: (n,) sorted codes of the (source, sink, plus, minus) quadruples, electrodes of a pair in rising order.
+        keys: (n,) sorted codes of the (source, sink, plus, minus) quadruples; those of either polarity of the current
+            are apart, as a device may measure it with another gain.
         resistances: (n,) mean transfer resistances (ohm).
         noise: Standard deviation of a single voltage (V).
         repeats: Smallest number of times that any of them was measured.
@@ -184,7 +185,7 @@ class Baseline:
         frames = list(frames)
         if not frames:
             raise DataError("no quiet frames to learn the baseline from; scan the untouched skin first")
-        signed = [(frame, *codes_of(frame.pattern.quadruples)) for frame in frames]
+        signed = [(frame, *_polar_codes(frame.pattern)) for frame in frames]
         keys, which = np.unique(np.concatenate([codes for _, codes, _ in signed]), return_inverse=True)
         volts = np.concatenate([signs * frame.voltages for frame, _, signs in signed])
         currents = np.concatenate([frame.measurement_currents for frame in frames])
@@ -224,9 +225,10 @@ class Baseline:
         """
         if (known := self._known.get(pattern)) is not None:
             return known
-        codes, signs = codes_of(pattern.quadruples)
-        at = np.minimum(np.searchsorted(self.keys, codes), len(self.keys) - 1)
-        if len(missing := np.flatnonzero(self.keys[at] != codes)):
+        codes, signs = _polar_codes(pattern)
+        same, reversed_ = (np.minimum(np.searchsorted(self.keys, key), len(self.keys) - 1) for key in (codes, codes ^ 1))
+        at = np.where(self.keys[same] == codes, same, reversed_)
+        if len(missing := np.flatnonzero(self.keys[at] >> 1 != codes >> 1)):
             raise PatternError(
                 f"no quiet reference for source, sink, plus, minus = {pattern.quadruples[missing[0]].tolist()}; "
                 "calibrate with this pattern included"
@@ -290,6 +292,13 @@ def _reciprocity_error(frame: Frame) -> float:
         why = "the noise cannot be estimated from one quiet frame without reciprocal measurements"
         raise DataError(f"{why}; record at least two")
     return float(np.sqrt(np.mean(finite**2) / 2))
+
+
+def _polar_codes(pattern: DrivePattern) -> tuple[Ints, Ints]:
+    """The codes of its measurements, doubled, odd where the current flows from the higher number; their signs."""
+    codes, signs = codes_of(pattern.quadruples)
+    source, sink = pattern.quadruples.T[:2]
+    return 2 * codes + (source > sink), signs
 
 
 def codes_of(quadruples: Ints) -> tuple[Ints, Ints]:

@@ -14,7 +14,7 @@ from ohmskin.geometry import Cells
 from ohmskin.inverse import Image
 from ohmskin.inverse.estimators import Estimate
 from ohmskin.scan import Difference, DrivePattern, Frame, newest
-from ohmskin.sensing.confidence import as_measured, image_misfit
+from ohmskin.sensing.confidence import as_measured, fit_confidence, image_misfit, scaled_confidence
 from ohmskin.sensing.detector import FaultDetector
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis, Finding
 from ohmskin.sensing.forces import Forces, Presses
@@ -28,7 +28,7 @@ Scan = Callable[[DrivePattern], Frame]
 """Drives a pattern once and returns its frame, such as `Device.scan`."""
 
 _EXAMINED = 8  # frames that show nothing new, of which one is examined
-_SPIKES = Cause("spikes")
+_SPIKES, _UNLIKE = Cause("spikes"), Cause("unlike")
 _NOVEL = Finding(
     Cause("novel"), "the data are outliers of the presses learned from: contacts are located by the physical model"
 )
@@ -225,6 +225,8 @@ class Sensor:
         after = SensorState(belief, turn, recent if self.window else (), now, diagnosis, presses)
         if _SPIKES in diagnosis.recent_causes:  # one more may look like a light touch, for one frame
             contacts = tuple(one for one in contacts if one.id in {old.id for old in state.belief.contacts})
+        if _UNLIKE in diagnosis.recent_causes:  # the frames before count, too, however well this one is explained
+            contacts = scaled_confidence(contacts, fit_confidence(diagnosis.unlike))
         reported = placed(self._placement, changed(belief, contacts=contacts), scans, self.known.pairs)
         return after, Percept(measured.frames, reported, measured.base_estimate, diagnosis)
 

@@ -1,5 +1,7 @@
 """Lifts: which contacts are lifted, which are there again, and what becomes of what is left of them."""
 
+from math import sqrt
+
 import numpy as np
 
 from ohmskin.arrays import changed
@@ -24,6 +26,8 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
     state = _without_double(state, fitter)
     tracks, mean, drift, next_id = [], state.mean.copy(), state.drift, state.next_id
     share = 1 - np.exp(-elapsed / settling)
+    came = any(one.since == state.time for one in state.tracks)
+    bar = bar + fitter.model_error * sqrt(state.newest_energy)
     for k, one in enumerate(state.tracks):
         effect, std = state.effect(k)
         if not one.lifted:
@@ -31,7 +35,7 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
             if _faint(effect, std, one):
                 one = changed(one, lifted=max(elapsed, 1e-9))
                 mean[k, 4:] = 0.0
-        elif effect > max(_AGAIN * one.peak, bar * std):
+        elif effect > max(_AGAIN * one.peak, bar * std) and not came:
             one = Track(next_id, effect, state.time)
             next_id += 1
         else:
