@@ -226,7 +226,9 @@ class Baseline:
         if (known := self._known.get(pattern)) is not None:
             return known
         codes, signs = _polar_codes(pattern)
-        same, reversed_ = (np.minimum(np.searchsorted(self.keys, key), len(self.keys) - 1) for key in (codes, codes ^ 1))
+        same, reversed_ = (
+            np.minimum(np.searchsorted(self.keys, key), len(self.keys) - 1) for key in (codes, codes ^ 1)
+        )
         at = np.where(self.keys[same] == codes, same, reversed_)
         if len(missing := np.flatnonzero(self.keys[at] >> 1 != codes >> 1)):
             raise PatternError(
