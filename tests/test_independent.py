@@ -136,22 +136,22 @@ def presses(loop: Loop) -> tuple[list[float], int]:
 
 @pytest.mark.parametrize("mode", ["16P", "16T"])
 def test_one_press_is_one_contact(loop: Loop, mode: str) -> None:
-    """Nothing beside it, such as the shape of its patches might be taken for; where that once happened, too."""
+    """Nothing beside it, such as the shape of its patches might be taken for; where that once happened, too. Nor does
+    that shape move it: in the median it is 1.0 mm off where it is tracked (1.8 as a disc), 0.8 in single frames."""
     device, engine = loop
     engine.set_mode(mode)
-    counts = []
-    for place in [
-        (0.163, 0.159),
-        (0.049, 0.156),
-        (0.131, 0.067),
-        *np.random.default_rng(5).uniform(0.01, 0.19, (14, 2)).tolist(),
-    ]:
+    random = np.random.default_rng(5).uniform(0.01, 0.19, (14, 2)).tolist()
+    counts, off = [], []
+    for place in [(0.163, 0.159), (0.049, 0.156), (0.131, 0.067), *random]:
         device.sheet.touch({0: (*place, PRESSURE)})
-        counts += [len(touch.contacts) for touch in felt(engine, 30)[5:]]
+        touches = felt(engine, 30)[5:]
+        counts += [len(touch.contacts) for touch in touches]
+        off += [errors(touch, tuple(place))[0] for touch in touches]
         device.sheet.touch({})
         felt(engine, 8)
     engine.set_mode("16P")
     assert np.mean(np.array(counts) == 1) > 0.99
+    assert np.median(off) < 1.4e-3
 
 
 def test_a_press_just_after_another_was_lifted_is_tracked_soon(loop: Loop) -> None:

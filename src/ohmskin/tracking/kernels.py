@@ -107,6 +107,7 @@ def updated(
 ) -> Update:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and scores for others.
 
+    What small ones may change more one way than across is an error: as discs they would move and grow to explain it.
     Where one more contact is possible beside some that all press, these are corrected by what the frame says beside it,
     whatever its effect: otherwise the closest one would move and grow to explain it. A lifted one is free to move: it
     may be what has come elsewhere, which its model's error would hide from a search for new contacts.
@@ -141,9 +142,10 @@ def updated(
     own, wide = marginalised(nominal, direction), marginalised(inflated, direction)
     caused, predicted, innovation, left = np.zeros(pairs + 1), np.zeros(pairs + 1), nominal, white[3]
     before, start, spread, params = _parameters(covariance), mean.copy(), covariance.copy(), mean[:, :4].copy()
-    evidence, first = wide, 0
+    beside = marginalised(wide, shapes_of(params, radius, error, spline)) if n else wide
+    evidence, first = beside, 0
     if n and pressing and possible >= 0:
-        first, evidence = 1, _marginalised_over(wide, white, candidates, possible)
+        first, evidence = 1, _marginalised_over(beside, white, candidates, possible)
     for again in range(first, 2):
         if n:
             for i in range(n):
@@ -168,7 +170,7 @@ def updated(
         )  # fmt: skip
         if height < POSSIBLE:
             break
-        evidence = _marginalised_over(wide, white, candidates, place)
+        evidence = _marginalised_over(beside, white, candidates, place)
     signals = 0.0, 0.0
     if n:
         direction[0, pairs] = COMMON
