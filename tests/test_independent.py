@@ -1,14 +1,18 @@
 """The product, as it comes, on a device and a skin that were not written with it."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from independent_device import IndependentDevice
 
 from ohmskin import Engine, Skin
+from ohmskin.calibrate import PressGuide, PressStep
+from ohmskin.calibrate.newtons import fit_newtons
 from ohmskin.device import connect
 from ohmskin.engine import Touch
+from ohmskin.skin import Calibration
 
 PRESSURE = 20e3  # Pa
 Loop = tuple[IndependentDevice, Engine]
@@ -185,6 +189,45 @@ def test_presses_are_felt_under_hum(loop: Loop, seed: int) -> None:
     device.hum = 0.0
     engine.set_mode("16P")
     felt(engine, 20)
+
+
+def test_forces_are_told_no_surer_than_known_presses_show(loop: Loop) -> None:
+    """The patches lie elsewhere than described, and short the sheet under light presses already."""
+    device, engine = loop
+    random = np.random.default_rng(6)
+
+    def drawn(count: int) -> list[PressStep]:
+        forces = np.exp(random.uniform(np.log(0.3), np.log(4.0), count)).tolist()  # N
+        places_ = random.uniform(0.02, 0.18, (count, 2)).tolist()
+        return [PressStep((x, y), force, loading=True) for (x, y), force in zip(places_, forces, strict=True)]
+
+    def press(step: PressStep | None) -> None:
+        device.sheet.touch({} if step is None else {0: (*step.at, step.force / (np.pi * 6e-3**2))})
+
+    guide = PressGuide(drawn(10))
+    while (step := guide.step) is not None:
+        press(step)
+        felt(engine, 1)
+        guide.begin()
+        done = False
+        while not done:
+            (touch,) = felt(engine, 1)
+            done = guide.add(touch.contacts, tuple(map(engine.known.difference, touch.percept.frames)))
+        press(None)
+        felt(engine, 10)
+    skin = Skin.load("paper")
+    before = Calibration(date="2026-01-01T00:00:00+00:00", made_for=skin.digest, mode=engine.mode.name)
+    found, _, _ = fit_newtons(before, guide, engine.known)
+    told = []
+    with Engine(lambda: connect(device.url), replace(skin, calibration=found)) as other:
+        other.calibrate()
+        for step in drawn(40):
+            press(step)
+            (contact,) = felt(other, 12)[-1].contacts
+            told.append(abs(contact.force - step.force) < contact.force_std)
+            press(None)
+            felt(other, 8)
+    assert np.mean(told) > 0.6  # 0.68 if errors are normal and told rightly
 
 
 @pytest.mark.parametrize("odd", ["nan", "zero", "failed", "cut", "spike"])

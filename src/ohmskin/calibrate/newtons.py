@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import TypeAlias
 
+import numpy as np
+
 from ohmskin.calibrate.force import ForceCurve, fit_auxiliary, fit_force
 from ohmskin.calibrate.instrumented import ForceSampler
 from ohmskin.calibrate.presses import PressGuide
@@ -12,6 +14,7 @@ from ohmskin.skin import Calibration
 
 Presses: TypeAlias = PressGuide | ForceSampler
 _EXPLAINED = 0.2  # share of presses that a contact layer may leave unexplained
+_ASTRAY = 0.5  # standard deviation of the logarithm by which forces told under it may be off
 
 
 def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple[Calibration, ForceCurve, list[str]]:
@@ -57,10 +60,13 @@ def _layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> tuple[FittedLa
     told += f" pressure^{layer.exponent:.2f} +- {layer.exponent_std:.2g}"
     if layer.hysteresis >= 0:
         told += f", hysteresis {100 * layer.hysteresis:.2g} %"
-    if layer.unexplained < _EXPLAINED:
-        return layer, told
-    left = f"{100 * layer.unexplained:.2g} % of what the presses change"
-    return None, f"note: {told}, would leave {left} unexplained; the described layer is kept"
+    if layer.unexplained >= _EXPLAINED:
+        left = f"{100 * layer.unexplained:.2g} % of what the presses change"
+        return None, f"note: {told}, would leave {left} unexplained; the described layer is kept"
+    off = f"{100 * np.expm1(layer.error):.2g} %"
+    if layer.error >= _ASTRAY:
+        return None, f"note: {told}, would tell these presses' own forces {off} wrong; the force curve is used"
+    return layer, told + (f"; forces are {off} less certain than it tells" if layer.error > 0 else "")
 
 
 def _detected(presses: Presses) -> list[KnownPress]:

@@ -48,6 +48,8 @@ class FittedLayer:
         exponent_std: Standard deviation of the exponent.
         hysteresis: Of the foam (1), see `ContactLayer`; below 0: unknown, because no press had a falling force.
         unexplained: Share of the changes that no such layer explains, noise left out (1).
+        error: Of the forces of those presses, fitted under it without being known, beyond what is known of each:
+            standard deviation of the logarithm (1).
     """
 
     conductance: float
@@ -56,12 +58,13 @@ class FittedLayer:
     exponent_std: float
     hysteresis: float
     unexplained: float
+    error: float
 
     def put_into(self, calibration: Calibration) -> Calibration:
         """The same calibration with this layer."""
         stds = self.conductance_std, self.exponent_std
         own = replace(calibration, layer_conductance=self.conductance, layer_exponent=self.exponent, layer_stds=stds)
-        return replace(own, layer_hysteresis=self.hysteresis)
+        return replace(own, layer_hysteresis=self.hysteresis, layer_error=self.error)
 
 
 def fit_layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> FittedLayer:
@@ -123,9 +126,18 @@ def fit_layer(fitter: PressFitter, presses: Sequence[KnownPress]) -> FittedLayer
     all_of_it = sum(one.constant for one in exact) - noise
     left = _under_layer(fitter, found, described, presses, exact)[0] - noise
     unexplained = sqrt(max(left, 0.0) / max(all_of_it, left, 1.0))
-    return FittedLayer(
-        float(np.exp(found[0])), float(found[1]), float(stds[0]), float(stds[1]), hysteresis, unexplained
-    )
+    conductance, exponent = float(np.exp(found[0])), float(found[1])
+    under = fitter.under(replace(layer, conductance=conductance, exponent=exponent))
+    error = _error(under, [press for press in presses if not press.peak])
+    return FittedLayer(conductance, exponent, float(stds[0]), float(stds[1]), hysteresis, unexplained, error)
+
+
+def _error(fitter: PressFitter, presses: Sequence[KnownPress]) -> float:
+    """How far forces of known presses are off, beyond what is known of each (standard deviation of the logarithm)."""
+    told = [fitter.fit([press.contact], *press.scans)[0] for press in presses]
+    off = np.log([one.force / press.force for one, press in zip(told, presses, strict=True)])
+    known = np.log1p([one.force_std / one.force for one in told])
+    return float(np.sqrt(max(np.mean(off**2 - known**2), 0.0)))
 
 
 def _under_layer(

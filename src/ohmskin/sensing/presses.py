@@ -6,6 +6,7 @@ contact place, radius and pressure are fitted together. Force is the integral of
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, expm1, sqrt
@@ -24,7 +25,7 @@ from ohmskin.contacts.misfit import NormalEquations
 from ohmskin.contacts.solution import inverse
 from ohmskin.scan import Difference
 from ohmskin.sensing.model import SkinModel
-from ohmskin.skin import Press, PressedSheet
+from ohmskin.skin import ContactLayer, Press, PressedSheet
 
 _PER_PRESS = 4  # x, y (m), logarithms of radius (m) and pressure (Pa)
 _SPREAD = np.array([0.5, 1.5])  # prior standard deviations of the logarithms of radius and pressure
@@ -94,6 +95,12 @@ class PressFitter:
     def sheet(self) -> PressedSheet:
         """The skin as measured by its quiet frames, under its layer as calibrated; made when it is first needed."""
         return self.known.pressed_sheet.with_layer(self.known.skin.calibrated_layer)
+
+    def under(self, layer: ContactLayer) -> "PressFitter":
+        """The same fitter, with the skin under another layer."""
+        other = copy(self)
+        other.sheet = self.sheet.with_layer(layer)
+        return other
 
     def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
         """The presses that explain what `scans` show, one for each of the `contacts` (n,).
@@ -246,14 +253,15 @@ class PressFitter:
     def _fitted(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
         """Presses, `params` (4 n,) of a `covariance` (4 n, 4 n), with forces; uncertainty of the layer included. Errors
         are of the logarithm, at most its prior's: that of a force is of the upper one."""
-        fitted, layer, stds = [], self.sheet.skin.contact_layer, self.known.skin.calibration.layer_stds or (0.0, 0.0)
+        fitted, layer, calibration = [], self.sheet.skin.contact_layer, self.known.skin.calibration
+        stds = calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))
             press = self.press(own)
             force, slope = press.force(layer.foam_spread), np.array([self.growth(own), 1.0])
             variance = min(slope @ covariance[at, at][2:, 2:] @ slope, ((slope * _SPREAD) ** 2).sum())
             off = np.array([1.0, np.log(press.pressure / layer.pressure_scale)]) / layer.exponent
-            std = sqrt(variance + float(((off * np.array(stds)) ** 2).sum()))
+            std = sqrt(variance + float(((off * np.array(stds)) ** 2).sum()) + calibration.layer_error**2)
             fitted.append(FittedPress(press, force, force * expm1(std), covariance[at, at]))
         return tuple(fitted)
 

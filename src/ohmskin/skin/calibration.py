@@ -41,6 +41,8 @@ class Calibration:
         layer_conductance: Of the contact layer, per area at its pressure scale (S/m2), and
         layer_exponent: of its growth with pressure (1), as presses of known force showed them; 0: as described.
         layer_stds: Standard deviations of that conductance's logarithm, and of that exponent.
+        layer_error: Error of forces under it beyond what is known of each, from those presses: standard deviation of
+            the logarithm (1).
         layer_hysteresis: Its `ContactLayer.hysteresis`, from presses with falling force (1); below 0: as described.
         auxiliary_gain, auxiliary_error: Of the `Auxiliary` channel (N/N or Pa/N), and of the gain as a share (1), as
             presses of known force showed it; 0: as described.
@@ -73,6 +75,7 @@ class Calibration:
     layer_conductance: float = number(0.0, 0, 1e9, "S/m2")
     layer_exponent: float = number(0.0, 0, 3, "")
     layer_stds: tuple[float, ...] = numbers(1e3)
+    layer_error: float = number(0.0, 0, 10, "")
     layer_hysteresis: float = number(-1.0, -1, 0.5, "")
     auxiliary_gain: float = number(0.0, 0, 1e9, "N/N or Pa/N")
     auxiliary_error: float = number(0.0, 0, 1, "")
