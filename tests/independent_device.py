@@ -44,6 +44,11 @@ class Sheet:
     def _near(self, place: object, radius: float) -> np.ndarray:
         return np.flatnonzero(((self._nodes - np.asarray(place)) ** 2).sum(axis=1) <= radius**2)
 
+    def warm(self, factor: float) -> None:
+        """Let all of the sheet conduct that many times as well."""
+        self._sheet *= factor
+        self.touch(self.touches)
+
     def touch(self, touches: dict[int, tuple[float, float, float]]) -> None:
         """Touch at x, y (m) with a pressure (Pa) over 6 mm; each in place of those before."""
         self.touches = touches

@@ -125,6 +125,16 @@ def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     assert np.mean(broken) < 1.5 * np.mean(sound)
 
 
+def test_a_sheet_that_conducts_better_all_over_stays_quiet(loop: Loop) -> None:
+    """For seconds, in which a common change could be mistaken for one of contact impedances."""
+    device, engine = loop
+    device.sheet.warm(1.02)
+    assert not any(touch.contacts for touch in felt(engine, 500))
+    assert errors(pressed(loop, (0.06, 0.12)), (0.06, 0.12))[0] < 3e-3
+    device.sheet.warm(1 / 1.02)
+    felt(engine, 100)
+
+
 def presses(loop: Loop) -> tuple[list[float], int]:
     """Errors (m) from the sixth frame of each of ten presses on, and in how many frames there is not one contact."""
     (device, engine), off, odd = loop, [], 0

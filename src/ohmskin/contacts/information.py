@@ -12,6 +12,7 @@ from functools import reduce
 from math import sqrt
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import whitened
@@ -47,14 +48,17 @@ class Errors:
     def drift(self, data: "Information", known: Floats | float = 0.0) -> Floats:
         """Likeliest change (n_pairs,) of two-terminal resistances by contacts, if nothing touches the skin (ohm).
 
+        A common change of all resistances is estimated beside them, and no part of it.
+
         Args:
             data: What is measured.
             known: Of it (n_pairs,), what has been taken off the data.
         """
         assert self.contacts is not None
-        seen = data.white.normal_products(self.contacts.T)[:, :-1]
-        volts = self.contacts.T @ data.white_residual.vector[:-1] + (seen @ known if np.ndim(known) else 0.0)
-        return np.asarray(self.contacts @ np.linalg.solve(seen @ self.contacts + np.eye(len(seen)), volts))
+        changes = block_diag(self.contacts.T, COMMON)
+        seen = data.white.normal_products(changes)
+        volts = changes @ data.white_residual.vector + (seen[:, :-1] @ known if np.ndim(known) else 0.0)
+        return np.asarray(self.contacts @ np.linalg.solve(seen @ changes.T + np.eye(len(seen)), volts)[:-1])
 
 
 @dataclass(frozen=True, eq=False)
