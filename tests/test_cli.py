@@ -20,6 +20,7 @@ from waiting import until
 
 from ohmskin.cli import app, main
 from ohmskin.cli.heartbeat import HEARTBEAT
+from ohmskin.errors import ModelError
 
 
 def ohmskin(*arguments: str, cwd: Path | None = None, timeout: float = 300) -> "subprocess.CompletedProcess[str]":
@@ -236,13 +237,18 @@ def test_ctrl_c_while_it_imports_says_nothing() -> None:
     assert "Traceback" not in rest
 
 
-def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numba's callbacks turn an interrupt into a SystemError that it caused."""
-    inner = SystemError("returned a result with an exception set")
+@pytest.mark.parametrize("kinds", [(SystemError, SystemError), (ImportError, ImportError), (ModelError, ImportError)])
+def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(
+    kinds: tuple[type[Exception], type[Exception]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of an interrupt Numba's callbacks make a `SystemError` caused by it, pybind11's modules an `ImportError`."""
+    kind, inner_kind = kinds
+    inner = inner_kind("initialization failed")
     inner.__cause__ = KeyboardInterrupt()
-    outer = SystemError("returned a result with an exception set")
+    outer, other = kind("MuJoCo is missing"), kind("of another cause")
     outer.__cause__ = inner
-    raised = iter([outer, SystemError("of another cause")])
+    other.__cause__ = inner_kind("no such file")
+    raised = iter([outer, other])
 
     def compute() -> None:
         raise next(raised)
@@ -253,8 +259,11 @@ def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(mo
         with pytest.raises(SystemExit) as end:
             main()
         assert end.value.code == 130
-        with pytest.raises(SystemError, match="of another cause"):
+        assert capsys.readouterr().err == ""
+        told = kind is ModelError
+        with pytest.raises(SystemExit if told else kind, match="2" if told else "of another cause"):
             main()
+        assert capsys.readouterr().err == told * "ohmskin: of another cause\n"
     finally:
         del app["compute"]
 

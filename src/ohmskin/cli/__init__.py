@@ -108,13 +108,13 @@ def main() -> None:
     with HEARTBEAT:
         try:
             _run(arguments)
-        except (OhmskinError, CycloptsError) as error:
+        except (OhmskinError, CycloptsError, KeyboardInterrupt, SystemError, ImportError) as error:
+            if _interrupted(error):
+                sys.exit(130)
+            if not isinstance(error, OhmskinError | CycloptsError):
+                raise
             print(f"ohmskin: {error}", file=sys.stderr)
             sys.exit(2)
-        except (KeyboardInterrupt, SystemError) as error:
-            if not _interrupted(error):
-                raise
-            sys.exit(130)
         except BrokenPipeError:  # the reader of our output, `head` say, has gone
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             sys.exit(0)
@@ -127,7 +127,7 @@ def main() -> None:
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error: raised within C code, it comes as the cause of a `SystemError`."""
+    """Whether Ctrl-C caused an error: raised within C code or an import, it comes as the cause of another one."""
     return error is not None and (isinstance(error, KeyboardInterrupt) or _interrupted(error.__cause__))
 
 

@@ -43,8 +43,8 @@ def train_gestures(seed: int = 0, count: int = 2400, progress: Callable[[str], N
     """
     try:
         from sklearn.neural_network import MLPClassifier
-    except ImportError:
-        raise ModelError("training needs scikit-learn: pip install 'ohmskin[learn]'") from None
+    except ImportError as error:
+        raise ModelError("training needs scikit-learn: pip install 'ohmskin[learn]'") from error
     random = np.random.default_rng(seed)
     rows, names, last = list[Floats](), list[int](), list[bool]()
     for gesture, stream in simulated(seed, count):
