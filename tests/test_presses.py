@@ -12,7 +12,7 @@ from ohmskin.evaluate.setup import Setup, setup
 from ohmskin.evaluate.shapes import disc
 from ohmskin.scan import Difference
 from ohmskin.sensing import KnownPress, PressFitter, SkinModel, fit_layer, modes
-from ohmskin.skin import Press, PressedSheet, Skin
+from ohmskin.skin import Calibration, Press, PressedSheet, Skin
 
 FRAMES = 10  # 0.1 s at a hundred frames a second
 
@@ -116,6 +116,17 @@ def test_ten_known_presses_calibrate_the_layer() -> None:
     mixed_up = [replace(one, force=other.force) for one, other in zip(presses, reversed(presses), strict=True)]
     with pytest.raises(DataError, match="check which force belongs to which press"):
         fit_layer(PressFitter(wrong), mixed_up)
+
+
+def test_errors_of_a_layer_say_nothing_of_forces_under_another() -> None:
+    """A calibrated skin is calibrated anew as one that never was."""
+    press, layer = pressed(Press((0.1, 0.1), 8e-3, 20e3), 0, 2), world().skin.contact_layer
+    known: SkinModel = copy(world().known)
+    known.skin = replace(known.skin, calibration=Calibration(layer_stds=(0.3, 0.1), layer_error=0.4))
+    [told], [under] = (one.fit([press.contact], *press.scans) for one in (fitter(), PressFitter(known).under(layer)))
+    [before] = PressFitter(known).fit([press.contact], *press.scans)
+    assert under.force_std == pytest.approx(told.force_std, rel=1e-6)
+    assert before.force_std > told.force_std + 0.4 * told.force
 
 
 def test_impossible_presses_are_refused() -> None:

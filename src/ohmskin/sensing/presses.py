@@ -88,7 +88,7 @@ class PressFitter:
     """
 
     def __init__(self, known: SkinModel, model_error: float = _MODEL_ERROR) -> None:
-        self.known, self._model_error = known, model_error
+        self.known, self._model_error, self._calibration = known, model_error, known.skin.calibration
         self.usual = np.log([1.5 * known.skin.imaging.mesh_size, known.skin.contact_layer.pressure_scale])
 
     @cached_property
@@ -97,9 +97,10 @@ class PressFitter:
         return self.known.pressed_sheet.with_layer(self.known.skin.calibrated_layer)
 
     def under(self, layer: ContactLayer) -> "PressFitter":
-        """The same fitter, with the skin under another layer."""
+        """The same fitter, with the skin under another layer, as if that were known exactly."""
         other = copy(self)
         other.sheet = self.sheet.with_layer(layer)
+        other._calibration = replace(self._calibration, layer_stds=(), layer_error=0.0)
         return other
 
     def fit(self, contacts: Sequence[Contact], *scans: Difference) -> tuple[FittedPress, ...]:
@@ -253,7 +254,7 @@ class PressFitter:
     def _fitted(self, params: Floats, covariance: Floats) -> tuple[FittedPress, ...]:
         """Presses, `params` (4 n,) of a `covariance` (4 n, 4 n), with forces; uncertainty of the layer included. Errors
         are of the logarithm, at most its prior's: that of a force is of the upper one."""
-        fitted, layer, calibration = [], self.sheet.skin.contact_layer, self.known.skin.calibration
+        fitted, layer, calibration = [], self.sheet.skin.contact_layer, self._calibration
         stds = calibration.layer_stds or (0.0, 0.0)
         for k, own in enumerate(params.reshape(-1, _PER_PRESS)):
             at = slice(_PER_PRESS * k, _PER_PRESS * (k + 1))
