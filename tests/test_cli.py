@@ -1,5 +1,6 @@
 """The command line as a user types it."""
 
+import ctypes
 import json
 import os
 import re
@@ -264,6 +265,33 @@ def test_ctrl_c_within_c_code_is_ctrl_c_and_other_errors_of_it_are_not_hidden(
         with pytest.raises(SystemExit if told else kind, match="2" if told else "of another cause"):
             main()
         assert capsys.readouterr().err == told * "ohmskin: of another cause\n"
+    finally:
+        del app["compute"]
+
+
+def test_an_error_without_a_cause_after_ctrl_c_is_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of an interrupt ctypes makes an `ArgumentError`, told from others by its text alone."""
+    pressed = iter([True, False])
+
+    def compute() -> None:
+        try:
+            if next(pressed):
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            pass
+        raise ctypes.ArgumentError("argument 1")
+
+    app.command(compute)
+    monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    try:
+        with pytest.raises(SystemExit, match="130"):
+            main()
+        assert capsys.readouterr().err == ""
+        with pytest.raises(ctypes.ArgumentError):
+            main()
     finally:
         del app["compute"]
 

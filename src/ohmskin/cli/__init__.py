@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from cyclopts import App, CycloptsError, Group, Parameter
 
 import ohmskin
-from ohmskin.cli.heartbeat import HEARTBEAT, interrupt
+from ohmskin.cli.heartbeat import HEARTBEAT, INTERRUPTED, interrupt
 from ohmskin.errors import OhmskinError, harmless
 
 _TOGETHER = {
@@ -108,11 +108,9 @@ def main() -> None:
     with HEARTBEAT:
         try:
             _run(arguments)
-        except (OhmskinError, CycloptsError, KeyboardInterrupt, SystemError, ImportError) as error:
-            if _interrupted(error):
+        except (OhmskinError, CycloptsError) as error:
+            if _caused_by_interrupt(error):
                 sys.exit(130)
-            if not isinstance(error, OhmskinError | CycloptsError):
-                raise
             print(f"ohmskin: {error}", file=sys.stderr)
             sys.exit(2)
         except BrokenPipeError:  # the reader of our output, `head` say, has gone
@@ -121,17 +119,21 @@ def main() -> None:
         except OSError as error:  # such as a file name that is too long
             print(f"ohmskin: {harmless(str(error))}", file=sys.stderr)
             sys.exit(2)
+        except (Exception, KeyboardInterrupt) as error:  # C code and imports make others of an interrupt
+            if not (INTERRUPTED.is_set() or _caused_by_interrupt(error)):
+                raise
+            sys.exit(130)
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error: raised within C code or an import, it comes as the cause of another one."""
-    return error is not None and (isinstance(error, KeyboardInterrupt) or _interrupted(error.__cause__))
+def _caused_by_interrupt(error: BaseException | None) -> bool:
+    return error is not None and (isinstance(error, KeyboardInterrupt) or _caused_by_interrupt(error.__cause__))
 
 
 def _run(arguments: list[str]) -> None:
+    INTERRUPTED.clear()
     _check_command(arguments)
     command, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
     signal.signal(signal.SIGINT, interrupt)

@@ -69,6 +69,10 @@ class Heartbeat:
             self._streams[1].flush()
 
 
+INTERRUPTED = Event()
+"""Whether Ctrl-C was pressed in this process's command."""
+
+
 def interrupt(*_: object) -> None:
     """End the command at Ctrl-C: raise KeyboardInterrupt.
 
@@ -81,6 +85,7 @@ def interrupt(*_: object) -> None:
             interrupt_main()
 
     sys.unraisablehook = unraisable
+    INTERRUPTED.set()
     raise KeyboardInterrupt
 
 
