@@ -118,6 +118,18 @@ def test_ten_known_presses_calibrate_the_layer() -> None:
         fit_layer(PressFitter(wrong), mixed_up)
 
 
+def test_how_far_forces_are_off_is_told_again_and_again() -> None:
+    """Forces told 1.5 times too large and too small; a press that tells little of its force decides nothing."""
+    right, calibration = some(8, 2, 7e-3, [4e3, 15e3]), world().skin.calibration
+    presses = [replace(one, force=one.force * 1.5 ** (-1) ** (k // 2)) for k, one in enumerate(right)]
+    for _ in range(3):
+        known: SkinModel = copy(world().known)
+        known.skin = replace(known.skin, calibration=calibration)
+        found = fit_layer(PressFitter(known), presses)
+        assert found.error == pytest.approx(np.log(1.5), abs=0.15)
+        calibration = found.put_into(calibration)
+
+
 def test_errors_of_a_layer_say_nothing_of_forces_under_another() -> None:
     """A calibrated skin is calibrated anew as one that never was."""
     press, layer = pressed(Press((0.1, 0.1), 8e-3, 20e3), 0, 2), world().skin.contact_layer

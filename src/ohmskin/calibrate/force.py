@@ -46,8 +46,8 @@ class ForceCurve:
         hysteresis: Largest mean difference of strength between unloading and loading at a force, over the largest (1).
         scatter: Standard deviation of strength between places at one force, as a share; mean over the forces.
         missed: Samples that were not detected.
-        flat: Forces (N) whose strength is not higher than that of the next lower force: the skin is saturated or too
-            coarse.
+        flat: Forces (N) whose strength is not higher than that of the next lower force: the skin is saturated, or
+            strength differs more between places. The curve gives the geometric mean of forces that are alike.
     """
 
     strengths: tuple[float, ...]
@@ -100,9 +100,11 @@ def fit_force(samples: Sequence[PressSample]) -> ForceCurve:
     groups = [strength[force == level] for level in levels]
     counts = np.array([len(group) for group in groups], float)
     monotone = isotonic_regression([float(group.mean()) for group in groups], weights=counts).x
-    # where it does not rise the lower force stays: a saturated skin tells the least that presses it
+    # where it does not rise, each of the forces may be: with the lowest of them most would be told far too small
     rises = np.diff(monotone, prepend=0.0) > 1e-6 * monotone
-    strengths, forces = tuple(monotone[rises].tolist()), tuple(np.array(levels)[rises].tolist())
+    alike, number = np.cumsum(rises) - 1, np.flatnonzero(rises)
+    means = np.bincount(alike, counts * np.log(levels)) / np.bincount(alike, counts)
+    strengths, forces = tuple(monotone[number].tolist()), tuple(np.exp(means).tolist())
     if len(strengths) < 2:
         span = f"{levels[0]:.3g} to {levels[-1]:.3g} N"
         raise DataError(f"strength does not rise with force over {span}; press at the places asked for")

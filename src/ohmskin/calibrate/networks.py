@@ -1,6 +1,7 @@
 """Networks that estimate offsets of positions, trained by scikit-learn; the loop needs NumPy alone."""
 
 import warnings
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,7 @@ _EPOCHS, _PATIENCE, _ASIDE = 250, 10, 0.15  # at most; without progress; share o
 
 def can_train() -> bool:
     """Whether scikit-learn is installed."""
-    try:
-        import sklearn  # noqa: F401
-    except ImportError:
-        return False
-    return True
+    return find_spec("sklearn") is not None
 
 
 def trained(at: Floats, offsets: Floats) -> Networks | None:

@@ -46,7 +46,8 @@ def fit_newtons(found: Calibration, presses: Presses, known: SkinModel) -> tuple
     words.append(why)
     if curve.flat:
         flat = ", ".join(f"{newtons:.2f}" for newtons in curve.flat)
-        words.append(f"note: {flat} N cannot be distinguished from smaller forces; the skin is saturated")
+        why = "the skin is saturated, or strength differs more between places"
+        words.append(f"note: {flat} N cannot be distinguished from smaller forces; {why}")
     return found, curve, words
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import Contact
@@ -137,7 +138,14 @@ def _error(fitter: PressFitter, presses: Sequence[KnownPress]) -> float:
     told = [fitter.fit([press.contact], *press.scans)[0] for press in presses]
     off = np.log([one.force / press.force for one, press in zip(told, presses, strict=True)])
     known = np.log1p([one.force_std / one.force for one in told])
-    return float(np.sqrt(max(np.mean(off**2 - known**2), 0.0)))
+
+    def surprise(error: float) -> float:
+        """Minus twice the logarithm of the likelihood: an uncertain press has a say as far as it tells anything."""
+        variance = known**2 + error**2
+        return float((off**2 / variance + np.log(variance)).sum())
+
+    likeliest = minimize_scalar(surprise, bounds=(0.0, float(np.abs(off).max())), method="bounded").x
+    return float(likeliest) if surprise(likeliest) < surprise(0.0) else 0.0
 
 
 def _under_layer(
