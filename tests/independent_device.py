@@ -49,6 +49,11 @@ class Sheet:
         self._sheet *= factor
         self.touch(self.touches)
 
+    def worsen(self, electrode: int, factor: float) -> None:
+        """Let the contact of an electrode have that many times its resistance."""
+        self._contact[electrode] /= factor
+        self.touch(self.touches)
+
     def touch(self, touches: dict[int, tuple[float, float, float]]) -> None:
         """Touch at x, y (m) with a pressure (Pa) over 6 mm; each in place of those before."""
         self.touches = touches

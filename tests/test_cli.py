@@ -365,9 +365,8 @@ def test_headless_table_over_a_pseudo_terminal() -> None:
         assert address.startswith("serial://")
         result = ohmskin("live", "--headless", "--mode", "12B", "--seconds", "1", "--device", address)
     assert result.returncode == 0, result.stderr
-    lines = result.stdout.splitlines()
-    assert "extent/cm2" in lines[1]
-    assert len(lines) >= 4
+    _, _, rows = result.stdout.partition("extent/cm2")  # before it may be told that quiet frames were measured again
+    assert len(rows.splitlines()) >= 3
 
 
 def test_scan_prints_what_was_driven_and_measured() -> None:

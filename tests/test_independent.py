@@ -1,7 +1,8 @@
 """The product, as it comes, on a device and a skin that were not written with it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -123,6 +124,35 @@ def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
         assert not any(touch.contacts for touch in touches[3:])
         assert not touches[-1].percept.findings
     assert np.mean(broken) < 1.5 * np.mean(sound)
+
+
+@pytest.mark.parametrize(
+    ("factor", "electrodes"),
+    [(20.0, (1, 15)), *(pytest.param(factor, range(16), marks=pytest.mark.long) for factor in (4.0, 20.0))],
+)
+def test_a_contact_that_becomes_worse_is_no_touch(seed: int, factor: float, electrodes: Sequence[int]) -> None:
+    """The electrode shunts the sheet less than before, which looked like a lasting touch beside most electrodes."""
+    false, named, off = 0, set[int](), list[float]()
+    for number in electrodes:
+        device = IndependentDevice(seed)
+        with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+            engine.calibrate()
+            felt(engine, 20)
+            device.sheet.worsen(number, factor)
+            touches = felt(engine, 300)
+            false += sum(bool(touch.contacts) for touch in touches)
+            findings = {finding for touch in touches for finding in touch.percept.findings}
+            words = f"the contact of electrode {number} has become worse; tighten it, or calibrate again"
+            assert {finding.words for finding in findings} <= {words}
+            named |= {electrode for finding in findings for electrode in finding.cause.electrodes}
+            for at in np.random.default_rng(seed).uniform(0.02, 0.18, (4, 2)).tolist():
+                touch = pressed((device, engine), tuple(at), frames=15)
+                assert len(touch.contacts) == 1
+                off += errors(touch, tuple(at))
+        device.close()
+    assert false <= len(electrodes)
+    assert np.median(off) < 1.2e-3
+    assert len(named) > len(electrodes) / (2 if factor > 10 else 4)  # others, as corners, hardly shunt the sheet
 
 
 def test_a_sheet_that_conducts_better_all_over_stays_quiet(loop: Loop) -> None:

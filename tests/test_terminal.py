@@ -25,7 +25,12 @@ COMMANDS = {
     "policies": "policies --quick --jobs 2",
     "bench": "bench --quick",
 }
-MOMENTS = [(name, 3.0) for name in COMMANDS] + [("live", 0.4), ("live", 8.0), ("policies", 0.4), ("calibrate", 8.0)]
+MOMENTS = [(name, 1.0 if name == "learn" else 3.0) for name in COMMANDS] + [
+    ("live", 0.4),
+    ("live", 8.0),
+    ("policies", 0.4),
+    ("calibrate", 8.0),
+]
 ENDING = ("live --headless --seconds 1", "calibrate --places 2 --weights 200 500", f"image {RECORDING}")
 
 

@@ -148,7 +148,7 @@ class ContactFitter(DiscFitter):
             if better or strong or self.poor(nominal, found.cost) or not len(found.params):
                 under = self._over_an_electrode(everything, found, covered, bool(better))
             best = min(better, key=cost_of, default=None)
-            if under and (best is None or self._price(under[-1], len(under[0])) < self._price(best, len(covered))):
+            if under and (best is None or self.price(under[-1], len(under[0])) < self.price(best, len(covered))):
                 covered, nominal, inflated, found = under
             elif best is not None:
                 found = best
@@ -207,9 +207,10 @@ class ContactFitter(DiscFitter):
             return None
         return Solution(params, cost, normal, caused, slopes.T, before.covered, shapes.T, doubts), state == VALID
 
-    def _price(self, found: Solution, covered: int) -> float:
-        """What a fit leaves unexplained, and what its contacts and the electrodes covered cost (noise's variance)."""
-        return found.cost + self.bar**2 * (len(found.params) + _COVERED * covered)
+    def price(self, found: Solution, electrodes: int) -> float:
+        """What a fit, `found`, leaves unexplained, and what its contacts and those `electrodes` cost of which nothing
+        is taken to be known (noise's variance)."""
+        return found.cost + self.bar**2 * (len(found.params) + _COVERED * electrodes)
 
     def _over_an_electrode(
         self, everything: Both, found: Solution, covered: tuple[int, ...], better: bool
@@ -239,11 +240,9 @@ class ContactFitter(DiscFitter):
                 rest = self.refine(inflated, others) if len(others) else nothing(len(found.caused))
                 score, power = self.scores(nominal.minus(rest.caused).marginalised_flat(rest.slopes))
                 one = self._cleared(inflated, self.added(inflated, score, power, rest.params))
-                if number in self.covered(one.params) and self._price(one, len(under)) < self._price(
-                    found, len(covered)
-                ):
+                if number in self.covered(one.params) and self.price(one, len(under)) < self.price(found, len(covered)):
                     tried.append((under, nominal, inflated, one))
-        return min(tried, key=lambda each: self._price(each[3], 0), default=None)
+        return min(tried, key=lambda each: self.price(each[3], 0), default=None)
 
     def _beside_electrodes(
         self, data: Information, found: Solution, covered: tuple[int, ...]

@@ -55,10 +55,21 @@ class Errors:
             known: Of it (n_pairs,), what has been taken off the data.
         """
         assert self.contacts is not None
+        return np.asarray(self.contacts @ self._impedances(data, known)[0])
+
+    def rises(self, data: "Information") -> Floats:
+        """By how many standard deviations (n_elec,) each contact impedance has surely risen."""
+        likeliest, errors = self._impedances(data)
+        return likeliest / errors
+
+    def _impedances(self, data: "Information", known: Floats | float = 0.0) -> tuple[Floats, Floats]:
+        """Likeliest change of each contact impedance (n_elec,), and its error, in standard deviations of before."""
+        assert self.contacts is not None
         changes = block_diag(self.contacts.T, COMMON)
         seen = data.white.normal_products(changes)
         volts = changes @ data.white_residual.vector + (seen[:, :-1] @ known if np.ndim(known) else 0.0)
-        return np.asarray(self.contacts @ np.linalg.solve(seen @ changes.T + np.eye(len(seen)), volts)[:-1])
+        covariance = np.linalg.inv(seen @ changes.T + np.eye(len(seen)))
+        return (covariance @ volts)[:-1], np.sqrt(np.diag(covariance))[:-1]
 
 
 @dataclass(frozen=True, eq=False)

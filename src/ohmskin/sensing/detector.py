@@ -57,6 +57,7 @@ class FaultDetector:
         elapsed: float,
         suspects: Sequence[int] = (),
         unexplained: float = 0.0,
+        loosened: Sequence[int] = (),
     ) -> tuple[Diagnosis, tuple[Difference, ...]]:
         """What is known after one frame more, and its scans without what contradicts.
 
@@ -67,6 +68,7 @@ class FaultDetector:
             elapsed: Time since the last frame (s).
             suspects: Electrodes whose data the reader does not believe.
             unexplained: Share of the data of the last frame that its contacts did not explain.
+            loosened: Electrodes whose contacts have become worse.
 
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
@@ -74,7 +76,7 @@ class FaultDetector:
         now, looked, noise = before.time + elapsed, newest(scans, before.scans, self._window), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
         suspected = {Cause("open", (suspect,)) for suspect in suspects}
-        causes |= suspected
+        causes |= suspected | {Cause("loose", (electrode,)) for electrode in loosened}
         unlike = before.unlike - np.expm1(-elapsed / _SLOWLY) * (unexplained - before.unlike)
         causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
         lost = self._lost(frames)
@@ -105,7 +107,7 @@ class FaultDetector:
             offsets = (*offsets, (now, float(remedy.off[0])))[-_MEMORY:]
             rest = max(remedy.fit.noise / noise, 1.0)
             cleaned = tuple(scan.times(1 / (_NOT_ALIKE * rest)) for scan in cleaned)
-        blamed = {e for cause in causes for e in cause.electrodes}
+        blamed = {e for cause in causes if cause.spoils for e in cause.electrodes}
         blamed = blamed if len(blamed | before.bad.keys()) <= self._most else set()
         after = Diagnosis(
             findings=before.findings,

@@ -57,8 +57,8 @@ class LearnedReader:
         assert isinstance(before.tracks, Tracks)
         estimate = estimated(self.estimator, before.estimate, len(new), cleaned, elapsed)
         tracks, contacts = self.physics.tracker.update(before.tracks, [found])
-        unlearned = before.unlearned + elapsed
-        return Belief(estimate, (found,), contacts, tracks, before.drift, unlearned, explains=True)
+        drift = before.drift and changed(before.drift, unlearned=before.drift.unlearned + elapsed)
+        return Belief(estimate, (found,), contacts, tracks, drift, explains=True)
 
     def contact_of(self, scans: Sequence[Difference]) -> Contact | None:
         """The contact read from scans, without drift; None if they are outliers of those learned from, or if another

@@ -56,7 +56,8 @@ class Locator:
     def _still(self, scans: Sequence[Difference], before: Belief, known: Solution) -> bool:
         """Whether contacts leave no more of scans than one that is followed may, with no step of a fit."""
         assert self.fitter is not None
-        changes, pairs = known.caused if before.drift is None else known.caused + before.drift, self.fitter.table.pairs
+        drift, pairs = 0.0 if before.drift is None else before.drift.change, self.fitter.table.pairs
+        changes = known.caused + drift
         seen = undriven(scans)
         left = [scan.volts - scan.caused_by(changes, pairs) for scan in seen]
         squares = sum(float(scan.volts @ scan.volts) for scan in seen)

@@ -14,6 +14,7 @@ import numpy as np
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution
 from ohmskin.contacts.information import Information
+from ohmskin.contacts.loosened import Explained, with_loosened
 from ohmskin.contacts.solution import nothing
 from ohmskin.drive import Target
 from ohmskin.inverse import Image
@@ -21,11 +22,10 @@ from ohmskin.inverse.estimators import Estimate, Estimator, FrameWise, LazyEstim
 from ohmskin.scan import Difference, Pairs
 from ohmskin.scan.pairs import in_series
 from ohmskin.sensing.confidence import fit_confidence, image_confidence, scaled_confidence
+from ohmskin.sensing.drift import Drift
 from ohmskin.sensing.model import SkinModel
 from ohmskin.tracking import ContactFilter, Tracker, Tracks, TrackState
 
-_FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
-_LEARNED = 0.1  # s between frames from which the latter is estimated
 _AFRESH = 0.5  # s between frames in which contacts are looked for afresh, lest a wrong place be kept
 _DRIFT = 0.5  # share of the signal that contacts leave, from which on it is drift,
 _SURE = 2.0  # if that is surely more than noise (deviations),
@@ -41,9 +41,7 @@ class Belief:
         detections: The contacts of this frame alone, strongest first.
         contacts: The contacts to report: confirmed by several frames, with ids.
         tracks: State of the tracker.
-        drift: Change of two-terminal resistances (n_pairs,) since the calibration without that of contacts (ohm), if
-            the reader estimates it.
-        unlearned: Time since drift of single pairs was last estimated (s).
+        drift: Of the quiet skin, if the reader estimates it.
         suspects: Electrodes that alone showed a contact that others should have shown, too.
         unexplained: Share of the data that neither the contacts nor the image explain.
         novel: Time for which contacts have been located by the physical model because the data are outliers of those
@@ -58,8 +56,7 @@ class Belief:
     detections: tuple[Contact, ...] = ()
     contacts: tuple[Contact, ...] = ()
     tracks: Tracks | TrackState = field(default=Tracks(), repr=False)
-    drift: Floats | None = field(default=None, repr=False)
-    unlearned: float = 0.0
+    drift: Drift | None = field(default=None, repr=False)
     suspects: tuple[int, ...] = ()
     unexplained: float = 0.0
     novel: float = 0.0
@@ -67,6 +64,11 @@ class Belief:
     searched: float = 0.0
     explains: bool = False
     search_targets: tuple[Target, ...] = ()
+
+    @property
+    def loosened(self) -> tuple[int, ...]:
+        """Electrodes whose contacts became worse within the last second."""
+        return () if self.drift is None else self.drift.loosened
 
     @property
     def image(self) -> Image:
@@ -80,7 +82,8 @@ class Belief:
             scans: As measured.
             pairs: Pairs of electrodes whose drift it is.
         """
-        drift = self.tracks.drift if isinstance(self.tracks, TrackState) else self.drift
+        drift = None if self.drift is None else self.drift.change
+        drift = self.tracks.drift if isinstance(self.tracks, TrackState) else drift
         return [scan if drift is None else scan.minus(drift, pairs) for scan in scans]
 
     def with_image_misfit(self, misfit: float) -> "Belief":
@@ -214,15 +217,17 @@ class FitReader:
         """The belief after one more frame. Contact impedances are estimated while nothing touches; other drift always,
         together with the contacts."""
         assert isinstance(before.tracks, Tracks)
-        drift, errors, pairs = before.drift, self.fitter.errors, self.fitter.table.pairs
-        ready = undriven if drift is None else partial(_steady, drift, pairs)
+        pairs = self.fitter.table.pairs
+        drift = before.drift or Drift.none(len(pairs))
+        ready = undriven if before.drift is None else partial(_steady, drift.change, pairs)
         estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed, ready)
-        nominal, inflated = self.fitter.information(*recent, drift=drift)
-        unlearned, searched = before.unlearned + elapsed, before.searched + elapsed
+        data = self.fitter.information(*recent, drift=drift.change)
+        searched = before.searched + elapsed
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
-        solution = self.fitter.fit_information(nominal, inflated, before=known)
+        explained = self._explained(data, known, bool(drift.doubted))
+        solution, nominal = explained.solution, explained.data
         if solution.covered:
-            nominal = nominal.excluding(in_series(solution.covered, self.fitter.table.pairs))
+            nominal = nominal.excluding(in_series(solution.covered, pairs))
         if solution.shapes is not None and solution.shapes.size:
             nominal = nominal.marginalised(solution.shapes)
         signal, left = nominal.signals(solution.caused)
@@ -230,16 +235,21 @@ class FitReader:
         if self._is_drift(nominal, solution, signal, left):
             solution, unexplained = nothing(len(solution.caused)), 0.0
         found = scaled_confidence(self.fitter.contacts(solution), fit_confidence(unexplained))
-        if errors.contacts is not None and not found:
-            last = 0.0 if drift is None else drift
-            drift = last - np.expm1(-elapsed / _FOLLOWED) * (errors.drift(nominal, last) - last)
-        if unlearned >= _LEARNED:
-            learned = -np.expm1(-unlearned / _FOLLOWED) * self._drift(nominal, solution)
-            drift, unlearned = learned if drift is None else drift + learned, 0.0
+        explained = changed(explained, solution=solution, data=nominal)
+        drift = drift.followed(self.fitter, explained, not found, elapsed)
         tracks, contacts = self.tracker.update(before.tracks, found)
-        belief = Belief(estimate, found, contacts, tracks, drift, unlearned, unexplained=unexplained)
+        belief = Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
         explains = not found or not self.fitter.poor(nominal, solution.cost)
         return changed(belief, solution=solution, searched=searched, explains=explains)
+
+    def _explained(self, data: tuple[Information, Information], known: Solution | None, doubted: bool) -> Explained:
+        """Data explained by contacts; where there are more of them than are `known`, or they are `doubted`, by worse
+        contacts of electrodes, too."""
+        found = self.fitter.fit_information(*data, before=known)
+        more = len(found.params) > (0 if known is None else len(known.params))
+        if self.fitter.errors.contacts is None or not (more or (doubted and len(found.params))):
+            return Explained(found, data[0])
+        return with_loosened(self.fitter, data, found, known)
 
     @staticmethod
     def _is_drift(nominal: Information, solution: Solution, signal: float, left: float) -> bool:
@@ -249,14 +259,6 @@ class FitReader:
         """
         sure = left > max(_DRIFT * signal, _SURE * np.sqrt(2 * nominal.count))
         return bool(len(solution.params)) and sure and signal < _LITTLE * nominal.count
-
-    def _drift(self, nominal: Information, solution: Solution) -> Floats:
-        """Change (n_pairs,) of two-terminal resistances that contacts cannot cause, nor what is wrong with their
-        model (ohm)."""
-        left = nominal.minus(solution.caused).marginalised_common()
-        if len(solution.params):
-            left = left.marginalised_flat(solution.slopes)
-        return left.drift() / (1 + (self.fitter.model_error * nominal.norm(solution.caused)) ** 2 / nominal.count)
 
 
 @dataclass(frozen=True, eq=False)

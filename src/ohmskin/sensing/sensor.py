@@ -206,14 +206,14 @@ class Sensor:
             scans, judged = measured.scans, True
         else:
             given, judged = (state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects), False
-            diagnosis, scans = self.detector.examine(*given, state.belief.unexplained)
+            diagnosis, scans = self.detector.examine(*given, state.belief.unexplained, state.belief.loosened)
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
         belief, recent = found
         if belief.detections and belief is not state.belief and isinstance(self.reader, DetectionReader):  # unjudged
             data = [*as_measured(scans, measured.scans), *recent[len(scans) if self.fuse else 1 :]]
             belief = belief.with_image_misfit(state.belief.unexplained if judged else image_misfit(self.known, data))
-        if diagnosis.recent_causes:
+        if any(cause.spoils for cause in diagnosis.recent_causes):
             belief = belief.with_drift_of(state.belief)
         presses, contacts = state.presses, on_skin(belief.contacts, self._chart)
         if self.forces is not None and _any_known(scans):
@@ -233,7 +233,8 @@ class Sensor:
     def _doubts(self, state: SensorState) -> bool:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
         every = state.turn // self.drive.scans % _EXAMINED == 0
-        return bool(every or state.diagnosis.troubled or state.belief.suspects or self._unsure(state.belief))
+        belief = state.belief
+        return bool(every or state.diagnosis.troubled or belief.suspects or belief.loosened or self._unsure(belief))
 
     def _unsure(self, belief: Belief) -> bool:
         """Whether contacts may be what a fault looks like: they explain the data less well than they do usually."""

@@ -1,0 +1,113 @@
+"""Electrodes whose contacts have become worse since calibration: what they do to the sheet looks like touches.
+
+A screw that comes loose is a resistance more in series with its electrode, which every fit allows for. But it also
+shunts the sheet less than before, and the current enters elsewhere under it: as if at the electrode the sheet conducted
+less, and that a little to one side. No touch of a contact layer does that: it lets the sheet conduct more.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts.discs import Both
+from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.contacts.information import Information
+from ohmskin.contacts.misfit import QuadraticMisfit
+from ohmskin.contacts.solution import Solution
+from ohmskin.scan.pairs import in_series
+
+_SURE = 5.0  # standard deviations by which the contact impedance must have risen
+_MAYBE = 3.0  # standard deviations by which the sheet may seem to conduct more there
+_MOST = 3  # electrodes at once
+_LARGER = 10.0  # times the usual change of a contact impedance that one which becomes worse may have
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Data explained by contacts, and electrodes whose contacts have become worse.
+
+    Args:
+        solution: The contacts.
+        data: What is measured, beside all that those electrodes do.
+        loosened: The electrodes.
+        change: (n_pairs,) what they have changed of the two-terminal resistances (ohm).
+        doubtful: Whether contacts may be what such an electrode does, although that does not explain the data better.
+    """
+
+    solution: Solution
+    data: Information
+    loosened: tuple[int, ...] = ()
+    change: Floats | float = 0.0
+    doubtful: bool = False
+
+
+def with_loosened(fitter: ContactFitter, data: Both, found: Solution, before: Solution | None) -> Explained:
+    """The contacts, fewer of them if electrodes whose contacts have become worse explain the rest better.
+
+    Args:
+        fitter: What fits contacts to data.
+        data: What is measured, and the same with the model's error as noise.
+        found: The contacts that explain it.
+        before: Those of the last frame, if they are known.
+    """
+    known = (found if before is None else before).params
+    sure = known[np.abs(known[:, 2]) > np.pi * fitter.squares[0]]  # electrodes do hardly as much
+    if len(sure) >= len(found.params):
+        return Explained(found, data[0])
+    best, beside, loosened, changes = found, data, list[int](), changes_at_electrodes(fitter)
+    left, doubtful = _left(fitter, data[0], sure), False
+    while len(best.params) > len(sure) and len(loosened) < _MOST:
+        risen = np.setdiff1d(np.flatnonzero(fitter.errors.rises(left) > _SURE), loosened)
+        gains = {int(number): _gain(left.misfit, changes[number]) for number in risen}
+        if max(gains.values(), default=0.0) < fitter.bar**2:
+            break
+        doubtful = True
+        loosened.append(max(gains, key=lambda number: gains[number]))
+        left = left.marginalised_flat(changes[loosened[-1]])
+        beside = beside[0].excluding(changes[loosened[-1]]), beside[1].excluding(changes[loosened[-1]])
+        other = fitter.fit_information(*beside)
+        best = other if len(sure) <= len(other.params) < len(best.params) else best
+    if fitter.price(best, len(loosened)) >= fitter.price(found, 0):
+        return Explained(found, data[0], doubtful=doubtful)
+    together = np.hstack([changes[number] for number in loosened])
+    likeliest, _ = _likeliest(_left(fitter, data[0], best.params).misfit, together)
+    return Explained(best, beside[0], tuple(loosened), together @ likeliest)
+
+
+def _left(fitter: ContactFitter, data: Information, contacts: Floats) -> Information:
+    """What is left beside a common change and contacts (n, 4), whatever they are exactly."""
+    left = data.marginalised_common()
+    if not len(contacts):
+        return left
+    caused, slopes = fitter.responses(contacts)
+    return left.minus(caused).marginalised_flat(slopes)
+
+
+def changes_at_electrodes(fitter: ContactFitter) -> list[Floats]:
+    """What a loosened contact of each electrode may change (n_pairs, 4), for one standard deviation (ohm): a resistance
+    in series, conductance there, and that moved to a place on the sheet beside it, along x and y."""
+    table, radius, usual = fitter.table, float(np.sqrt(fitter.squares[0])), fitter.errors.contacts
+    assert usual is not None
+
+    def moved(*step: float) -> Floats:
+        ends = [fitter.onto(table.electrodes + sign * np.array(step)) for sign in (1.0, -1.0)]
+        away = [np.linalg.norm(table.offsets(end, table.electrodes), axis=1) for end in ends]
+        return table(np.where((away[0] >= away[1])[:, None], *ends), radius).values
+
+    there, alone = table(table.electrodes, radius).values, in_series(range(table.n_elec), table.pairs).T
+    area, series = np.pi * radius**2, _LARGER * np.abs(usual).max(axis=0)[:, None]
+    conductance = there, moved(radius, 0.0) - there, moved(0.0, radius) - there
+    return list(np.stack([series * alone, *(area * each for each in conductance)], axis=2))
+
+
+def _gain(left: QuadraticMisfit, changes: Floats) -> float:
+    """What a loosened contact explains more of what is `left`; 0 where its `changes` (n_pairs, 4) are no such ones."""
+    likeliest, errors = _likeliest(left, changes)
+    return float(likeliest @ (changes.T @ left.vector[:-1])) if likeliest[1] < _MAYBE * errors[1] else 0.0
+
+
+def _likeliest(left: QuadraticMisfit, changes: Floats) -> tuple[Floats, Floats]:
+    """How much (k,) of `changes` (n_pairs, k) explains what is `left` best, and how far that may be off."""
+    covariance = np.linalg.inv(left.normal_products(changes.T)[:, :-1] @ changes + np.eye(changes.shape[1]))
+    return covariance @ (changes.T @ left.vector[:-1]), np.sqrt(np.diag(covariance))

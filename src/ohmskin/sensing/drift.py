@@ -1,0 +1,78 @@
+"""How the quiet skin drifts, followed from frame to frame beside the contacts that are fitted to each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.arrays import Floats
+from ohmskin.contacts import ContactFitter
+from ohmskin.contacts.loosened import Explained
+
+_FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
+_LEARNED = 0.1  # s between frames from which the latter is estimated
+_LOOSENED = 0.1  # s in which what an electrode does whose contact has become worse is followed to 1/e
+_DOUBTED = 1.0  # s for which contacts are doubted once one has
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """How the quiet skin has changed since its calibration.
+
+    Args:
+        change: Of two-terminal resistances (n_pairs,) (ohm).
+        worse: The part of it that loosened contacts have (n_pairs,) (ohm).
+        unlearned: Time since drift of single pairs was last estimated (s).
+        loosened: Electrodes whose contacts became worse within the last second.
+        doubted: Time for which contacts are doubted because of these (s).
+    """
+
+    change: Floats
+    worse: Floats
+    unlearned: float = 0.0
+    loosened: tuple[int, ...] = ()
+    doubted: float = 0.0
+
+    @classmethod
+    def none(cls, n_pairs: int) -> "Drift":
+        """That of a skin just calibrated."""
+        return cls(*np.zeros((2, n_pairs)))
+
+    def followed(self, fitter: ContactFitter, explained: Explained, quiet: bool, elapsed: float) -> "Drift":
+        """The drift after one more frame. While nothing touches it is drawn towards what contact impedances explain;
+        that of single pairs, and what loosened contacts do, is estimated always.
+
+        Args:
+            fitter: What fits contacts to data.
+            explained: What was measured, less the drift so far, and what explains it.
+            quiet: Whether nothing touches.
+            elapsed: Time since the last frame (s).
+        """
+        worse, usual, unlearned = self.worse, self.change - self.worse, self.unlearned + elapsed
+        loosened, doubted = self.loosened, max(self.doubted - elapsed, 0.0)
+        if explained.loosened:
+            worse = worse + _share(elapsed, _LOOSENED) * explained.change
+            loosened, doubted = explained.loosened, _DOUBTED
+        elif explained.doubtful:
+            doubted = _DOUBTED
+        elif fitter.errors.contacts is not None and quiet:
+            usual = usual + _share(elapsed, _FOLLOWED) * (fitter.errors.drift(explained.data, usual) - usual)
+        if unlearned >= _LEARNED:
+            usual = usual + _share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
+            unlearned = 0.0
+        return Drift(usual + worse, worse, unlearned, loosened if doubted else (), doubted)
+
+
+def _share(elapsed: float, time: float) -> float:
+    """Share of a change that is followed in some time, if it is followed to 1/e in another."""
+    return float(-np.expm1(-elapsed / time))
+
+
+def _of_pairs(fitter: ContactFitter, explained: Explained) -> Floats:
+    """Change (n_pairs,) of two-terminal resistances that neither contacts nor loosened electrodes cause, nor what is
+    wrong with the contacts' model (ohm)."""
+    data, solution = explained.data, explained.solution
+    left = data.marginalised_common()
+    if not len(solution.params):
+        return left.drift()
+    left = left.minus(solution.caused).marginalised_flat(solution.slopes)
+    return left.drift() / (1 + (fitter.model_error * data.norm(solution.caused)) ** 2 / data.count)
