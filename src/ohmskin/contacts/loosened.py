@@ -55,11 +55,12 @@ def with_loosened(fitter: ContactFitter, data: Both, found: Solution, before: So
     sure = known[np.abs(known[:, 2]) > np.pi * fitter.squares[0]]  # electrodes do hardly as much
     if len(sure) >= len(found.params):
         return Explained(found, data[0])
-    best, beside, loosened, changes = found, data, list[int](), changes_at_electrodes(fitter)
+    best, beside, loosened, changes = found, data, list[int](), dict[int, Floats]()
     left, doubtful = _left(fitter, data[0], sure), False
     while len(best.params) > len(sure) and len(loosened) < _MOST:
-        risen = np.setdiff1d(np.flatnonzero(fitter.errors.rises(left) > _SURE), loosened)
-        gains = {int(number): _gain(left.misfit, changes[number]) for number in risen}
+        risen = np.setdiff1d(np.flatnonzero(fitter.errors.rises(left) > _SURE), loosened).tolist()
+        changes |= {number: changes_at(fitter, number) for number in risen if number not in changes}
+        gains = {number: _gain(left.misfit, changes[number]) for number in risen}
         if max(gains.values(), default=0.0) < fitter.bar**2:
             break
         doubtful = True
@@ -84,21 +85,21 @@ def _left(fitter: ContactFitter, data: Information, contacts: Floats) -> Informa
     return left.minus(caused).marginalised_flat(slopes)
 
 
-def changes_at_electrodes(fitter: ContactFitter) -> list[Floats]:
-    """What a loosened contact of each electrode may change (n_pairs, 4), for one standard deviation (ohm): a resistance
+def changes_at(fitter: ContactFitter, number: int) -> Floats:
+    """What a loosened contact of an electrode may change (n_pairs, 4), for one standard deviation (ohm): a resistance
     in series, conductance there, and that moved to a place on the sheet beside it, along x and y."""
     table, radius, usual = fitter.table, float(np.sqrt(fitter.squares[0])), fitter.errors.contacts
     assert usual is not None
+    at = table.electrodes[number]
 
     def moved(*step: float) -> Floats:
-        ends = [fitter.onto(table.electrodes + sign * np.array(step)) for sign in (1.0, -1.0)]
-        away = [np.linalg.norm(table.offsets(end, table.electrodes), axis=1) for end in ends]
-        return table(np.where((away[0] >= away[1])[:, None], *ends), radius).values
+        ends = fitter.onto(at + np.outer([1.0, -1.0], step))
+        away = np.linalg.norm(table.offsets(ends, np.stack([at, at])), axis=1)
+        return np.asarray(ends[away.argmax()])
 
-    there, alone = table(table.electrodes, radius).values, in_series(range(table.n_elec), table.pairs).T
-    area, series = np.pi * radius**2, _LARGER * np.abs(usual).max(axis=0)[:, None]
-    conductance = there, moved(radius, 0.0) - there, moved(0.0, radius) - there
-    return list(np.stack([series * alone, *(area * each for each in conductance)], axis=2))
+    there, *beside = np.pi * radius**2 * table([at, moved(radius, 0.0), moved(0.0, radius)], radius).values
+    series = _LARGER * np.abs(usual[:, number]).max() * in_series([number], table.pairs)[:, 0]
+    return np.column_stack([series, there, *(one - there for one in beside)])
 
 
 def _gain(left: QuadraticMisfit, changes: Floats) -> float:
