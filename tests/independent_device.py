@@ -49,7 +49,7 @@ class Sheet:
         self._sheet *= factor
         self.touch(self.touches)
 
-    def worsen(self, electrode: int, factor: float) -> None:
+    def degrade(self, electrode: int, factor: float) -> None:
         """Let the contact of an electrode have that many times its resistance."""
         self._contact[electrode] /= factor
         self.touch(self.touches)

@@ -126,23 +126,24 @@ def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     assert np.mean(broken) < 1.5 * np.mean(sound)
 
 
+@pytest.mark.parametrize("mode", ["16P", "16T"])
 @pytest.mark.parametrize(
     ("factor", "electrodes"),
     [(20.0, (1, 15)), *(pytest.param(factor, range(16), marks=pytest.mark.long) for factor in (4.0, 20.0))],
 )
-def test_a_contact_that_becomes_worse_is_no_touch(seed: int, factor: float, electrodes: Sequence[int]) -> None:
+def test_a_contact_that_degrades_is_no_touch(seed: int, factor: float, electrodes: Sequence[int], mode: str) -> None:
     """The electrode shunts the sheet less than before, which looked like a lasting touch beside most electrodes."""
     false, named, off = 0, set[int](), list[float]()
     for number in electrodes:
         device = IndependentDevice(seed)
-        with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+        with Engine(partial(connect, device.url), Skin.load("paper"), mode) as engine:
             engine.calibrate()
             felt(engine, 20)
-            device.sheet.worsen(number, factor)
+            device.sheet.degrade(number, factor)
             touches = felt(engine, 300)
             false += sum(bool(touch.contacts) for touch in touches)
             findings = {finding for touch in touches for finding in touch.percept.findings}
-            words = f"the contact of electrode {number} has become worse; tighten it, or calibrate again"
+            words = f"the contact of electrode {number} has degraded; tighten it, or calibrate again"
             assert {finding.words for finding in findings} <= {words}
             named |= {electrode for finding in findings for electrode in finding.cause.electrodes}
             for at in np.random.default_rng(seed).uniform(0.02, 0.18, (4, 2)).tolist():
@@ -150,7 +151,7 @@ def test_a_contact_that_becomes_worse_is_no_touch(seed: int, factor: float, elec
                 assert len(touch.contacts) == 1
                 off += errors(touch, tuple(at))
         device.close()
-    assert false <= len(electrodes)
+    assert false <= 3 * len(electrodes)  # 1 % of the frames
     assert np.median(off) < 1.2e-3
     assert len(named) > len(electrodes) / (2 if factor > 10 else 4)  # others, as corners, hardly shunt the sheet
 

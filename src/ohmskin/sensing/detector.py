@@ -57,7 +57,7 @@ class FaultDetector:
         elapsed: float,
         suspects: Sequence[int] = (),
         unexplained: float = 0.0,
-        loosened: Sequence[int] = (),
+        degraded: Sequence[int] = (),
     ) -> tuple[Diagnosis, tuple[Difference, ...]]:
         """What is known after one frame more, and its scans without what contradicts.
 
@@ -68,7 +68,7 @@ class FaultDetector:
             elapsed: Time since the last frame (s).
             suspects: Electrodes whose data the reader does not believe.
             unexplained: Share of the data of the last frame that its contacts did not explain.
-            loosened: Electrodes whose contacts have become worse.
+            degraded: Electrodes whose contacts have degraded.
 
         Returns:
             The diagnosis, and the scans: the very same objects where nothing contradicts.
@@ -76,7 +76,7 @@ class FaultDetector:
         now, looked, noise = before.time + elapsed, newest(scans, before.scans, self._window), self._instrument.noise
         silent, causes = self._currents(before, frames, scans, now)
         suspected = {Cause("open", (suspect,)) for suspect in suspects}
-        causes |= suspected | {Cause("loose", (electrode,)) for electrode in loosened}
+        causes |= suspected | {Cause("degraded", (electrode,)) for electrode in degraded}
         unlike = before.unlike - np.expm1(-elapsed / _SLOWLY) * (unexplained - before.unlike)
         causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
         lost = self._lost(frames)

@@ -19,7 +19,7 @@ _STEADY = 2.0  # mean of an offset over its scatter, from which on it is no hum
 class Cause(NamedTuple):
     """The kind of a fault of the data, and its electrodes.
 
-    Args: kind: ``open``, ``loose``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``,
+    Args: kind: ``open``, ``degraded``, ``current``, ``currents``, ``unlike``, ``nothing``, ``missing``, ``clipped``,
             ``spikes``, ``injection``, ``offset`` or ``noise``.
         electrodes: Those concerned.
     """
@@ -30,7 +30,7 @@ class Cause(NamedTuple):
     @property
     def spoils(self) -> bool:
         """Whether data are doubtful because of it; what a loose contact does is known, and followed."""
-        return self.kind != "loose"
+        return self.kind != "degraded"
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ class Diagnosis:
             case "open":
                 many = f"electrodes {electrodes} are" if len(cause.electrodes) > 1 else f"electrode {electrodes} is"
                 return f"{many} open, or a wire is loose; left out"
-            case "loose":
-                return f"the contact of electrode {electrodes} has become worse; tighten it, or calibrate again"
+            case "degraded":
+                return f"the contact of electrode {electrodes} has degraded; tighten it, or calibrate again"
             case "current":
                 return f"no current flows between electrodes {electrodes}: one of them is open; left out"
             case "currents":

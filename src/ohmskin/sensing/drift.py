@@ -6,12 +6,11 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.loosened import Explained
+from ohmskin.contacts.degraded import DOUBTED, Explained
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
 _LEARNED = 0.1  # s between frames from which the latter is estimated
-_LOOSENED = 0.1  # s in which what an electrode does whose contact has become worse is followed to 1/e
-_DOUBTED = 1.0  # s for which contacts are doubted once one has
+_DEGRADED = 0.1  # s in which what an electrode does whose contact has degraded is followed to 1/e
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,16 +19,16 @@ class Drift:
 
     Args:
         change: Of two-terminal resistances (n_pairs,) (ohm).
-        worse: The part of it that loosened contacts have (n_pairs,) (ohm).
+        degraded_change: The part of it that degraded contacts cause (n_pairs,) (ohm).
         unlearned: Time since drift of single pairs was last estimated (s).
-        loosened: Electrodes whose contacts became worse within the last second.
+        degraded: Electrodes whose contacts degraded within the last second.
         doubted: Time for which contacts are doubted because of these (s).
     """
 
     change: Floats
-    worse: Floats
+    degraded_change: Floats
     unlearned: float = 0.0
-    loosened: tuple[int, ...] = ()
+    degraded: tuple[int, ...] = ()
     doubted: float = 0.0
 
     @classmethod
@@ -39,7 +38,7 @@ class Drift:
 
     def followed(self, fitter: ContactFitter, explained: Explained, quiet: bool, elapsed: float) -> "Drift":
         """The drift after one more frame. While nothing touches it is drawn towards what contact impedances explain;
-        that of single pairs, and what loosened contacts do, is estimated always.
+        that of single pairs, and what degraded contacts do, is estimated always.
 
         Args:
             fitter: What fits contacts to data.
@@ -47,19 +46,19 @@ class Drift:
             quiet: Whether nothing touches.
             elapsed: Time since the last frame (s).
         """
-        worse, usual, unlearned = self.worse, self.change - self.worse, self.unlearned + elapsed
-        loosened, doubted = self.loosened, max(self.doubted - elapsed, 0.0)
-        if explained.loosened:
-            worse = worse + _share(elapsed, _LOOSENED) * explained.change
-            loosened, doubted = explained.loosened, _DOUBTED
+        lasting, usual, unlearned = self.degraded_change, self.change - self.degraded_change, self.unlearned + elapsed
+        degraded, doubted = self.degraded, max(self.doubted - elapsed, 0.0)
+        if (degradation := explained.degradation) is not None:
+            lasting = lasting + _share(elapsed, _DEGRADED) * degradation.change
+            degraded, doubted = degradation.electrodes, DOUBTED
         elif explained.doubtful:
-            doubted = _DOUBTED
+            doubted = DOUBTED
         elif fitter.errors.contacts is not None and quiet:
             usual = usual + _share(elapsed, _FOLLOWED) * (fitter.errors.drift(explained.data, usual) - usual)
         if unlearned >= _LEARNED:
             usual = usual + _share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
             unlearned = 0.0
-        return Drift(usual + worse, worse, unlearned, loosened if doubted else (), doubted)
+        return Drift(usual + lasting, lasting, unlearned, degraded if doubted else (), doubted)
 
 
 def _share(elapsed: float, time: float) -> float:
@@ -68,7 +67,7 @@ def _share(elapsed: float, time: float) -> float:
 
 
 def _of_pairs(fitter: ContactFitter, explained: Explained) -> Floats:
-    """Change (n_pairs,) of two-terminal resistances that neither contacts nor loosened electrodes cause, nor what is
+    """Change (n_pairs,) of two-terminal resistances that neither contacts nor degraded electrodes cause, nor what is
     wrong with the contacts' model (ohm)."""
     data, solution = explained.data, explained.solution
     left = data.marginalised_common()

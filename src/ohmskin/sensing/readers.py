@@ -13,8 +13,8 @@ import numpy as np
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import Contact, ContactFinder, ContactFitter, Solution
+from ohmskin.contacts.degraded import Explained, strong, with_degraded
 from ohmskin.contacts.information import Information
-from ohmskin.contacts.loosened import Explained, with_loosened
 from ohmskin.contacts.solution import nothing
 from ohmskin.drive import Target
 from ohmskin.inverse import Image
@@ -66,9 +66,11 @@ class Belief:
     search_targets: tuple[Target, ...] = ()
 
     @property
-    def loosened(self) -> tuple[int, ...]:
-        """Electrodes whose contacts became worse within the last second."""
-        return () if self.drift is None else self.drift.loosened
+    def degraded(self) -> tuple[int, ...]:
+        """Electrodes whose contacts degraded within the last second."""
+        if isinstance(self.tracks, TrackState):
+            return self.tracks.degraded
+        return () if self.drift is None else self.drift.degraded
 
     @property
     def image(self) -> Image:
@@ -97,7 +99,15 @@ class Belief:
         """The same with the drift of another belief, `before`: drift is not estimated from doubtful data."""
         tracks = self.tracks
         if isinstance(tracks, TrackState) and isinstance(before.tracks, TrackState):
-            tracks = changed(tracks, drift=before.tracks.drift, common_drift=before.tracks.common_drift)
+            known = before.tracks
+            tracks = changed(
+                tracks,
+                drift=known.drift,
+                degraded_errors=known.degraded_errors,
+                degraded=known.degraded,
+                doubted=known.doubted,
+                common_drift=known.common_drift,
+            )
         return changed(self, tracks=tracks, drift=before.drift)
 
 
@@ -249,7 +259,8 @@ class FitReader:
         more = len(found.params) > (0 if known is None else len(known.params))
         if self.fitter.errors.contacts is None or not (more or (doubted and len(found.params))):
             return Explained(found, data[0])
-        return with_loosened(self.fitter, data, found, known)
+        before = (found if known is None else known).params
+        return with_degraded(self.fitter, data, found, before[strong(self.fitter, before)])
 
     @staticmethod
     def _is_drift(nominal: Information, solution: Solution, signal: float, left: float) -> bool:

@@ -206,7 +206,7 @@ class Sensor:
             scans, judged = measured.scans, True
         else:
             given, judged = (state.diagnosis, measured.frames, measured.scans, elapsed, state.belief.suspects), False
-            diagnosis, scans = self.detector.examine(*given, state.belief.unexplained, state.belief.loosened)
+            diagnosis, scans = self.detector.examine(*given, state.belief.unexplained, state.belief.degraded)
             if found is None or scans != measured.scans:
                 found = self._read(state, measured, scans, diagnosis, elapsed)
         belief, recent = found
@@ -234,7 +234,7 @@ class Sensor:
         """Whether the next frame is examined whatever it shows, not only if it shows something new."""
         every = state.turn // self.drive.scans % _EXAMINED == 0
         belief = state.belief
-        return bool(every or state.diagnosis.troubled or belief.suspects or belief.loosened or self._unsure(belief))
+        return bool(every or state.diagnosis.troubled or belief.suspects or belief.degraded or self._unsure(belief))
 
     def _unsure(self, belief: Belief) -> bool:
         """Whether contacts may be what a fault looks like: they explain the data less well than they do usually."""

@@ -7,9 +7,12 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from ohmskin.arrays import changed
+from ohmskin.contacts.degraded import Degradation, strong
+from ohmskin.contacts.discs import Both
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.solution import Solution
+from ohmskin.tracking.degraded import degradation_instead, with_degradation
 from ohmskin.tracking.kernels import POSSIBLE, energy_of, most_significant
 from ohmskin.tracking.residuals import Residuals
 from ohmskin.tracking.state import TrackState
@@ -63,15 +66,17 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
             state = changed(state, history=tuple(frames), suspects=(suspect,) if blamed else state.suspects)
             continue
         if not state.pressing:  # several may have come at once, and one alone would be led astray by the others
-            observations = [residuals.observation for residuals in used]
-            nominal = Information.combined([observation.nominal for observation in observations])
-            inflated = Information.combined([observation.inflated for observation in observations])
+            nominal, inflated = _combined(used)
         else:
             nominal = Information.combined([residuals.marginal_innovation for residuals in used])
             inflated = nominal.scaled(fitter.allowance(nominal))
         several = fitter.fit_information(nominal, inflated)
         if len(several.params) == 1 or (len(several.params) and not state.pressing):
             found = several
+        weak = not strong(fitter, found.params).any()
+        if weak and (degradation := degradation_instead(state, fitter, _combined(used), found.params)) is not None:
+            state = _without(state, fitter, degradation)
+            continue
         alone = count == 1 and not _seen_before(place, state.history, fitter)
         if alone and _is_poor(used[0], nominal, fitter, found):
             newest = with_scores(changed(used[0], doubted=place), fitter)
@@ -133,6 +138,26 @@ def _from_one_electrode(
     starts = np.cumsum([0, *(len(scan.volts) for scan in scans[:-1])])
     shown = np.add.reduceat(seen**2 * own[:, suspect], starts)
     return suspect, int(np.argmax(np.where([one.only_electrode is None for one in used], shown, -1.0)))
+
+
+def _combined(used: Sequence[Residuals]) -> Both:
+    """The information of frames, nominal and inflated."""
+    observations = [residuals.observation for residuals in used]
+    nominal = Information.combined([observation.nominal for observation in observations])
+    return nominal, nominal.with_misfits([observation.inflated for observation in observations])
+
+
+def _without(state: TrackState, fitter: ContactFitter, degradation: Degradation) -> TrackState:
+    """The state with what degraded contacts do taken for drift, and its frames without that."""
+    history = []
+    for residuals in state.history:
+        innovation, residual, marginal = map(
+            degradation.removed_from, (residuals.innovation, residuals.residual, residuals.marginal_innovation)
+        )
+        observation = residuals.observation.without(degradation, fitter.table.pairs)
+        reviewed = changed(residuals, observation=observation, innovation=innovation, residual=residual)
+        history.append(with_scores(changed(reviewed, marginal_innovation=marginal), fitter))
+    return changed(with_degradation(state, degradation), history=tuple(history))
 
 
 def _seen_before(place: int, history: Sequence[Residuals], fitter: ContactFitter) -> bool:

@@ -19,6 +19,7 @@ from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
 from ohmskin.tracking import kernels
 from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
+from ohmskin.tracking.degraded import with_better_degradation, without_degraded
 from ohmskin.tracking.drift import with_common_drift, with_learned_drift
 from ohmskin.tracking.lift import with_lifts
 from ohmskin.tracking.motion import Motion, moved
@@ -51,7 +52,8 @@ class ContactFilter:
     def start(self) -> TrackState:
         """The state before anything touches the skin."""
         n_pairs = len(self.fitter.table.pairs)
-        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _COMMON_STD**2), np.zeros(n_pairs))
+        drift, exact = np.zeros(n_pairs), np.empty((n_pairs, 0))
+        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _COMMON_STD**2), drift, exact)
 
     def lifted(self, state: TrackState) -> TrackState:
         """The state with nothing on the skin; the estimate of its drift is kept."""
@@ -82,9 +84,12 @@ class ContactFilter:
         if not (np.isfinite(elapsed) and elapsed >= 0):
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
         fitter, motion = self.fitter, self.motion
+        if state.time > state.doubted:
+            state = without_degraded(state)
         before = moved(state, fitter, motion, elapsed)
         under = fitter.covered(before.params[before.pressing]) if state.covered else []
         state = self._updated(before, tuple(e for e in state.covered if e in under), difference, elapsed)
+        state = with_better_degradation(state)
         newest = state.history[0]
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
         if state.history[0] is not newest:
@@ -126,6 +131,7 @@ class ContactFilter:
             scan,
             errors,
             unknown,
+            np.ascontiguousarray(before.degraded_errors.T),
             before.drift,
             before.common_drift,
             mean,

@@ -101,8 +101,8 @@ def advanced(
 
 @njit(cache=True, nogil=True)
 def updated(
-    scan: Scan, errors: ErrorTerms, covered: Floats, drift: Floats, common: tuple[float, float], mean: Floats,
-    covariance: Floats, pressing: bool, possible: int, settings: Floats, sheet: Grid, spline: Spline,
+    scan: Scan, errors: ErrorTerms, covered: Floats, unsure: Floats, drift: Floats, common: tuple[float, float],
+    mean: Floats, covariance: Floats, pressing: bool, possible: int, settings: Floats, sheet: Grid, spline: Spline,
     candidates: Singles,
 ) -> Update:  # fmt: skip
     """Contacts `mean` (n, 6) and their `covariance` (6 n, 6 n) after one frame, in place, and scores for others.
@@ -116,6 +116,7 @@ def updated(
         scan: The frame.
         errors: How it errs.
         covered: (k, n_pairs) changes of which nothing is taken to be known.
+        unsure: (k, n_pairs) what the drift may be off by, each for one standard deviation (ohm).
         drift: (n_pairs,) of two-terminal resistances (ohm), known.
         common: Common relative change of all resistances, as far as it is known, and its variance (1).
         mean: Contacts as predicted.
@@ -129,8 +130,8 @@ def updated(
     """
     radius, error = settings[0], settings[4]
     volts, nominal, inflated, white, count = likelihood(scan, errors, drift, common[0])
-    if len(covered):
-        unknown = flat_prior(white, covered)
+    if len(covered) or len(unsure):
+        unknown = np.concatenate((flat_prior(white, covered), unsure))
         nominal, inflated, white = (
             marginalised(nominal, unknown),
             marginalised(inflated, unknown),

@@ -6,9 +6,10 @@ from functools import cached_property
 import numpy as np
 
 from ohmskin.arrays import Floats, Singles
+from ohmskin.contacts.degraded import Degradation
 from ohmskin.contacts.information import Information
 from ohmskin.contacts.misfit import QuadraticMisfit
-from ohmskin.scan import Difference
+from ohmskin.scan import Difference, Pairs
 from ohmskin.tracking.kernels import Update
 
 
@@ -19,27 +20,43 @@ class Observation:
     Args:
         difference: The frame.
         update: What a compiled step made of it.
+        degradations: Of contacts of electrodes, found since, and removed.
     """
 
     difference: Difference
     update: Update
+    degradations: tuple[Degradation, ...] = ()
+
+    @cached_property
+    def _measured(self) -> tuple[Information, Information]:
+        nominal, inflated, white, count = self.update.likelihood
+        alone = QuadraticMisfit(*white)
+        return Information.made(nominal, alone, count), Information.made(inflated, alone, count)
 
     @cached_property
     def data(self) -> Information:
         """Its information, a common change of all resistances included."""
-        nominal, _, white, count = self.update.likelihood
-        return Information.made(nominal, QuadraticMisfit(*white), count)
+        return self._sound(self._measured[0])
 
     @cached_property
     def nominal(self) -> Information:
         """Its information marginalised over that change, as far as it is not known."""
-        return self.data.reduced_to(self.update.nominal)
+        return self._sound(self._measured[0].reduced_to(self.update.nominal))
 
     @cached_property
     def inflated(self) -> Information:
         """The same with noise inflated by the model's error."""
-        _, inflated, _, count = self.update.likelihood
-        return Information.made(inflated, self.data.white, count).reduced_to(self.update.inflated)
+        return self._sound(self._measured[1].reduced_to(self.update.inflated))
+
+    def without(self, degradation: Degradation, pairs: Pairs) -> "Observation":
+        """The frame without what degraded contacts of electrodes change of the resistances of pairs."""
+        difference = self.difference.minus(degradation.change, pairs)
+        return Observation(difference, self.update, (*self.degradations, degradation))
+
+    def _sound(self, data: Information) -> Information:
+        for degradation in self.degradations:
+            data = degradation.removed_from(data)
+        return data
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,6 +43,8 @@ class TrackState:
         covariance: (6 n, 6 n) of all of them together.
         common_drift: Common relative change of all resistances since the calibration, and its variance (1).
         drift: (n_pairs,) other changes of the baseline: two-terminal resistances (ohm).
+        degraded_errors: (n_pairs, k) what it may be off by because of `degraded` contacts, each for one standard
+            deviation (ohm).
         contacts: The contacts to report, strongest first.
         next_id: The id of the next contact.
         turn: Frames so far.
@@ -55,6 +57,8 @@ class TrackState:
         covered: Electrodes under contacts, whose resistance is treated as unknown, see `Solution`.
         refuted: Residual over the usual one when others were last searched without success (1); 0: the contacts
             explained the last frames at the last revision; below 1: they did not, for the first time.
+        degraded: Electrodes whose contacts degraded within the last second.
+        doubted: Until when contacts are doubted because of these (s).
         possible: Number of the place where one more contact may be; -1: none may.
     """
 
@@ -63,6 +67,7 @@ class TrackState:
     covariance: Floats = field(repr=False)
     common_drift: tuple[float, float]
     drift: Floats = field(repr=False)
+    degraded_errors: Floats = field(repr=False)
     contacts: tuple[Contact, ...] = ()
     next_id: int = 1
     turn: int = 0
@@ -74,6 +79,8 @@ class TrackState:
     suspects: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
     refuted: float = 0.0
+    degraded: tuple[int, ...] = ()
+    doubted: float = 0.0
     possible: int = -1
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
