@@ -21,7 +21,7 @@ from ohmskin.tracking import kernels
 from ohmskin.tracking.birth import LONGEST, birth_threshold, with_births
 from ohmskin.tracking.degraded import with_better_degradation, without_degraded
 from ohmskin.tracking.drift import with_common_drift, with_learned_drift
-from ohmskin.tracking.lift import with_lifts
+from ohmskin.tracking.lift import explain_too_much, with_lifts
 from ohmskin.tracking.motion import Motion, moved
 from ohmskin.tracking.residuals import Observation, Residuals
 from ohmskin.tracking.revision import just_came, revision_threshold, with_revision
@@ -29,7 +29,6 @@ from ohmskin.tracking.state import STATE, TrackState
 
 _COMMON_STD = 0.01  # by how much all resistances may have changed together before the first frame
 _LEARN_EVERY = 5  # frames between two lessons on drift; has no factor in common with a round of six exploring drives
-_RISEN = 2.0  # times the limit of a contact from which on what lifted ones explain is something new
 _REVISE_EVERY = 8  # frames between two looks at whether one contact is two, or two are one
 
 
@@ -91,7 +90,7 @@ class ContactFilter:
         under = fitter.covered(before.params[before.pressing]) if state.covered else []
         covered = tuple(e for e in state.covered if e in under)
         state = self._updated(before, covered, difference, elapsed)
-        if self._hides(before, state):
+        if not before.pressing and explain_too_much(state, fitter, self.bar):
             state = self._updated(before.without(range(len(before.tracks))), covered, difference, elapsed)
         state = with_better_degradation(state)
         newest = state.history[0]
@@ -118,11 +117,6 @@ class ContactFilter:
             return newest.doubted is None
         data = newest.observation.data
         return not self.fitter.poor(data, newest.residual.misfit.constant * self.fitter.allowance(data))
-
-    def _hides(self, before: TrackState, after: TrackState) -> bool:
-        """Whether lifted contacts, of which nothing was left, together explain what has come elsewhere."""
-        idle = before.tracks and not before.pressing and before.newest_energy < self.fitter.bar**2
-        return bool(idle) and after.newest_energy > (_RISEN * self.fitter.bar) ** 2
 
     def _updated(
         self, before: TrackState, covered: tuple[int, ...], difference: Difference, elapsed: float

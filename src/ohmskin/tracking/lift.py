@@ -27,7 +27,7 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
     tracks, mean, drift, next_id = [], state.mean.copy(), state.drift, state.next_id
     share = 1 - np.exp(-elapsed / settling)
     came = any(one.since == state.time for one in state.tracks)
-    bar = bar + fitter.model_error * sqrt(state.newest_energy)
+    bar = _limit(state, fitter, bar)
     for k, one in enumerate(state.tracks):
         effect, std = state.effect(k)
         if not one.lifted:
@@ -47,6 +47,23 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
         tracks.append(one)
     state = changed(state, tracks=tuple(tracks), mean=mean, drift=drift, next_id=next_id)
     return state.without([k for k, one in enumerate(tracks) if one.lifted > _SETTLED * settling])
+
+
+def explain_too_much(state: TrackState, fitter: ContactFitter, bar: float) -> bool:
+    """Whether contacts of a state, all lifted, explain a contact's signal together, and more than may be left of one,
+    and none is surely there again: another one has come among them."""
+    if not state.tracks or state.newest_energy < bar**2:
+        return False
+    limit = _limit(state, fitter, bar)
+    effects = [(*state.effect(k), one.peak) for k, one in enumerate(state.tracks)]
+    return any(_AGAIN * peak < effect for effect, _, peak in effects) and not any(
+        max(_AGAIN * peak, limit * std) < effect for effect, std, peak in effects
+    )
+
+
+def _limit(state: TrackState, fitter: ContactFitter, bar: float) -> float:
+    """Standard deviations of its effect above which a lifted contact is there again."""
+    return bar + fitter.model_error * sqrt(state.newest_energy)
 
 
 def _faint(effect: float, std: float, track: Track) -> bool:
