@@ -75,11 +75,11 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
         return Explained(found, data[0])
     best, beside, degraded, changes = found, data, list[int](), dict[int, Floats]()
     left, doubtful = _left(fitter, data[0], sure), False
-    surely = fitter.errors.rises(_left(fitter, data[0], found.params)) > _SURE  # whatever the contacts explain
+    surely = risen(fitter, data[0], found)
     while len(best.params) > len(sure) and len(degraded) < _MOST:
-        risen = {*np.flatnonzero(surely & (fitter.errors.rises(left) > _SURE)).tolist()} - {*degraded}
-        changes |= {number: changes_at(fitter, number) for number in risen if number not in changes}
-        gains = {number: _gain(left.misfit, changes[number]) for number in risen}
+        higher = {*np.flatnonzero(surely & (fitter.errors.rises(left) > _SURE)).tolist()} - {*degraded}
+        changes |= {number: changes_at(fitter, number) for number in higher if number not in changes}
+        gains = {number: _gain(left.misfit, changes[number]) for number in higher}
         if max(gains.values(), default=0.0) < fitter.bar**2:
             break
         doubtful = True
@@ -88,12 +88,25 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
         beside = beside[0].excluding(changes[degraded[-1]]), beside[1].excluding(changes[degraded[-1]])
         other = fitter.fit_information(*beside)
         best = other if len(sure) <= len(other.params) < len(best.params) else best
-    if fitter.price(best, 0) + fitter.bar**2 * len(degraded) >= fitter.price(found, 0):
+    if fitter.price(best, 2 * len(degraded)) >= fitter.price(found, 0):
         return Explained(found, data[0], doubtful=doubtful)
     together = np.hstack([changes[number] for number in degraded])
     likeliest, covariance = _likeliest(_left(fitter, data[0], best.params).misfit, together)
     errors = together @ np.linalg.cholesky(covariance)
     return Explained(best, beside[0], Degradation(tuple(degraded), together, together @ likeliest, errors))
+
+
+def risen(fitter: ContactFitter, data: Information, found: Solution, off: float = 0.0) -> Bools:
+    """Whether each contact impedance has surely risen (n_elec,), whatever of the data the contacts `found` explain.
+
+    Args:
+        fitter: What fits contacts to data.
+        data: What is measured.
+        found: The contacts that explain it.
+        off: What the contacts' effect may be off by, as a share of it (1).
+    """
+    rises = fitter.errors.rises(_left(fitter, data, found.params))
+    return np.asarray(rises > _SURE + off * data.norm(found.caused))
 
 
 def strong(fitter: ContactFitter, contacts: Floats) -> Bools:

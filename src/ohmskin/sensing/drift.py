@@ -6,7 +6,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.degraded import DOUBTED, Explained
+from ohmskin.contacts.degraded import DOUBTED, Explained, risen
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
 _LEARNED = 0.1  # s between frames from which the latter is estimated
@@ -56,7 +56,10 @@ class Drift:
         elif fitter.errors.contacts is not None and quiet:
             usual = usual + _share(elapsed, _FOLLOWED) * (fitter.errors.drift(explained.data, usual) - usual)
         if unlearned >= _LEARNED:
-            usual = usual + _share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
+            if not quiet and fitter.errors.contacts is not None and _may_be_degraded(fitter, explained):
+                doubted = DOUBTED
+            else:
+                usual = usual + _share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
             unlearned = 0.0
         return Drift(usual + lasting, lasting, unlearned, degraded if doubted else (), doubted)
 
@@ -64,6 +67,10 @@ class Drift:
 def _share(elapsed: float, time: float) -> float:
     """Share of a change that is followed in some time, if it is followed to 1/e in another."""
     return float(-np.expm1(-elapsed / time))
+
+
+def _may_be_degraded(fitter: ContactFitter, explained: Explained) -> bool:
+    return bool(risen(fitter, explained.data, explained.solution, fitter.model_error).any())
 
 
 def _of_pairs(fitter: ContactFitter, explained: Explained) -> Floats:
