@@ -49,6 +49,11 @@ class Sheet:
         self._sheet *= factor
         self.touch(self.touches)
 
+    def drift(self, change: float, wave: tuple[float, float]) -> None:
+        """Let the sheet conduct better by as much as a share, in waves over it (rad/m)."""
+        self._sheet *= np.exp(change * np.sin(self._nodes @ np.asarray(wave)))
+        self.touch(self.touches)
+
     def degrade(self, electrode: int, factor: float) -> None:
         """Let the contact of an electrode have that many times its resistance."""
         self._contact[electrode] /= factor

@@ -166,6 +166,62 @@ def test_a_sheet_that_conducts_better_all_over_stays_quiet(loop: Loop) -> None:
     felt(engine, 100)
 
 
+@pytest.mark.parametrize("mode", ["16P", "16T"])
+@pytest.mark.parametrize("wave", [(40.0, 25.0), (4.0, -9.0)])
+def test_a_sheet_that_drifts_unevenly_stays_quiet(seed: int, mode: str, wave: tuple[float, float]) -> None:
+    """By 0.1 % in some seconds, as with temperature, and then no more. Half of it had stayed a contact for ever."""
+    device = IndependentDevice(seed)
+    with Engine(partial(connect, device.url), Skin.load("paper"), mode) as engine:
+        engine.calibrate()
+        felt(engine, 20)
+
+        def while_it_drifts(frames: int) -> list[Touch]:
+            touches = []
+            for _ in range(frames // 5):
+                device.sheet.drift(1e-5, wave)
+                touches += felt(engine, 5)
+            return touches
+
+        quiet = [*while_it_drifts(500), *felt(engine, 200)]
+        assert sum(bool(touch.contacts) for touch in quiet) <= 3
+        assert not any(touch.percept.findings for touch in quiet)
+        counts, off = [], []
+        for place in np.random.default_rng(seed).uniform(0.02, 0.18, (6, 2)).tolist():
+            device.sheet.touch({0: (*place, PRESSURE)})
+            touches = while_it_drifts(20)[5:]
+            counts += [len(touch.contacts) for touch in touches]
+            off += errors(touches[-1], tuple(place))
+            device.sheet.touch({})
+            while_it_drifts(10)
+    device.close()
+    assert np.mean(np.array(counts) == 1) > 0.97
+    assert np.median(off) < 2e-3
+
+
+@pytest.mark.parametrize(
+    "electrodes", [(13, 14), pytest.param(range(16), marks=pytest.mark.long)], ids=["two", "all"]
+)  # fmt: skip
+def test_a_contact_that_degrades_beside_a_resting_finger_is_no_touch_once_that_is_lifted(
+    seed: int, electrodes: Sequence[int]
+) -> None:
+    """What the electrode does had been learned as drift of pairs, and stayed when the finger had gone."""
+    random, false = np.random.default_rng(seed + 1), 0
+    for number in electrodes:
+        device = IndependentDevice(seed + 1)
+        place = random.uniform(0.03, 0.17, 2).tolist()
+        with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+            engine.calibrate()
+            felt(engine, 20)
+            device.sheet.touch({0: (*place, PRESSURE)})
+            felt(engine, 20)
+            device.sheet.degrade(number, 20.0)
+            false += sum(len(touch.contacts) != 1 for touch in felt(engine, 200))
+            device.sheet.touch({})
+            false += sum(bool(touch.contacts) for touch in felt(engine, 100)[10:])
+        device.close()
+    assert false <= len(electrodes)  # of 300 frames each
+
+
 def presses(loop: Loop) -> tuple[list[float], int]:
     """Errors (m) from the sixth frame of each of ten presses on, and in how many frames there is not one contact."""
     (device, engine), off, odd = loop, [], 0

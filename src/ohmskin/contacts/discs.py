@@ -3,8 +3,11 @@
 A contact's parameters are x, y (m), effect (relative conductivity change times area, m2) and squared radius (m2).
 """
 
+from copy import copy
+from dataclasses import replace
 from math import erf, pi, sqrt
 from operator import attrgetter
+from typing import Self
 
 import numpy as np
 
@@ -53,6 +56,14 @@ class DiscFitter:
         self._candidates = np.ascontiguousarray(candidates, np.float32)
         self.squares = _LEAST * table.radius**2, _MOST * table.radius**2
         self._least = -np.inf if bipolar else 1e-3 * table.radius**2
+
+    def drifting(self, uneven: float) -> Self:
+        """The same for a sheet that drifts unevenly, by a relative change of conductivity (1)."""
+        if uneven == self.errors.uneven:
+            return self
+        other = copy(self)
+        other.errors = replace(self.errors, uneven=uneven)
+        return other
 
     # --- what is measured ---------------------------------------------------------------------------------------------
 

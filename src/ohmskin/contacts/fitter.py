@@ -52,6 +52,7 @@ class ContactFitter(DiscFitter):
         gain: Standard deviation of the relative error of a measured current (1).
         contacts: (n_pairs, n_elec) change of two-terminal resistances with each contact impedance, for one standard
             deviation of its change since calibration (ohm); None: they are known.
+        fields: See `Errors`.
 
     Attributes:
         bar: Standard deviations that the score of a new contact must exceed.
@@ -74,6 +75,7 @@ class ContactFitter(DiscFitter):
         bipolar: bool = False,
         gain: float = 0.0,
         contacts: Floats | None = None,
+        fields: Floats | None = None,
     ) -> None:
         check_positive(noise=noise)
         check_share(model_error=model_error)
@@ -82,13 +84,12 @@ class ContactFitter(DiscFitter):
                 raise ModelError(f"{name} is {rate!r}; it must be a rate above 0 and below 1")
         if most < 1:
             raise ModelError(f"cannot look for {most} contacts; at least 1")
-        super().__init__(table, Errors(noise, gain, contacts, model_error), bipolar)
+        super().__init__(table, Errors(noise, gain, contacts, model_error, fields), bipolar)
         self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))
         self.false_twos, self.split_bar = false_twos, self.split_threshold(false_twos)
-        limits = self._least, *self.squares, model_error, self.bar, self.split_bar
-        settings = np.array([table.radius, *limits, float(bipolar)])
-        self.compiled = settings, table.sheet, table.spline, self._candidates
+        limits = table.radius, self._least, *self.squares, model_error, self.bar, self.split_bar
+        self.compiled = np.array([*limits, float(bipolar)]), table.sheet, table.spline, self._candidates
         alone = np.ascontiguousarray(in_series(range(table.n_elec), table.pairs).T)
         # (n_elec, n_pairs) each: in series with each electrode, of contacts there
         self._at_electrodes = alone, table(table.electrodes).values.copy()

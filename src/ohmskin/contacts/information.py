@@ -25,6 +25,7 @@ from ohmskin.scan.pattern import joined
 
 NO_DATA = "no finite measurement in the frame; check the device, or that the voltages do not clip"
 _SIGNIFICANT = 2.0  # squared size of data over their noise, from which on a signal is significant
+_UNEVEN = 3e-3  # relative change of conductivity that may have come since it was last followed
 _RIDGE = 0.05  # of a voltage's information on a pair, so that no drift is estimated without information
 
 
@@ -38,38 +39,53 @@ class Errors:
         contacts: (n_pairs, n_elec) change of two-terminal resistances with each electrode's contact impedance, for one
             standard deviation of it (ohm); None: they are known.
         model: How far the model of a contact errs, as a share of the root mean square of the data (1).
+        fields: (n_pairs, k) change of two-terminal resistances with each smooth field of conductivity, for one
+            standard deviation of it where the sheet drifts by one (ohm); None: it does not drift unevenly.
+        uneven: By how much it does now, a relative change of conductivity (1).
     """
 
     noise: float
     gain: float = 0.0
     contacts: Floats | None = None
     model: float = 0.0
+    fields: Floats | None = None
+    uneven: float = 0.0
 
-    def drift(self, data: "Information", known: Floats | float = 0.0) -> Floats:
-        """Likeliest change (n_pairs,) of two-terminal resistances by contacts, if nothing touches the skin (ohm).
+    def changes(self, uneven: float | None = None) -> Floats:
+        """Change of two-terminal resistances (n_pairs, k) with each contact impedance, for one standard deviation of it
+        (ohm); then with each smooth field, if the sheet drifts unevenly, by `uneven` (1) unless by as much as now."""
+        assert self.contacts is not None
+        uneven = self.uneven if uneven is None else uneven
+        if self.fields is None or not uneven:
+            return self.contacts
+        return np.hstack([self.contacts, uneven * self.fields])
+
+    def drift(self, data: "Information") -> tuple[Floats, Floats, Floats]:
+        """What data show of contact impedances and smooth fields, if nothing touches the skin.
 
         A common change of all resistances is estimated beside them, and no part of it.
 
-        Args:
-            data: What is measured.
-            known: Of it (n_pairs,), what has been taken off the data.
+        Returns:
+            The likeliest change (n_pairs,) of two-terminal resistances (ohm); that in each field (k,), a relative
+            change of conductivity (1); and its error.
         """
-        assert self.contacts is not None
-        return np.asarray(self.contacts @ self._impedances(data, known)[0])
+        changes = self.changes(_UNEVEN)
+        likeliest, errors = self._likeliest(data, changes)
+        fields = slice(len(likeliest) if self.fields is None else -self.fields.shape[1], None)
+        return changes @ likeliest, _UNEVEN * likeliest[fields], _UNEVEN * errors[fields]
 
     def rises(self, data: "Information") -> Floats:
         """By how many standard deviations (n_elec,) each contact impedance has surely risen."""
-        likeliest, errors = self._impedances(data)
-        return likeliest / errors
-
-    def _impedances(self, data: "Information", known: Floats | float = 0.0) -> tuple[Floats, Floats]:
-        """Likeliest change of each contact impedance (n_elec,), and its error, in standard deviations of before."""
         assert self.contacts is not None
-        changes = block_diag(self.contacts.T, COMMON)
-        seen = data.white.normal_products(changes)
-        volts = changes @ data.white_residual.vector + (seen[:, :-1] @ known if np.ndim(known) else 0.0)
-        covariance = np.linalg.inv(seen @ changes.T + np.eye(len(seen)))
-        return (covariance @ volts)[:-1], np.sqrt(np.diag(covariance))[:-1]
+        likeliest, errors = self._likeliest(data, self.changes())
+        return (likeliest / errors)[: self.contacts.shape[1]]
+
+    @staticmethod
+    def _likeliest(data: "Information", changes: Floats) -> tuple[Floats, Floats]:
+        """Likeliest size of each of `changes` (n_pairs, k) beside a common one, and its error, in their units (k,)."""
+        rows = block_diag(changes.T, COMMON)
+        covariance = np.linalg.inv(data.white.normal_products(rows) @ rows.T + np.eye(len(rows)))
+        return (covariance @ rows @ data.white_residual.vector)[:-1], np.sqrt(np.diag(covariance))[:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,9 +236,10 @@ def arguments(pairs: Pairs, errors: Errors, scans: Sequence[Difference]) -> tupl
     given = [(scan.reference, scan.source_loading, scan.volts, scan.currents) for scan in scans]
     parts = [[np.zeros(len(own[2])) if each is None else each for each in own] for own in given]
     quiet, loading, volts, amperes = parts[0] if len(scans) == 1 else map(np.concatenate, zip(*parts, strict=True))
-    contacts = np.zeros((len(pairs), 0)) if errors.contacts is None else np.ascontiguousarray(errors.contacts)
+    contacts = np.zeros((len(pairs), 0)) if errors.contacts is None else np.ascontiguousarray(errors.changes())
     if contacts.size and not pairs.whole:  # idle electrodes are many, and shunt a large sheet little
-        contacts = np.ascontiguousarray(contacts[:, np.unique(whole.injections)])
+        driven = np.append(np.unique(whole.injections), np.arange(pairs.n_elec, contacts.shape[1]))
+        contacts = np.ascontiguousarray(contacts[:, driven])
     four, which = whole.quadruples, whole.injection_numbers
     scan = four, which, whole.driven, amperes, volts, quiet, loading, pairs.numbers, whole.n_inj, loaded
     return scan, (errors.noise, errors.gain, errors.model, contacts)

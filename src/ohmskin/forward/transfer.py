@@ -18,6 +18,8 @@ from ohmskin.forward.sensitivity import fill_groups, fill_pairs
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.scan import DrivePattern, Frame, Pairs, two_terminal
 
+_BLOCK = 1024  # elements at a time, which keeps memory small
+
 
 class TransferModel(ReadOnly):
     """Finite-element model of a skin with any electrodes (paper, section II-A), factorised once for all of them.
@@ -228,6 +230,19 @@ class TransferModel(ReadOnly):
             grouped,
         )
         return grouped
+
+    def field_sensitivity(self, fields: Floats) -> Floats:
+        """`pair_sensitivity @ fields`, (n_pairs, k) in ohms, of few `fields` (n_elem, k), likewise."""
+        n_elec, k = len(self.electrodes), fields.shape[1]
+        products = np.zeros((k * n_elec, n_elec))
+        for start in range(0, self.mesh.n_elem, _BLOCK):
+            at = slice(start, start + _BLOCK)
+            slopes = np.einsum("ecd,ecn->edn", self.gradients[at], self.potentials[self.mesh.elements[at]])
+            weighted = np.einsum("ek,e,edn->kned", fields[at], self.mesh.measures[at], slopes)
+            products += weighted.reshape(k * n_elec, -1) @ slopes.reshape(-1, n_elec)
+        each = products.reshape(k, n_elec, n_elec)
+        own, (i, j) = np.diagonal(each, axis1=1, axis2=2), self.pairs.ends.T
+        return np.asarray((2 * each[:, i, j] - own[:, i] - own[:, j]).T)
 
     @fixed
     def pair_contact_sensitivity(self) -> Floats:

@@ -7,6 +7,7 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
 from ohmskin.contacts.degraded import DOUBTED, Explained, risen
+from ohmskin.contacts.uneven import UnevenDrift, share
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
 _LEARNED = 0.1  # s between frames from which the latter is estimated
@@ -20,6 +21,7 @@ class Drift:
     Args:
         change: Of two-terminal resistances (n_pairs,) (ohm).
         degraded_change: The part of it that degraded contacts cause (n_pairs,) (ohm).
+        uneven: How unevenly the sheet drifts.
         unlearned: Time since drift of single pairs was last estimated (s).
         degraded: Electrodes whose contacts degraded within the last second.
         doubted: Time for which contacts are doubted because of these (s).
@@ -27,18 +29,20 @@ class Drift:
 
     change: Floats
     degraded_change: Floats
+    uneven: UnevenDrift
     unlearned: float = 0.0
     degraded: tuple[int, ...] = ()
     doubted: float = 0.0
 
     @classmethod
-    def none(cls, n_pairs: int) -> "Drift":
+    def none(cls, fitter: ContactFitter) -> "Drift":
         """That of a skin just calibrated."""
-        return cls(*np.zeros((2, n_pairs)))
+        none = np.zeros(len(fitter.table.pairs))
+        return cls(none, none, UnevenDrift.none(fitter.errors))
 
     def followed(self, fitter: ContactFitter, explained: Explained, quiet: bool, elapsed: float) -> "Drift":
-        """The drift after one more frame. While nothing touches it is drawn towards what contact impedances explain;
-        that of single pairs, and what degraded contacts do, is estimated always.
+        """The drift after one more frame. What contact impedances and smooth fields do is estimated while nothing
+        touches; that of single pairs, and what degraded contacts do, always.
 
         Args:
             fitter: What fits contacts to data.
@@ -47,26 +51,23 @@ class Drift:
             elapsed: Time since the last frame (s).
         """
         lasting, usual, unlearned = self.degraded_change, self.change - self.degraded_change, self.unlearned + elapsed
-        degraded, doubted = self.degraded, max(self.doubted - elapsed, 0.0)
+        uneven, degraded, doubted = self.uneven, self.degraded, max(self.doubted - elapsed, 0.0)
         if (degradation := explained.degradation) is not None:
-            lasting = lasting + _share(elapsed, _DEGRADED) * degradation.change
+            lasting = lasting + share(elapsed, _DEGRADED) * degradation.change
             degraded, doubted = degradation.electrodes, DOUBTED
         elif explained.doubtful:
             doubted = DOUBTED
         elif fitter.errors.contacts is not None and quiet:
-            usual = usual + _share(elapsed, _FOLLOWED) * (fitter.errors.drift(explained.data, usual) - usual)
+            likeliest, fields, errors = fitter.errors.drift(explained.data)
+            usual = usual + share(elapsed, _FOLLOWED) * likeliest
+            uneven = uneven.followed(fields, errors, elapsed)
         if unlearned >= _LEARNED:
             if not quiet and fitter.errors.contacts is not None and _may_be_degraded(fitter, explained):
                 doubted = DOUBTED
             else:
-                usual = usual + _share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
+                usual = usual + share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
             unlearned = 0.0
-        return Drift(usual + lasting, lasting, unlearned, degraded if doubted else (), doubted)
-
-
-def _share(elapsed: float, time: float) -> float:
-    """Share of a change that is followed in some time, if it is followed to 1/e in another."""
-    return float(-np.expm1(-elapsed / time))
+        return Drift(usual + lasting, lasting, uneven, unlearned, degraded if doubted else (), doubted)
 
 
 def _may_be_degraded(fitter: ContactFitter, explained: Explained) -> bool:

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import ContactFitter
+from ohmskin.contacts.uneven import field_changes
 from ohmskin.errors import DataError, ModelError
 from ohmskin.forward import ContactTable, TransferModel
 from ohmskin.inverse import GaussNewton
@@ -218,6 +219,7 @@ class SkinModel:
             bipolar=self.skin.imaging.bipolar,
             gain=self.gain,
             contacts=self.contact_changes,
+            fields=field_changes(self.electrode_model() if self.impedances.any() else self.model, self.skin.domain),
         )
 
     @cached_property

@@ -228,13 +228,14 @@ class FitReader:
         together with the contacts."""
         assert isinstance(before.tracks, Tracks)
         pairs = self.fitter.table.pairs
-        drift = before.drift or Drift.none(len(pairs))
+        drift = before.drift or Drift.none(self.fitter)
         ready = undriven if before.drift is None else partial(_steady, drift.change, pairs)
         estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed, ready)
-        data = self.fitter.information(*recent, drift=drift.change)
+        fitter = self.fitter.drifting(drift.uneven.size)
+        data = fitter.information(*recent, drift=drift.change)
         searched = before.searched + elapsed
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
-        explained = self._explained(data, known, bool(drift.doubted))
+        explained = self._explained(fitter, data, known, bool(drift.doubted))
         solution, nominal = explained.solution, explained.data
         if solution.covered:
             nominal = nominal.excluding(in_series(solution.covered, pairs))
@@ -246,21 +247,24 @@ class FitReader:
             solution, unexplained = nothing(len(solution.caused)), 0.0
         found = scaled_confidence(self.fitter.contacts(solution), fit_confidence(unexplained))
         explained = changed(explained, solution=solution, data=nominal)
-        drift = drift.followed(self.fitter, explained, not found, elapsed)
+        drift = drift.followed(fitter, explained, not found, elapsed)
         tracks, contacts = self.tracker.update(before.tracks, found)
         belief = Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
         explains = not found or not self.fitter.poor(nominal, solution.cost)
         return changed(belief, solution=solution, searched=searched, explains=explains)
 
-    def _explained(self, data: tuple[Information, Information], known: Solution | None, doubted: bool) -> Explained:
+    @staticmethod
+    def _explained(
+        fitter: ContactFitter, data: tuple[Information, Information], known: Solution | None, doubted: bool
+    ) -> Explained:
         """Data explained by contacts; where there are more of them than are `known`, or they are `doubted`, by worse
         contacts of electrodes, too."""
-        found = self.fitter.fit_information(*data, before=known)
+        found = fitter.fit_information(*data, before=known)
         more = len(found.params) > (0 if known is None else len(known.params))
-        if self.fitter.errors.contacts is None or not (more or (doubted and len(found.params))):
+        if fitter.errors.contacts is None or not (more or (doubted and len(found.params))):
             return Explained(found, data[0])
         before = (found if known is None else known).params
-        return with_degraded(self.fitter, data, found, before[strong(self.fitter, before)])
+        return with_degraded(fitter, data, found, before[strong(fitter, before)])
 
     @staticmethod
     def _is_drift(nominal: Information, solution: Solution, signal: float, left: float) -> bool:

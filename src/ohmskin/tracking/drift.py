@@ -25,9 +25,14 @@ def with_learned_drift(state: TrackState, fitter: ContactFitter, motion: Motion,
     newest = state.history[0]
     share, left = elapsed / (elapsed + _time(state, motion)), newest.residual
     if state.tracks:  # what might be a contact's is left to it; errors of the model of a strong one are not learned
-        left = left.marginalised_flat(fitter.responses(state.params)[1])
+        slopes = fitter.responses(state.params)[1]
+        left = left.marginalised_flat(slopes)
         share /= 1 + fitter.model_error**2 * newest.energy / left.count
-    return changed(state, drift=state.drift + share * left.drift())
+    uneven = state.uneven
+    if not state.pressing and fitter.errors.contacts is not None:
+        beside = newest.residual.excluding(slopes) if state.tracks else left
+        uneven = uneven.followed(*fitter.errors.drift(beside)[1:], elapsed)
+    return changed(state, drift=state.drift + share * left.drift(), uneven=uneven)
 
 
 def _time(state: TrackState, motion: Motion) -> float:

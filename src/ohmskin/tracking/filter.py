@@ -14,6 +14,7 @@ from ohmskin.arrays import changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.fitter import ContactFitter
 from ohmskin.contacts.information import NO_DATA, arguments
+from ohmskin.contacts.uneven import UnevenDrift
 from ohmskin.errors import DataError, ModelError
 from ohmskin.scan import Difference
 from ohmskin.scan.pairs import in_series
@@ -53,7 +54,8 @@ class ContactFilter:
         """The state before anything touches the skin."""
         n_pairs = len(self.fitter.table.pairs)
         drift, exact = np.zeros(n_pairs), np.empty((n_pairs, 0))
-        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _COMMON_STD**2), drift, exact)
+        uneven = UnevenDrift.none(self.fitter.errors)
+        return TrackState((), np.empty((0, STATE)), np.empty((0, 0)), (0.0, _COMMON_STD**2), drift, uneven, exact)
 
     def lifted(self, state: TrackState) -> TrackState:
         """The state with nothing on the skin; the estimate of its drift is kept."""
@@ -63,6 +65,7 @@ class ContactFilter:
             start,
             common_drift=common_drift,
             drift=state.drift,
+            uneven=state.uneven,
             newest_energy=state.newest_energy,
             kept_signal=state.kept_signal,
             next_id=state.next_id,
@@ -83,7 +86,7 @@ class ContactFilter:
         """
         if not (np.isfinite(elapsed) and elapsed >= 0):
             raise ModelError(f"elapsed is {elapsed!r} s; it must be finite and not negative")
-        fitter, motion = self.fitter, self.motion
+        fitter, motion = self.fitter.drifting(state.uneven.size), self.motion
         if state.time > state.doubted:
             state = without_degraded(state)
         before = moved(state, fitter, motion, elapsed)
@@ -127,7 +130,7 @@ class ContactFilter:
         """
         pairs = self.fitter.table.pairs
         mean, covariance = before.mean.copy(), before.covariance.copy()
-        scan, errors = arguments(pairs, self.fitter.errors, [difference])
+        scan, errors = arguments(pairs, self.fitter.drifting(before.uneven.size).errors, [difference])
         unknown = np.ascontiguousarray(in_series(covered, pairs).T) if covered else np.empty((0, len(pairs)))
         pressing = len(before.pressing) == len(before.tracks)
         found = kernels.updated(

@@ -8,6 +8,7 @@ import numpy as np
 from ohmskin.arrays import Floats, Ints, changed
 from ohmskin.contacts.finder import Contact
 from ohmskin.contacts.solution import PER_CONTACT, effect_std
+from ohmskin.contacts.uneven import UnevenDrift
 from ohmskin.scan import Difference, newest
 from ohmskin.tracking.residuals import Residuals
 
@@ -43,6 +44,7 @@ class TrackState:
         covariance: (6 n, 6 n) of all of them together.
         common_drift: Common relative change of all resistances since the calibration, and its variance (1).
         drift: (n_pairs,) other changes of the baseline: two-terminal resistances (ohm).
+        uneven: How unevenly the sheet drifts.
         degraded_errors: (n_pairs, k) what it may be off by because of `degraded` contacts, each for one standard
             deviation (ohm).
         contacts: The contacts to report, strongest first.
@@ -67,6 +69,7 @@ class TrackState:
     covariance: Floats = field(repr=False)
     common_drift: tuple[float, float]
     drift: Floats = field(repr=False)
+    uneven: UnevenDrift = field(repr=False)
     degraded_errors: Floats = field(repr=False)
     contacts: tuple[Contact, ...] = ()
     next_id: int = 1
