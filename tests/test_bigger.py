@@ -84,7 +84,7 @@ def test_a_model_over_near_pairs_tells_the_same_of_them() -> None:
         assert_allclose(getattr(model, name), getattr(whole, name)[at], rtol=1e-12)
     fields = np.random.default_rng(0).normal(size=(model.mesh.n_elem, 3))
     expected = whole.pair_sensitivity[at] @ fields
-    assert_allclose(model.field_sensitivity(fields), expected, atol=1e-10 * np.abs(expected).max())
+    assert_allclose(model.field_sensitivity(fields), expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_the_compiled_choice_of_near_pairs_is_that_of_the_drive() -> None:

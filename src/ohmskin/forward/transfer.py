@@ -18,7 +18,7 @@ from ohmskin.forward.sensitivity import fill_groups, fill_pairs
 from ohmskin.geometry import Electrodes, Mesh
 from ohmskin.scan import DrivePattern, Frame, Pairs, two_terminal
 
-_BLOCK = 1024  # elements at a time, which keeps memory small
+_BLOCK = 2048  # elements at a time, which keeps memory small
 
 
 class TransferModel(ReadOnly):
@@ -232,17 +232,17 @@ class TransferModel(ReadOnly):
         return grouped
 
     def field_sensitivity(self, fields: Floats) -> Floats:
-        """`pair_sensitivity @ fields`, (n_pairs, k) in ohms, of few `fields` (n_elem, k), likewise."""
-        n_elec, k = len(self.electrodes), fields.shape[1]
-        products = np.zeros((k * n_elec, n_elec))
+        """`pair_sensitivity @ fields`, (n_pairs, k) in ohms, of few `fields` (n_elem, k), likewise, to 1e-6."""
+        n_elec, weights = len(self.electrodes), (fields * self.mesh.measures[:, None]).astype(np.float32)
+        products = np.zeros((fields.shape[1], n_elec, n_elec))
         for start in range(0, self.mesh.n_elem, _BLOCK):
             at = slice(start, start + _BLOCK)
             slopes = np.einsum("ecd,ecn->edn", self.gradients[at], self.potentials[self.mesh.elements[at]])
-            weighted = np.einsum("ek,e,edn->kned", fields[at], self.mesh.measures[at], slopes)
-            products += weighted.reshape(k * n_elec, -1) @ slopes.reshape(-1, n_elec)
-        each = products.reshape(k, n_elec, n_elec)
-        own, (i, j) = np.diagonal(each, axis1=1, axis2=2), self.pairs.ends.T
-        return np.asarray((2 * each[:, i, j] - own[:, i] - own[:, j]).T)
+            slopes = slopes.astype(np.float32)
+            for own, weight in zip(products, weights[at].T, strict=True):
+                own += (weight[:, None, None] * slopes).reshape(-1, n_elec).T @ slopes.reshape(-1, n_elec)
+        each, (i, j) = np.diagonal(products, axis1=1, axis2=2), self.pairs.ends.T
+        return np.asarray((2 * products[:, i, j] - each[:, i] - each[:, j]).T)
 
     @fixed
     def pair_contact_sensitivity(self) -> Floats:
