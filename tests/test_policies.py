@@ -4,7 +4,9 @@ import json
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -563,13 +565,15 @@ def test_the_command_runs_and_says_where_the_report_is(tmp_path: Path) -> None:
     assert "Choosing the next pattern" in (tmp_path / "new" / "report.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_contact_impedances_that_change_are_followed_while_nothing_touches(seed: int) -> None:
-    """Three times as high since the calibration: five seconds of quiet later contacts are placed as on a sound skin."""
-    places = np.random.default_rng(seed).uniform(0.02, 0.18, (12, 2))
+def test_contact_impedances_that_change_are_followed_while_nothing_touches() -> None:
+    """Three times as high since the calibration: five seconds of quiet later contacts are placed as on a sound skin.
+
+    What is learned from frames with noise moves contacts a little either way: errors are means over six seeds.
+    """
     corner = np.array([[0.014, 0.015], [0.186, 0.015], [0.014, 0.185]])
-    errors, corners = {}, {}
-    for since in (1.0, 3.0):
+    errors, corners = defaultdict[tuple[float, str], float](float), defaultdict[tuple[float, str], float](float)
+    for seed, since in product(range(6), (1.0, 3.0)):
+        places = np.random.default_rng(seed).uniform(0.02, 0.18, (12, 2))
         where, mode = setup("pressed", 50.0, flaw=Flaw(since=since)), scheme("16P", "fit, driven")
         sensor = where.sensor(mode)
         fresh = state = sensor.start()
@@ -582,8 +586,8 @@ def test_contact_impedances_that_change_are_followed_while_nothing_touches(seed:
                 _, percept = sensor.step(begin, where.scan((contact("pressed", *at),), seed, time=5.05))
                 assert len(percept.detections) >= 1
                 found.append(np.linalg.norm(np.subtract(percept.detections[0].position, at)))
-            errors[since, name] = float(np.mean(found))
-            corners[since, name] = float(np.mean(found[-len(corner) :]))
+            errors[since, name] += float(np.mean(found)) / 6
+            corners[since, name] += float(np.mean(found[-len(corner) :])) / 6
     assert corners[3.0, "at once"] > 2 * corners[1.0, "at once"]  # where the flaw shows: only driven electrodes tell
     assert corners[3.0, "after quiet"] < 1.1 * corners[1.0, "at once"]
     assert errors[3.0, "after quiet"] < 1.1 * errors[1.0, "at once"]
