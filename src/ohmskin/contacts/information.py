@@ -61,7 +61,7 @@ class Errors:
         return np.hstack([self.contacts, uneven * self.fields])
 
     def drift(self, data: "Information") -> tuple[Floats, Floats, Floats]:
-        """What data show of contact impedances and smooth fields, if nothing touches the skin.
+        """What the data of one frame show of contact impedances and smooth fields, if nothing touches the skin.
 
         A common change of all resistances is estimated beside them, and no part of it.
 
@@ -69,23 +69,25 @@ class Errors:
             The likeliest change (n_pairs,) of two-terminal resistances (ohm); that in each field (k,), a relative
             change of conductivity (1); and its error.
         """
-        changes = self.changes(_UNEVEN)
-        likeliest, errors = self._likeliest(data, changes)
-        fields = slice(len(likeliest) if self.fields is None else -self.fields.shape[1], None)
-        return changes @ likeliest, _UNEVEN * likeliest[fields], _UNEVEN * errors[fields]
+        assert self.contacts is not None
+        changes, n_elec = self.changes(_UNEVEN), self.contacts.shape[1]
+        rows = block_diag(changes.T, COMMON)
+        shown, seen = rows @ data.misfit.vector, data.misfit.normal_products(rows) @ rows.T
+        # the errors of the data hold impedances, and as much of the fields as the sheet drifts; the rest is added here
+        beside = np.linalg.solve(np.eye(len(rows) - n_elec) + seen[n_elec:, n_elec:], seen[n_elec:])
+        prior = np.append(np.ones(n_elec), np.full(changes.shape[1] - n_elec, 1 + (self.uneven / _UNEVEN) ** 2))
+        power = np.diag(seen) - (seen[n_elec:] * beside).sum(axis=0)
+        likeliest = prior * (shown - shown[n_elec:] @ beside)[:-1]
+        errors = np.sqrt(np.maximum(prior * (1 - prior * power[:-1]), 0.0))
+        return changes @ likeliest, _UNEVEN * likeliest[n_elec:], _UNEVEN * errors[n_elec:]
 
     def rises(self, data: "Information") -> Floats:
         """By how many standard deviations (n_elec,) each contact impedance has surely risen."""
         assert self.contacts is not None
-        likeliest, errors = self._likeliest(data, self.changes())
-        return (likeliest / errors)[: self.contacts.shape[1]]
-
-    @staticmethod
-    def _likeliest(data: "Information", changes: Floats) -> tuple[Floats, Floats]:
-        """Likeliest size of each of `changes` (n_pairs, k) beside a common one, and its error, in their units (k,)."""
-        rows = block_diag(changes.T, COMMON)
+        rows = block_diag(self.changes().T, COMMON)
         covariance = np.linalg.inv(data.white.normal_products(rows) @ rows.T + np.eye(len(rows)))
-        return (covariance @ rows @ data.white_residual.vector)[:-1], np.sqrt(np.diag(covariance))[:-1]
+        likeliest = covariance @ rows @ data.white_residual.vector
+        return (likeliest / np.sqrt(np.diag(covariance)))[: self.contacts.shape[1]]
 
 
 @dataclass(frozen=True, eq=False)

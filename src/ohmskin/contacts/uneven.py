@@ -9,6 +9,7 @@ from ohmskin.contacts.information import Errors
 from ohmskin.forward import TransferModel
 from ohmskin.forward.conductivity import cosines
 from ohmskin.geometry import Domain
+from ohmskin.scan.smoothing import smoothing_factor
 
 _WAVES = 4  # half waves along each side, 0 to 3
 _SEEN = 0.2  # s over which what quiet frames show is averaged
@@ -26,11 +27,6 @@ def field_changes(model: TransferModel, domain: Domain) -> Floats:
     waves = np.hypot(*np.indices((_WAVES, _WAVES))).ravel()
     fields = cosines(model.mesh.centroids, domain, np.eye(len(waves))[:, 1:] / waves[1:])
     return model.field_sensitivity(model.conductivity[:, None] * fields)
-
-
-def share(elapsed: float, time: float) -> float:
-    """Share of a change that is followed in some time, if it is followed to 1/e in another."""
-    return float(-np.expm1(-elapsed / time))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +52,16 @@ class UnevenDrift:
         surely = self.fields**2 - _SURE**2 * self.variance
         return float(np.sqrt(np.clip(surely, 0.0, None).sum()))
 
-    def followed(self, fields: Floats, errors: Floats, elapsed: float) -> "UnevenDrift":
+    def followed(self, fields: Floats, errors: Floats, learned: float, elapsed: float) -> "UnevenDrift":
         """The same after one more frame on which nothing touches.
 
         Args:
             fields: What it shows of each field beside the drift so far (k,) (1).
             errors: Standard deviation of each (k,).
+            learned: Variance of that in the drift so far, as a share of that in one frame (1).
             elapsed: Time since the last frame (s).
         """
-        new = share(elapsed, _SEEN)
-        variance = (1 - new) ** 2 * self.variance + new**2 * errors**2
+        new = smoothing_factor(elapsed, _SEEN)
+        kept = (1 - new) ** 2
+        variance = kept * self.variance + (new**2 + (1 - kept) * learned) * errors**2
         return UnevenDrift(self.fields + new * (fields - self.fields), variance)

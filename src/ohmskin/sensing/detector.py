@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from ohmskin.arrays import Bools, Floats, changed
 from ohmskin.scan import Difference, Frame, newest
 from ohmskin.scan.coherence import Coherence, InstrumentErrors, NetworkData
+from ohmskin.scan.smoothing import smoothing_factor
 from ohmskin.sensing.diagnosis import HELD, Cause, Diagnosis
 from ohmskin.sensing.model import SkinModel
 from ohmskin.sensing.remedies import Remedy, agrees, likeliest, limit, without_offset, without_spikes
@@ -77,7 +78,7 @@ class FaultDetector:
         silent, causes = self._currents(before, frames, scans, now)
         suspected = {Cause("open", (suspect,)) for suspect in suspects}
         causes |= suspected | {Cause("degraded", (electrode,)) for electrode in degraded}
-        unlike = before.unlike - np.expm1(-elapsed / _SLOWLY) * (unexplained - before.unlike)
+        unlike = before.unlike + smoothing_factor(elapsed, _SLOWLY) * (unexplained - before.unlike)
         causes |= {Cause("unlike")} if unlike > _UNLIKE else set()
         lost = self._lost(frames)
         causes |= {Cause(kind) for kind, count in lost.items() if count}
@@ -120,7 +121,7 @@ class FaultDetector:
             fits=tuple(fits),
             scans=() if not self._window else looked if remedy is None or remedy.off is not None else repaired,
             unresolved=unresolved,
-            unlike=float(unlike),
+            unlike=unlike,
             lost=lost,
             without_data=before.without_data + elapsed if empty else 0.0,
         ).with_causes(causes, noise, suspected)

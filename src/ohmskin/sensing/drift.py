@@ -7,7 +7,8 @@ import numpy as np
 from ohmskin.arrays import Floats
 from ohmskin.contacts import ContactFitter
 from ohmskin.contacts.degraded import DOUBTED, Explained, risen
-from ohmskin.contacts.uneven import UnevenDrift, share
+from ohmskin.contacts.uneven import UnevenDrift
+from ohmskin.scan.smoothing import smoothing_factor
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
 _LEARNED = 0.1  # s between frames from which the latter is estimated
@@ -53,19 +54,19 @@ class Drift:
         lasting, usual, unlearned = self.degraded_change, self.change - self.degraded_change, self.unlearned + elapsed
         uneven, degraded, doubted = self.uneven, self.degraded, max(self.doubted - elapsed, 0.0)
         if (degradation := explained.degradation) is not None:
-            lasting = lasting + share(elapsed, _DEGRADED) * degradation.change
+            lasting = lasting + smoothing_factor(elapsed, _DEGRADED) * degradation.change
             degraded, doubted = degradation.electrodes, DOUBTED
         elif explained.doubtful:
             doubted = DOUBTED
         elif fitter.errors.contacts is not None and quiet:
             likeliest, fields, errors = fitter.errors.drift(explained.data)
-            usual = usual + share(elapsed, _FOLLOWED) * likeliest
-            uneven = uneven.followed(fields, errors, elapsed)
+            usual = usual + smoothing_factor(elapsed, _FOLLOWED) * likeliest
+            uneven = uneven.followed(fields, errors, smoothing_factor(_LEARNED, _FOLLOWED) / 2, elapsed)
         if unlearned >= _LEARNED:
             if not quiet and fitter.errors.contacts is not None and _may_be_degraded(fitter, explained):
                 doubted = DOUBTED
             else:
-                usual = usual + share(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
+                usual = usual + smoothing_factor(unlearned, _FOLLOWED) * _of_pairs(fitter, explained)
             unlearned = 0.0
         return Drift(usual + lasting, lasting, uneven, unlearned, degraded if doubted else (), doubted)
 

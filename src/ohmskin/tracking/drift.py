@@ -4,6 +4,7 @@ import numpy as np
 
 from ohmskin.arrays import changed
 from ohmskin.contacts.fitter import ContactFitter
+from ohmskin.scan.smoothing import smoothing_factor
 from ohmskin.tracking.kernels import updated_common
 from ohmskin.tracking.motion import Motion
 from ohmskin.tracking.state import TrackState
@@ -23,7 +24,7 @@ def with_common_drift(state: TrackState, fitter: ContactFitter, before: tuple[fl
 def with_learned_drift(state: TrackState, fitter: ContactFitter, motion: Motion, elapsed: float) -> TrackState:
     """The state with part of its newest frame's residual, as much as belongs to a time (s), taken for drift."""
     newest = state.history[0]
-    share, left = elapsed / (elapsed + _time(state, motion)), newest.residual
+    share, left = smoothing_factor(elapsed, _time(state, motion)), newest.residual
     if state.tracks:  # what might be a contact's is left to it; errors of the model of a strong one are not learned
         slopes = fitter.responses(state.params)[1]
         left = left.marginalised_flat(slopes)
@@ -31,7 +32,7 @@ def with_learned_drift(state: TrackState, fitter: ContactFitter, motion: Motion,
     uneven = state.uneven
     if not (state.pressing or state.degraded) and fitter.errors.contacts is not None:
         beside = newest.residual.excluding(slopes) if state.tracks else left
-        uneven = uneven.followed(*fitter.errors.drift(beside)[1:], elapsed)
+        uneven = uneven.followed(*fitter.errors.drift(beside)[1:], share / 2, elapsed)
     return changed(state, drift=state.drift + share * left.drift(), uneven=uneven)
 
 
