@@ -97,14 +97,15 @@ class Sheet:
 class IndependentDevice:
     """Serves the sheet over TCP on a port of its own.
 
-    `opened` are electrodes whose wire is off; `odd` says what is wrong with the next frames, one word for each;
-    `hum` is of 50 Hz, on all voltages (V).
+    `opened` are electrodes whose wire is off; `odd` says what is wrong with the next scans, one word for each;
+    `then` are touches from after the next scan on; `hum` is of 50 Hz, on all voltages (V).
     """
 
     def __init__(self, seed: int, noise: float = 1e-4) -> None:
         self.sheet, self.noise, self._rng = Sheet(seed), noise, np.random.default_rng(seed + 100)
         self._gains = 1 + 1e-3 * self._rng.normal(size=(16, 16))
         self.opened, self.odd = set[int](), list[str]()
+        self.then: dict[int, tuple[float, float, float]] | None = None
         self._clock, self._number, self.hum = 0.0, 0, 0.0
         self._server = socket.create_server(("127.0.0.1", 0))
         self.url = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
@@ -156,7 +157,11 @@ class IndependentDevice:
             odd = self.odd.pop(0) if self.odd else ""
             if odd == "failed":
                 return 0xFF, struct.pack("<H", 10) + b"converter failed"
-            return 0x83, b"\1\2" if odd == "cut" else self._frame(*slots[slot], odd)
+            scanned = b"\1\2" if odd == "cut" else self._frame(*slots[slot], odd)
+            if self.then is not None:
+                self.sheet.touch(self.then)
+                self.then = None
+            return 0x83, scanned
         return 0xFF, struct.pack("<H", 8) + b"not here"
 
     def _frame(self, digest: int, injections: np.ndarray, measured: np.ndarray, odd: str) -> bytes:

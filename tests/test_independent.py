@@ -107,6 +107,26 @@ def test_a_slide_leaves_nothing_behind(loop: Loop) -> None:
         assert not any(touch.contacts for touch in felt(engine, 60)[3:])
 
 
+@pytest.mark.parametrize("mode", ["16P", "16T"])
+def test_what_comes_and_goes_between_the_scans_of_a_frame_is_no_fault(loop: Loop, mode: str) -> None:
+    """One of two scans is pressed: contacts of electrodes that degrade had explained that, and stayed as touches."""
+    device, engine = loop
+    engine.set_mode(mode)
+    felt(engine, 20)
+    late, false = 0, 0
+    for place in np.random.default_rng(1).uniform(0.02, 0.18, (20, 2)).tolist():
+        device.then = {0: (*place, PRESSURE)}
+        touches = felt(engine, 12)
+        late += sum(len(touch.contacts) != 1 for touch in touches[3:])
+        device.then = {}
+        touches += felt(engine, 25)
+        false += sum(bool(touch.contacts) for touch in touches[13:])
+        assert not any(touch.percept.findings for touch in touches)
+    engine.set_mode("16P")
+    assert false == 0
+    assert late <= 3
+
+
 def test_open_electrodes_are_named_and_the_rest_goes_on(loop: Loop) -> None:
     """Positions err by half more, at most, in the mean over electrodes and places."""
     device, engine = loop

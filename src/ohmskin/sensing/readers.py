@@ -7,6 +7,7 @@ Other packages add theirs with an entry point of the group ``ohmskin.readers``: 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import itemgetter
 from typing import Protocol
 
 import numpy as np
@@ -231,40 +232,41 @@ class FitReader:
         drift = before.drift or Drift.none(self.fitter)
         ready = undriven if before.drift is None else partial(_steady, drift.change, pairs)
         estimate = estimated(self.estimator, before.estimate, len(new), recent, elapsed, ready)
-        fitter = self.fitter.drifting(drift.uneven.size)
-        data = fitter.information(*recent, drift=drift.change)
-        searched = before.searched + elapsed
+        fitter, searched = self.fitter.drifting(drift.uneven.size), before.searched + elapsed
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
-        explained = self._explained(fitter, data, known, bool(drift.doubted))
+        explained, unexplained = self._explained(fitter, recent, drift, known)
+        if len(new) > 1 and fit_confidence(unexplained) < 1 == fit_confidence(before.unexplained):
+            last = self._explained(fitter, new[-1:], drift, known)  # what came or went within the frame is in it
+            explained, unexplained = min((explained, unexplained), last, key=itemgetter(1))
+        solution = explained.solution
+        found = scaled_confidence(self.fitter.contacts(solution), fit_confidence(unexplained))
+        drift = drift.followed(fitter, explained, not found, elapsed)
+        tracks, contacts = self.tracker.update(before.tracks, found)
+        belief = Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
+        explains = not found or not self.fitter.poor(explained.data, solution.cost)
+        return changed(belief, solution=solution, searched=searched, explains=explains)
+
+    def _explained(
+        self, fitter: ContactFitter, scans: Sequence[Difference], drift: Drift, known: Solution | None
+    ) -> tuple[Explained, float]:
+        """Scans explained by contacts, and the share of them that is not; where there are more contacts than are
+        `known`, or they are doubted, explained by worse contacts of electrodes, too."""
+        data = fitter.information(*scans, drift=drift.change)
+        found = fitter.fit_information(*data, before=known)
+        explained, more = Explained(found, data[0]), len(found.params) > (0 if known is None else len(known.params))
+        if fitter.errors.contacts is not None and (more or (drift.doubted and len(found.params))):
+            before = (found if known is None else known).params
+            explained = with_degraded(fitter, data, found, before[strong(fitter, before)])
         solution, nominal = explained.solution, explained.data
         if solution.covered:
-            nominal = nominal.excluding(in_series(solution.covered, pairs))
+            nominal = nominal.excluding(in_series(solution.covered, fitter.table.pairs))
         if solution.shapes is not None and solution.shapes.size:
             nominal = nominal.marginalised(solution.shapes)
         signal, left = nominal.signals(solution.caused)
         unexplained = nominal.share_unexplained(signal, left)
         if self._is_drift(nominal, solution, signal, left):
             solution, unexplained = nothing(len(solution.caused)), 0.0
-        found = scaled_confidence(self.fitter.contacts(solution), fit_confidence(unexplained))
-        explained = changed(explained, solution=solution, data=nominal)
-        drift = drift.followed(fitter, explained, not found, elapsed)
-        tracks, contacts = self.tracker.update(before.tracks, found)
-        belief = Belief(estimate, found, contacts, tracks, drift, unexplained=unexplained)
-        explains = not found or not self.fitter.poor(nominal, solution.cost)
-        return changed(belief, solution=solution, searched=searched, explains=explains)
-
-    @staticmethod
-    def _explained(
-        fitter: ContactFitter, data: tuple[Information, Information], known: Solution | None, doubted: bool
-    ) -> Explained:
-        """Data explained by contacts; where there are more of them than are `known`, or they are `doubted`, by worse
-        contacts of electrodes, too."""
-        found = fitter.fit_information(*data, before=known)
-        more = len(found.params) > (0 if known is None else len(known.params))
-        if fitter.errors.contacts is None or not (more or (doubted and len(found.params))):
-            return Explained(found, data[0])
-        before = (found if known is None else known).params
-        return with_degraded(fitter, data, found, before[strong(fitter, before)])
+        return changed(explained, solution=solution, data=nominal), unexplained
 
     @staticmethod
     def _is_drift(nominal: Information, solution: Solution, signal: float, left: float) -> bool:
