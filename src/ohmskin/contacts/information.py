@@ -87,7 +87,7 @@ class Errors:
         rows = block_diag(self.changes().T, COMMON)
         covariance = np.linalg.inv(data.white.normal_products(rows) @ rows.T + np.eye(len(rows)))
         likeliest = covariance @ rows @ data.white_residual.vector
-        return (likeliest / np.sqrt(np.diag(covariance)))[: self.contacts.shape[1]]
+        return np.asarray(likeliest / np.sqrt(np.diag(covariance)))[: self.contacts.shape[1]]
 
 
 @dataclass(frozen=True, eq=False)
