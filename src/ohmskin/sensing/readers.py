@@ -235,7 +235,8 @@ class FitReader:
         fitter, searched = self.fitter.drifting(drift.uneven.size), before.searched + elapsed
         known, searched = (before.solution, searched) if searched < _AFRESH else (None, 0.0)
         explained, unexplained = self._explained(fitter, recent, drift, known)
-        if len(new) > 1 and fit_confidence(unexplained) < 1 == fit_confidence(before.unexplained):
+        newly = fit_confidence(unexplained) < 1 == fit_confidence(before.unexplained)
+        if newly and len(new) > 1 and np.isfinite(new[-1].volts).any():
             last = self._explained(fitter, new[-1:], drift, known)  # what came or went within the frame is in it
             explained, unexplained = min((explained, unexplained), last, key=itemgetter(1))
         solution = explained.solution
