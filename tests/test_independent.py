@@ -218,6 +218,30 @@ def test_a_sheet_that_drifts_unevenly_stays_quiet(seed: int, mode: str, wave: tu
     assert np.median(off) < 2e-3
 
 
+def test_a_finger_that_rests_while_the_sheet_drifts_unevenly_leaves_nothing(seed: int) -> None:
+    """The error of the contact's model had been learned in place of the drift: of 380 frames after the lifts 195 and
+    328 had a false contact. Drift is followed within seconds, so that some may have one just after a lift."""
+    false, count = 0, 0
+    for wave in ((40.0, 25.0), (4.0, -9.0)):
+        device = IndependentDevice(seed)
+        with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+            engine.calibrate()
+            felt(engine, 20)
+            for place in np.random.default_rng(seed).uniform(0.03, 0.17, (2, 2)).tolist():
+                device.sheet.touch({0: (*place, PRESSURE)})
+                touches = felt(engine, 20)
+                for _ in range(100):
+                    device.sheet.drift(2e-5, wave)
+                    touches += felt(engine, 10)
+                assert np.mean([len(touch.contacts) == 1 for touch in touches[5:]]) > 0.97
+                assert errors(touches[-1], tuple(place))[0] < 4e-3
+                device.sheet.touch({})
+                after = felt(engine, 300)[5:100]
+                false, count = false + sum(bool(touch.contacts) for touch in after), count + len(after)
+        device.close()
+    assert false < 0.4 * count
+
+
 @pytest.mark.parametrize(
     "electrodes", [(13, 14), pytest.param(range(16), marks=pytest.mark.long)], ids=["two", "all"]
 )  # fmt: skip

@@ -17,7 +17,7 @@ from ohmskin.contacts.misfit import QuadraticMisfit
 from ohmskin.contacts.solution import Solution
 from ohmskin.scan.pairs import in_series
 
-_SURE = 5.0  # standard deviations by which the contact impedance must have risen
+SURE = 5.0  # standard deviations by which the contact impedance must have risen
 _MAYBE = 3.0  # standard deviations by which the sheet may seem to conduct more there
 DOUBTED = 1.0  # s for which contacts are doubted once one has degraded
 _MOST = 3  # electrodes at once
@@ -75,9 +75,9 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
         return Explained(found, data[0])
     best, beside, degraded, changes = found, data, list[int](), dict[int, Floats]()
     left, doubtful = _left(fitter, data[0], sure), False
-    surely = risen(fitter, data[0], found)
+    surely = rises_beside(fitter, data[0], found.params) > SURE
     while len(best.params) > len(sure) and len(degraded) < _MOST:
-        higher = {*np.flatnonzero(surely & (fitter.errors.rises(left) > _SURE)).tolist()} - {*degraded}
+        higher = {*np.flatnonzero(surely & (fitter.errors.rises(left) > SURE)).tolist()} - {*degraded}
         changes |= {number: changes_at(fitter, number) for number in higher if number not in changes}
         gains = {number: _gain(left.misfit, changes[number]) for number in higher}
         if max(gains.values(), default=0.0) < fitter.bar**2:
@@ -96,17 +96,9 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
     return Explained(best, beside[0], Degradation(tuple(degraded), together, together @ likeliest, errors))
 
 
-def risen(fitter: ContactFitter, data: Information, found: Solution, off: float = 0.0) -> Bools:
-    """Whether each contact impedance has surely risen (n_elec,), whatever of the data the contacts `found` explain.
-
-    Args:
-        fitter: What fits contacts to data.
-        data: What is measured.
-        found: The contacts that explain it.
-        off: What the contacts' effect may be off by, as a share of it (1).
-    """
-    rises = fitter.errors.rises(_left(fitter, data, found.params))
-    return np.asarray(rises > _SURE + off * data.norm(found.caused))
+def rises_beside(fitter: ContactFitter, data: Information, contacts: Floats) -> Floats:
+    """By how many standard deviations (n_elec,) each contact impedance has risen, beside contacts (n, 4)."""
+    return fitter.errors.rises(_left(fitter, data, contacts))
 
 
 def strong(fitter: ContactFitter, contacts: Floats) -> Bools:

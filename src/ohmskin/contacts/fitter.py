@@ -50,8 +50,7 @@ class ContactFitter(DiscFitter):
         most: Most contacts to look for.
         bipolar: Whether contacts may lower the conductivity, too.
         gain: Standard deviation of the relative error of a measured current (1).
-        contacts: (n_pairs, n_elec) change of two-terminal resistances with each contact impedance, for one standard
-            deviation of its change since calibration (ohm); None: they are known.
+        contacts: Changes with contact impedances since calibration, see `Errors`; None: these are known.
         fields: See `Errors`.
 
     Attributes:
@@ -84,6 +83,7 @@ class ContactFitter(DiscFitter):
                 raise ModelError(f"{name} is {rate!r}; it must be a rate above 0 and below 1")
         if most < 1:
             raise ModelError(f"cannot look for {most} contacts; at least 1")
+        contacts = np.zeros((len(table.pairs), 0)) if contacts is None else contacts
         super().__init__(table, Errors(noise, gain, contacts, model_error, fields), bipolar)
         self.noise, self.most = noise, most
         self.bar = float(-ndtri(false_alarms / (len(self.places) * (1 + bipolar))))

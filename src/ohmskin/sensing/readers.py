@@ -255,7 +255,7 @@ class FitReader:
         data = fitter.information(*scans, drift=drift.change)
         found = fitter.fit_information(*data, before=known)
         explained, more = Explained(found, data[0]), len(found.params) > (0 if known is None else len(known.params))
-        if fitter.errors.contacts is not None and (more or (drift.doubted and len(found.params))):
+        if more or (drift.doubted and len(found.params)):
             before = (found if known is None else known).params
             explained = with_degraded(fitter, data, found, before[strong(fitter, before)])
         solution, nominal = explained.solution, explained.data

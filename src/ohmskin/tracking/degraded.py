@@ -18,7 +18,7 @@ def degradation_instead(known: TrackState, fitter: ContactFitter, data: Both, mo
         data: What is measured, and the same with the model's error as noise.
         more: (n, 4) the others.
     """
-    if fitter.errors.contacts is None or not len(more):
+    if not len(more):
         return None
     pressing = known.params[known.pressing]
     nominal, inflated = data

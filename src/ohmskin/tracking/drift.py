@@ -30,7 +30,7 @@ def with_learned_drift(state: TrackState, fitter: ContactFitter, motion: Motion,
         left = left.marginalised_flat(slopes)
         share /= 1 + fitter.model_error**2 * newest.energy / left.count
     uneven = state.uneven
-    if not (state.pressing or state.degraded) and fitter.errors.contacts is not None:
+    if not (state.pressing or state.degraded):
         beside = newest.residual.excluding(slopes) if state.tracks else left
         uneven = uneven.followed(*fitter.errors.drift(beside)[1:], share / 2, elapsed)
     return changed(state, drift=state.drift + share * left.drift(), uneven=uneven)
