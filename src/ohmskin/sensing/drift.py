@@ -15,9 +15,9 @@ from ohmskin.contacts.uneven import UnevenDrift
 from ohmskin.scan.smoothing import smoothing_factor
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
-_LEARNED = 0.05  # s between frames from which the latter is estimated
-_RESTED = 1.0  # s over which that is averaged, while contacts rest, which changes must exceed to be followed
-_MOVED = 0.1  # of the noise's variance in the data, from which on errors of a contact's model have changed
+_LEARNED = 0.05  # s between frames from which what no contact explains is estimated
+_RESTED = 1.0  # s of rest over which what seems to come beside contacts is averaged, before changes of it are followed
+_MOVED = 0.1  # of the variance of noise, from which on what may be wrong with a change of contacts counts as a move
 _DEGRADED = 0.1  # s in which what an electrode does whose contact has degraded is followed to 1/e
 
 
