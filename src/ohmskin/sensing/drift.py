@@ -15,7 +15,7 @@ from ohmskin.contacts.uneven import UnevenDrift
 from ohmskin.scan.smoothing import smoothing_factor
 
 _FOLLOWED = 2.0  # s in which a change of contact impedances, or of what no contact explains, is followed to 1/e
-_LEARNED = 0.05  # s between frames from which what no contact explains is estimated
+_LEARNED = 0.1  # s between frames from which what no contact explains is estimated
 _RESTED = 1.0  # s of rest over which what seems to come beside contacts is averaged, before changes of it are followed
 _MOVED = 0.1  # of the variance of noise, from which on what may be wrong with a change of contacts counts as a move
 _DEGRADED = 0.1  # s in which what an electrode does whose contact has degraded is followed to 1/e
