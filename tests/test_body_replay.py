@@ -66,7 +66,9 @@ def contact(placed: PlacedSkin, number: int, x: float) -> PlacedContact:
 
 
 @contextmanager
-def sensing(body: Body, file: Path) -> Iterator[tuple[list[Publisher], JointStates, Merger, RelayProcess]]:
+def sensing(
+    body: Body, file: Path, images: float = 50.0
+) -> Iterator[tuple[list[Publisher], JointStates, Merger, RelayProcess]]:
     """What `ohmskin patches --record` has, without loops: patches are shown what a test says."""
     names = [f"{body.name}.{placed.patch.name}" for placed in body.patches]
     assert body.robot is not None
@@ -77,13 +79,13 @@ def sensing(body: Body, file: Path) -> Iterator[tuple[list[Publisher], JointStat
         merger = stack.enter_context(Merger(body.name, patches, names, stack.enter_context(Posture(body))))
         pictures = [f"{name}.image" for name in names]
         outlets = [f"mcap:{file}"]
-        relay = RelayProcess(body.name, pictures, patches, outlets, None, 50.0, body.robot.root)
+        relay = RelayProcess(body.name, pictures, patches, outlets, None, images, body.robot.root)
         yield publishers, stack.enter_context(JointStates(body.name)), merger, stack.enter_context(relay)
 
 
-def recorded(body: Body, file: Path, cycles: int = 12) -> None:
+def recorded(body: Body, file: Path, cycles: int = 12, images: float = 50.0) -> None:
     """The arm is touched further and further on while the elbow bends."""
-    with sensing(body, file) as (publishers, joints, merger, relay):
+    with sensing(body, file, images) as (publishers, joints, merger, relay):
         for k in range(1, cycles + 1):
             joints.push({"elbow": 0.1 * k})
             for publisher, placed in zip(publishers, body.patches, strict=True):
@@ -214,6 +216,14 @@ def test_a_recording_replays_the_body(body: Body, tmp_path: Path) -> None:
     assert poses == sorted(poses)
     assert images[-1] == 12.0
     assert {one.patches[1].mode for one in felt} == {"16P"}
+
+
+def test_a_recording_ends_with_the_newest_image_however_few_are_recorded(body: Body, tmp_path: Path) -> None:
+    recorded(body, tmp_path / "a.mcap", images=0.01)
+    found = messages(tmp_path / "a.mcap")
+    images = [STORE.deserialize_cdr(data, kind).data.view("<f4") for kind, data in found["/ohmskin/torso/arm/image"]]
+    assert len(images) <= 2  # one in 100 s, and the last
+    assert np.nanmax(images[-1]) == 12.0
 
 
 def test_a_replay_can_be_recorded_again_and_says_the_same(body: Body, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ It reads from standard input what to publish where (`ohmskin.child`), then any b
 """
 
 import json
+import math
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -72,33 +73,20 @@ class Relay:
                 opened = open_outlet(address, topics, f"ohmskin_{name}", token)
                 self.outlets.append(stack.enter_context(closing(opened)))
             self._stack = stack.pop_all()
-        self._marked, self._due = False, 0.0
+        self._unmarked: Contacts | None = None  # the newest contacts, until markers show them
+        self._marked, self._shown = False, -math.inf
 
     def poll(self, picture_every: float) -> None:
         """Publish what is new: contacts at once, markers and images as often as that."""
-        if (merged := self._board.newest()) is None:
-            return
-        patches = self._board.patches
-        self._send(self._contacts, merged.stamp, encode_contacts(merged))
-        for link, stamp, pushing in wrenches(merged, patches, self._wrenches):
-            self._send(self._wrenches[link], stamp, encode_wrench(pushing, link, stamp))
-        self._send_posture()
-        now = time.monotonic()
-        if now < self._due:
-            return
-        self._due = now + picture_every
-        for board in self._health:
-            if (told := board.newest()) is not None:
-                self._send(_DIAGNOSTICS, CdrDecoder(told).stamp(), told)
-        if merged.contacts or self._marked:
-            self._send(self._markers, merged.stamp, encode_markers(merged.contacts, patches, merged.stamp))
-            self._marked = bool(merged.contacts)
-        for board, patch, (image, points) in zip(self._pictures, patches, self._images, strict=True):
-            if (content := board.newest()) is not None:
-                picture = Picture.unpack(content, board.setup)
-                pixels, stamp = picture.pixels, picture.stamp
-                self._send(image, stamp, encode_image(pixels, stamp, patch.frame))
-                self._send(points, stamp, encode_cloud(pixels, picture.points, patch.frame, stamp))
+        if (merged := self._board.newest()) is not None:
+            self._unmarked = merged
+            self._send(self._contacts, merged.stamp, encode_contacts(merged))
+            for link, stamp, pushing in wrenches(merged, self._board.patches, self._wrenches):
+                self._send(self._wrenches[link], stamp, encode_wrench(pushing, link, stamp))
+            self._send_posture()
+        if (now := time.monotonic()) - self._shown >= picture_every:
+            self._shown = now
+            self._send_pictures()
 
     def close(self) -> None:
         """Close outlets and boards."""
@@ -114,6 +102,24 @@ class Relay:
             self._send(self._joints, stamp, encode_joints(told["positions"], stamp))
             if poses := self._poses.newest():
                 self._send(self._transforms, stamp, encode_transforms(self._root, poses, stamp))
+
+    def _send_pictures(self) -> None:
+        """Health, markers and images, those that are new."""
+        for board in self._health:
+            if (told := board.newest()) is not None:
+                self._send(_DIAGNOSTICS, CdrDecoder(told).stamp(), told)
+        if not (patches := self._board.patches):
+            return
+        if (merged := self._unmarked) is not None and (merged.contacts or self._marked):
+            self._send(self._markers, merged.stamp, encode_markers(merged.contacts, patches, merged.stamp))
+            self._marked = bool(merged.contacts)
+        self._unmarked = None
+        for board, patch, (image, points) in zip(self._pictures, patches, self._images, strict=True):
+            if (content := board.newest()) is not None:
+                picture = Picture.unpack(content, board.setup)
+                pixels, stamp = picture.pixels, picture.stamp
+                self._send(image, stamp, encode_image(pixels, stamp, patch.frame))
+                self._send(points, stamp, encode_cloud(pixels, picture.points, patch.frame, stamp))
 
     def _send(self, topic: Topic, stamp: int, data: bytes) -> None:
         for outlet in self.outlets:
@@ -147,6 +153,7 @@ def main() -> None:
         answer(ready=[outlet.address for outlet in relay.outlets])
         while os.read(0, 65536):
             relay.poll(every)
+        relay.poll(0.0)  # the end is shown too, however soon after the last image
 
 
 if __name__ == "__main__":
