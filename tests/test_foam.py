@@ -123,13 +123,13 @@ def pascals(force: float, radius: float) -> float:
 
 def test_forces_are_followed_up_and_down(calibrated: Skin) -> None:
     """Of fingers that press harder for a twelfth of a second, hold, and ease off, at eighteen places: every frame
-    counts. Over three sets of six places 8 to 18 % in the median; 15 to 26 % while easing off, were the foam taken for
-    springs, in place of 11 to 13."""
+    counts. Over three seeds and sets of places 10 to 17 % in the median. While they ease off, forces would be 16 to
+    21 % too large, were the foam taken for springs, in place of 1 to 2 %."""
     forgetful = replace(calibrated, calibration=replace(calibrated.calibration, layer_hysteresis=0.0))
     forgetful = replace(forgetful, contact_layer=replace(forgetful.contact_layer, creep=0.0))
     places = np.random.default_rng(8).uniform(0.03, 0.17, (18, 2))
     way = np.repeat(["rise", "hold", "ease off"], [30, 20, 30])
-    median = []
+    error, bias = [], []
     for skin in (calibrated, forgetful):
         errors: dict[str, list[float]] = {one: [] for one in way}
         with Engine(lambda: DirectDevice(VirtualSkin(SKIN, 21)), skin) as engine:
@@ -140,10 +140,12 @@ def test_forces_are_followed_up_and_down(calibrated: Skin) -> None:
                     engine.press(0, (x, y), radius, pascals(float(force), radius))
                     touch = engine.step()
                     if touch is not None and touch.contacts and touch.contacts[0].force is not None:
-                        errors[now].append(abs(touch.contacts[0].force / float(force) - 1))
+                        errors[now].append(touch.contacts[0].force / float(force) - 1)
                 engine.press(0, (x, y), radius, 0.0)
                 for _ in range(6):
                     engine.step()
-        median.append({now: float(np.median(some)) for now, some in errors.items()})
-    assert max(median[0].values()) < 0.25, median
-    assert median[0]["ease off"] < 0.7 * median[1]["ease off"], median
+        error.append({now: float(np.median(np.abs(some))) for now, some in errors.items()})
+        bias.append(float(np.median(errors["ease off"])))
+    assert max(error[0].values()) < 0.25, error
+    assert error[0]["ease off"] < error[1]["ease off"], error
+    assert abs(bias[0]) < bias[1] / 2, bias
