@@ -392,9 +392,14 @@ def test_what_no_contacts_explain_is_told_and_lowers_confidence(engine: Engine) 
     assert all(contact.confidence <= 0.5 for one in (touch, *run(engine, 50)) for contact in one.contacts)
 
 
-@pytest.mark.parametrize("engine", ["16P"], indirect=True)
-def test_what_a_search_could_not_explain_is_not_searched_again_in_every_frame(engine: Engine) -> None:
-    """A frame that takes a hundred times as long as others leaves a robot without touch where it needs it most."""
+@pytest.mark.parametrize(
+    ("engine", "swapped", "most"), [("16P", (1, 7), 10), ("16T", (1, 7), 20), ("16T", (9, 14), 20)], indirect=["engine"]
+)
+def test_what_a_search_could_not_explain_is_not_searched_again_in_every_frame_and_leaves_nothing(
+    engine: Engine, swapped: tuple[int, int], most: float
+) -> None:
+    """A frame that takes a hundred times as long as others leaves a robot without touch where it needs it most; 25
+    to 45 times, were every frame of 16T searched. What was taken for lifted contacts meanwhile is none afterwards."""
 
     def seconds(frames: int) -> Floats:
         taken = []
@@ -410,8 +415,8 @@ def test_what_a_search_could_not_explain_is_not_searched_again_in_every_frame(en
     engine.press(0, AT, RADIUS, 0.0)
     run(engine, 12)
     device = device_of(engine)
-    device.virtual.rewire(Fault("swap", (1, 7)))
-    assert np.median(seconds(40)) < 10 * np.median(usual)
+    device.virtual.rewire(Fault("swap", swapped))
+    assert np.median(seconds(80)[20:]) < most * np.median(usual)
     device.virtual.rewire()
     assert sum(counts(run(engine, 40)[3:])) == 0
     engine.press(0, AT, RADIUS, PRESSURE)

@@ -538,6 +538,17 @@ def test_a_lifted_contact_that_is_there_again_before_it_is_forgotten_is_a_new_on
     assert again.tracks[0].peak == pytest.approx(8e-5)
 
 
+def test_what_is_left_of_a_lifted_contact_becomes_drift_in_frames_that_are_explained() -> None:
+    rig = Rig("discs", 50, 16)
+    before = resting(rig, 1e-5, lifted=0.2)
+    told, untold = (
+        with_lifts(before, rig.filter.fitter, rig.filter.bar, 30.0, STEP, explained) for explained in (True, False)
+    )
+    assert 0 < told.mean[0, 2] < before.mean[0, 2] == untold.mean[0, 2]
+    assert np.abs(told.drift).max() > 0
+    assert not untold.drift.any()
+
+
 def test_of_two_contacts_taken_for_one_the_older_name_stays() -> None:
     rig = Rig("discs", 50, 17)
     state = rig.run(12, press("discs", (0.085, 0.12)))

@@ -24,6 +24,7 @@ _NOTHING = 1e-9  # share of the power that a frame keeps whose score counts for 
 _GROSS = 10.0  # times all other changes, by which those of a loose wire are larger
 _POOR = 0.1  # of what contacts explain of one frame that they may leave, beyond what is usual, to be believed at once
 _REPEATED, _NEAR = 3, 2.5  # frames and usual radii within which a doubted contact that is seen again is one
+_SEARCH_EVERY = 16  # frames, once contacts of so many frames in a row are doubted
 LONGEST = int(_WINDOWS[-1])
 
 
@@ -57,6 +58,10 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
             possible = place if height > POSSIBLE else -1
             break
         used = state.history[:count]
+        alone = count == 1 and not _seen_before(place, state.history, fitter)
+        if alone and state.turn % _SEARCH_EVERY and state.doubted_frames >= _REPEATED:
+            state = _with_doubt(state, fitter, place)
+            continue
         found = _added(used, fitter)
         if (loose := _from_one_electrode(state, fitter, found, used)) is not None:
             suspect, frame = loose
@@ -77,10 +82,8 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         if weak and (degradation := degradation_instead(state, fitter, _combined(used), found.params)) is not None:
             state = _without(state, fitter, degradation)
             continue
-        alone = count == 1 and not _seen_before(place, state.history, fitter)
         if alone and _is_poor(used[0], nominal, fitter, found):
-            newest = with_scores(changed(used[0], doubted=place), fitter)
-            state = changed(state, history=(newest, *state.history[1:]))
+            state = _with_doubt(state, fitter, place)
             continue
         moved = speed * (state.time - used[-1].time) / 2
         for params, covariance in zip(found.params, found.covariances, strict=True):
@@ -89,7 +92,8 @@ def with_births(state: TrackState, fitter: ContactFitter, bar: float, common: fl
         variance = state.common_drift[1]
         history = tuple(_updated(residuals, fitter, found, variance) for residuals in state.history)
         state = changed(state, history=history, covered=tuple(sorted({*state.covered, *found.covered})))
-    return changed(state, possible=possible)
+    doubted = bool(state.history) and state.history[0].doubted is not None
+    return changed(state, possible=possible, doubted_frames=state.doubted_frames + 1 if doubted else 0)
 
 
 def _most_significant(history: Sequence[Residuals], fitter: ContactFitter, common: float) -> tuple[int, int, float]:
@@ -165,6 +169,12 @@ def _seen_before(place: int, history: Sequence[Residuals], fitter: ContactFitter
     doubted = [residuals.doubted for residuals in history[1 : 1 + _REPEATED] if residuals.doubted is not None]
     away = fitter.table.offsets(fitter.places[doubted], fitter.places[place])
     return bool((np.hypot(*away.T) < fitter.table.radius * _NEAR).any())
+
+
+def _with_doubt(state: TrackState, fitter: ContactFitter, place: int) -> TrackState:
+    """The state with what its newest frame shows at a place doubted."""
+    newest = with_scores(changed(state.history[0], doubted=place), fitter)
+    return changed(state, history=(newest, *state.history[1:]))
 
 
 def _is_poor(newest: Residuals, data: Information, fitter: ContactFitter, found: Solution) -> bool:

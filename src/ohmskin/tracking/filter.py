@@ -100,7 +100,7 @@ class ContactFilter:
         state = with_births(state, fitter, self.bar, self._common(elapsed), motion.speed)
         if state.history[0] is not newest:
             state = with_common_drift(state, fitter, before.common_drift)
-        state = with_lifts(state, fitter, self.bar, motion.settling_time, elapsed)
+        state = with_lifts(state, fitter, self.bar, motion.settling_time, elapsed, self.explains(state))
         if state.turn % _REVISE_EVERY == 0 or just_came(state):
             state = with_revision(state, fitter, self.split_bar, motion.speed, state.turn // _REVISE_EVERY)
         if state.turn % _LEARN_EVERY == 0 and state.history and state.history[0].sound:

@@ -7,13 +7,16 @@ import numpy as np
 from ohmskin.arrays import changed
 from ohmskin.contacts.discs import NEAR
 from ohmskin.contacts.fitter import FAINT, ContactFitter
+from ohmskin.scan.smoothing import smoothing_factor
 from ohmskin.tracking.state import STATE, Track, TrackState
 
 _LIFTED, _AGAIN = 0.1, 0.2  # shares of its peak below which a contact is lifted, above which it is there again
 _SETTLED = 5.0  # settling times after which nothing is left of a lifted contact
 
 
-def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: float, elapsed: float) -> TrackState:
+def with_lifts(
+    state: TrackState, fitter: ContactFitter, bar: float, settling: float, elapsed: float, explained: bool = True
+) -> TrackState:
     """The state with lifted contacts separated from pressing ones; what is left of lifted ones becomes drift.
 
     Args:
@@ -22,10 +25,11 @@ def with_lifts(state: TrackState, fitter: ContactFitter, bar: float, settling: f
         bar: Standard deviations of its effect above which a lifted contact may be there again.
         settling: Time over which what is left of a lifted contact becomes drift (s).
         elapsed: Since the frame before (s).
+        explained: Whether contacts explain the frame as well as usual; if not, it does not tell what is left of any.
     """
     state = _without_double(state, fitter)
     tracks, mean, drift, next_id = [], state.mean.copy(), state.drift, state.next_id
-    share = 1 - np.exp(-elapsed / settling)
+    share = smoothing_factor(elapsed, settling) if explained else 0.0
     came = any(one.since == state.time for one in state.tracks)
     bar = _limit(state, fitter, bar)
     for k, one in enumerate(state.tracks):

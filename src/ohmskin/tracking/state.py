@@ -61,6 +61,7 @@ class TrackState:
             explained the last frames at the last revision; below 1: they did not, for the first time.
         degraded: Electrodes whose contacts degraded within the last second.
         doubted: Until when contacts are doubted because of these (s).
+        doubted_frames: Newest frames in a row that showed contacts that explain them poorly.
         possible: Number of the place where one more contact may be; -1: none may.
     """
 
@@ -84,6 +85,7 @@ class TrackState:
     refuted: float = 0.0
     degraded: tuple[int, ...] = ()
     doubted: float = 0.0
+    doubted_frames: int = 0
     possible: int = -1
 
     def recent(self, injections: int) -> tuple[Difference, ...]:
