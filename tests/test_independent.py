@@ -319,6 +319,20 @@ def test_one_press_is_one_contact(loop: Loop, mode: str) -> None:
     assert np.median(off) < 1.4e-3
 
 
+def test_a_press_on_two_patches_is_one_contact() -> None:
+    """Two contacts closer than one is wide: they had been split farther apart, and drawn together by their shapes."""
+    device, counts = IndependentDevice(1), list[int]()
+    with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
+        for _ in range(5):
+            engine.calibrate()
+            device.sheet.touch({0: (0.059962, 0.13665, 27.96e3)})
+            counts += [len(touch.percept.detections) for touch in felt(engine, 40)]
+            device.sheet.touch({})
+            felt(engine, 8)
+    device.close()
+    assert np.mean(np.array(counts) == 1) > 0.98  # 0.88 before
+
+
 def test_a_press_just_after_another_was_lifted_is_tracked_soon(loop: Loop) -> None:
     """At 29 of 30 places within nine frames, 6 mm at most from the truth, however strong the one before was; and
     alone: where that was, nothing is shown again."""

@@ -131,10 +131,12 @@ class DiscFitter:
     def joined(
         self, nominal: Information, inflated: Information, found: Solution, covered: tuple[int, ...]
     ) -> Solution:
-        """The contacts, one in place of two over an electrode where it leaves no more than is usual.
+        """The contacts, one in place of two that are closer than one is wide, or over an electrode where one leaves no
+        more than is usual.
 
-        Patches over an electrode reach beyond it, on one side further than on the other. No disc does that, but two do,
-        one on each side: over an electrode, what the model gets wrong of one contact looks like two.
+        Two that are taken for ones so close are the patches under one press. Patches over an electrode reach beyond it,
+        on one side further than on the other. No disc does that, but two do, one on each side: over an electrode, what
+        the model gets wrong of one contact looks like two.
 
         Args:
             nominal: What is measured.
@@ -142,10 +144,11 @@ class DiscFitter:
             found: The contacts.
             covered: The electrodes under them.
         """
-        ends = np.argwhere(np.triu(np.ones((len(found.params),) * 2, bool), 1)) if covered else ()
+        ends = np.argwhere(np.triu(np.ones((len(found.params),) * 2, bool), 1))
         for both in sorted(ends, key=lambda both: self._distance(found.params[both])):
             pair, others = found.params[both], np.delete(found.params, both, axis=0)
-            if self._distance(pair) > APART or not {*self.covered(pair)} & {*covered}:
+            close = float(np.linalg.norm(self.table.offsets(*pair[:, :2]))) < self.table.radius
+            if not close and (self._distance(pair) > APART or not {*self.covered(pair)} & {*covered}):
                 continue
             share = abs(pair[1, 2]) / np.abs(pair[:, 2]).sum()
             middle = self.onto(pair[:1, :2] + share * self.table.offsets(pair[1:, :2], pair[:1, :2]))[0]
@@ -153,7 +156,7 @@ class DiscFitter:
             starts = np.array([np.vstack([others, [*middle, pair[:, 2].sum(), square]]) for square in squares])
             left, usual = (self.uncovered(one, covered) for one in (inflated, nominal))
             one = self.refine(left, starts, *self.prior(starts[0]))
-            if {*covered} <= {*self.covered(one.params)} and not self.poor(usual, one.cost):
+            if {*covered} <= {*self.covered(one.params)} and (close or not self.poor(usual, one.cost)):
                 return self.joined(nominal, inflated, one, covered)
         return found
 
