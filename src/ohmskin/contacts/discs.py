@@ -147,7 +147,8 @@ class DiscFitter:
         ends = np.argwhere(np.triu(np.ones((len(found.params),) * 2, bool), 1))
         for both in sorted(ends, key=lambda both: self._distance(found.params[both])):
             pair, others = found.params[both], np.delete(found.params, both, axis=0)
-            close = float(np.linalg.norm(self.table.offsets(*pair[:, :2]))) < self.table.radius
+            alike = pair[0, 2] * pair[1, 2] > 0
+            close = alike and float(np.linalg.norm(self.table.offsets(*pair[:, :2]))) < self.table.radius
             if not close and (self._distance(pair) > APART or not {*self.covered(pair)} & {*covered}):
                 continue
             share = abs(pair[1, 2]) / np.abs(pair[:, 2]).sum()
