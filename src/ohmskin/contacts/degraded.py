@@ -63,7 +63,8 @@ class Explained:
 
 
 def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floats) -> Explained:
-    """The contacts, fewer of them if electrodes whose contacts have degraded explain the rest better.
+    """The contacts, fewer of them if electrodes whose contacts have degraded explain the rest better, and all as well
+    as is usual: swapped wires look like such electrodes, too, and more so than like contacts.
 
     Args:
         fitter: What fits contacts to data.
@@ -88,7 +89,7 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
         beside = beside[0].excluding(changes[degraded[-1]]), beside[1].excluding(changes[degraded[-1]])
         other = fitter.fit_information(*beside)
         best = other if len(sure) <= len(other.params) < len(best.params) else best
-    if fitter.price(best, 2 * len(degraded)) >= fitter.price(found, 0):
+    if fitter.price(best, 2 * len(degraded)) >= fitter.price(found, 0) or fitter.poor(beside[0], best.cost):
         return Explained(found, data[0], doubtful=doubtful)
     together = np.hstack([changes[number] for number in degraded])
     likeliest, covariance = _likeliest(_left(fitter, data[0], best.params).misfit, together)
