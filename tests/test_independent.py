@@ -218,26 +218,6 @@ def test_a_sheet_that_drifts_unevenly_stays_quiet(seed: int, mode: str, wave: tu
     assert np.median(off) < 2e-3
 
 
-def test_base_scans_of_a_sheet_that_drifts_unevenly_show_no_contacts(seed: int) -> None:
-    """The drive had measured where the drift seemed to be a contact, and frames took two to three times as long."""
-    device = IndependentDevice(seed)
-    with Engine(partial(connect, device.url), Skin.load("paper"), "16P") as engine:
-        engine.calibrate()
-        for _ in range(100):
-            device.sheet.drift(2e-5, (40.0, 25.0))
-            felt(engine, 5)
-        known, sensor = engine.known, engine.sensor
-        assert known is not None
-        assert sensor is not None
-        seen = []
-        for touch in felt(engine, 100):
-            base = known.at_usual_currents(known.difference(touch.percept.frames[0]))
-            targets = sensor.locator.targets([base], sensor.locator.estimate([base]), touch.percept.belief)
-            seen.append(any(target.effect for target in targets))
-    device.close()
-    assert np.mean(seen) < 0.1
-
-
 def test_a_finger_that_rests_while_the_sheet_drifts_unevenly_leaves_nothing(seed: int) -> None:
     """The error of the contact's model had been learned in place of the drift: of 380 frames after the lifts 195 and
     328 had a false contact. Drift is followed within seconds, so that some may have one just after a lift."""

@@ -45,20 +45,19 @@ class Locator:
         known = before.solution
         if known is not None and before.detections and (known.poor or self._still(scans, before, known)):
             return targets_of(before.detections)
-        fitter = self.fitter if before.drift is None else self.fitter.drifting(before.drift.uneven.size)
-        nominal, inflated = fitter.information(*scans, drift=before.drift_change)
-        last = None if known is None else fitter.refitted(nominal, inflated, known, search=False)
-        found = targets_of(fitter.contacts(last[0] if last else fitter.fit_information(nominal, inflated)))
+        nominal, inflated = self.fitter.information(*scans)
+        last = None if known is None else self.fitter.refitted(nominal, inflated, known, search=False)
+        found = targets_of(self.fitter.contacts(last[0] if last else self.fitter.fit_information(nominal, inflated)))
         if found:
             return found
-        height = fitter.heights(*fitter.scores(nominal))
-        return [Target.possible(fitter.places[int(np.argmax(height))], fitter.table.radius)]
+        height = self.fitter.heights(*self.fitter.scores(nominal))
+        return [Target.possible(self.fitter.places[int(np.argmax(height))], self.fitter.table.radius)]
 
     def _still(self, scans: Sequence[Difference], before: Belief, known: Solution) -> bool:
         """Whether contacts leave no more of scans than one that is followed may, with no step of a fit."""
         assert self.fitter is not None
-        drift, pairs = before.drift_change, self.fitter.table.pairs
-        changes = known.caused if drift is None else known.caused + drift
+        drift, pairs = 0.0 if before.drift is None else before.drift.change, self.fitter.table.pairs
+        changes = known.caused + drift
         seen = undriven(scans)
         left = [scan.volts - scan.caused_by(changes, pairs) for scan in seen]
         squares = sum(float(scan.volts @ scan.volts) for scan in seen)

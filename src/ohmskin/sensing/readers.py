@@ -74,13 +74,6 @@ class Belief:
         return () if self.drift is None else self.drift.degraded
 
     @property
-    def drift_change(self) -> Floats | None:
-        """(n_pairs,) change of two-terminal resistances by drift of the quiet skin (ohm); None: it is not estimated."""
-        if isinstance(self.tracks, TrackState):
-            return self.tracks.drift
-        return None if self.drift is None else self.drift.change
-
-    @property
     def image(self) -> Image:
         """The image, made when it is first asked for."""
         return self.estimate.image
@@ -92,7 +85,8 @@ class Belief:
             scans: As measured.
             pairs: Pairs of electrodes whose drift it is.
         """
-        drift = self.drift_change
+        drift = None if self.drift is None else self.drift.change
+        drift = self.tracks.drift if isinstance(self.tracks, TrackState) else drift
         return [scan if drift is None else scan.minus(drift, pairs) for scan in scans]
 
     def with_image_misfit(self, misfit: float) -> "Belief":
