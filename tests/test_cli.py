@@ -21,6 +21,7 @@ from waiting import until
 
 from ohmskin.cli import app, main
 from ohmskin.cli.heartbeat import HEARTBEAT
+from ohmskin.cli.options import Stop
 from ohmskin.errors import ModelError
 
 
@@ -294,6 +295,46 @@ def test_an_error_without_a_cause_after_ctrl_c_is_ctrl_c(
             main()
     finally:
         del app["compute"]
+
+
+def test_ctrl_c_in_a_destructor_ends_the_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a destructor raises is swallowed, and so is what the hook raises that is told of it."""
+
+    class Deleted:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    def compute() -> None:
+        Deleted()
+        time.sleep(60.0)
+
+    app.command(compute)
+    monkeypatch.setattr(sys, "argv", ["ohmskin", "compute"])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    try:
+        with pytest.raises(SystemExit, match="130"):
+            main()
+        assert capsys.readouterr().err == ""
+    finally:
+        del app["compute"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_loop_ends_though_something_swallowed_what_was_to_end_it_before_it_began(number: signal.Signals) -> None:
+    before = [(each, signal.getsignal(each)) for each in (signal.SIGINT, signal.SIGTERM)]
+    hook = sys.unraisablehook
+    try:
+        stop = Stop()
+        with pytest.raises((KeyboardInterrupt, SystemExit)):
+            signal.raise_signal(number)
+        stop.listen(silent=False)
+        assert stop
+    finally:
+        sys.unraisablehook = hook
+        for each, handler in before:
+            signal.signal(each, handler)
 
 
 def test_ctrl_c_while_it_calibrates_ends_it_at_once(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import os
 import pty
 import re
 import select
+import signal
 import sys
 import time
 from pathlib import Path
@@ -31,6 +32,7 @@ MOMENTS = [(name, 1.0 if name == "learn" else 3.0) for name in COMMANDS] + [
     ("policies", 0.4),
     ("calibrate", 8.0),
 ]
+_LONGEST = 600.0  # s, that a command may take on a busy machine, where it compiles all
 ENDING = ("live --headless --seconds 1", "calibrate --places 2 --weights 200 500", f"image {RECORDING}")
 
 
@@ -80,9 +82,9 @@ class Terminal:
         return children
 
     def end(self) -> int:
-        """Its exit status, as a shell gives it."""
-        while self.read(60):
-            pass
+        """Its exit status, as a shell gives it; it is killed if it does not end."""
+        if self.read(_LONGEST):
+            os.kill(self._pid, signal.SIGKILL)
         os.close(self._fd)
         status = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
         return status if status >= 0 else 128 - status

@@ -1,13 +1,14 @@
 """Signs of life of a command: while it is imported, starts, calibrates and computes; and its end at Ctrl-C."""
 
+import signal
 import sys
 import time
-from _thread import interrupt_main
 from contextlib import suppress
-from threading import Event, RLock, Thread
+from threading import Event, RLock, Thread, Timer, get_ident
 from typing import Any, Self, TextIO, cast
 
 _EVERY = 2.0  # s
+_AGAIN = 0.05  # s, until an interrupt that was swallowed is raised again
 
 
 class _TimedStream:
@@ -77,12 +78,14 @@ def interrupt(*_: object) -> None:
     """End the command at Ctrl-C: raise KeyboardInterrupt.
 
     It may be raised within a compiler or a destructor. What these leave half made is not reported when it is deleted,
-    and if they swallow it, it is raised again.
+    and if they swallow it, it is raised again: later, because what is raised within this hook is swallowed, too.
     """
 
     def unraisable(swallowed: "sys.UnraisableHookArgs") -> None:
         if issubclass(swallowed.exc_type, KeyboardInterrupt):
-            interrupt_main()
+            again = Timer(_AGAIN, signal.pthread_kill, (get_ident(), signal.SIGINT))
+            again.daemon = True
+            again.start()
 
     sys.unraisablehook = unraisable
     INTERRUPTED.set()

@@ -141,7 +141,7 @@ class Stop(threading.Event):
     """Set, and true, after Ctrl-C or SIGTERM and, with a `lifeline`, at the end of standard input.
 
     Until `listen` is called, and when asked twice, either ends the program at once, cleaning up on the way: only a loop
-    that runs has something to finish first.
+    that runs has something to finish first. If something, such as an import, swallows that, the loop ends as it begins.
     """
 
     def __init__(self, lifeline: bool = False) -> None:
@@ -159,9 +159,10 @@ class Stop(threading.Event):
         self._listening = True
 
     def _ask(self, number: int, _: object) -> None:
-        if self.is_set() or not self._listening:
-            interrupt() if number == signal.SIGINT else sys.exit(0)
+        at_once = self.is_set() or not self._listening
         self.set()
+        if at_once:
+            interrupt() if number == signal.SIGINT else sys.exit(0)
 
     def __bool__(self) -> bool:
         return self.is_set()
