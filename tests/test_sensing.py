@@ -15,6 +15,7 @@ from direct import DirectDevice
 from ohmskin import registry
 from ohmskin.arrays import Floats
 from ohmskin.device import Feature
+from ohmskin.device.demo import demo_finger
 from ohmskin.drive import DRIVES, Drive, DriveSettings, Fixed, part_of
 from ohmskin.engine import Engine
 from ohmskin.errors import ModelError, PatternError, SkinError
@@ -603,3 +604,24 @@ def test_live_images_of_a_press_on_another_skin_show_no_sure_contact(drive: str)
         sure += trial == 0 and len(percept.contacts)
     assert shown
     assert sure == 1
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_finger_that_moves_within_its_frames_degrades_no_electrode(seed: int) -> None:
+    """By 2 to 4 mm a frame: what the contact's model errs by beside it had been taken for a risen impedance."""
+    mode, twin = modes(PAPER)["16P"], VirtualSkin(PAPER, seed)
+    patterns = drive_of(mode, PAPER).patterns
+    sensor = build(mode, SkinModel(PAPER, PAPER.transfer_model(), [twin.scan(p) for _ in range(50) for p in patterns]))
+    now = 0.0
+
+    def scan(pattern: DrivePattern) -> Frame:
+        nonlocal now
+        now += 0.025
+        (x, y), radius, pressure = demo_finger(PAPER.domain, 165.4 + 2 * now)
+        twin.press(0, x, y, radius, pressure)
+        return replace(twin.scan(pattern), time=now)
+
+    state = sensor.start()
+    for _ in range(40):
+        state, percept = sensor.step(state, scan)
+        assert percept.findings == ()

@@ -188,6 +188,9 @@ def test_grouped_sensitivity_is_that_of_the_elements_summed() -> None:
     shares = Pixels.over(mesh(), 13).shares
     expected = model().pair_sensitivity @ shares
     assert_allclose(model().grouped_sensitivity(shares), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    for wrong in (-1.0, np.nan, np.inf):  # negative ones had made it compute for ever
+        with pytest.raises(ModelError, match="finite numbers from 0 on"):
+            model().grouped_sensitivity(wrong * shares)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -17,7 +17,7 @@ from ohmskin.contacts.misfit import QuadraticMisfit
 from ohmskin.contacts.solution import Solution
 from ohmskin.scan.pairs import in_series
 
-SURE = 5.0  # standard deviations by which the contact impedance must have risen
+_SURE = 5.0  # standard deviations by which the contact impedance must have risen, beside the error of the contacts
 _MAYBE = 3.0  # standard deviations by which the sheet may seem to conduct more there
 DOUBTED = 1.0  # s for which contacts are doubted once one has degraded
 _MOST = 3  # electrodes at once
@@ -76,9 +76,10 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
         return Explained(found, data[0])
     best, beside, degraded, changes = found, data, list[int](), dict[int, Floats]()
     left, doubtful = _left(fitter, data[0], sure), False
-    surely = rises_beside(fitter, data[0], found.params) > SURE
+    limit = sure_rise(fitter, data[0], found.caused)
+    surely = rises_beside(fitter, data[0], found.params) > limit
     while len(best.params) > len(sure) and len(degraded) < _MOST:
-        higher = {*np.flatnonzero(surely & (fitter.errors.rises(left) > SURE)).tolist()} - {*degraded}
+        higher = {*np.flatnonzero(surely & (fitter.errors.rises(left) > limit)).tolist()} - {*degraded}
         changes |= {number: changes_at(fitter, number) for number in higher if number not in changes}
         gains = {number: _gain(left.misfit, changes[number]) for number in higher}
         if max(gains.values(), default=0.0) < fitter.bar**2:
@@ -100,6 +101,12 @@ def with_degraded(fitter: ContactFitter, data: Both, found: Solution, sure: Floa
 def rises_beside(fitter: ContactFitter, data: Information, contacts: Floats) -> Floats:
     """By how many standard deviations (n_elec,) each contact impedance has risen, beside contacts (n, 4)."""
     return fitter.errors.rises(_left(fitter, data, contacts))
+
+
+def sure_rise(fitter: ContactFitter, data: Information, caused: Floats) -> float:
+    """From how many standard deviations on an impedance has surely risen beside contacts that cause so much (n_pairs,),
+    ohm, and whose model errs."""
+    return _SURE + fitter.model_error * data.norm(caused)
 
 
 def strong(fitter: ContactFitter, contacts: Floats) -> Bools:

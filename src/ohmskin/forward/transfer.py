@@ -218,7 +218,12 @@ class TransferModel(ReadOnly):
 
         Args:
             shares: (n_elem, n_groups) sparse, not negative: how a group's unknown changes each element's conductivity.
+
+        Raises:
+            ModelError: If a share is negative or not finite.
         """
+        if not ((shares.data >= 0) & np.isfinite(shares.data)).all():
+            raise ModelError("shares of elements in groups are finite numbers from 0 on")
         grouped = np.zeros((len(self.pairs), shares.shape[1]))
         columns, skin = sp.csc_array(shares), (self.mesh.elements, self.gradients, self.mesh.measures, self.potentials)
         fill_groups(

@@ -10,7 +10,7 @@ import numpy as np
 
 from ohmskin.arrays import Floats, changed
 from ohmskin.contacts import ContactFitter
-from ohmskin.contacts.degraded import DOUBTED, SURE, Explained, rises_beside
+from ohmskin.contacts.degraded import DOUBTED, Explained, rises_beside, sure_rise
 from ohmskin.contacts.uneven import UnevenDrift
 from ohmskin.scan.smoothing import smoothing_factor
 
@@ -125,8 +125,9 @@ class Drift:
             return changed(self, change=change, unlearned=0.0)
         newest, errors = ApproximationError.of(fitter, explained, elapsed)
         resting, data = self.resting or newest, explained.data
-        moved, error = (fitter.model_error * data.norm(newest.caused - known) for known in (resting.caused, 0.0))
-        risen = resting.risen or bool((newest.rises > resting.rises + SURE + error).any())
+        moved = fitter.model_error * data.norm(newest.caused - resting.caused)
+        limit = sure_rise(fitter, data, newest.caused)
+        risen = resting.risen or bool((newest.rises > resting.rises + limit).any())
         followed = changed(self, unlearned=0.0, doubted=DOUBTED if risen else self.doubted)
         if resting is newest or moved**2 > _MOVED * data.count or risen > resting.risen:
             return changed(followed, resting=changed(newest, risen=risen))
